@@ -77,6 +77,8 @@ class Latent(IdlStruct, typename="wm_msgs::msg::dds_::Latent_"):
     channels: uint32
     dtype: uint8
     epoch: uint64
+    change: float32
+    frozen: bool
     data: sequence[uint8]
 
 

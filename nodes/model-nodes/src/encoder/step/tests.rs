@@ -110,9 +110,9 @@ fn both_transports_and_any_size_give_the_same_latent() {
 #[test]
 fn a_malformed_frame_is_an_error_that_names_it() {
     let frame = CameraFrame::Raw(Image {
-        encoding: "yuv422".into(),
+        encoding: "bayer_rggb16".into(),
         ..encode_image(&picture(), header())
     });
     let error = step(LatentDtype::F16).encode(&frame).unwrap_err();
-    assert!(error.to_string().contains("\"yuv422\""), "{error}");
+    assert!(error.to_string().contains("\"bayer_rggb16\""), "{error}");
 }
