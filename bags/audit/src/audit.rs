@@ -85,9 +85,12 @@ impl fmt::Display for Audit {
     }
 }
 
+/// Findings with the names of their bags.
+type Named<'a> = Vec<(&'a str, &'a Finding)>;
+
 /// One finding in place of those that several bags share.
 fn joined(bags: &[BagFindings]) -> Vec<Finding> {
-    let mut groups: BTreeMap<(String, Level, String), Vec<(&str, &Finding)>> = BTreeMap::new();
+    let mut groups: BTreeMap<(String, Level, String), Named<'_>> = BTreeMap::new();
     for bag in bags {
         for finding in &bag.findings {
             let key = (
@@ -98,7 +101,7 @@ fn joined(bags: &[BagFindings]) -> Vec<Finding> {
             groups.entry(key).or_default().push((&bag.bag, finding));
         }
     }
-    let join = |group: Vec<(&str, &Finding)>| {
+    let join = |group: Named<'_>| {
         let (name, first) = group.first()?;
         let mut finding = (*first).clone();
         let mut names: Vec<String> = group.iter().map(|(name, _)| (*name).to_owned()).collect();

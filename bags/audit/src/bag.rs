@@ -3,17 +3,12 @@
 use std::sync::Arc;
 
 use wm_bag::{BagMessage, BagReader, TopicInfo};
-use wm_camera::{camera_frame::CameraFrame, signature::Signature};
+use wm_camera::{camera_frame::CameraFrame, signature::Signature, transport::Transport};
 use wm_motion::{
     actions::ActionSpace,
     motion::{Motion, MotionSettings, Pace},
 };
-use wm_msgs::{
-    Message as _,
-    geometry_msgs::PoseStamped,
-    sensor_msgs::{CompressedImage, Image, JointState},
-    wm_msgs::Action,
-};
+use wm_msgs::{Message as _, geometry_msgs::PoseStamped, sensor_msgs::JointState, wm_msgs::Action};
 
 use crate::{
     Audit, BagFindings, Episode, Episodes, Finding, Stamps, StateLog,
@@ -120,11 +115,9 @@ pub fn audit_bag(reader: &BagReader, topics: &Topics, mut each: impl FnMut()) ->
 /// The cameras of a bag, the one that actions are compared with first.
 fn cameras(reader: &BagReader, named: &[String], findings: &mut Vec<Finding>) -> Vec<String> {
     let is_camera = |topic: &&TopicInfo| {
-        let type_name = &*topic.type_name;
         topic.message_count > 0
-            && (type_name == Image::ros_name() || type_name == CompressedImage::ros_name())
+            && Transport::of(&topic.name, &topic.type_name).is_some_and(Transport::is_read)
             && !NO_CAMERA.iter().any(|other| topic.name.starts_with(other))
-            && !topic.name.ends_with("compressedDepth")
     };
     let found = reader.topics().iter().filter(is_camera);
     let mut found: Vec<String> = found.map(|topic| topic.name.to_string()).collect();
@@ -138,7 +131,7 @@ fn cameras(reader: &BagReader, named: &[String], findings: &mut Vec<Finding>) ->
     if named.is_empty() {
         found.sort_by_key(|name| base(name) != CAMERA);
         if found.is_empty() {
-            findings.push(Finding::error("camera", "no pictures on any topic"));
+            findings.push(no_camera(reader));
         }
         return found;
     }
@@ -153,6 +146,26 @@ fn cameras(reader: &BagReader, named: &[String], findings: &mut Vec<Finding>) ->
         of.cloned()
     });
     named.collect()
+}
+
+/// The finding for a bag without pictures that are read here.
+fn no_camera(reader: &BagReader) -> Finding {
+    let topics = reader
+        .topics()
+        .iter()
+        .filter(|topic| topic.message_count > 0);
+    let mut unread = topics.filter_map(|topic| {
+        let transport = Transport::of(&topic.name, &topic.type_name)?;
+        Some((transport, &topic.name, transport.advice(&topic.name)?))
+    });
+    match unread.next() {
+        Some((Transport::Video, name, _)) => {
+            let what = format!("not examined: {name} is compressed video; wm dataset examines it");
+            Finding::note("camera", what)
+        }
+        Some((_, _, advice)) => Finding::error("camera", "no pictures on any topic").fix(advice),
+        None => Finding::error("camera", "no pictures on any topic"),
+    }
 }
 
 fn base(topic: &str) -> &str {

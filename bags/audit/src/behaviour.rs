@@ -158,14 +158,26 @@ fn outliers(all: Episodes<'_>) -> Vec<Finding> {
 /// Changes of position that no arm makes: positions, or another unit.
 fn units(all: Episodes<'_>) -> Option<Finding> {
     let dimensions = all.space.dimensions();
-    let is_metre = |d: &Dimension| d.kind == Kind::TranslationDelta && d.unit == "m";
+    let is_metre = |d: &Dimension| {
+        let unit = (d.kind, d.unit.as_str());
+        matches!(
+            unit,
+            (Kind::TranslationDelta, "m") | (Kind::Velocity, "m/s")
+        )
+    };
     let axes = (0..dimensions.len()).filter(|index| dimensions.get(*index).is_some_and(is_metre));
     let axes: Vec<usize> = axes.collect();
     let speeds = |episode: &Episode| -> Vec<f64> {
-        let columns: Vec<Vec<f32>> = axes.iter().map(|axis| episode.actions(*axis)).collect();
+        let columns = axes.iter().filter_map(|axis| {
+            let of_one = all.change_of_one(dimensions.get(*axis)?.kind);
+            Some((episode.actions(*axis), of_one))
+        });
+        let columns: Vec<(Vec<f32>, f64)> = columns.collect();
         let squares = (0..episode.len()).map(|frame| {
-            let values = columns.iter().filter_map(|column| column.get(frame));
-            values.map(|value| f64::from(*value).powi(2)).sum::<f64>()
+            let values = columns
+                .iter()
+                .filter_map(|(column, of_one)| Some(f64::from(*column.get(frame)?) * of_one));
+            values.map(|value| value.powi(2)).sum::<f64>()
         });
         squares.map(|square| square.sqrt() / all.period_s).collect()
     };

@@ -195,7 +195,7 @@ mod tests {
             let y: Vec<f32> = y.collect();
             (x[lag..].to_vec(), y)
         };
-        (1..=episodes).map(episode).map(|(x, y)| (x, y)).collect()
+        (1..=episodes).map(episode).collect()
     }
 
     #[test]

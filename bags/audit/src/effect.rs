@@ -156,9 +156,11 @@ fn fit(
     if effect == Effect::Gripper {
         return None;
     }
+    let of_one = all.change_of_one(dimension.kind);
     let (mut xy, mut xx, mut yy, mut count) = (0.0, 0.0, 0.0, 0.0);
     for episode in all.episodes {
         for (x, y) in windows(episode, index, effect, window, shift) {
+            let x = x * of_one;
             xy += x * y;
             xx += x * x;
             yy += y * y;

@@ -11,7 +11,7 @@ const MOST_DEVIATIONS: f32 = 5.0;
 /// What a value of an action does to the state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Effect {
-    /// It changes the state by itself.
+    /// It changes the state by itself: a delta by its value, a velocity by its value times the period.
     Change,
     /// The state follows it.
     Target,
@@ -24,7 +24,7 @@ impl Effect {
     pub fn of(kind: Kind) -> Self {
         if kind.is_gripper() {
             Self::Gripper
-        } else if kind.is_delta() {
+        } else if kind.is_motion() {
             Self::Change
         } else {
             Self::Target
@@ -107,7 +107,7 @@ impl Episode {
         &mut self.actions
     }
 
-    /// How much the action changes a dimension at each frame.
+    /// How much the action changes a dimension at each frame: of a velocity, for each second.
     pub(crate) fn changes(&self, dimension: usize, kind: Kind) -> Vec<f32> {
         let values = self.actions(dimension);
         match Effect::of(kind) {
@@ -210,6 +210,15 @@ pub struct Episodes<'a> {
 }
 
 impl Episodes<'_> {
+    /// Change of the state for a value of 1 that lasts a period: velocities act for its duration.
+    pub(crate) fn change_of_one(&self, kind: Kind) -> f64 {
+        if kind.is_velocity() {
+            self.period_s
+        } else {
+            1.0
+        }
+    }
+
     /// All frames.
     pub(crate) fn frames(&self) -> usize {
         self.episodes.iter().map(Episode::len).sum()
@@ -279,7 +288,9 @@ mod tests {
         let changes = episode.changes(0, Kind::JointPosition);
         assert_eq!(changes.len(), 3);
         assert!((changes[2] - 0.3).abs() < 1e-6 && changes[..2] == [0.0, 0.0]);
-        assert_eq!(episode.changes(0, Kind::JointDelta), [0.1, 0.1, 0.4]);
+        for kind in [Kind::JointDelta, Kind::JointVelocity, Kind::Velocity] {
+            assert_eq!(episode.changes(0, kind), [0.1, 0.1, 0.4]);
+        }
         assert_eq!(episode.changes(1, Kind::GripperBinary), [0.0; 3]);
         assert!(episode.state(1).iter().all(|value| value.is_nan()));
     }

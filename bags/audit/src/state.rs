@@ -86,7 +86,8 @@ impl StateLog {
             .map(|dimension| match dimension.kind {
                 Kind::TranslationDelta => self.position(axis("translation")),
                 Kind::Position => self.position(axis("position")),
-                Kind::RotationDelta => {
+                Kind::Velocity if dimension.unit == "m/s" => self.position(axis("velocity")),
+                Kind::RotationDelta | Kind::Velocity => {
                     let axis = axis("rotation");
                     let angle =
                         |(at_ns, angles): &(i64, [f64; 3])| Some((*at_ns, *angles.get(axis)?));

@@ -2,19 +2,17 @@
 
 mod convert;
 mod cut;
+mod info;
 mod play;
 mod record;
 mod recover;
 mod time;
 mod topic_options;
 
-use crate::{external, output::print};
+use crate::external;
 use anyhow::Result;
 use clap::Subcommand;
-use std::path::PathBuf;
 use std::process::ExitCode;
-use wm_bag::{BagReader, BagWarning};
-use wm_bag_nodes::ending::Ending;
 
 /// Bags.
 #[derive(Debug, Subcommand)]
@@ -24,10 +22,7 @@ pub enum BagCommand {
     /// Record topics into a new bag
     Record(record::RecordCommand),
     /// Show the contents of a bag
-    Info {
-        /// Folder of the bag, or one of its files
-        bag: PathBuf,
-    },
+    Info(info::InfoCommand),
     /// Repair a truncated or damaged bag
     Recover(recover::RecoverCommand),
     /// Write part of a bag, selected by time and topics
@@ -53,12 +48,7 @@ impl BagCommand {
         match self {
             Self::Play(command) => command.run(ros_args),
             Self::Record(command) => command.run(ros_args),
-            Self::Info { bag } => {
-                let summary = BagReader::open(&bag)?.summary();
-                print(format_args!("{summary}\n"))?;
-                let is_lost = summary.warnings.iter().any(BagWarning::is_loss);
-                Ok(Ending::lost_if(is_lost).into())
-            }
+            Self::Info(command) => command.run(),
             Self::Recover(command) => command.run(),
             Self::Cut(command) => command.run(),
             Self::Convert(command) => command.run(),

@@ -40,7 +40,6 @@ pub(crate) fn check(heard: &Heard, wanted: Option<&str>) -> Vec<Finding> {
     };
     let mut findings = vec![summary(&shown, camera, stream)];
     findings.extend(pictures(&shown, camera));
-    findings.extend(repeats(&shown, stream));
     findings.extend(stamps(&shown, stream, heard.clock_ns.is_some()));
     findings.extend(transport(&shown, stream));
     let others: Vec<_> = heard
@@ -166,8 +165,13 @@ fn pictures(name: &str, camera: &Camera) -> Vec<Finding> {
     is_blank.then(finding).into_iter().collect()
 }
 
-/// Whether the camera has stopped, or is published faster than it takes pictures.
-fn repeats(name: &str, stream: &Stream) -> Option<Finding> {
+/// Whether the camera that the nodes would use has stopped, or is published faster than it takes pictures.
+pub(crate) fn repeats(heard: &Heard, wanted: Option<&str>) -> Option<Finding> {
+    let (name, camera) = heard.camera(wanted)?;
+    repeats_of(&of_others(name), camera.best()?)
+}
+
+fn repeats_of(name: &str, stream: &Stream) -> Option<Finding> {
     let timeline = &stream.timeline;
     let repeat_s = timeline.longest_repeat_s();
     if repeat_s > FROZEN_AFTER_S {
@@ -421,7 +425,8 @@ mod tests {
             for arrival in &mut stream.timeline.0 {
                 arrival.fingerprint = arrival.fingerprint.map(|picture| picture / times);
             }
-            worst(stream)
+            let finding = repeats(&heard(camera(stream)), None).unwrap();
+            format!("{:?}: {}", finding.level, finding.what)
         };
         let twice = repeated(2);
         assert!(

@@ -1,6 +1,6 @@
 //! What was heard in the graph.
 
-use crate::{Picture, Timeline};
+use crate::{Picture, Timeline, looker::Looked};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -28,7 +28,7 @@ pub struct Stream {
 }
 
 /// A camera: an image topic, its sibling `/compressed`, or both.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default)]
 pub struct Camera {
     /// Raw frames.
     pub raw: Option<Stream>,
@@ -38,6 +38,8 @@ pub struct Camera {
     pub pictures: Vec<Result<Picture, String>>,
     /// `encoding` of its raw frames, or `format` of its compressed ones.
     pub encoding: Option<String>,
+    /// All of its pictures, compared with each other.
+    pub looked: Looked,
 }
 
 impl Camera {
@@ -62,6 +64,8 @@ pub struct Actions {
     pub is_chunk: bool,
     /// Values of a few actions.
     pub values: Vec<Vec<f32>>,
+    /// Stamp \[ns\] and values of many.
+    pub rows: Vec<(i64, Vec<f32>)>,
 }
 
 /// What `wm action_adapter` makes actions of.

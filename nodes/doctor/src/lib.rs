@@ -14,14 +14,15 @@
 //! Not here: the command line (`wm_cli`), what the nodes themselves find while they run (their `/diagnostics`).
 
 mod action;
+mod audit;
 mod buffers;
 mod camera;
 mod clock;
 mod error;
-mod finding;
 mod fit;
 mod heard;
 mod listen;
+mod looker;
 mod machine;
 mod memory;
 mod network;
@@ -35,10 +36,10 @@ mod trial;
 mod verdict;
 
 pub use error::DoctorError;
-pub use finding::{Finding, Level};
 pub use fit::{ModelFacts, gather as examine_model};
 pub use heard::{Actions, Camera, Heard, Motion, Stream};
 pub use listen::listen;
+pub use looker::Looked;
 pub use machine::Machine;
 pub use picture::Picture;
 pub use report::Report;
@@ -46,3 +47,4 @@ pub use setup::{Setup, SetupError};
 pub use timeline::{Arrival, Timeline};
 pub use trial::{Judging, Parts, Trial};
 pub use verdict::Times;
+pub use wm_audit::{Finding, Level};

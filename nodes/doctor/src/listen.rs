@@ -1,6 +1,8 @@
 //! Listens to the graph.
 
-use crate::{Actions, Arrival, Camera, DoctorError, Heard, Motion, Picture, Stream};
+use crate::{
+    Actions, Arrival, Camera, DoctorError, Heard, Motion, Picture, Stream, looker::Looker,
+};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 use tokio::task::JoinSet;
@@ -29,7 +31,9 @@ const MOST_TOPICS: usize = 64;
 const MOST_MESSAGES: usize = 100_000;
 /// Different frames, values and reports that are remembered of a topic.
 const MOST_KEPT: usize = 32;
-/// Pictures of a camera that are looked at.
+/// Actions that are remembered: a minute at 100 Hz.
+const MOST_ACTIONS: usize = 6_000;
+/// Pictures of a camera that the model is tried on.
 const PICTURES: u32 = 6;
 /// Messages that may wait to be read.
 const DEPTH: usize = 64;
@@ -117,6 +121,8 @@ struct Taken {
     frames: Vec<CameraFrame>,
     encoding: Option<String>,
     values: Vec<Vec<f32>>,
+    rows: Vec<(i64, Vec<f32>)>,
+    looker: Option<Looker>,
     clock_ns: Option<(i64, i64)>,
     reports: BTreeMap<String, (String, bool)>,
 }
@@ -259,6 +265,8 @@ async fn take(
         frames: Vec::new(),
         encoding: None,
         values: Vec::new(),
+        rows: Vec::new(),
+        looker: None,
         clock_ns: None,
         reports: BTreeMap::new(),
     };
@@ -313,15 +321,19 @@ impl Taken {
             Kind::Raw => {
                 let image: Image = cdr::from_bytes(bytes)?;
                 self.encoding.get_or_insert_with(|| image.encoding.clone());
-                self.frame(CameraFrame::Raw(image), is_due)
+                self.frame(CameraFrame::Raw(image), received_ns, is_due)
             }
             Kind::Compressed => {
                 let image: CompressedImage = cdr::from_bytes(bytes)?;
                 self.encoding.get_or_insert_with(|| image.format.clone());
-                self.frame(CameraFrame::Compressed(image), is_due)
+                self.frame(CameraFrame::Compressed(image), received_ns, is_due)
             }
             Kind::Action => {
                 let action: Action = cdr::from_bytes(bytes)?;
+                if self.rows.len() < MOST_ACTIONS {
+                    let row = (action.header.stamp.to_nanos(), action.values.clone());
+                    self.rows.push(row);
+                }
                 self.keep(action.values);
                 Content::of(action.header)
             }
@@ -342,14 +354,18 @@ impl Taken {
         })
     }
 
-    fn frame(&mut self, frame: CameraFrame, is_due: bool) -> Content {
+    /// Takes a picture: to compare it with the others and, if `is_due`, to try the model on.
+    fn frame(&mut self, frame: CameraFrame, received_ns: i64, is_due: bool) -> Content {
         let content = Content {
             header: Some(frame.header().clone()),
             fingerprint: Some(frame.fingerprint()),
         };
         if is_due {
-            self.frames.push(frame);
+            self.frames.push(frame.clone());
         }
+        let topic = &self.stream.topic;
+        let looker = self.looker.get_or_insert_with(|| Looker::new(topic));
+        looker.look(frame, received_ns);
         content
     }
 
@@ -382,6 +398,8 @@ fn enter(heard: &mut Heard, taken: Taken) {
         frames,
         encoding,
         values,
+        rows,
+        looker,
         clock_ns,
         reports,
     } = taken;
@@ -403,6 +421,10 @@ fn enter(heard: &mut Heard, taken: Taken) {
             if camera.pictures.is_empty() {
                 camera.pictures = decoded.collect();
             }
+            let looked = looker.map(Looker::finish).unwrap_or_default();
+            if looked.pictures.count() > camera.looked.pictures.count() {
+                camera.looked = looked;
+            }
             if camera.encoding.is_none() || kind == Kind::Raw {
                 camera.encoding = encoding.or(camera.encoding.take());
             }
@@ -419,6 +441,7 @@ fn enter(heard: &mut Heard, taken: Taken) {
                     stream,
                     is_chunk,
                     values,
+                    rows,
                 },
             );
         }

@@ -1,12 +1,12 @@
 //! All findings together.
 
-use crate::{Finding, Heard, Level, Machine, ModelFacts, action, camera, fit, peers};
+use crate::{Finding, Heard, Level, Machine, ModelFacts, action, audit, camera, fit, peers};
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::fmt;
 
 /// All findings together, in the order of the checks.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Report {
     /// What was found.
     pub findings: Vec<Finding>,
@@ -28,6 +28,7 @@ impl Report {
         let mut findings = machine.check(heard);
         findings.extend(camera::check(heard, camera));
         findings.extend(action::check(heard, camera, action, facts));
+        findings.extend(audit::check(heard, (camera, action), facts));
         match &model {
             None => {}
             Some(Ok(facts)) => findings.extend(fit::check(facts, heard.camera(camera))),
@@ -98,18 +99,7 @@ impl Report {
 impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for finding in &self.findings {
-            let level = match finding.level {
-                Level::Ok => "ok",
-                Level::Note => "note",
-                Level::Warning => "WARNING",
-                Level::Error => "ERROR",
-            };
-            writeln!(f, "{level:<8} {:<10} {}", finding.check, finding.what)?;
-            for (word, text) in [("why:", &finding.why), ("fix:", &finding.fix)] {
-                if let Some(text) = text {
-                    writeln!(f, "{:20}{word:<6}{text}", "")?;
-                }
-            }
+            writeln!(f, "{finding}")?;
         }
         let count = |level, one: &str, many: &str| match self.count(level) {
             1 => format!("1 {one}"),

@@ -52,22 +52,27 @@ impl ActionLog {
         format!("{} or {}", Action::ros_name(), JointState::ros_name())
     }
 
-    /// Takes note of a message.
+    /// Takes a message, at the time that `at_ns` gives for the stamp in its header \[ns\].
     ///
     /// # Errors
     /// [`Unusable::Lacks`] for a message that cannot be decoded, [`Unusable::Differs`] for one that is not of this action
     /// space.
-    pub fn push(&mut self, message: &BagMessage, space: &ActionSpace) -> Result<(), Unusable> {
+    pub fn push(
+        &mut self,
+        message: &BagMessage,
+        space: &ActionSpace,
+        at_ns: impl FnOnce(i64) -> i64,
+    ) -> Result<(), Unusable> {
         let undecodable = |error: BagError| Unusable::Lacks(error.to_string());
         if *message.type_name == Action::ros_name() {
             let action: Action = message.decode().map_err(undecodable)?;
-            let at_ns = action.header.stamp.to_nanos();
+            let at_ns = at_ns(action.header.stamp.to_nanos());
             return self
                 .insert(at_ns, &action.values, space)
                 .map_err(Unusable::Differs);
         }
         let state: JointState = message.decode().map_err(undecodable)?;
-        let at_ns = state.header.stamp.to_nanos();
+        let at_ns = at_ns(state.header.stamp.to_nanos());
         let joints = Joints::of(&state, space).map_err(Unusable::Differs)?;
         if let Some((before_ns, before)) = self.joints.take() {
             // One that comes late tells nothing that a later one has not told.
@@ -174,6 +179,12 @@ impl ActionLog {
             .get(index * self.width..(index + 1) * self.width)
     }
 
+    /// The actions and their stamps \[ns\], in the order of time.
+    pub fn rows(&self) -> impl Iterator<Item = (i64, &[f32])> + Clone {
+        let rows = self.values.chunks_exact(self.width.max(1));
+        self.stamps.iter().copied().zip(rows)
+    }
+
     pub fn is_empty(&self) -> bool {
         self.stamps.is_empty()
     }
@@ -251,22 +262,28 @@ pub(super) struct Alignment<'a> {
     motion: Motion,
     next: usize,
     period_ns: i64,
+    /// How much later actions act than they are stamped \[ns\].
+    shift_ns: i64,
 }
 
 impl<'a> Alignment<'a> {
-    pub fn new(log: &'a ActionLog, space: &'a ActionSpace, period_ns: i64) -> Self {
+    /// Of actions that act `shift` periods later than they are stamped.
+    pub fn new(log: &'a ActionLog, space: &'a ActionSpace, period_ns: i64, shift: i64) -> Self {
         Self {
             log,
             space,
             motion: Motion::new(MotionSettings::of_period(period_ns)),
             next: 0,
             period_ns,
+            shift_ns: period_ns.saturating_mul(shift),
         }
     }
 
     /// What happens from `from_ns` to `to_ns`, which are not before those of the last call; none where no action is known
     /// by then.
     pub fn between(&mut self, from_ns: i64, to_ns: i64) -> Option<Interval> {
+        let from_ns = from_ns.saturating_sub(self.shift_ns);
+        let to_ns = to_ns.saturating_sub(self.shift_ns);
         // In parts: a motion keeps a minute.
         let until_ns = to_ns.saturating_add(self.period_ns);
         while let Some(at_ns) = self.log.stamps.get(self.next)

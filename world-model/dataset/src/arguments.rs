@@ -10,7 +10,7 @@ use super::{
     data::{name_left_out, name_mixed_sizes},
     preparation::Preparation,
     search::{find, find_others},
-    store::{add_latent_statistics, is_prepared, read_manifest},
+    store::{add_latent_statistics, is_prepared, read_audit, read_manifest},
 };
 use crate::Latents;
 
@@ -40,10 +40,13 @@ pub struct DatasetArgs {
 
 #[derive(Clone, Debug, Subcommand)]
 enum DatasetCommand {
-    /// Say what is in a prepared folder, and what was left out
+    /// Show the contents of a prepared folder, its audit, and what was left out
     Info {
         /// The folder
         dir: PathBuf,
+        /// Print JSON: the manifest and the audit
+        #[arg(long)]
+        json: bool,
     },
     /// Encode the frames of a prepared folder, and add mean and standard deviation of the latents to its statistics
     Latents {
@@ -69,9 +72,18 @@ impl DatasetArgs {
     /// When options, bags or folders cannot be used: the error names the offender.
     pub fn run(&self) -> anyhow::Result<()> {
         match (&self.command, &self.out) {
-            (Some(DatasetCommand::Info { dir }), _) => {
-                let manifest = read_manifest(dir)?;
+            (Some(DatasetCommand::Info { dir, json }), _) => {
+                let (manifest, audit) = (read_manifest(dir)?, read_audit(dir)?);
+                if *json {
+                    let both = serde_json::json!({"dataset": manifest, "audit": audit});
+                    println!("{both:#}");
+                    return Ok(());
+                }
                 println!("{manifest}");
+                match audit {
+                    Some(audit) => println!("{audit}"),
+                    None => println!("audit: none; prepare the bags again for one"),
+                }
                 for left in &manifest.left_out {
                     println!("left out: {left}");
                 }
@@ -133,8 +145,12 @@ impl DatasetArgs {
         preparation.write(out)?;
         let manifest = read_manifest(out)?;
         name_left_out(&manifest, out);
-        name_mixed_sizes(&manifest);
+        let audit = read_audit(out)?;
+        name_mixed_sizes(&manifest, audit.as_ref());
         println!("{manifest}");
+        if let Some(audit) = audit {
+            println!("{audit}");
+        }
         Ok(())
     }
 }

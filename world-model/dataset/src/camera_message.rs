@@ -1,3 +1,5 @@
+use std::hash::{DefaultHasher, Hasher as _};
+
 use wm_bag::{BagMessage, BagReader};
 use wm_camera::{
     camera_frame::CameraFrame,
@@ -42,6 +44,27 @@ impl CameraMessage {
         match self {
             Self::Still(frame) => frame.header(),
             Self::Packet(packet) => &packet.header,
+        }
+    }
+
+    /// A number that messages share if their pictures are the same, byte for byte. Packets of a video seldom share one.
+    pub fn fingerprint(&self) -> u64 {
+        match self {
+            Self::Still(frame) => frame.fingerprint(),
+            Self::Packet(packet) => {
+                let mut hasher = DefaultHasher::new();
+                hasher.write(&packet.data);
+                hasher.finish()
+            }
+        }
+    }
+
+    /// Width and height \[px\], without decoding the picture; `None` for a video, and if the bytes do not begin like a
+    /// picture.
+    pub fn size(&self) -> Option<(u32, u32)> {
+        match self {
+            Self::Still(frame) => frame.size(),
+            Self::Packet(_) => None,
         }
     }
 

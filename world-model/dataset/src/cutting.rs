@@ -19,6 +19,8 @@ pub(super) struct Draft {
     pub logged_ns: (u64, u64),
     /// What the robot does from each frame to the next.
     pub actions: Vec<Vec<f32>>,
+    /// The state at each frame, a value for each of the action; NaN if unknown.
+    pub states: Vec<Vec<f32>>,
     pub instruction: Option<String>,
     pub success: Option<bool>,
     /// What the masks' values mean.
@@ -67,7 +69,7 @@ pub(super) fn cut(
         recording,
         settings,
         period_ns,
-        alignment: Alignment::new(&recording.actions, space, period_ns),
+        alignment: Alignment::new(&recording.actions, space, period_ns, settings.shift_actions),
         actions_unknown: Omission {
             span_ns: None,
             count: 0,

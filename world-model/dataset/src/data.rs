@@ -4,6 +4,7 @@ use std::{
     sync::Arc,
 };
 
+use wm_audit::Audit;
 use wm_model::Framing;
 
 use super::{
@@ -12,7 +13,7 @@ use super::{
     preparation::{Preparation, identity},
     search::{Found, find_others},
     split::split,
-    store::{Folder, cache_name, if_another_was_first, is_prepared, read_manifest},
+    store::{Folder, cache_name, if_another_was_first, is_prepared, read_audit, read_manifest},
 };
 
 /// Most things that were left out that are named one by one.
@@ -220,7 +221,7 @@ fn open_all(
     for dir in prepared {
         let folder = Folder::open(&dir)?;
         name_left_out(folder.manifest(), &dir);
-        name_mixed_sizes(folder.manifest());
+        name_mixed_sizes(folder.manifest(), None);
         let view = view(size, folder.views())?;
         folder.manifest().expect_fit(&dir, view, fit)?;
         opened.push(Opened {
@@ -244,7 +245,9 @@ fn open_all(
         }
         let folder = Folder::open(&dir)?;
         name_left_out(folder.manifest(), &dir);
-        name_mixed_sizes(folder.manifest());
+        let audit = read_audit(&dir)?;
+        name_faults(audit.as_ref());
+        name_mixed_sizes(folder.manifest(), audit.as_ref());
         opened.push(Opened {
             folder: Arc::new(folder),
             is_given: false,
@@ -280,7 +283,20 @@ pub(super) fn name_left_out(manifest: &Manifest, dir: &Path) {
     }
 }
 
-pub(super) fn name_mixed_sizes(manifest: &Manifest) {
+/// Logs what the audit found wrong with a folder of a cache, whose audit nobody has seen.
+fn name_faults(audit: Option<&Audit>) {
+    for finding in audit.into_iter().flat_map(Audit::faults) {
+        let fix = finding.fix.as_deref().unwrap_or_default();
+        tracing::warn!("audit: {}: {}; {fix}", finding.check, finding.what);
+    }
+}
+
+/// Logs which cameras have pictures of several sizes, unless the audit that the user sees has it.
+pub(super) fn name_mixed_sizes(manifest: &Manifest, audit: Option<&Audit>) {
+    let mut faults = audit.into_iter().flat_map(Audit::faults);
+    if faults.any(|finding| finding.check == "sizes") {
+        return;
+    }
     for mixed in manifest.mixed_sizes() {
         tracing::warn!("{mixed}");
     }

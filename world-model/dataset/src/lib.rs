@@ -52,7 +52,7 @@ pub use held_out::HeldOutArgs;
 pub use latents::Latents;
 pub(crate) use layout::Layout;
 pub use manifest::{LeftOut, Manifest, ManifestEpisode, Source, Split, Thing};
-pub use options::{Cut, DataOptions, Settings, SplitRule};
+pub use options::{Cut, DataOptions, Settings, SplitRule, StampSource};
 pub use size::Size;
 pub use source_sizes::SourceSize;
 pub use statistics::{DataStatistics, LatentStatistics, Statistics, SuccessCounts};

@@ -11,7 +11,7 @@ use wm_motion::actions::ActionSpace;
 use super::{Settings, Size, SourceSize, SplitRule};
 
 /// Counts up where prepared folders become unreadable for older code, or the same bags give other frames or actions.
-pub(super) const VERSION: u32 = 3;
+pub(super) const VERSION: u32 = 4;
 
 /// What a prepared folder says of itself: `dataset.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

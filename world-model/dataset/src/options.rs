@@ -2,6 +2,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use serde::{Deserialize, Deserializer, Serialize};
+use wm_audit::Stamps;
 use wm_model::Fit;
 use wm_motion::actions::ActionSpace;
 
@@ -22,6 +23,37 @@ pub enum Cut {
     /// A change of `/task/instruction`.
     Instruction,
 }
+
+/// Which of its times says when a message was made.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum StampSource {
+    /// The stamp in its header.
+    #[default]
+    Header,
+    /// When it was recorded.
+    Log,
+    /// When it was published, as the recorder noted.
+    Publish,
+}
+
+impl StampSource {
+    /// The time of a message \[ns\].
+    pub(super) fn of(self, stamps: Stamps) -> i64 {
+        match self {
+            Self::Header => stamps.header_ns,
+            Self::Log => stamps.log_ns,
+            Self::Publish => stamps.publish_ns,
+        }
+    }
+
+    fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+/// Greatest shift of actions \[frames\].
+const MOST_SHIFT: i64 = 1000;
 
 /// How recordings become episodes: options of the command line, or of a YAML file with the same names.
 ///
@@ -46,6 +78,14 @@ pub struct DataOptions {
     /// action_space.json of a prepared folder [default: that of the bags]
     #[arg(long, value_name = "FILE")]
     pub action_space: Option<PathBuf>,
+    /// Time that says when frames were taken and actions made: the stamp in the header, or when the message was recorded or
+    /// published, for drivers that do not stamp [default: header]
+    #[arg(long, value_enum, value_name = "TIME")]
+    pub stamps: Option<StampSource>,
+    /// Move each action N frames later (or earlier, if N is negative): N is the number of frames by which the pictures lag
+    /// the actions, as the audit reports it [default: 0]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    pub shift_actions: Option<i64>,
     /// Begin a new episode where this changes (repeatable)
     #[arg(long, value_enum)]
     #[serde(deserialize_with = "one_or_more")]
@@ -109,6 +149,12 @@ pub struct Settings {
     pub action_topic: String,
     /// What the actions are, if not what the bags say.
     pub action_space: Option<ActionSpace>,
+    /// Which time of a message counts.
+    #[serde(default, skip_serializing_if = "StampSource::is_default")]
+    pub stamps: StampSource,
+    /// Frames by which actions are moved later.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub shift_actions: i64,
     /// What begins an episode where it changes.
     pub cut: Vec<Cut>,
     /// Topics whose messages begin an episode.
@@ -119,6 +165,10 @@ pub struct Settings {
     pub gap_periods: f64,
     /// Shortest episode \[s\].
     pub min_seconds: f64,
+}
+
+fn is_zero(number: &i64) -> bool {
+    *number == 0
 }
 
 /// Which episodes are for validation.
@@ -167,6 +217,8 @@ impl DataOptions {
             cameras: or(&self.cameras, file.cameras),
             action_topic: self.action_topic.clone().or(file.action_topic),
             action_space: self.action_space.clone().or(file.action_space),
+            stamps: self.stamps.or(file.stamps),
+            shift_actions: self.shift_actions.or(file.shift_actions),
             cut: or(&self.cut, file.cut),
             cut_topic: or(&self.cut_topic, file.cut_topic),
             cut_seconds: self.cut_seconds.or(file.cut_seconds),
@@ -205,6 +257,8 @@ impl DataOptions {
             cameras: self.cameras.clone(),
             action_topic: self.action_topic.clone().unwrap_or_else(|| ACTION.into()),
             action_space: self.space()?,
+            stamps: self.stamps.unwrap_or_default(),
+            shift_actions: self.shift()?,
             cut: self.cut.clone(),
             cut_topics: self.cut_topic.clone(),
             cut_seconds: cut_seconds.transpose()?,
@@ -214,6 +268,17 @@ impl DataOptions {
                 1.0,
             )?,
             min_seconds: positive("--min-seconds", self.min_seconds.unwrap_or(0.0), 0.0)?,
+        })
+    }
+
+    fn shift(&self) -> Result<i64, DatasetError> {
+        let shift = self.shift_actions.unwrap_or(0);
+        if shift.abs() <= MOST_SHIFT {
+            return Ok(shift);
+        }
+        Err(DatasetError::Option {
+            option: "--shift-actions",
+            what: format!("expected -{MOST_SHIFT} to {MOST_SHIFT} frames, got {shift}"),
         })
     }
 
@@ -248,6 +313,8 @@ impl DataOptions {
         let given = [
             (!self.cameras.is_empty(), "--camera"),
             (self.action_topic.is_some(), "--action-topic"),
+            (self.stamps.is_some(), "--stamps"),
+            (self.shift_actions.is_some(), "--shift-actions"),
             (!self.cut.is_empty(), "--cut"),
             (!self.cut_topic.is_empty(), "--cut-topic"),
             (self.cut_seconds.is_some(), "--cut-seconds"),

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 use sha2::{Digest as _, Sha256};
+use wm_audit::{Audit, Episode, Episodes};
 use wm_model::Fit;
 
 use super::{
@@ -125,15 +126,16 @@ impl Preparation {
             let plan = survey.plan(&self.sources, &self.settings, &broken)?;
             let folder = NewFolder::create(dir)?;
             let (mut manifest, actions) = self.manifest(&plan);
-            let (found, sizes) = frames::write(&plan.bags, &survey.readers, &manifest, &folder)?;
-            manifest.source_sizes = source_sizes(&sizes, &manifest.cameras);
-            if found.iter().all(Broken::is_empty) {
+            let found = frames::write(&plan.bags, &survey.readers, &manifest, &folder)?;
+            manifest.source_sizes = source_sizes(&found.sizes, &manifest.cameras);
+            if found.broken.iter().all(Broken::is_empty) {
+                folder.write_audit(&audit(&plan, &manifest, &found.changes))?;
                 folder.write_actions(&actions)?;
                 folder.write_statistics(&statistics(&manifest, &actions)?)?;
                 return folder.finish(&manifest);
             }
             // Now that it is known which pictures cannot be decoded, episodes are cut without them.
-            for (broken, found) in broken.iter_mut().zip(found) {
+            for (broken, found) in broken.iter_mut().zip(found.broken) {
                 broken.extend(found);
             }
         }
@@ -216,6 +218,28 @@ impl Preparation {
 /// What an episode is, wherever its bag lies and whatever else there is.
 pub(super) fn identity(source: &Source, begin_ns: i64) -> String {
     format!("{} {begin_ns}", source.digest)
+}
+
+/// What is wrong with the data: with each bag, and with all episodes together.
+fn audit(plan: &bags::Plan, manifest: &Manifest, changes: &[Vec<Option<f32>>]) -> Audit {
+    let space = &plan.space;
+    let drafts = plan.bags.iter().flat_map(|bag| &bag.episodes);
+    let listed = drafts.zip(&manifest.episodes).zip(changes);
+    let episodes = listed.map(|((draft, listed), changes)| {
+        let mut episode = Episode::new(listed.name.as_str(), space.len());
+        let states = draft.states.iter().map(Some).chain(std::iter::repeat(None));
+        for ((action, change), state) in draft.actions.iter().zip(changes).zip(states) {
+            episode.push(action, *change, state.map(Vec::as_slice));
+        }
+        episode
+    });
+    let episodes: Vec<Episode> = episodes.collect();
+    let all = Audit::of_episodes(Episodes {
+        episodes: &episodes,
+        space,
+        period_s: 1.0 / space.rate(),
+    });
+    Audit::new(&plan.findings, all)
 }
 
 fn statistics(manifest: &Manifest, actions: &[Vec<f32>]) -> Result<DataStatistics, DatasetError> {

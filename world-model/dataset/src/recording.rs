@@ -1,9 +1,12 @@
 use std::collections::{BTreeMap, BTreeSet};
 
+use wm_audit::{ActionTrack, Finding, JOINTS_TOPIC, POSE_TOPICS, Recorded, Stamps, StateLog};
 use wm_bag::{BagError, BagMessage, BagReader, TopicInfo};
 use wm_motion::actions::ActionSpace;
 use wm_msgs::{
     Message as _,
+    geometry_msgs::PoseStamped,
+    sensor_msgs::JointState,
     std_msgs::{Bool, String as Text},
     vision_msgs::LabelInfo,
 };
@@ -14,11 +17,14 @@ use super::{
     camera_message::CameraMessage,
     cameras::{CAMERA, MASK, base, cameras},
     manifest::Thing,
+    options::StampSource,
 };
 
 const INSTRUCTION: &str = "/task/instruction";
 const SUCCESS: &str = "/task/success";
 const LABELS: &str = "/camera/mask/label_info";
+/// A camera whose size changes more often than this, and more often than every tenth picture, is two cameras.
+const MOST_RESIZES: usize = 16;
 
 /// The pictures of a topic, of which only the times are kept.
 #[derive(Debug)]
@@ -28,6 +34,10 @@ pub(super) struct Stream {
     pub pictures: Vec<Picture>,
     /// Pictures that were not later than the one before.
     unordered: u64,
+    /// Width and height of the last picture \[px\].
+    size: Option<(u32, u32)>,
+    /// How often the size changed.
+    resizes: usize,
     /// Pictures of a video before its first keyframe.
     before_keyframe: u64,
 }
@@ -58,6 +68,10 @@ pub(super) struct Recording {
     pub has_cut_topic: bool,
     /// What is wrong with messages: how many, and what with the first.
     pub complaints: Vec<(u64, Thing, String)>,
+    /// Stamps and pictures, for the audit.
+    pub recorded: Recorded,
+    /// The state of the arm, for the audit.
+    pub state: StateLog,
 }
 
 /// Why a bag gives nothing.
@@ -100,7 +114,12 @@ impl Recording {
         if has_masks {
             streams.push(Stream::new(MASK));
         }
+        let views = topics.iter().map(String::as_str);
+        let recorded = Recorded::new(views, action_topic);
+        let state_topics = state_topics(reader, action_topic);
         let mut recording = Self {
+            recorded,
+            state: StateLog::default(),
             streams,
             has_masks,
             actions: ActionLog::new(space),
@@ -118,11 +137,17 @@ impl Recording {
         let wanted = wanted.chain(settings.cut_topics.iter().map(String::as_str));
         let wanted = wanted.chain([action_topic, INSTRUCTION, SUCCESS]);
         let wanted = wanted.chain(has_masks.then_some(LABELS));
+        let wanted = wanted.chain(state_topics.iter().copied());
         let messages = reader.messages().only_topics(wanted);
         for message in messages {
             let read = message
                 .map_err(|error| Unusable::Lacks(error.to_string()))
-                .and_then(|message| recording.take(&message, settings, space, broken));
+                .and_then(|message| {
+                    if state_topics.contains(&&*message.topic) {
+                        recording.take_state(&message, settings);
+                    }
+                    recording.take(&message, settings, space, broken)
+                });
             match read {
                 Ok(true) => {}
                 Ok(false) => skipped += 1,
@@ -144,7 +169,20 @@ impl Recording {
                 .complaints
                 .push((skipped, Thing::Picture, "cannot be decoded".to_owned()));
         }
-        recording.finish()
+        recording.finish(settings)
+    }
+
+    /// Takes a message with the arm's state. What cannot be read is skipped: the audit alone needs it.
+    fn take_state(&mut self, message: &BagMessage, settings: &Settings) {
+        let recorded = &mut self.recorded;
+        let at_ns = |header_ns| {
+            let stamps = Stamps::of_bag(message, header_ns);
+            recorded.state(&message.topic, stamps);
+            settings.stamps.of(stamps)
+        };
+        if let Err(error) = self.state.take(message, at_ns) {
+            tracing::debug!("state skipped: {error}");
+        }
     }
 
     /// Takes note of a message; `false` for a picture that is known to be broken.
@@ -163,7 +201,12 @@ impl Recording {
             self.cuts.push(place);
         }
         if topic == settings.action_topic {
-            let pushed = self.actions.push(message, space);
+            let recorded = &mut self.recorded.actions;
+            let pushed = self.actions.push(message, space, |header_ns| {
+                let stamps = Stamps::of_bag(message, header_ns);
+                recorded.push(stamps);
+                settings.stamps.of(stamps)
+            });
             pushed.map_err(|unusable| unusable.map(at))?;
         }
         if topic == INSTRUCTION && *message.type_name == Text::ros_name() {
@@ -182,9 +225,11 @@ impl Recording {
                 .filter_map(|class| Some((class.class_id.try_into().ok()?, class.class_name)));
             self.labels.push((place, classes.collect()));
         }
-        if let Some(stream) = self.streams.iter_mut().find(|s| s.topic == topic) {
+        let stream = self.streams.iter_mut().enumerate();
+        if let Some((view, stream)) = stream.into_iter().find(|(_, s)| s.topic == topic) {
             let frame = CameraMessage::of_bag(message).map_err(|what| Unusable::Lacks(at(what)))?;
-            let stamp_ns = frame.header().stamp.to_nanos();
+            let stamps = Stamps::of_bag(message, frame.header().stamp.to_nanos());
+            let stamp_ns = settings.stamps.of(stamps);
             if broken.contains(&(topic.to_owned(), stamp_ns)) {
                 return Ok(false);
             }
@@ -198,12 +243,32 @@ impl Recording {
                     return Ok(true);
                 }
             }
+            if topic != MASK {
+                let size = frame.size();
+                let bytes = (frame.fingerprint(), size);
+                self.recorded.picture(view, (stamps, stamp_ns), bytes, None);
+                if stream.resize(size) {
+                    self.cuts.push(place);
+                }
+            }
             stream.push(stamp_ns, message.log_time_ns);
         }
         Ok(true)
     }
 
-    fn finish(mut self) -> Result<Self, Unusable> {
+    fn finish(mut self, settings: &Settings) -> Result<Self, Unusable> {
+        if settings.stamps == StampSource::Header {
+            self.expect_usable_stamps()?;
+        }
+        for stream in &self.streams {
+            if stream.resizes > MOST_RESIZES && stream.resizes * 10 > stream.pictures.len() {
+                let what = format!(
+                    "the size of the pictures on {} changes {} times: expected one camera on this topic",
+                    stream.topic, stream.resizes
+                );
+                return Err(Unusable::Lacks(what));
+            }
+        }
         for stream in &self.streams {
             if stream.pictures.is_empty() {
                 let why = self.complaints.first();
@@ -239,6 +304,27 @@ impl Recording {
         Ok(self)
     }
 
+    /// Refuses stamps that are all 0, or all the same: they would leave one frame of a recording.
+    fn expect_usable_stamps(&self) -> Result<(), Unusable> {
+        let cameras = self.recorded.cameras.iter().map(|camera| &camera.clocks);
+        let mut clocks = cameras.chain([&self.recorded.actions]);
+        let unusable = clocks.find_map(|clocks| clocks.unusable());
+        unusable.map_or(Ok(()), |unusable| {
+            Err(Unusable::Lacks(format!(
+                "{unusable}; choose another time: --stamps log (of recording) or --stamps publish"
+            )))
+        })
+    }
+
+    /// What is wrong with stamps and pictures.
+    pub fn findings(&self, settings: &Settings, space: &ActionSpace) -> Vec<Finding> {
+        let track = ActionTrack::new(space, self.actions.rows());
+        let uses_headers = settings.stamps == StampSource::Header;
+        let mut findings = self.recorded.check_stamps(uses_headers);
+        findings.extend(self.recorded.check_pictures(&track));
+        findings
+    }
+
     /// The cameras without their transports.
     pub fn cameras(&self) -> Vec<String> {
         let cameras = self.streams.iter().take(self.views());
@@ -249,6 +335,22 @@ impl Recording {
     pub fn views(&self) -> usize {
         self.streams.len() - usize::from(self.has_masks)
     }
+}
+
+/// The topics with the arm's state that the bag has, but for that of the actions.
+fn state_topics(reader: &BagReader, action_topic: &str) -> Vec<&'static str> {
+    let has = |name: &&str| {
+        reader.topic(name).is_some_and(|topic| {
+            let type_name = &*topic.type_name;
+            let has_state =
+                type_name == PoseStamped::ros_name() || type_name == JointState::ros_name();
+            topic.message_count > 0 && has_state && *name != action_topic
+        })
+    };
+    let pose = POSE_TOPICS.into_iter().find(has);
+    pose.into_iter()
+        .chain(Some(JOINTS_TOPIC).filter(has))
+        .collect()
 }
 
 fn no_actions(topic: &str) -> String {
@@ -284,8 +386,20 @@ impl Stream {
             topic: topic.to_owned(),
             pictures: Vec::new(),
             unordered: 0,
+            size: None,
+            resizes: 0,
             before_keyframe: 0,
         }
+    }
+
+    /// Whether the next picture has another size than the one before.
+    fn resize(&mut self, size: Option<(u32, u32)>) -> bool {
+        // A size that is not known is found out by the decoder.
+        let Some(size) = size else { return false };
+        let before = self.size.replace(size);
+        let is_other = before.is_some_and(|before| before != size);
+        self.resizes += usize::from(is_other);
+        is_other
     }
 
     fn push(&mut self, stamp_ns: i64, logged_ns: u64) {

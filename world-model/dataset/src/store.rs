@@ -1,5 +1,6 @@
 //! A prepared folder: `frames` (height x width x 3 bytes each), `masks` (height x width bytes each, where there are any),
-//! `actions` (single-precision numbers, little-endian), `statistics.json`, `action_space.json` and `dataset.json`.
+//! `actions` (single-precision numbers, little-endian), `statistics.json`, `action_space.json`, `audit.json` and
+//! `dataset.json`.
 
 use std::{
     fs::{self, File},
@@ -13,6 +14,7 @@ use memmap2::Mmap;
 use rayon::prelude::*;
 use serde::Serialize;
 use sha2::{Digest as _, Sha256};
+use wm_audit::Audit;
 
 use super::{
     DataStatistics, DatasetError, Episode, LatentStatistics, Manifest, Size,
@@ -22,6 +24,7 @@ use super::{
 };
 
 const MANIFEST: &str = "dataset.json";
+const AUDIT: &str = "audit.json";
 
 /// Whether a folder is one of `wm dataset`.
 pub(super) fn is_prepared(dir: &Path) -> bool {
@@ -153,8 +156,12 @@ impl Folder {
         if !is_prepared(&dir) {
             let folder = NewFolder::create(&dir)?;
             self.resize(&manifest, &folder)?;
-            for name in ["actions", "statistics.json", "action_space.json"] {
+            for name in ["actions", "statistics.json", "action_space.json", AUDIT] {
                 let (from, to) = (self.dir.join(name), folder.partial.join(name));
+                // A folder from before the audit has none.
+                if name == AUDIT && !from.exists() {
+                    continue;
+                }
                 fs::copy(&from, &to).map_err(DatasetError::io(&from))?;
             }
             folder
@@ -266,6 +273,18 @@ pub(super) fn read_manifest(dir: &Path) -> Result<Manifest, DatasetError> {
     Ok(manifest)
 }
 
+/// The audit of a prepared folder; `None` if it was prepared before there was one.
+pub(super) fn read_audit(dir: &Path) -> Result<Option<Audit>, DatasetError> {
+    let path = dir.join(AUDIT);
+    let text = match fs::read(&path) {
+        Ok(text) => text,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+        Err(error) => return Err(DatasetError::io(&path)(error)),
+    };
+    let audit = serde_json::from_slice(&text).map_err(|error| DatasetError::file(&path, error))?;
+    Ok(Some(audit))
+}
+
 fn map(path: &Path, expected: usize) -> Result<Mmap, DatasetError> {
     let file = File::open(path).map_err(DatasetError::io(path))?;
     // SAFETY: a prepared folder is not written again; whoever changes it during a training breaks only their own run.
@@ -319,6 +338,10 @@ impl NewFolder {
     pub fn write_statistics(&self, statistics: &DataStatistics) -> Result<(), DatasetError> {
         self.write_json("statistics.json", statistics)?;
         self.write_json("action_space.json", &statistics.action_space)
+    }
+
+    pub fn write_audit(&self, audit: &Audit) -> Result<(), DatasetError> {
+        self.write_json(AUDIT, audit)
     }
 
     fn write_json(&self, name: &str, value: &impl Serialize) -> Result<(), DatasetError> {

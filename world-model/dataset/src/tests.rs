@@ -1,3 +1,4 @@
+mod audit;
 mod cutting;
 mod fit;
 mod folder;

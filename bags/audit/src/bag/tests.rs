@@ -9,6 +9,7 @@ use wm_bag::{BagWriter, WriterOptions};
 use wm_msgs::{
     builtin_interfaces::Time,
     geometry_msgs::{Point, Pose, Quaternion},
+    sensor_msgs::CompressedImage,
     std_msgs::Header,
 };
 
@@ -128,6 +129,33 @@ fn faults(case: &Case) -> BTreeMap<String, Level> {
 
 fn only(check: &str, level: Level) -> BTreeMap<String, Level> {
     [(check.to_owned(), level)].into()
+}
+
+/// The cameras of a bag with these topics of sensor_msgs/CompressedImage.
+fn cameras_of(topics: &[&str]) -> (Vec<String>, Vec<Finding>) {
+    let dir = TempDir::new().unwrap();
+    let bag = dir.path().join("bag");
+    let mut writer = BagWriter::create(&bag, WriterOptions::default()).unwrap();
+    for topic in topics {
+        let image = CompressedImage::default();
+        writer.write(topic, &image, 1).unwrap();
+    }
+    writer.finish().unwrap();
+    let mut findings = Vec::new();
+    let cameras = cameras(&BagReader::open(&bag).unwrap(), &[], &mut findings);
+    (cameras, findings)
+}
+
+#[test]
+fn topics_of_other_codecs_are_no_cameras() {
+    let (zstd, depth) = ("/camera/image_raw/zstd", "/camera/depth/compressedDepth");
+    let (found, findings) = cameras_of(&[depth, "/camera/image_raw/compressed", zstd]);
+    assert_eq!(found, ["/camera/image_raw/compressed"]);
+    assert_eq!(findings, []);
+    let (found, findings) = cameras_of(&[zstd]);
+    assert!(found.is_empty());
+    assert_eq!(findings[0].level, Level::Error);
+    assert!(findings[0].fix.as_deref().unwrap().contains("zstd"));
 }
 
 #[test]

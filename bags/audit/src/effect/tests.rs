@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::Level;
-use wm_motion::actions::ActionSpace;
+use wm_motion::actions::{ActionSpace, Kind};
 
 /// An arm that moves by `factors` times its actions, in x, y and z.
 fn episodes(factors: [f32; 3]) -> Vec<Episode> {
@@ -44,6 +44,40 @@ fn a_state_that_changes_as_told_is_fine() {
         let fine = found(&episodes([gain; 3]));
         assert_eq!((fine.len(), fine[0].level), (1, Level::Ok), "{fine:?}");
         assert!((fine[0].figures["dz_factor"] - f64::from(gain)).abs() < 0.02);
+    }
+}
+
+#[test]
+fn velocities_change_the_state_by_their_duration() {
+    let velocity = |name: &str| Dimension {
+        name: name.into(),
+        unit: "m/s".into(),
+        kind: Kind::Velocity,
+        offset: 0.0,
+        scale: 1.0,
+        clip: 1.0,
+    };
+    let period_s = 0.2;
+    let space = ActionSpace::new(
+        "v".into(),
+        1.0 / period_s,
+        ["vx", "vy", "vz"].map(velocity).into(),
+    );
+    let space = space.unwrap();
+    // The state moves by `factor` times the value: a fifth of it is right.
+    for (factor, level) in [(0.2, Level::Ok), (1.0, Level::Warning)] {
+        let episodes = episodes([factor; 3]);
+        let found = check(Episodes {
+            episodes: &episodes,
+            space: &space,
+            period_s,
+        });
+        assert_eq!(found[0].level, level, "{found:?}");
+        let expected = f64::from(factor) / period_s;
+        assert!(
+            (found[0].figures["vx_factor"] - expected).abs() < 0.1,
+            "{found:?}"
+        );
     }
 }
 

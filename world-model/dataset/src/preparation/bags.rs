@@ -1,6 +1,7 @@
 use std::path::Path;
 
 use rayon::prelude::*;
+use wm_audit::{BagFindings, Finding};
 use wm_bag::BagReader;
 use wm_motion::actions::ActionSpace;
 use wm_progress::Progress;
@@ -29,6 +30,8 @@ pub(super) struct Plan {
     pub cameras: Vec<String>,
     pub has_masks: bool,
     pub left_out: Vec<LeftOut>,
+    /// What is wrong with the stamps and the pictures of each bag.
+    pub findings: Vec<BagFindings>,
 }
 
 /// What a bag gives.
@@ -39,6 +42,9 @@ struct Contents {
     has_cut_topic: bool,
     episodes: Vec<Draft>,
     omissions: Vec<Omission>,
+    findings: Vec<Finding>,
+    /// Sizes of the first camera's pictures, width and height \[px\].
+    sizes: Vec<(u32, u32)>,
 }
 
 impl Survey {
@@ -111,6 +117,7 @@ impl Survey {
             cameras: Vec::new(),
             has_masks: false,
             left_out: self.left_out.clone(),
+            findings: Vec::new(),
         };
         let mut first: Option<&Path> = None;
         let mut has_cut_topic = settings.cut_topics.is_empty();
@@ -133,12 +140,27 @@ impl Survey {
             });
             plan.left_out.extend(left);
             has_cut_topic |= contents.has_cut_topic;
+            let stem = bag.file_stem().unwrap_or_default();
+            let clocks = contents
+                .findings
+                .iter()
+                .find(|f| f.check == "stamps" && f.is_fault());
+            let clocks = clocks.map_or(String::new(), |finding| {
+                let fix = finding.fix.as_deref().unwrap_or_default();
+                format!("; {}; {fix}", finding.what)
+            });
+            plan.findings.push(BagFindings {
+                bag: stem.to_string_lossy().into_owned(),
+                findings: contents.findings,
+                sizes: contents.sizes,
+            });
             if contents.episodes.is_empty() {
-                plan.left_out.push(LeftOut::path(bag, "no episode in it"));
+                let reason = format!("no episode in it{clocks}");
+                plan.left_out.push(LeftOut::path(bag, &reason));
                 continue;
             }
             if let Some(first) = first {
-                plan.expect_same(bag, &contents, first)?;
+                plan.expect_same(bag, (&contents.cameras, contents.has_masks), first)?;
             } else {
                 first = Some(bag);
                 plan.cameras = contents.cameras;
@@ -171,18 +193,18 @@ impl Plan {
     fn expect_same(
         &self,
         bag: &Path,
-        contents: &Contents,
+        (cameras, has_masks): (&[String], bool),
         first: &Path,
     ) -> Result<(), DatasetError> {
-        if contents.cameras != self.cameras {
-            let (own, first) = (contents.cameras.join(", "), first.display());
+        if *cameras != self.cameras {
+            let (own, first) = (cameras.join(", "), first.display());
             let expected = self.cameras.join(", ");
             let what = format!(
                 "cameras differ: it has {own}, but {first} has {expected}; choose with --camera"
             );
             return Err(refused(bag, what));
         }
-        if contents.has_masks != self.has_masks {
+        if has_masks != self.has_masks {
             let what = "some bags have masks and some do not; expected all or none";
             return Err(refused(bag, what));
         }
@@ -214,9 +236,18 @@ fn contents(
     space: &ActionSpace,
     broken: &Broken,
 ) -> Result<Contents, Unusable> {
-    let recording = Recording::read(reader, settings, space, broken)?;
-    let (episodes, omissions) = cut(&recording, space, settings).map_err(Unusable::Lacks)?;
+    let mut recording = Recording::read(reader, settings, space, broken)?;
+    let (mut episodes, omissions) = cut(&recording, space, settings).map_err(Unusable::Lacks)?;
+    let path = std::mem::take(&mut recording.state).path(space);
+    for episode in &mut episodes {
+        let stamps = episode.stamps.first().into_iter().flatten();
+        episode.states = stamps.map(|stamp_ns| path.at(*stamp_ns)).collect();
+    }
+    let camera = recording.recorded.cameras.first();
+    let sizes = camera.map(|camera| camera.pictures.sizes().keys().copied().collect());
     Ok(Contents {
+        findings: recording.findings(settings, space),
+        sizes: sizes.unwrap_or_default(),
         cameras: recording.cameras(),
         topics: recording.streams.iter().map(|s| s.topic.clone()).collect(),
         has_masks: recording.has_masks,

@@ -10,17 +10,20 @@ use image::{
     imageops::{self, FilterType},
 };
 use rayon::prelude::*;
+use wm_audit::Stamps;
 use wm_bag::BagReader;
 use wm_camera::{
     camera_frame::CameraFrame,
+    signature::Signature,
     video::{Shown as VideoPicture, VideoStream},
 };
 use wm_model::{Fit, Framing, Part, PictureSize, Placement};
+use wm_msgs::builtin_interfaces::Time;
 use wm_progress::Progress;
 
 use super::Planned;
 use crate::{
-    DatasetError, Manifest, Size,
+    DatasetError, Manifest, Size, StampSource,
     camera_message::{CameraMessage, first_needed},
     cameras::MASK,
     cutting::Draft,
@@ -29,8 +32,17 @@ use crate::{
     store::NewFolder,
 };
 
-/// Decodes the frames of all episodes into the folder's files; gives the pictures of each source that cannot be decoded,
-/// and the sizes of the others.
+/// The result of decoding.
+pub(super) struct Decoded {
+    /// The pictures of each source that cannot be decoded.
+    pub broken: Vec<Broken>,
+    /// The sizes of the others.
+    pub sizes: SizeCounts,
+    /// For each episode: how much each picture of the first camera differs from the one before \[levels\], if that is known.
+    pub changes: Vec<Vec<Option<f32>>>,
+}
+
+/// Decodes the frames of all episodes into the folder's files.
 ///
 /// Episodes are decoded at the same time, each on one thread and by one picture at a time: a picture goes to its place in
 /// the file as it comes, so that memory does not grow with the length of an episode.
@@ -39,7 +51,7 @@ pub(super) fn write(
     readers: &[Option<BagReader>],
     manifest: &Manifest,
     folder: &NewFolder,
-) -> Result<(Vec<Broken>, SizeCounts), DatasetError> {
+) -> Result<Decoded, DatasetError> {
     let total: usize = manifest.episodes.iter().map(|episode| episode.frames).sum();
     let progress = Progress::of("decoding", "frames", total as u64);
     let files = Files {
@@ -51,6 +63,7 @@ pub(super) fn write(
         view: manifest.size,
         fit: manifest.fit,
         views: manifest.cameras.len(),
+        stamps: manifest.settings.stamps,
         sizes: Mutex::default(),
     };
     let mut jobs = Vec::new();
@@ -63,21 +76,27 @@ pub(super) fn write(
     }
     let results = jobs.par_iter().map(|(bag, draft, first_frame)| {
         let Some(reader) = readers.get(bag.source).and_then(Option::as_ref) else {
-            return Ok((bag.source, Broken::new()));
+            return Ok((bag.source, Broken::new(), Vec::new()));
         };
-        let broken = files.write_episode(reader, &bag.topics, draft, *first_frame)?;
+        let (broken, changes) = files.write_episode(reader, &bag.topics, draft, *first_frame)?;
         progress.inc(draft.actions.len() as u64);
-        Ok((bag.source, broken))
+        Ok((bag.source, broken, changes))
     });
-    let mut all = vec![Broken::new(); readers.len()];
-    for (source, broken) in results.collect::<Result<Vec<_>, DatasetError>>()? {
-        if let Some(all) = all.get_mut(source) {
+    let mut decoded = Decoded {
+        broken: vec![Broken::new(); readers.len()],
+        sizes: SizeCounts::new(),
+        changes: Vec::new(),
+    };
+    for (source, broken, changes) in results.collect::<Result<Vec<_>, DatasetError>>()? {
+        if let Some(all) = decoded.broken.get_mut(source) {
             all.extend(broken);
         }
+        decoded.changes.push(changes);
     }
     drop(progress);
     let sizes = files.sizes.into_inner();
-    Ok((all, sizes.unwrap_or_else(PoisonError::into_inner)))
+    decoded.sizes = sizes.unwrap_or_else(PoisonError::into_inner);
+    Ok(decoded)
 }
 
 /// The files that pictures go to, with their paths.
@@ -87,6 +106,7 @@ struct Files {
     view: Size,
     fit: Fit,
     views: usize,
+    stamps: StampSource,
     /// The sizes of the pictures so far.
     sizes: Mutex<SizeCounts>,
 }
@@ -99,6 +119,34 @@ struct Awaited<'a> {
     is_there: Vec<bool>,
     /// The decoder, if the stream is a video.
     video: VideoStream,
+    changes: Changes,
+}
+
+/// How much the pictures of an episode change.
+struct Changes {
+    /// By frame: the mean change since the picture before \[levels\], if that is known.
+    levels: Vec<Option<f32>>,
+    /// The last picture, and its frame.
+    last: Option<(usize, Signature)>,
+}
+
+impl Changes {
+    fn new(frames: usize) -> Self {
+        Self {
+            levels: vec![None; frames],
+            last: None,
+        }
+    }
+
+    /// Takes the picture of a frame. Pictures come in the order of recording, which is that of the stamps but for a few.
+    fn take(&mut self, frame: usize, signature: &Signature) {
+        let before = self.last.as_ref().filter(|(last, _)| last + 1 == frame);
+        let change = before.and_then(|(_, before)| before.change(signature));
+        if let Some(place) = self.levels.get_mut(frame) {
+            *place = change;
+        }
+        self.last = Some((frame, signature.clone()));
+    }
 }
 
 impl Awaited<'_> {
@@ -120,7 +168,7 @@ impl Files {
         topics: &[String],
         draft: &Draft,
         first_frame: usize,
-    ) -> Result<Broken, DatasetError> {
+    ) -> Result<(Broken, Vec<Option<f32>>), DatasetError> {
         let mut awaited: Vec<Awaited<'_>> = topics
             .iter()
             .zip(&draft.stamps)
@@ -129,6 +177,7 @@ impl Files {
                 stamps,
                 is_there: vec![false; stamps.len()],
                 video: VideoStream::new(),
+                changes: Changes::new(stamps.len()),
             })
             .collect();
         let mut broken = Broken::new();
@@ -152,7 +201,10 @@ impl Files {
             };
             let frame = match CameraMessage::of_bag(&message) {
                 Ok(CameraMessage::Still(frame)) => frame,
-                Ok(CameraMessage::Packet(packet)) => {
+                Ok(CameraMessage::Packet(mut packet)) => {
+                    let header_ns = packet.header.stamp.to_nanos();
+                    let stamp_ns = self.stamps.of(Stamps::of_bag(&message, header_ns));
+                    packet.header.stamp = Time::from_nanos(stamp_ns);
                     // A video of another format was refused at the first reading.
                     let pictures = awaited.video.feed(&packet).unwrap_or_default();
                     self.take(awaited, (first_frame, view), pictures)?;
@@ -160,7 +212,8 @@ impl Files {
                 }
                 Err(_) => continue,
             };
-            let stamp_ns = frame.header().stamp.to_nanos();
+            let header_ns = frame.header().stamp.to_nanos();
+            let stamp_ns = self.stamps.of(Stamps::of_bag(&message, header_ns));
             let frames = awaited.frames(stamp_ns);
             if frames.is_empty() {
                 continue;
@@ -180,7 +233,9 @@ impl Files {
             let missing = missing.filter(|(_, is_there)| !**is_there);
             broken.extend(missing.map(|(stamp_ns, _)| (stream.topic.to_owned(), *stamp_ns)));
         }
-        Ok(broken)
+        let main = awaited.into_iter().next();
+        let changes = main.map_or_else(Vec::new, |main| main.changes.levels);
+        Ok((broken, changes))
     }
 
     /// Writes the pictures of a video that the episode waits for.
@@ -196,7 +251,8 @@ impl Files {
                 continue;
             }
             if let Ok(view) = self.placed(&picture, place.1) {
-                self.place(awaited, place, frames, &Shown::View(view))?;
+                let shown = Shown::View(view, Signature::of(&picture));
+                self.place(awaited, place, frames, &shown)?;
             }
         }
         Ok(())
@@ -210,6 +266,9 @@ impl Files {
         frames: std::ops::Range<usize>,
         shown: &Shown,
     ) -> Result<(), DatasetError> {
+        if let (0, Shown::View(_, signature)) = (view, shown) {
+            awaited.changes.take(frames.start, signature);
+        }
         for frame in frames {
             self.write(first_frame + frame, view, shown)?;
             if let Some(is_there) = awaited.is_there.get_mut(frame) {
@@ -236,7 +295,10 @@ impl Files {
             return Ok(Shown::Mask(place(&mask.into_luma8(), self.view, self.fit)));
         }
         let picture = frame.decode().map_err(|error| error.to_string())?;
-        Ok(Shown::View(self.placed(&picture, view)?))
+        Ok(Shown::View(
+            self.placed(&picture, view)?,
+            Signature::of(&picture),
+        ))
     }
 
     /// Writes a picture to its place: a view to its columns of the frame.
@@ -250,10 +312,10 @@ impl Files {
         match (shown, &self.masks) {
             (Shown::Mask(mask), Some(masks)) => to(masks, mask.as_raw(), frame * height * width),
             (Shown::Mask(_), None) => Ok(()),
-            (Shown::View(picture), _) if self.views == 1 => {
+            (Shown::View(picture, _), _) if self.views == 1 => {
                 to(&self.frames, picture.as_raw(), frame * height * row_bytes)
             }
-            (Shown::View(picture), _) => {
+            (Shown::View(picture, _), _) => {
                 let rows = picture.as_raw().chunks_exact(row_bytes).enumerate();
                 for (row, bytes) in rows {
                     let row = frame * height + row;
@@ -267,7 +329,8 @@ impl Files {
 }
 
 enum Shown {
-    View(RgbImage),
+    /// At the size of a view, and the signature of the whole picture.
+    View(RgbImage, Signature),
     Mask(GrayImage),
 }
 

@@ -63,8 +63,17 @@ impl Recorder {
 
     /// A picture whose stamp is not the time of its recording.
     pub fn picture_late(&mut self, topic: &str, ms: i64, logged_ms: i64, data: Vec<u8>) {
+        self.picture_stamped(topic, START_NS + ms * MS, logged_ms, data);
+    }
+
+    /// A picture of any stamp \[ns\].
+    pub fn picture_stamped(&mut self, topic: &str, stamp_ns: i64, logged_ms: i64, data: Vec<u8>) {
+        let header = Header {
+            stamp: Time::from_nanos(stamp_ns),
+            frame_id: String::new(),
+        };
         let picture = CompressedImage {
-            header: Self::header(ms),
+            header,
             format: "png".into(),
             data,
         };

@@ -14,7 +14,7 @@ use wm_motion::actions::ActionSpace;
 use super::{
     super::{
         Cut, Data, DataOptions, DataStatistics, Dataset, DatasetArgs, LeftOut, Manifest,
-        ManifestEpisode, Settings, Size, Source, SourceSize, Split, SplitRule, Thing,
+        ManifestEpisode, Settings, Size, Source, SourceSize, Split, SplitRule, StampSource, Thing,
         store::{NewFolder, is_prepared, read_manifest},
     },
     outcome::Outcome,
@@ -73,6 +73,7 @@ fn a_prepared_folder_is_what_the_bags_are() {
     let names = [
         "action_space.json",
         "actions",
+        "audit.json",
         "dataset.json",
         "frames",
         "statistics.json",
@@ -360,10 +361,10 @@ fn what_was_interrupted_is_not_taken_for_whole() {
     let error = open();
     assert!(error.contains("expected 3072 bytes, found 1000"), "{error}");
     let manifest = fs::read_to_string(out.join("dataset.json")).unwrap();
-    let older = manifest.replace("\"version\": 3", "\"version\": 2");
+    let older = manifest.replace("\"version\": 4", "\"version\": 2");
     fs::write(out.join("dataset.json"), older).unwrap();
     let error = open();
-    assert!(error.contains("expected version 3, found 2"), "{error}");
+    assert!(error.contains("expected version 4, found 2"), "{error}");
 }
 
 /// The numbers are numpy's: `numpy.quantile([1, 2, 3, 4, 10], [.01, .1, .5, .9, .99])`, `mean`, `std`.
@@ -435,7 +436,7 @@ prop_compose! {
     ) -> Manifest {
         let space = ActionSpace::bridge();
         Manifest {
-            version: 3,
+            version: 4,
             digest: "ab".repeat(32),
             size: Size { height, width },
             fit: Fit::ALL[height % 3],
@@ -449,6 +450,8 @@ prop_compose! {
                 cameras,
                 action_topic: "/wm/action".into(),
                 action_space: cut.then(|| space.clone()),
+                stamps: if cut { StampSource::Log } else { StampSource::Header },
+                shift_actions: i64::from(eighths % 5) - 2,
                 cut: if cut { vec![Cut::Instruction] } else { Vec::new() },
                 cut_topics: Vec::new(),
                 cut_seconds: cut.then_some(f64::from(eighths) / 8.0),

@@ -1,11 +1,17 @@
 use std::path::{Path, PathBuf};
 
-use crate::{Data, DataOptions, DatasetError, Episode, Manifest, store::read_manifest};
+use wm_audit::Audit;
+
+use crate::{
+    Data, DataOptions, DatasetError, Episode, Manifest,
+    store::{read_audit, read_manifest},
+};
 
 /// What comes of bags with some options.
 pub(super) struct Outcome {
     pub data: Data,
     pub manifest: Manifest,
+    pub audit: Audit,
 }
 
 impl Outcome {
@@ -21,7 +27,12 @@ impl Outcome {
         let entries = std::fs::read_dir(cache.path()).unwrap();
         let made: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
         let manifest = read_manifest(&made[0])?;
-        Ok(Self { data, manifest })
+        let audit = read_audit(&made[0])?.expect("every prepared folder has an audit");
+        Ok(Self {
+            data,
+            manifest,
+            audit,
+        })
     }
 
     pub fn episodes(&self) -> &[Episode] {

@@ -7,7 +7,11 @@ use serde::Serialize;
 use wm_bag::Schema;
 use wm_msgs::cdr;
 
-use super::{super::DataOptions, outcome::Outcome, *};
+use super::{
+    super::{DataOptions, StampSource},
+    outcome::Outcome,
+    *,
+};
 
 const TYPE: &str = "foxglove_msgs/msg/CompressedVideo";
 const DEFINITION: &str =
@@ -31,6 +35,16 @@ fn level(frame: usize) -> u8 {
 
 /// A bag whose camera is a video of grey frames, of which the first `skipped` are missing.
 fn write_video(bag: &Path, frames: usize, skipped: usize, format: &str) {
+    write_stamped(bag, (frames, skipped), format, |stamp| stamp);
+}
+
+/// The same, with other stamps than those of the recording.
+fn write_stamped(
+    bag: &Path,
+    (frames, skipped): (usize, usize),
+    format: &str,
+    stamp: fn(Time) -> Time,
+) {
     let config = EncoderConfig::new()
         .rate_control_mode(RateControlMode::Quality)
         .bitrate(BitRate::from_bps(200_000_000))
@@ -52,7 +66,7 @@ fn write_video(bag: &Path, frames: usize, skipped: usize, format: &str) {
         let header = header(frame as i64);
         let at = header.stamp.to_nanos() as u64;
         let packet = CompressedVideo {
-            timestamp: header.stamp,
+            timestamp: stamp(header.stamp),
             frame_id: header.frame_id.clone(),
             data: coded.to_vec(),
             format: format.to_owned(),
@@ -104,6 +118,31 @@ fn episode_in_a_video_begins_with_its_own_frames() {
     for (frame, red) in outcome.reds().into_iter().enumerate() {
         assert!(red.abs_diff(level(frame)) <= 2, "frame {frame}: {red}");
     }
+}
+
+#[test]
+fn unstamped_video_is_read_by_the_time_of_recording() {
+    let dir = tempfile::tempdir().unwrap();
+    let bag = dir.path().join("bag");
+    write_stamped(&bag, (36, 0), "h264", |_| Time::default());
+    let refused = Outcome::of(&bag, DataOptions::default());
+    let error = refused.map(|_| ()).unwrap_err().to_string();
+    assert!(error.contains("--stamps log"), "{error}");
+    let options = DataOptions {
+        stamps: Some(StampSource::Log),
+        ..DataOptions::default()
+    };
+    let outcome = Outcome::of(&bag, options).unwrap();
+    assert_eq!(outcome.lengths(), [36]);
+    for (frame, red) in outcome.reds().into_iter().enumerate() {
+        assert!(red.abs_diff(level(frame)) <= 2, "frame {frame}: {red}");
+    }
+    // Its pictures are compared with each other, as those of other topics.
+    let audit = outcome.audit.to_string();
+    assert!(
+        audit.contains("lag") && !audit.contains("no pictures were compared"),
+        "{audit}"
+    );
 }
 
 #[test]

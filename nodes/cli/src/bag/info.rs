@@ -1,0 +1,63 @@
+//! `wm bag info`.
+
+use crate::output::print;
+use anyhow::Result;
+use clap::Args;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use wm_audit::{Topics, audit_bag};
+use wm_bag::{BagReader, BagWarning};
+use wm_bag_nodes::ending::Ending;
+use wm_progress::Progress;
+
+/// Shows the contents of a bag.
+#[derive(Args, Debug)]
+#[command(
+    after_help = "--audit decodes every picture: it reports repeated and frozen frames with the true rate of the camera, missing\n\
+    frames, stamps that cannot be used, the lag between pictures, actions and state, actions against the change of the\n\
+    state, idle time, outliers and sizes that change. Each finding says what to do (docs/bags.md).\n\n\
+    Exit codes: 0 done, also with findings; 1 failed; 2 wrong usage; 3 the bag has lost messages."
+)]
+pub struct InfoCommand {
+    /// Folder of the bag, or a single .mcap file
+    bag: PathBuf,
+    /// Examine pictures, stamps, actions and state too
+    #[arg(long)]
+    audit: bool,
+    /// Topic of a camera to examine, the one that actions are compared with first (repeatable) [default: all, and
+    /// /camera/image_raw first]
+    #[arg(long = "camera", value_name = "TOPIC", requires = "audit")]
+    cameras: Vec<String>,
+    /// Topic of the actions [default: /wm/action, or the only one]
+    #[arg(long, value_name = "TOPIC", alias = "action-topic", requires = "audit")]
+    action: Option<String>,
+    /// Print the audit as JSON, and nothing else
+    #[arg(long, requires = "audit")]
+    json: bool,
+}
+
+impl InfoCommand {
+    /// Runs it.
+    pub fn run(self) -> Result<ExitCode> {
+        let reader = BagReader::open(&self.bag)?;
+        let summary = reader.summary();
+        if !self.json {
+            print(format_args!("{summary}\n"))?;
+        }
+        if self.audit {
+            let topics = Topics {
+                cameras: self.cameras,
+                actions: self.action,
+            };
+            let progress = Progress::open_ended("examining", "messages");
+            let audit = audit_bag(&reader, &topics, || progress.inc(1));
+            drop(progress);
+            match self.json {
+                true => print(format_args!("{:#}\n", serde_json::to_value(&audit)?))?,
+                false => print(format_args!("\n{audit}\n"))?,
+            }
+        }
+        let is_lost = summary.warnings.iter().any(BagWarning::is_loss);
+        Ok(Ending::lost_if(is_lost).into())
+    }
+}

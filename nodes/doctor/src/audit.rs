@@ -1,0 +1,277 @@
+//! The audit of the live camera and actions.
+
+use crate::{Actions, Camera, Finding, Heard, Level, ModelFacts, camera};
+use std::sync::Arc;
+use wm_audit::{ActionTrack, Audit, Episode, Episodes};
+use wm_motion::{
+    actions::{ActionSpace, Dimension, Kind},
+    motion::{Motion, MotionSettings, Pace},
+};
+
+/// What is wrong with the pictures of the camera, and with pictures and actions together. What the checks of camera and
+/// action find by the stamps is not repeated.
+pub(crate) fn check(
+    heard: &Heard,
+    (camera, action): (Option<&str>, Option<&str>),
+    model: Option<&ModelFacts>,
+) -> Vec<Finding> {
+    let mut findings = look(heard, (camera, action), model);
+    // Repeated and stopped pictures are found by their bytes too, without actions: one finding for one fault, the worse.
+    let is_repeat = |finding: &Finding| matches!(&*finding.check, "repeats" | "frozen");
+    let worst = findings.iter().filter(|finding| is_repeat(finding));
+    let worst = worst.map(|finding| finding.level).max();
+    if let Some(repeats) = camera::repeats(heard, camera)
+        && worst < Some(repeats.level)
+    {
+        findings.retain(|finding| !is_repeat(finding));
+        findings.push(repeats);
+    }
+    findings
+}
+
+fn look(
+    heard: &Heard,
+    (camera, action): (Option<&str>, Option<&str>),
+    model: Option<&ModelFacts>,
+) -> Vec<Finding> {
+    let Some((_, camera)) = heard.camera(camera) else {
+        return Vec::new();
+    };
+    let actions = heard.actions(action).map(|(_, actions)| actions);
+    let actions = actions.filter(|actions| !actions.is_chunk && !actions.rows.is_empty());
+    let space = actions.and_then(|actions| {
+        let space = model.and_then(|model| model.action_space.as_ref())?;
+        let fits = actions
+            .rows
+            .iter()
+            .all(|(_, values)| space.check(values).is_ok());
+        fits.then_some(space)
+    });
+    let track = actions.map_or_else(ActionTrack::default, |actions| track(actions, space));
+    let activity = |from_ns, to_ns| track.activity(from_ns, to_ns);
+    let known: Option<wm_audit::Activity<'_>> = (!track.is_empty()).then_some(&activity);
+    let mut findings = camera.looked.pictures.check(known);
+    // Lost messages are counted by their numbers.
+    findings.retain(|finding| finding.check != "dropped");
+    if let (Some(actions), Some(space)) = (actions, space) {
+        let episode = episode(camera, actions, space);
+        let together = Audit::of_episodes(Episodes {
+            episodes: &[episode],
+            space,
+            period_s: 1.0 / space.rate(),
+        });
+        findings.extend(
+            together
+                .into_iter()
+                .filter(|finding| finding.check == "lag"),
+        );
+    }
+    let (skipped, compared) = (camera.looked.skipped, camera.looked.pictures.count());
+    if skipped > 0 {
+        let what = format!(
+            "{skipped} of {} pictures came faster than they were decoded, and were not compared",
+            skipped + compared
+        );
+        findings.push(Finding::note("frames", what));
+    }
+    findings.retain(|finding| finding.level > Level::Ok);
+    findings
+}
+
+/// The activity of the robot. Of values of unknown meaning, changes are motion.
+fn track(actions: &Actions, space: Option<&ActionSpace>) -> ActionTrack {
+    let mut rows: Vec<(i64, &[f32])> = actions
+        .rows
+        .iter()
+        .map(|(at_ns, values)| (*at_ns, values.as_slice()))
+        .collect();
+    rows.sort_by_key(|(at_ns, _)| *at_ns);
+    let width = rows.first().map_or(0, |(_, values)| values.len());
+    let targets = (0..width).map(|index| Dimension {
+        name: format!("value_{index}"),
+        unit: "1".to_owned(),
+        kind: Kind::JointPosition,
+        offset: 0.0,
+        scale: 1.0,
+        clip: 1.0,
+    });
+    let unknown = ActionSpace::new(
+        "unknown".to_owned(),
+        ActionSpace::BRIDGE_RATE,
+        targets.collect(),
+    );
+    match space.or(unknown.as_ref().ok()) {
+        Some(space) => ActionTrack::new(space, rows.into_iter()),
+        None => ActionTrack::default(),
+    }
+}
+
+/// The frames at the rate of the action space, with the actions from each to the next.
+fn episode(camera: &Camera, actions: &Actions, space: &ActionSpace) -> Episode {
+    // A rate is at least 0.01 Hz.
+    let period_ns = (1e9 / space.rate()) as i64;
+    let mut pace = Pace::new(period_ns, period_ns / 2);
+    let mut motion = Motion::new(MotionSettings::of_period(period_ns));
+    for (at_ns, values) in &actions.rows {
+        motion.take(*at_ns, Arc::from(values.as_slice()));
+    }
+    let frames = camera.looked.signatures.iter();
+    let frames: Vec<_> = frames.filter(|(at_ns, _)| pace.is_due(*at_ns)).collect();
+    let mut episode = Episode::new("live", space.len());
+    let pairs = frames.iter().zip(frames.iter().skip(1));
+    let mut change = None;
+    for ((at_ns, here), (next_ns, next)) in pairs {
+        let interval = motion.between(space, *at_ns, *next_ns);
+        if let Some(interval) = interval.filter(|interval| interval.is_given) {
+            episode.push(&interval.values, change, None);
+        }
+        change = here.change(next);
+    }
+    episode
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        Picture, Stream, fit::facts, heard::DEFAULT_ACTION, heard::DEFAULT_CAMERA, looker::Looked,
+        timeline::regular,
+    };
+    use image::{Rgb, RgbImage};
+    use wm_audit::Pictures;
+    use wm_camera::signature::Signature;
+
+    const START: i64 = 1_800_000_000_000_000_000;
+
+    /// Where the arm is at tick `tick` of 30 Hz \[m\].
+    fn place(tick: i64) -> f32 {
+        let t = tick as f32 / 6.0;
+        0.05 * (0.9 * t + 1.3 * (0.37 * t).sin()).sin()
+    }
+
+    /// A camera of 30 Hz that shows tick `shown(k)` at tick `k`, and actions of 30 Hz.
+    fn heard(shown: impl Fn(i64) -> i64, acts: bool) -> Heard {
+        let mut looked = Looked {
+            pictures: Pictures::new("/camera/image_raw"),
+            ..Looked::default()
+        };
+        let mut actions = Actions::default();
+        for tick in 0..240 {
+            let at_ns = START + tick * 33_333_333;
+            let seen = shown(tick);
+            let left = (100.0 + 1500.0 * place(seen)) as i64;
+            let picture = RgbImage::from_fn(240, 96, |x, y| {
+                let is_inside = (left..left + 40).contains(&i64::from(x)) && (30..70).contains(&y);
+                Rgb([if is_inside { 240 } else { 60 }; 3])
+            });
+            let signature = Signature::of(&picture);
+            looked.signatures.push((at_ns, signature.clone()));
+            looked
+                .pictures
+                .push(at_ns, seen as u64, Some((64, 48)), Some(signature));
+            let dx = if acts {
+                place(tick + 1) - place(tick)
+            } else {
+                0.0
+            };
+            actions
+                .rows
+                .push((at_ns, vec![dx, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]));
+        }
+        let mut heard = Heard::default();
+        let camera = Camera {
+            looked,
+            pictures: vec![Ok(Picture::default())],
+            ..Camera::default()
+        };
+        heard.cameras.insert(DEFAULT_CAMERA.into(), camera);
+        heard.actions.insert(DEFAULT_ACTION.into(), actions);
+        heard
+    }
+
+    fn found(heard: &Heard) -> Vec<Finding> {
+        check(heard, (None, None), Some(&facts()))
+    }
+
+    #[test]
+    fn a_good_camera_has_no_finding() {
+        assert_eq!(found(&heard(|tick| tick, true)), []);
+        // The arm rests, in a simulation without noise.
+        assert_eq!(found(&heard(|_| 0, false)), []);
+    }
+
+    #[test]
+    fn a_camera_at_twice_its_rate_is_reported_with_its_true_rate() {
+        let found = found(&heard(|tick| tick / 2 * 2, true));
+        assert_eq!((found.len(), &*found[0].check), (1, "repeats"), "{found:?}");
+        let figure = |name: &str| found[0].figures[name];
+        assert!((figure("rate_hz") - 30.0).abs() < 0.01, "{found:?}");
+        assert!((figure("true_rate_hz") - 15.0).abs() < 0.5, "{found:?}");
+    }
+
+    #[test]
+    fn a_frozen_camera_is_an_error() {
+        let found = found(&heard(|_| 5, true));
+        assert_eq!(
+            (&*found[0].check, found[0].level),
+            ("frozen", Level::Error),
+            "{found:?}"
+        );
+    }
+
+    #[test]
+    fn late_pictures_are_found_within_seconds() {
+        let found = found(&heard(|tick| tick - 12, true));
+        let lag = found.iter().find(|finding| finding.check == "lag");
+        assert_eq!(
+            lag.map(|lag| lag.figures["lag_frames"]),
+            Some(2.0),
+            "{found:?}"
+        );
+    }
+
+    #[test]
+    fn actions_of_unknown_values_act_by_their_changes() {
+        let mut heard = heard(|_| 5, true);
+        let rows = heard.actions.get_mut(DEFAULT_ACTION).unwrap();
+        // Three joints that hold their targets.
+        for (_, values) in &mut rows.rows {
+            *values = vec![0.4, -0.2, 1.1];
+        }
+        assert_eq!(found(&heard), []);
+    }
+
+    /// With messages on the topic, of which each picture comes `times` times.
+    fn with_messages(mut heard: Heard, times: u64) -> Heard {
+        let mut stream = Stream {
+            timeline: regular(240, 33, 10),
+            ..Stream::default()
+        };
+        for arrival in &mut stream.timeline.0 {
+            arrival.fingerprint = arrival.fingerprint.map(|picture| picture / times);
+        }
+        let camera = heard.cameras.get_mut(DEFAULT_CAMERA).unwrap();
+        camera.raw = Some(stream);
+        heard
+    }
+
+    #[test]
+    fn a_fault_of_the_pictures_is_one_finding() {
+        let twice = found(&with_messages(heard(|tick| tick / 2 * 2, true), 2));
+        assert_eq!((twice.len(), &*twice[0].check), (1, "repeats"), "{twice:?}");
+        let stopped = found(&with_messages(heard(|_| 5, true), 1000));
+        let frozen = stopped
+            .iter()
+            .filter(|finding| finding.level == Level::Error);
+        assert_eq!(frozen.count(), 1, "{stopped:?}");
+        // Without motion, the bytes alone tell.
+        let resting = found(&with_messages(heard(|_| 5, false), 2));
+        assert_eq!(
+            (resting.len(), &*resting[0].check),
+            (1, "camera"),
+            "{resting:?}"
+        );
+        let good = found(&with_messages(heard(|tick| tick, true), 1));
+        assert_eq!(good, []);
+    }
+}

@@ -1,0 +1,115 @@
+//! The pictures of a live topic, compared with each other.
+
+use std::{
+    sync::mpsc::{Receiver, SyncSender, sync_channel},
+    thread::{JoinHandle, spawn},
+};
+use wm_audit::Pictures;
+use wm_camera::{camera_frame::CameraFrame, signature::Signature};
+
+/// Pictures that may wait to be decoded.
+const WAITING: usize = 16;
+/// Signatures that are kept to compare motion with actions: a minute at 30 Hz, 6 MB.
+const MOST_SIGNATURES: usize = 2_000;
+
+/// The pictures of a topic, compared with each other.
+#[derive(Clone, Debug, Default)]
+pub struct Looked {
+    /// What each picture is like beside the one before.
+    pub pictures: Pictures,
+    /// Stamp \[ns\] and signature of each picture.
+    pub signatures: Vec<(i64, Signature)>,
+    /// Pictures that came faster than they were decoded, and were not compared.
+    pub skipped: u64,
+}
+
+/// Decodes and compares pictures on a thread of its own, while messages are received.
+pub(crate) struct Looker {
+    waiting: SyncSender<(CameraFrame, i64)>,
+    thread: JoinHandle<Looked>,
+    /// All pictures that came.
+    count: u64,
+}
+
+impl Looker {
+    /// For the pictures of a topic.
+    pub fn new(topic: &str) -> Self {
+        let (waiting, frames) = sync_channel(WAITING);
+        let pictures = Pictures::new(topic);
+        Self {
+            waiting,
+            thread: spawn(move || compare(&frames, pictures)),
+            count: 0,
+        }
+    }
+
+    /// Takes a picture; skips it if too many wait.
+    pub fn look(&mut self, frame: CameraFrame, received_ns: i64) {
+        self.count += 1;
+        // Those that are not compared are counted at the end.
+        let _ = self.waiting.try_send((frame, received_ns));
+    }
+
+    /// Waits for the last picture.
+    pub fn finish(self) -> Looked {
+        drop(self.waiting);
+        // A thread that failed has compared none.
+        let looked = self.thread.join().unwrap_or_default();
+        Looked {
+            skipped: self.count - looked.pictures.count().min(self.count),
+            ..looked
+        }
+    }
+}
+
+fn compare(frames: &Receiver<(CameraFrame, i64)>, pictures: Pictures) -> Looked {
+    let mut looked = Looked {
+        pictures,
+        ..Looked::default()
+    };
+    for (frame, received_ns) in frames {
+        let stamp_ns = frame.header().stamp.to_nanos();
+        // A driver that does not stamp is a finding of its own.
+        let at_ns = if stamp_ns > 0 { stamp_ns } else { received_ns };
+        let signature = frame.decode().ok().map(|picture| Signature::of(&picture));
+        if let Some(signature) = signature
+            .clone()
+            .filter(|_| looked.signatures.len() < MOST_SIGNATURES)
+        {
+            looked.signatures.push((at_ns, signature));
+        }
+        looked
+            .pictures
+            .push(at_ns, frame.fingerprint(), frame.size(), signature);
+    }
+    looked
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use wm_msgs::{builtin_interfaces::Time, sensor_msgs::Image, std_msgs::Header};
+
+    #[test]
+    fn every_picture_is_compared_or_counted() {
+        let mut looker = Looker::new("/camera");
+        for index in 0..100_i64 {
+            let image = Image {
+                header: Header {
+                    stamp: Time::from_nanos(1_000_000_000 + index * 33_000_000),
+                    frame_id: String::new(),
+                },
+                height: 2,
+                width: 2,
+                encoding: "rgb8".into(),
+                step: 6,
+                data: vec![(index / 2) as u8; 12],
+                ..Image::default()
+            };
+            looker.look(CameraFrame::Raw(image), 0);
+        }
+        let looked = looker.finish();
+        assert_eq!(looked.pictures.count() + looked.skipped, 100);
+        assert_eq!(looked.signatures.len() as u64, looked.pictures.count());
+    }
+}
