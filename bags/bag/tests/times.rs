@@ -77,7 +77,7 @@ fn chunk_times_that_lie_change_no_reading() {
         (&[CHUNK, CHUNK_INDEX], &swap),
         (&[CHUNK], &front),
         (&[MESSAGE_INDEX], &|body| {
-            body[6..14].copy_from_slice(&[9; 8])
+            body[6..14].copy_from_slice(&[9; 8]);
         }),
     ];
     for (number, (opcodes, edit)) in edits.into_iter().enumerate() {
@@ -143,7 +143,7 @@ fn lengths_that_lead_out_of_a_record_take_no_memory() {
     ] {
         fs::write(&file, &whole).unwrap();
         change(&file, &[opcode], |body| {
-            body[at..at + 4].copy_from_slice(&[255; 4])
+            body[at..at + 4].copy_from_slice(&[255; 4]);
         });
         // Damage is named; what it takes is bounded by the file, which the limit of the process would show.
         if let Ok(reader) = BagReader::open(&file) {

@@ -1,5 +1,7 @@
 //! A picture of another aspect than the model's has the same latent by every way into the model.
 
+#![allow(clippy::unwrap_used)]
+
 use std::sync::{Arc, Mutex};
 
 use image::{Rgb, RgbImage};

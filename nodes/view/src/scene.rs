@@ -222,7 +222,7 @@ mod tests {
         let mut elsewhere = good.clone();
         elsewhere.markers[1].header.frame_id = "another_robot".to_owned();
         assert_eq!(scene.way(&elsewhere), None);
-        let size = IMAGE_SIZE as u32;
+        let size = IMAGE_SIZE;
         scene.picture((size, size));
         assert!(scene.way(&good).is_some());
         scene.picture((640, 480));

@@ -40,7 +40,7 @@ fn is_for_zune(survey: &Survey) -> bool {
     };
     let is_full =
         |c: &Component| (u32::from(c.factors.0), u32::from(c.factors.1)) == (across, down);
-    let is_whole = frame.width % (8 * across) == 0 && frame.height % (8 * down) == 0;
+    let is_whole = frame.width.is_multiple_of(8 * across) && frame.height.is_multiple_of(8 * down);
     let is_one_scan = frame.is_progressive || survey.scans == 1;
     is_one_scan && is_full(first) && (is_whole || rest.iter().all(is_full))
 }

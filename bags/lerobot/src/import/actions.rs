@@ -150,15 +150,12 @@ fn order(space: &ActionSpace, names: &[String]) -> Result<Option<Vec<usize>>, Le
         return Ok(order);
     }
     // Some of the names at other places: which values are meant is uncertain.
-    let dimensions = space.dimensions().iter().enumerate();
+    let mut dimensions = space.dimensions().iter().enumerate();
     let is_elsewhere = |(index, dimension): (usize, &wm_motion::actions::Dimension)| {
         let column = names.iter().position(|name| *name == dimension.name);
         column.is_some_and(|column| column != index)
     };
-    match dimensions
-        .map(is_elsewhere)
-        .any(|is_elsewhere| is_elsewhere)
-    {
+    match dimensions.any(is_elsewhere) {
         true => Err(mismatch().into()),
         false => Ok(None),
     }

@@ -6,6 +6,7 @@ mod slow_encoder;
 
 use std::time::Instant;
 
+use wm_motion::motion::StepAction;
 use wm_msgs::{builtin_interfaces::Duration as Period, std_msgs::Header};
 use wm_ros::PublisherId;
 use wm_wire::latent_message::{LatentDtype, encode_latent};
