@@ -57,7 +57,7 @@ impl History {
     }
 
     /// The frames of a context that ends with the frame of `stamp_ns`, oldest first.
-    fn context(&self, stamp_ns: i64) -> Result<Vec<&Frame>, Wait> {
+    pub(super) fn context(&self, stamp_ns: i64) -> Result<Vec<&Frame>, Wait> {
         let timing = self.timing();
         let need = self.settings.context_frames.max(1);
         let mut frames = Vec::with_capacity(need);
@@ -105,7 +105,7 @@ impl History {
             .collect()
     }
 
-    fn step(&self, from_ns: i64, to_ns: i64) -> Result<StepAction, Wait> {
+    pub(super) fn step(&self, from_ns: i64, to_ns: i64) -> Result<StepAction, Wait> {
         let step = self.motion.step(&self.encoding, from_ns, to_ns);
         // Every action was checked when it came: only that there is none can be wrong.
         step.map_err(|error| Wait::NoAction {
@@ -116,7 +116,7 @@ impl History {
         })
     }
 
-    fn slow_camera(&self) -> Option<Wait> {
+    pub(super) fn slow_camera(&self) -> Option<Wait> {
         let timing = self.timing();
         let camera_ns = self.frames.period_ns()?;
         let needed_ns = timing.frame_period_ns;
