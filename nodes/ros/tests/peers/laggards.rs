@@ -140,10 +140,10 @@ async fn latched_messages_come_once_though_a_subscriber_stops() {
         }
     };
     soon("the last latched message", last).await;
-    publish(&publisher, &mut live, 0..1, LEN).await;
+    publish(&publisher, &mut live, COUNT..COUNT + 1, LEN).await;
     // The last DDS writer may overtake the one before it: the order is open, but nothing comes twice.
     let next = async {
-        while came.last() != Some(&message(0, LEN)) {
+        while came.last() != Some(&message(COUNT, LEN)) {
             came.push(late.recv().await.unwrap().message);
         }
     };
