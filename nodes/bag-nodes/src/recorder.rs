@@ -3,7 +3,7 @@
 //! Topics are found as they appear ([`selection`]), each is subscribed with the quality of service that its publishers
 //! offer, and its definition comes from this suite or from the ROS packages on `AMENT_PREFIX_PATH` ([`wm_bag::definitions`]).
 //! The bag is written on a separate thread, chunk by chunk: a killed recorder loses at most the open chunk. Messages
-//! that are missing from the bag are counted by topic and cause, and reported at the end ([`losses`]).
+//! that are missing from the bag are counted by topic and cause, and reported at the end (`losses`).
 //!
 //! Keys and the services of rosbag2's recorder pause it, split its bag, close it and begin another. Where bags may be
 //! made, and that none ever takes the place of another because a peer asked, is in `place`. In snapshot mode it
