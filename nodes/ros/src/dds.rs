@@ -4,6 +4,7 @@
 //! What is minded here, each at its place:
 //! - a publisher starts a new DDS writer when a reader falls behind ([`line`]), since a stopped reader would silence the
 //!   topic for all;
+//! - latched samples are taken in one order from the DDS writers of a publisher ([`latched`]);
 //! - sockets hear only the interfaces that were requested ([`confine`]), since rustdds binds them to all;
 //! - ros2-client's own node and spinner are not used: its `/clock` has the wrong type, its parameters no
 //!   descriptors, and its spinner keeps the participant alive;
@@ -29,6 +30,7 @@ mod confine;
 mod datagram;
 mod failure;
 mod introduction;
+mod latched;
 mod lease;
 mod line;
 mod local;

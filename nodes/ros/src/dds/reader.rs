@@ -2,7 +2,8 @@
 
 use super::{
     codec::Raw,
-    local::{WAITING, is_same_participant},
+    latched::Latest,
+    local::WAITING,
     shared::{Shared, is_foreign},
 };
 use crate::{
@@ -17,7 +18,7 @@ use rustdds::{
     SequenceNumber, Timestamp,
     no_key::{DeserializedCacheChange, SimpleDataReader},
 };
-use std::{collections::VecDeque, sync::Arc};
+use std::sync::Arc;
 use tokio::{runtime::Handle, task::AbortHandle};
 
 pub(super) struct DdsReader {
@@ -53,7 +54,7 @@ impl DdsReader {
         let is_latched = endpoint.qos.durability == Durability::TransientLocal;
         let book = Arc::clone(shared);
         let mut began = Some(began);
-        let mut repeats = Repeats::default();
+        let mut latest = Latest::default();
         let pump = async move {
             let mut samples = std::pin::pin!(reader.as_async_stream());
             loop {
@@ -65,9 +66,6 @@ impl DdsReader {
                             if book.is_own(&writer) {
                                 continue;
                             }
-                            if is_latched && repeats.has(&id, &change) {
-                                continue;
-                            }
                             if began.is_some_and(|began| change.receive_instant < began) {
                                 // rustdds keeps a topic's last samples for all readers: one that comes anew would
                                 // get those of the one before, and of writers that are gone
@@ -77,6 +75,13 @@ impl DdsReader {
                             } else {
                                 // from here on they come in their order, whatever becomes of the system's clock
                                 began = None;
+                            }
+                            if is_latched
+                                && !is_foreign(&id, &writer)
+                                && let Some(time) = change.source_timestamp()
+                                && latest.supersedes(writer, time)
+                            {
+                                continue;
                             }
                             let sample = into_sample(change, is_server);
                             if is_topic && !book.parts.lets_in(&id, &sample) {
@@ -97,44 +102,6 @@ impl DdsReader {
             shared: Arc::clone(shared),
             pump,
         }
-    }
-}
-
-/// Latched samples that were taken. A publisher that starts a new DDS writer sends its last samples again
-/// ([`super::line`]), with their old times.
-#[derive(Default)]
-struct Repeats {
-    taken: VecDeque<(EndpointId, Timestamp)>,
-}
-
-/// Latched samples that are remembered: more than publishers of one topic keep.
-const MOST_TAKEN: usize = 256;
-
-impl Repeats {
-    /// Whether the sample was taken from another writer of its participant.
-    fn has(&mut self, own: &EndpointId, change: &DeserializedCacheChange<Bytes>) -> bool {
-        let writer = change.writer_guid().to_bytes();
-        let Some(written) = change
-            .source_timestamp()
-            .filter(|_| !is_foreign(own, &writer))
-        else {
-            return false;
-        };
-        self.is_taken(writer, written)
-    }
-
-    fn is_taken(&mut self, writer: EndpointId, written: Timestamp) -> bool {
-        let is_same = |(other, time): &&(EndpointId, Timestamp)| {
-            *time == written && *other != writer && is_same_participant(other, &writer)
-        };
-        if self.taken.iter().any(|taken| is_same(&taken)) {
-            return true;
-        }
-        if self.taken.len() >= MOST_TAKEN {
-            self.taken.pop_front();
-        }
-        self.taken.push_back((writer, written));
-        false
     }
 }
 
@@ -176,25 +143,5 @@ impl Drop for DdsReader {
         // the reader lives in the task, and goes with it
         self.pump.abort();
         self.shared.forget(&self.id);
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_latched_sample_is_taken_from_one_writer_only() {
-        let (mut repeats, now) = (Repeats::default(), Timestamp::now());
-        let [mut first, mut next, other] = [[7; 16], [7; 16], [9; 16]];
-        (first[15], next[15]) = (1, 2);
-        assert!(!repeats.is_taken(first, now));
-        assert!(
-            !repeats.is_taken(first, now),
-            "the same writer does not repeat"
-        );
-        assert!(repeats.is_taken(next, now));
-        assert!(!repeats.is_taken(other, now), "another participant");
-        assert!(!repeats.is_taken(next, Timestamp::ZERO));
     }
 }

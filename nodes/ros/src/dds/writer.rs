@@ -3,6 +3,7 @@
 use super::{
     answers::WaitingRoom,
     codec::HEADER_LEN,
+    latched::Stamps,
     line::{LULL, Line, Maker, Patience, RETIREMENT},
     lock::lock,
     names::{dds_name, dds_type},
@@ -81,7 +82,9 @@ struct Sent {
     successor: Option<Line>,
     patience: Patience,
     waiting: Waiting,
-    /// Of a latched topic: the last samples with their times, for the late readers of the next DDS writer.
+    /// The times of a latched topic's samples.
+    stamps: Stamps,
+    /// The last of them with their times, for the late readers of the next DDS writer.
     history: VecDeque<(Bytes, Timestamp)>,
     /// To readers of this participant: those elsewhere may miss what nobody there heard, these do not.
     here: i64,
@@ -275,7 +278,10 @@ impl WriterCore {
         if self.is_reliable && !self.has_room(when_full, sent) {
             return Ok(Written::WindowFull);
         }
-        let now = Timestamp::now();
+        let mut now = Timestamp::now();
+        if self.is_latched {
+            now = sent.stamps.next(now);
+        }
         let number = match write(&mut sent.line, sample, answers, now) {
             Ok(number) => number,
             Err(WriteError::WouldBlock { .. }) => return Ok(Written::WindowFull),
@@ -446,6 +452,7 @@ impl DdsWriter {
                 successor: None,
                 patience: Patience::default(),
                 waiting: Waiting::default(),
+                stamps: Stamps::new(&id),
                 history: VecDeque::new(),
                 here: 0,
                 last: None,

@@ -1,0 +1,143 @@
+//! One order of a latched topic's samples over the DDS writers of its publisher.
+//!
+//! A publisher that starts a new DDS writer ([`super::line`]) sends its last samples again, for late readers. A late
+//! reader may be connected to the writer before too, which keeps older samples. So the samples of a publisher carry
+//! times that increase, and that say which publisher of the participant wrote them. Readers of this suite take no
+//! sample twice, and none that is older than one that they took from a later writer.
+
+use super::parts::{Peer, peer_of};
+use crate::backend::EndpointId;
+use rustdds::Timestamp;
+use std::collections::BTreeMap;
+
+/// Low bits of a time that hold the publisher's number. A time is counted in 2^-32 s (DDSI-RTPS 2.5, 9.3.2.1), so it
+/// stays right within a microsecond.
+const BITS: u32 = 12;
+const MASK: u64 = (1 << BITS) - 1;
+
+/// The times of a publisher's samples.
+pub(super) struct Stamps {
+    publisher: u64,
+    last: u64,
+}
+
+impl Stamps {
+    /// For the publisher with this first DDS writer.
+    pub(super) fn new(publisher: &EndpointId) -> Self {
+        // The entity key (DDSI-RTPS 2.5, 9.3.1.2), which rustdds counts up.
+        let number = publisher.iter().skip(12).take(3);
+        let number = number.fold(0, |number, byte| number << 8 | u64::from(*byte));
+        let publisher = number & MASK;
+        Self {
+            publisher,
+            last: publisher,
+        }
+    }
+
+    /// The time of the next sample: `now`, or just after the sample before if the system's clock was set back.
+    pub(super) fn next(&mut self, now: Timestamp) -> Timestamp {
+        let time = now.to_ticks() & !MASK | self.publisher;
+        self.last = time.max(self.last + MASK + 1);
+        Timestamp::from_ticks(self.last)
+    }
+}
+
+/// Publishers that a reader remembers: more than a topic has. Participants of others that use rustdds have times without
+/// a number.
+const MOST: usize = 256;
+
+/// The latest sample that was taken of each publisher, and its DDS writer.
+#[derive(Default)]
+pub(super) struct Latest(BTreeMap<(Peer, u64), (EndpointId, Timestamp)>);
+
+impl Latest {
+    /// Whether a sample that `writer` wrote at `time` was taken from another DDS writer of its publisher, or is older
+    /// than one that was.
+    pub(super) fn supersedes(&mut self, writer: EndpointId, time: Timestamp) -> bool {
+        let publisher = (peer_of(&writer), time.to_ticks() & MASK);
+        if self.0.len() >= MOST {
+            self.0.pop_first();
+        }
+        let (last, latest) = self.0.entry(publisher).or_insert((writer, time));
+        if *last != writer && time <= *latest {
+            return true;
+        }
+        (*last, *latest) = (writer, time);
+        false
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const SECOND: u64 = 1 << 32;
+
+    /// Of one participant.
+    fn writer(key: u8) -> EndpointId {
+        let mut id = [7; 16];
+        (id[12], id[13], id[14]) = (0, 0, key);
+        id
+    }
+
+    fn at(seconds: u64) -> Timestamp {
+        Timestamp::from_ticks(seconds * SECOND)
+    }
+
+    #[test]
+    fn times_increase_though_the_clock_is_set_back() {
+        let mut stamps = Stamps::new(&writer(1));
+        let times = [at(5), at(5), at(3), at(6)].map(|now| stamps.next(now));
+        assert!(times.is_sorted_by(|a, b| a < b), "{times:?}");
+        let error = times[3].to_ticks() - at(6).to_ticks();
+        assert!(error < SECOND / 1_000_000);
+    }
+
+    #[test]
+    fn a_sample_is_taken_from_one_writer_of_its_publisher() {
+        let (mut stamps, mut latest) = (Stamps::new(&writer(1)), Latest::default());
+        let times: Vec<_> = (1..6).map(|second| stamps.next(at(second))).collect();
+        assert!(!latest.supersedes(writer(1), times[0]));
+        assert!(!latest.supersedes(writer(1), times[1]));
+        // the next writer repeats it
+        assert!(latest.supersedes(writer(2), times[1]));
+        assert!(!latest.supersedes(writer(2), times[3]));
+        assert!(latest.supersedes(writer(1), times[2]), "an older one");
+        assert!(latest.supersedes(writer(1), times[3]));
+        assert!(!latest.supersedes(writer(2), times[4]));
+    }
+
+    #[test]
+    fn publishers_of_a_participant_do_not_disturb_each_other() {
+        let [mut one, mut other] = [1, 9].map(|key| Stamps::new(&writer(key)));
+        let mut latest = Latest::default();
+        assert!(!latest.supersedes(writer(1), one.next(at(8))));
+        assert!(!latest.supersedes(writer(9), other.next(at(2))));
+        assert!(!latest.supersedes(writer(1), one.next(at(9))));
+    }
+
+    proptest! {
+        /// Two writers of a publisher, whose samples arrive in any order between them.
+        #[test]
+        fn samples_arrive_in_order_and_once(order in prop::collection::vec(any::<bool>(), 40), copies in 0_usize..5) {
+            let (mut stamps, mut latest) = (Stamps::new(&writer(1)), Latest::default());
+            let times: Vec<_> = (0..20).map(|second| stamps.next(at(second))).collect();
+            let mut lines = [
+                times[..10].iter().map(|time| (writer(1), *time)).collect::<Vec<_>>(),
+                times[10 - copies..].iter().map(|time| (writer(2), *time)).collect(),
+            ];
+            lines.iter_mut().for_each(|line| line.reverse());
+            let mut taken = Vec::new();
+            for first in order.into_iter().chain([false; 20]).chain([true; 20]) {
+                if let Some((writer, time)) = lines[usize::from(first)].pop()
+                    && !latest.supersedes(writer, time)
+                {
+                    taken.push(time);
+                }
+            }
+            prop_assert!(taken.is_sorted_by(|a, b| a < b));
+            prop_assert_eq!(&taken[taken.len() - 10..], &times[10..]);
+        }
+    }
+}
