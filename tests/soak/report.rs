@@ -10,9 +10,15 @@ use std::{
 use serde_json::{Value, json};
 
 use crate::{
+    balance::{Balance, Totals},
     fault::Kind,
     watch::{Motion, Watch},
 };
+
+/// Rounds from which on memory is judged.
+const LONG_RUN: usize = 60;
+/// Memory of the second half over that of the first, at most.
+const MOST_GROWTH: f64 = 1.15;
 
 /// One fault.
 #[derive(Debug)]
@@ -105,7 +111,8 @@ pub struct Report {
     rounds: Vec<Round>,
     /// Resident memory of each process at the end of each round: when \[s\], and how much \[MiB\].
     memory: BTreeMap<String, Vec<(f64, f64)>>,
-    totals: BTreeMap<String, BTreeMap<String, u64>>,
+    totals: Totals,
+    balance: Balance,
 }
 
 impl Report {
@@ -117,24 +124,61 @@ impl Report {
             rounds: Vec::new(),
             memory: BTreeMap::new(),
             totals: BTreeMap::new(),
+            balance: Balance::new(),
         }
     }
 
     /// Adds a round, and what is known after it.
-    pub fn add(&mut self, round: Round, watch: &Watch, resident: BTreeMap<String, f64>) {
+    pub fn add(
+        &mut self,
+        round: Round,
+        at: Duration,
+        watch: &Watch,
+        resident: BTreeMap<String, f64>,
+    ) {
         for (name, mib) in resident {
             let of_process = self.memory.entry(name).or_default();
             of_process.push((round.at.as_secs_f64(), mib));
         }
         self.totals = watch.totals();
+        self.balance
+            .add(at, round.kind, &round.deaths, &self.totals);
         self.rounds.push(round);
         self.write();
     }
 
-    /// Prints the tables; whether the arm kept to the limits in every round.
+    /// Prints the tables; whether the arm kept to the limits in every round, nothing was lost that was not counted, and
+    /// memory did not grow.
     pub fn finish(&self) -> bool {
         println!("{}", self.markdown());
-        !self.rounds.iter().any(Round::is_exceeded)
+        let growing: Vec<_> = self.growing().collect();
+        if !growing.is_empty() {
+            println!("memory grows: {}", growing.join(", "));
+        }
+        let is_in_time = !self.rounds.iter().any(Round::is_exceeded);
+        is_in_time && self.balance.is_kept() && growing.is_empty()
+    }
+
+    /// Nodes that need clearly more memory in the second half of the run than in the first. A node is killed and started
+    /// again in the run, so its processes are judged together.
+    fn growing(&self) -> impl Iterator<Item = &str> {
+        let end = self
+            .rounds
+            .last()
+            .map_or(0.0, |round| round.at.as_secs_f64());
+        let mut most: BTreeMap<&str, [f64; 2]> = BTreeMap::new();
+        for (process, sizes) in &self.memory {
+            let node = process.split(' ').next().unwrap_or(process);
+            let halves = most.entry(node).or_default();
+            for (at, mib) in sizes {
+                let half = &mut halves[usize::from(*at > end / 2.0)];
+                *half = half.max(*mib);
+            }
+        }
+        let is_long = self.rounds.len() >= LONG_RUN;
+        let most = most.into_iter().filter(move |_| is_long);
+        most.filter(|(_, [first, second])| *second > first * MOST_GROWTH)
+            .map(|(node, _)| node)
     }
 
     fn write(&self) {
@@ -143,6 +187,7 @@ impl Report {
             "seed": self.seed,
             "rounds": rounds,
             "totals": self.totals,
+            "balance": self.balance.json(),
             "memory_mib": self.memory,
         });
         let text = serde_json::to_string_pretty(&report).expect("JSON");
@@ -190,6 +235,8 @@ impl Report {
                 growth(sizes) * 3_600.0
             );
         }
+        text += "\n";
+        text += &self.balance.markdown();
         text += "\n| node | counted | messages |\n|---|---|---|\n";
         for (node, totals) in &self.totals {
             for (key, total) in totals.iter().filter(|(key, _)| key.starts_with("dropped")) {

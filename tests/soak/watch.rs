@@ -15,6 +15,8 @@ use wm_msgs::{
 };
 use wm_ros::{Node, Qos};
 
+use crate::balance::Totals;
+
 /// A command holds for so long on the arm \[s\].
 const HOLDS_S: f64 = 0.5;
 /// Slower than this, the arm stands still \[m/s\].
@@ -196,8 +198,8 @@ impl Watch {
     }
 
     /// Messages that were sent, received and dropped, by node and reason, over all restarts.
-    pub fn totals(&self) -> BTreeMap<String, BTreeMap<String, u64>> {
-        let mut totals: BTreeMap<String, BTreeMap<String, u64>> = BTreeMap::new();
+    pub fn totals(&self) -> Totals {
+        let mut totals = Totals::new();
         for ((node, key), total) in &*self.drops.borrow() {
             if total.sum > 0 {
                 let of_node = totals.entry(node.clone()).or_default();
