@@ -16,8 +16,8 @@ const LINKS: [(&str, &str, &str); 7] = [
     ("planner", "/wm/plan", "executor"),
     ("executor", "/wm/command/twist", "sim_arm"),
     ("executor", "/wm/action_chunk", "planner"),
-    ("sim_arm", "/wm/ee_pose", "executor"),
-    ("sim_arm", "/wm/action", "planner"),
+    ("soak", "/wm/ee_pose", "executor"),
+    ("soak", "/wm/action", "planner"),
 ];
 /// Nodes report their counters once per second, and not at the same time; messages are on their way.
 const SLACK: Duration = Duration::from_secs(4);

@@ -1,4 +1,5 @@
-//! Between the arm and the suite: pictures and the clock pass through here, or do not.
+//! Between the arm and the suite: pictures, poses, actions and the clock pass through here, or do not. The stamps are those
+//! of the clock that the suite has.
 
 use std::{
     cell::{Cell, RefCell},
@@ -8,11 +9,18 @@ use std::{
 
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
-use wm_msgs::{builtin_interfaces::Time, rosgraph_msgs::Clock, sensor_msgs::Image};
+use wm_msgs::{
+    Message, builtin_interfaces::Time, geometry_msgs::PoseStamped, rosgraph_msgs::Clock,
+    sensor_msgs::Image, wm_msgs::Action,
+};
 use wm_ros::{Node, Publisher, Qos};
 
-/// Where the arm publishes its pictures, for this alone.
+/// Where the arm publishes its pictures, poses and actions, for this alone.
 pub const TRUE_CAMERA: &str = "/soak/image_raw";
+/// See [`TRUE_CAMERA`].
+pub const TRUE_POSE: &str = "/soak/ee_pose";
+/// See [`TRUE_CAMERA`].
+pub const TRUE_ACTION: &str = "/soak/action";
 /// Time from one message on `/clock` to the next.
 const CLOCK_PERIOD: Duration = Duration::from_millis(20);
 
@@ -69,6 +77,12 @@ impl Middle {
                 middle.pass(received.message, &mut rng);
             }
         });
+        self.relay(node, TRUE_POSE, "ee_pose", |pose: &mut PoseStamped| {
+            &mut pose.header.stamp
+        });
+        self.relay(node, TRUE_ACTION, "action", |action: &mut Action| {
+            &mut action.header.stamp
+        });
         let (middle, node) = (Rc::clone(self), node.clone());
         tokio::task::spawn_local(async move {
             let mut beat = tokio::time::interval(CLOCK_PERIOD);
@@ -83,10 +97,34 @@ impl Middle {
         });
     }
 
+    fn relay<M: Message>(
+        self: &Rc<Self>,
+        node: &Node,
+        from: &str,
+        to: &str,
+        stamp: fn(&mut M) -> &mut Time,
+    ) {
+        let qos = Qos::reliable(10);
+        let mut received = node.subscription::<M>(from, qos).expect("a subscription");
+        let publisher = node.publisher::<M>(to, qos).expect("a publisher");
+        let middle = Rc::clone(self);
+        tokio::task::spawn_local(async move {
+            while let Some(received) = received.recv().await {
+                let mut message = received.message;
+                let stamp = stamp(&mut message);
+                *stamp = middle.in_suite_time(*stamp);
+                publisher.publish(&message).ok();
+            }
+        });
+    }
+
+    /// A stamp of the arm by the clock that the suite has.
+    fn in_suite_time(&self, stamp: Time) -> Time {
+        Time::from_nanos(stamp.to_nanos() - self.behind_ns.get())
+    }
+
     fn pass(&self, mut image: Image, rng: &mut ChaCha8Rng) {
-        // Its stamps are those of the clock, if that runs.
-        let stamp_ns = image.header.stamp.to_nanos() - self.behind_ns.get();
-        image.header.stamp = Time::from_nanos(stamp_ns);
+        image.header.stamp = self.in_suite_time(image.header.stamp);
         let mut last = self.last.borrow_mut();
         match (self.pictures.get(), &*last) {
             (Pictures::Silent, _) => return,

@@ -19,7 +19,7 @@ use wm_msgs::{
 };
 use wm_ros::{Client, Context, Environment, Node, NodeArgs, Publisher, Qos, Reach};
 
-use crate::middle::TRUE_CAMERA;
+use crate::middle::{TRUE_ACTION, TRUE_CAMERA, TRUE_POSE};
 
 /// The processes.
 const NODES: [&str; 3] = ["encoder", "planner", "executor"];
@@ -39,7 +39,8 @@ impl Arm {
         let reach = Reach::Localhost;
         let context = Context::new(&Environment { domain_id, reach }).expect("a context");
         let words = format!(
-            "--ros-args -p image_transport:=raw -p goal_period:=0.4 -r /camera/image_raw:={TRUE_CAMERA}"
+            "--ros-args -p image_transport:=raw -p goal_period:=0.4 -r /camera/image_raw:={TRUE_CAMERA} \
+             -r ee_pose:={TRUE_POSE} -r action:={TRUE_ACTION}"
         );
         let args = NodeArgs::parse(words.split_whitespace()).expect("arguments");
         let of_thread = context.clone();

@@ -15,7 +15,7 @@ use wm_msgs::{
 };
 use wm_ros::{Node, Qos};
 
-use crate::balance::Totals;
+use crate::{balance::Totals, middle::TRUE_POSE};
 
 /// A command holds for so long on the arm \[s\].
 const HOLDS_S: f64 = 0.5;
@@ -84,7 +84,7 @@ impl Watch {
             }
         });
         let mut poses = node
-            .subscription::<PoseStamped>("ee_pose", depth)
+            .subscription::<PoseStamped>(TRUE_POSE, depth)
             .expect("a subscription");
         let watch = Rc::clone(self);
         tokio::task::spawn_local(async move {
