@@ -43,7 +43,7 @@ pub(super) async fn introduce(socket: UdpSocket, own: EndpointId, domain: u16, p
         for other in (ANNOUNCED..participants_of(domain)).filter(|other| *other != participant) {
             let port = Ports::new(domain, other).discovery();
             let to = SocketAddr::from((Ipv4Addr::LOCALHOST, port));
-            // nobody may be there, and what is lost is sent again
+            // the number may be free, and what is lost is sent again
             if let Err(error) = socket.send_to(&message, to) {
                 tracing::debug!("cannot announce to {to}: {error}");
             }

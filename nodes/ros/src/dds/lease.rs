@@ -1,18 +1,18 @@
 //! Leases of participants, where rustdds 0.15.1 makes a temporary loss permanent.
 //!
-//! - **A participant loses itself**: it knows itself by its own announcements, which multicast brings back, and by their
-//!   lease of 50 s. It announces itself where it knows participants, so that once the network has been gone for that
-//!   long, it never announces itself again. So it gets a sign of life from here.
-//! - **It announces itself every 10 s only**, and at once when it meets a participant. So that others meet it again sooner
-//!   after a cut, it meets nobody every few seconds.
-//! - **A participant of Fast DDS that was lost is never met again**: its announcements all have the number 1, and rustdds
-//!   takes each number once, for as long as it is among the last 64 announcements of all participants. So when a lease
-//!   has run out, these are displaced.
-//! - **A participant that has lost this one, and is not lost itself, never gets the announcements of the endpoints
-//!   again**: rustdds takes its readers to have them. Packets that are lost in one direction do that. So the lease of a
-//!   participant that has acknowledged nothing for longer than the lease here is ended, and it is met anew.
+//! - **A participant loses itself.** It knows itself by its own announcements, which multicast brings back, and by their
+//!   lease of 50 s. It announces itself where it knows participants. After a cut of that length it knows none, and never
+//!   announces itself again. So it receives a sign of life from here.
+//! - **It announces itself every 10 s only**, and at once when it discovers a participant. So that others discover it
+//!   sooner after a cut, it discovers a placeholder every few seconds: a participant that does not exist.
+//! - **A participant of Fast DDS that was lost is never discovered again.** Its announcements all have the number 1.
+//!   rustdds takes each number once, for as long as it is among the last 64 announcements of all participants. So
+//!   announcements of the placeholder displace them when a lease has run out.
+//! - **A participant that has lost this one, and is not lost itself, never receives the announcements of the endpoints
+//!   again.** rustdds assumes that its readers have them. Packets that are lost in one direction cause this. So the lease
+//!   of a participant ends here once it has acknowledged nothing for longer than that lease, and it is discovered anew.
 //!
-//! All this goes to the participant of this process only, in its own name or in that of nobody.
+//! All this goes to the participant of this process only, in its own name or in that of the placeholder.
 
 use super::{parts::Peer, rtps};
 use crate::backend::EndpointId;
@@ -35,7 +35,7 @@ pub(super) struct OwnPort {
     socket: UdpSocket,
     own: EndpointId,
     to: SocketAddr,
-    /// Of the last announcement of nobody.
+    /// Of the last announcement of the placeholder.
     number: AtomicI64,
 }
 

@@ -78,7 +78,7 @@ impl Line {
             let (number, wait) = self.wait.get_or_insert_with(|| {
                 let writer = Arc::clone(&self.writer);
                 let wait = async move {
-                    // an error means that nobody is waited for
+                    // an error means that there is no reader to wait for
                     writer.async_wait_for_acknowledgments().await.ok();
                 };
                 (self.window.last(), wait.boxed())

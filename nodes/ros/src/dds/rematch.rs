@@ -1,7 +1,7 @@
 //! Connections to participants that return after their lease has run out.
 //!
 //! rustdds 0.15.1 remembers the endpoints of such a participant, but connects its own endpoints to them only when they
-//! are announced anew, and nobody does that: the other side has announced them already. rustdds also tries to connect
+//! are announced anew, which does not happen: the other side has announced them already. rustdds also tries to connect
 //! all endpoints of a topic when this process makes a new one on it. So an endpoint is made on each topic that lacks a
 //! connection, and dropped again. The connections get back their old identities and numbers, so that nothing that was
 //! taken before the cut is taken twice.

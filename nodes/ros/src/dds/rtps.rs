@@ -138,37 +138,43 @@ pub(super) fn life_sign(own: &EndpointId) -> Bytes {
     message.freeze()
 }
 
-/// The identity of nobody: a participant that does not exist, and that only the own participant learns of.
-fn nobody(own: &EndpointId) -> EndpointId {
-    let mut nobody = *own;
-    nobody[2..12].fill(0xff);
-    nobody[12..].copy_from_slice(&PARTICIPANT);
-    nobody
+/// The identity of a placeholder: a participant that does not exist, announced to the own participant only.
+fn placeholder(own: &EndpointId) -> EndpointId {
+    let mut placeholder = *own;
+    placeholder[2..12].fill(0xff);
+    placeholder[12..].copy_from_slice(&PARTICIPANT);
+    placeholder
 }
 
-/// A visit of nobody, who comes and goes: announcements of this number and the next.
+/// The placeholder arrives and leaves: announcements of this number and the next.
 pub(super) fn visit(own: &EndpointId, number: i64) -> Bytes {
-    let nobody = nobody(own);
-    let mut message = header(&nobody);
-    let data = participant(&nobody, 0, 1, None);
+    let placeholder = placeholder(own);
+    let mut message = header(&placeholder);
+    let data = participant(&placeholder, 0, 1, None);
     announced(&mut message, SPDP_READER, PAYLOAD, &data, number);
-    announced(&mut message, SPDP_READER, KEY, &key(&nobody), number + 1);
+    announced(
+        &mut message,
+        SPDP_READER,
+        KEY,
+        &key(&placeholder),
+        number + 1,
+    );
     message.freeze()
 }
 
-/// That nobody has gone, once for each of `numbers`.
+/// The placeholder leaves, once for each of `numbers`.
 pub(super) fn departures(own: &EndpointId, numbers: impl Iterator<Item = i64>) -> Bytes {
-    let nobody = nobody(own);
-    let mut message = header(&nobody);
+    let placeholder = placeholder(own);
+    let mut message = header(&placeholder);
     for number in numbers {
-        announced(&mut message, SPDP_READER, KEY, &key(&nobody), number);
+        announced(&mut message, SPDP_READER, KEY, &key(&placeholder), number);
     }
     message.freeze()
 }
 
 /// That the lease of the participant `peer` ends within a second.
 pub(super) fn expiry(own: &EndpointId, peer: &Peer, number: i64) -> Bytes {
-    let mut id = nobody(own);
+    let mut id = placeholder(own);
     let mut message = header(&id);
     id[..12].copy_from_slice(peer);
     let data = participant(&id, 0, 1, None);
@@ -237,7 +243,7 @@ mod tests {
     const WRITER: EndpointId = [1, 0x18, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 0, 0, 2, 0x03];
 
     #[test]
-    fn departures_are_of_nobody_and_end_where_they_say() {
+    fn departures_are_those_of_the_placeholder() {
         let message = departures(&READER, [64, 128].into_iter());
         assert_eq!(message[8..20], [&READER[..2], &[0xff; 10]].concat());
         assert_eq!(message.len(), 20 + 2 * 52);
