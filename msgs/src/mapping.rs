@@ -23,6 +23,7 @@ mod error;
 mod input;
 mod layout;
 mod output;
+mod scalar;
 
 pub use error::{ConvertError, MappingError};
 pub use layout::Layout;
@@ -251,7 +252,7 @@ impl Mapping {
             }
             (Element::Text, Element::Text) => {
                 for _ in 0..count {
-                    output.text(input.text()?, ours)?;
+                    output.text(input.text()?, &ours.name, ours.text_limit)?;
                 }
             }
             _ => {

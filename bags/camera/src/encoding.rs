@@ -1,10 +1,6 @@
 //! The pixel formats of sensor_msgs/Image, by their names in sensor_msgs/image_encodings.hpp.
 
-use crate::image_message::ImageError;
-
-/// Encodings that are supported, for errors.
-pub(crate) const SUPPORTED: &str = "rgb8, bgr8, rgba8, bgra8, mono8, 8UC1, 8UC3, 8UC4, yuv422 (uyvy), yuv422_yuy2 (yuyv), nv12, nv21, nv24, or \
-     bayer_rggb8, bayer_bggr8, bayer_gbrg8, bayer_grbg8";
+use crate::error::ImageError;
 
 /// How the bytes of an image are laid out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

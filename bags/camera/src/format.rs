@@ -2,7 +2,7 @@
 
 use wm_msgs::sensor_msgs::CompressedImage;
 
-use crate::image_message::{ImageError, MAX_COMPRESSED};
+use crate::{error::ImageError, limits::MAX_COMPRESSED};
 
 const PNG: &[u8] = b"\x89PNG\r\n\x1a\n";
 /// Bytes before the picture of compressed_depth_image_transport: a kind and two numbers.

@@ -12,7 +12,7 @@ mod survey;
 use image::RgbImage;
 use thiserror::Error;
 
-use crate::image_message::MAX_SIDE;
+use crate::limits::MAX_SIDE;
 use survey::{Survey, survey};
 
 /// Why a JPEG has no picture.

@@ -8,7 +8,8 @@ use wm_msgs::sensor_msgs::Image;
 use crate::{
     bayer::demosaiced,
     encoding::Encoding,
-    image_message::{ImageError, MAX_SIDE},
+    error::ImageError,
+    limits::MAX_SIDE,
     yuv::{Plane, YuvColours, YuvTable},
 };
 

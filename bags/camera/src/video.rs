@@ -8,7 +8,7 @@ mod stream;
 use thiserror::Error;
 
 use crate::{
-    image_message::MAX_SIDE,
+    limits::MAX_SIDE,
     yuv::{Matrix, ShortPlane, YuvColours},
 };
 pub use h264::{H264Decoder, has_keyframe};

@@ -10,10 +10,13 @@ use wm_msgs::{
     wm_msgs::Action,
 };
 
-use crate::{ActionMapping, ImportError, imported::write_whole, mapping::contradiction, origin};
+use crate::{
+    ActionMapping, ImportError,
+    imported::write_whole,
+    mapping::{VALUES, contradiction},
+    origin,
+};
 
-/// Numbers of an action and of a state: three of position, three of rotation, the gripper.
-pub(crate) const VALUES: usize = 7;
 /// Bridge V2 is controlled and recorded at 5 Hz (BridgeData V2, arXiv 2308.12952, section 3).
 pub(crate) const BRIDGE_PERIOD_NS: u64 = 200_000_000;
 /// REP-105's name for the frame that the robot is mounted in.

@@ -7,7 +7,8 @@ use wm_motion::{
     motion::turn_between,
 };
 
-use crate::episode::VALUES;
+/// Numbers of an action and of a state: three of position, three of rotation, the gripper.
+pub(crate) const VALUES: usize = 7;
 
 /// The values of a closed and of an open gripper in a data set, `CLOSED:OPEN`.
 #[derive(Clone, Copy, Debug, PartialEq)]

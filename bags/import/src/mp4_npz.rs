@@ -7,7 +7,8 @@ use std::path::PathBuf;
 
 use crate::{
     ActionMapping, ImportError,
-    episode::{BRIDGE_PERIOD_NS, Episode, Found, Recorded, Unread, VALUES, bridge_cameras},
+    episode::{BRIDGE_PERIOD_NS, Episode, Found, Recorded, Unread, bridge_cameras},
+    mapping::VALUES,
     video::Video,
 };
 use actions::Labelled;

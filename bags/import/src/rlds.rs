@@ -20,7 +20,8 @@ use std::{
 
 use crate::{
     ActionMapping, ImportError,
-    episode::{BRIDGE_PERIOD_NS, Camera, Episode, Found, Recorded, Unread, VALUES, bridge_cameras},
+    episode::{BRIDGE_PERIOD_NS, Camera, Episode, Found, Recorded, Unread, bridge_cameras},
+    mapping::VALUES,
 };
 use example::Example;
 use pictures::Pictures;

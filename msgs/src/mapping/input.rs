@@ -1,17 +1,13 @@
-use super::{ConvertError, layout::Scalar, output::Output};
+use super::{
+    ConvertError,
+    output::Output,
+    scalar::{Number, Scalar},
+};
 
 /// Representation identifier and two bytes of options.
 const HEADER_BYTES: usize = 4;
 /// RTPS pads a payload to a multiple of four bytes.
 const MOST_PADDING: usize = 3;
-
-/// A number as it came.
-#[derive(Clone, Copy, Debug)]
-pub(super) enum Number {
-    Signed(i64),
-    Unsigned(u64),
-    Float(f64),
-}
 
 /// The body of a message, read from front to back.
 pub(super) struct Input<'a> {

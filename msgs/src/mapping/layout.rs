@@ -1,40 +1,8 @@
-use super::{ConvertError, DEPTH_LIMIT, MappingError, input::Input, output::Output};
+use super::{
+    ConvertError, DEPTH_LIMIT, MappingError, input::Input, output::Output, scalar::Scalar,
+};
 use crate::{FieldType, TypeDescription};
 use std::collections::HashMap;
-
-/// What a number is in CDR.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Scalar {
-    Bool,
-    Byte,
-    Signed(usize),
-    Unsigned(usize),
-    Float(usize),
-}
-
-impl Scalar {
-    /// Its size, which is its alignment too, in bytes.
-    pub fn size(self) -> usize {
-        match self {
-            Self::Bool | Self::Byte => 1,
-            Self::Signed(size) | Self::Unsigned(size) | Self::Float(size) => size,
-        }
-    }
-
-    /// Whether each of its values is one of `wider`.
-    pub fn fits(self, wider: Self) -> bool {
-        match (self, wider) {
-            (Self::Signed(from), Self::Signed(to))
-            | (Self::Unsigned(from), Self::Unsigned(to))
-            | (Self::Float(from), Self::Float(to)) => from <= to,
-            (Self::Unsigned(from), Self::Signed(to)) => from < to,
-            // 24 and 53 bits of mantissa.
-            (Self::Unsigned(from) | Self::Signed(from), Self::Float(to)) => from < to,
-            (Self::Byte, Self::Unsigned(1)) | (Self::Unsigned(1), Self::Byte) => true,
-            (from, to) => from == to,
-        }
-    }
-}
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Element {
@@ -178,7 +146,7 @@ impl Layout {
         for _ in 0..count {
             match member.element {
                 Element::Scalar(scalar) => output.zero(scalar.size())?,
-                Element::Text => output.text(&[], member)?,
+                Element::Text => output.text(&[], &member.name, member.text_limit)?,
                 Element::Struct(number) => {
                     let structure = self.structures.get(number);
                     let structure = structure.filter(|_| depth <= DEPTH_LIMIT);

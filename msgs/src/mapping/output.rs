@@ -1,7 +1,6 @@
 use super::{
     ConvertError,
-    input::Number,
-    layout::{Member, Scalar},
+    scalar::{Number, Scalar},
 };
 
 /// Far more than any message of this suite, and what a hostile bag can make of a small one.
@@ -48,12 +47,17 @@ impl Output {
         self.bytes(size, [0; 8].get(..size).unwrap_or_default())
     }
 
-    /// A string, given without its zero byte.
-    pub fn text(&mut self, text: &[u8], member: &Member) -> Result<(), ConvertError> {
+    /// A string, given without its zero byte, of at most `limit` bytes.
+    pub fn text(
+        &mut self,
+        text: &[u8],
+        field: &str,
+        limit: Option<u64>,
+    ) -> Result<(), ConvertError> {
         let found = text.len() as u64;
-        if let Some(limit) = member.text_limit.filter(|limit| found > *limit) {
+        if let Some(limit) = limit.filter(|limit| found > *limit) {
             return Err(ConvertError::Bound {
-                field: member.name.clone(),
+                field: field.to_owned(),
                 limit,
                 found,
             });

@@ -11,7 +11,7 @@ use super::{
     frame::{Colours, Component},
     survey::Survey,
 };
-use crate::image_message::MAX_SIDE;
+use crate::limits::MAX_SIDE;
 
 /// Decodes a picture that was surveyed.
 pub(super) fn decode(data: &[u8], survey: &Survey) -> Result<RgbImage, JpegError> {

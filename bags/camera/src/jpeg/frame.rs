@@ -1,7 +1,7 @@
 //! The frame header of a JPEG: size and layout of its components (ITU-T T.81, B.2.2).
 
 use super::JpegError;
-use crate::image_message::MAX_SIDE;
+use crate::limits::MAX_SIDE;
 
 /// How the components of a pixel are coded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -5,7 +5,7 @@ use std::{
 
 use serde::Deserialize;
 
-use crate::{ImportError, episode::VALUES};
+use crate::{ImportError, mapping::VALUES};
 
 /// Joints of the arm.
 const JOINTS: usize = 7;

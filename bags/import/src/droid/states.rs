@@ -2,8 +2,8 @@
 
 use crate::{
     ActionMapping, GripperRange,
-    episode::{Joints, Recorded, VALUES},
-    mapping::motions,
+    episode::{Joints, Recorded},
+    mapping::{VALUES, motions},
 };
 
 /// The cameras of DROID in the order of the videos, as its own names shortened to ROS namespaces: `exterior_1_left`,

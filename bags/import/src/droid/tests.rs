@@ -6,9 +6,8 @@ use serde_json::{Value, json};
 
 use super::*;
 use crate::{
-    ImportOptions,
-    episode::VALUES,
-    import_droid,
+    ImportOptions, import_droid,
+    mapping::VALUES,
     mp4_npz::tests::video,
     testing::{assert_shards_join, shard},
 };

@@ -1,7 +1,7 @@
 use std::path::Path;
 
 use super::arrays::{Arrays, Label};
-use crate::{ImportError, episode::VALUES};
+use crate::{ImportError, mapping::VALUES};
 
 /// Position deltas are stored times this (per m), rotation deltas times the other (per rad).
 const POSITION_SCALE: f32 = 35.0;

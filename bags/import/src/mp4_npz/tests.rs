@@ -18,9 +18,8 @@ use zip::{ZipWriter, write::SimpleFileOptions};
 
 use super::*;
 use crate::{
-    ImportOptions,
-    episode::VALUES,
-    import_bridge,
+    ImportOptions, import_bridge,
+    mapping::VALUES,
     testing::{assert_shards_join, shard},
 };
 

@@ -7,7 +7,8 @@ use super::{Content, Example, Pictures};
 use crate::{
     ActionMapping,
     droid::states::{CAMERAS, of_states},
-    episode::{Camera, VALUES},
+    episode::Camera,
+    mapping::VALUES,
 };
 
 const POSE: &str = "steps/observation/cartesian_position";
