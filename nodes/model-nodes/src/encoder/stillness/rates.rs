@@ -7,10 +7,12 @@ const SPAN_NS: i64 = 2_000_000_000;
 /// Frames that are judged at least, and at most.
 const LEAST: usize = 8;
 const MOST: usize = 256;
-/// New frames that a steady rate is told by at least.
+/// New frames that a steady rate needs at least.
 const LEAST_NEW: usize = 4;
 /// Repetitions of one picture in a row beyond which it is no rate but a stop.
 const MOST_REPEATS: usize = 4;
+/// New frames with repetitions after them that a steady rate needs at least.
+const LEAST_RUNS: usize = 3;
 /// Part of the frames that repeat from which the rate is named.
 const REPEATED: f64 = 0.2;
 
@@ -57,21 +59,25 @@ impl Rates {
     }
 
     /// Whether new frames come steadily between repeated ones: a camera that is published faster than it takes pictures,
-    /// and not one that has stopped.
+    /// and not one that has stopped, or a scene that is still between motions.
     pub fn is_repeating(&self) -> bool {
-        let is_enough = self.0.len() >= LEAST;
         let repeats = self.0.iter().filter(|(_, is_new)| !is_new).count();
         let news = self.0.len() - repeats;
-        let mut run = 0;
-        let mut longest = 0;
+        if self.0.len() < LEAST
+            || news < LEAST_NEW
+            || (repeats as f64) < REPEATED * self.0.len() as f64
+        {
+            return false;
+        }
+        // A camera's rate has about as many repetitions after each new frame.
+        let most = (repeats.div_ceil(news) + 1).min(MOST_REPEATS);
+        let (mut run, mut longest, mut runs) = (0, 0, 0);
         for (_, is_new) in &self.0 {
             run = if *is_new { 0 } else { run + 1 };
             longest = longest.max(run);
+            runs += usize::from(run == 1);
         }
-        is_enough
-            && news >= LEAST_NEW
-            && repeats as f64 >= REPEATED * self.0.len() as f64
-            && longest <= MOST_REPEATS
+        runs >= LEAST_RUNS && longest <= most
     }
 
     pub fn clear(&mut self) {
@@ -109,6 +115,25 @@ mod tests {
         assert!(!rates(90, |index| index < 60).is_repeating());
         assert!(!rates(90, |index| index > 60).is_repeating());
         assert_eq!(rates(5, |_| true).rate(), None);
+    }
+
+    #[test]
+    fn a_scene_that_is_still_between_motions_is_no_rate() {
+        // 5 Hz: the arm moves for 1.4 s and rests for 0.8 s
+        let mut rates = Rates::default();
+        for index in 0..200 {
+            rates.push(index * 200_000_000, index % 11 < 7);
+            assert!(!rates.is_repeating(), "{index}");
+        }
+    }
+
+    #[test]
+    fn a_camera_that_stops_has_no_lower_rate_before() {
+        let mut rates = rates(90, |_| true);
+        for index in 90..150 {
+            rates.push(index * 1_000_000_000 / 30, false);
+            assert!(!rates.is_repeating(), "{index}");
+        }
     }
 
     #[test]
