@@ -9,6 +9,8 @@
 //! - ros2-client's own node and spinner are not used: its `/clock` has the wrong type, its parameters no
 //!   descriptors, and its spinner keeps the participant alive;
 //! - large messages go in parts ([`parts`]), since their bursts overflow the receive buffers of Linux;
+//! - large messages that readers of other implementations miss are sent again ([`resend`]), since rustdds repairs them
+//!   too slowly;
 //! - large answers are sent by ourselves ([`wire`]), since rustdds spoils them;
 //! - a participant's writers and readers are connected here ([`local`]), since rustdds does not do it on loopback;
 //! - what is believed of the graph is compared with what rustdds knows ([`reconcile`]), since its events may be lost;
@@ -44,6 +46,7 @@ mod qos;
 mod reader;
 mod reconcile;
 mod rematch;
+mod resend;
 mod rtps;
 mod second;
 mod shared;

@@ -369,8 +369,8 @@ impl State {
                     subject: format!("{MESSAGE_SIZE} of {topic}"),
                     level: Level::Warn,
                     message: format!(
-                        "{} subscriber(s) of another DDS implementation may miss messages of {len} bytes: on their machine, \
-                         set net.core.rmem_max and net.core.rmem_default to 4194304 (docs/networking.md)",
+                        "{} subscriber(s) of another DDS implementation may receive messages of {len} bytes late, or miss them by \
+                         best effort: on their machine, set net.core.rmem_max and net.core.rmem_default to 4194304 (docs/networking.md)",
                         graph.foreign(id)
                     ),
                 });

@@ -8,11 +8,15 @@
 //! repairs for these whatever they miss.
 
 use super::{codec::Raw, lock::lock, window::Window};
-use crate::backend::EndpointId;
+use crate::backend::{EndpointId, RequestId};
 use bytes::Bytes;
 use futures::{FutureExt as _, future::BoxFuture, task::noop_waker_ref};
 use rustdds::{
-    Publisher, QosPolicies, RTPSEntity as _, Topic, dds::result::CreateResult, no_key::DataWriter,
+    GUID, Publisher, QosPolicies, RTPSEntity as _, SequenceNumber, Timestamp, Topic,
+    WriteOptionsBuilder,
+    dds::result::{CreateResult, WriteError},
+    no_key::DataWriter,
+    rpc::SampleIdentity,
 };
 use std::{
     collections::BTreeMap,
@@ -68,6 +72,27 @@ impl Line {
 
     pub(super) const fn writer(&self) -> &Arc<DataWriter<Bytes, Raw>> {
         &self.writer
+    }
+
+    /// Sends a sample; its number.
+    pub(super) fn write(
+        &mut self,
+        sample: &Bytes,
+        answers: Option<RequestId>,
+        written: Timestamp,
+    ) -> Result<i64, WriteError<Bytes>> {
+        let related = answers.map(|request| SampleIdentity {
+            writer_guid: GUID::from_bytes(request.client),
+            sequence_number: SequenceNumber::from(request.sequence),
+        });
+        let options = WriteOptionsBuilder::new()
+            .source_timestamp(written)
+            .related_sample_identity_opt(related)
+            .build();
+        let identity = self.writer.write_with_options(sample.clone(), options)?;
+        let number = identity.sequence_number.into();
+        self.window.wrote(number, sample.len());
+        Ok(number)
     }
 
     /// Updates the window by what the readers have acknowledged; whether they have acknowledged something.

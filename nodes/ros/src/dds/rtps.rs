@@ -1,9 +1,10 @@
 //! The RTPS messages that this runtime writes itself (DDSI-RTPS 2.5, chapter 9.4), where rustdds 0.15.1 falls short.
-//! [`super::wire`], [`super::introduction`] and [`super::lease`] send them and say why.
+//! [`super::wire`], [`super::resend`], [`super::introduction`] and [`super::lease`] send them and say why.
 
 use super::parts::{Peer, peer_of};
 use crate::backend::{EndpointId, RequestId};
 use bytes::{BufMut as _, Bytes, BytesMut};
+use rustdds::Timestamp;
 use std::net::Ipv4Addr;
 
 /// `RTPS`, and version 2.4 of the protocol.
@@ -12,6 +13,7 @@ const MAGIC: [u8; 6] = [b'R', b'T', b'P', b'S', 2, 4];
 const INFO_TS: u8 = 0x09;
 const INFO_DST: u8 = 0x0e;
 const DATA: u8 = 0x15;
+const DATA_FRAG: u8 = 0x16;
 
 const LITTLE_ENDIAN: u8 = 0x01;
 /// DATA: inline QoS follows.
@@ -49,6 +51,11 @@ const UDP_V4: u32 = 1;
 
 /// Bytes of a DATA submessage between its field of that name and the inline QoS.
 const OCTETS_TO_INLINE_QOS: u16 = 16;
+
+/// The same of a DATA_FRAG submessage.
+const OCTETS_TO_INLINE_QOS_OF_FRAGMENTS: u16 = 28;
+/// The fragments of rustdds 0.15.1 \[byte\].
+pub(super) const FRAGMENT: usize = 256;
 
 /// The largest datagram that Fast DDS and Cyclone DDS receive \[byte\]; UDP itself takes 7 bytes more.
 const LARGEST_DATAGRAM: usize = 65_500;
@@ -88,6 +95,55 @@ pub(super) fn answer(
     message.put_u16_le(PID_SENTINEL);
     message.put_u16_le(0);
     message.put_slice(sample);
+    message.freeze()
+}
+
+/// Some fragments of a sample.
+pub(super) struct Fragments {
+    /// In the writer's numbering.
+    pub(super) number: i64,
+    /// When the sample was written.
+    pub(super) time: Timestamp,
+    /// Number of the first fragment; that of the sample's first is 1.
+    pub(super) first: u32,
+    /// Fragments; the sample may end before.
+    pub(super) count: u16,
+}
+
+/// Fragments of `sample` (CDR with its header) for `reader` (8.3.8.3), empty past its end.
+pub(super) fn fragments(
+    writer: &EndpointId,
+    reader: &EndpointId,
+    fragments: &Fragments,
+    sample: &[u8],
+) -> Bytes {
+    let Fragments {
+        number,
+        time,
+        first,
+        count,
+    } = fragments;
+    let begin_at = (*first as usize).saturating_sub(1) * FRAGMENT;
+    let rest = sample.get(begin_at..).unwrap_or_default();
+    let payload = rest.get(..FRAGMENT * usize::from(*count)).unwrap_or(rest);
+    let count = payload.len().div_ceil(FRAGMENT) as u16; // at most `count`
+    let mut message = begin(writer, &peer_of(reader));
+    submessage(&mut message, INFO_TS, LITTLE_ENDIAN, 8);
+    let ticks = time.to_ticks();
+    message.put_u32_le((ticks >> 32) as u32);
+    message.put_u32_le(ticks as u32);
+    // 0: as far as the message goes
+    submessage(&mut message, DATA_FRAG, LITTLE_ENDIAN, 0);
+    message.put_u16_le(0);
+    message.put_u16_le(OCTETS_TO_INLINE_QOS_OF_FRAGMENTS);
+    message.put_slice(&reader[12..]);
+    message.put_slice(&writer[12..]);
+    put_number(&mut message, *number);
+    message.put_u32_le(*first);
+    message.put_u16_le(count);
+    message.put_u16_le(FRAGMENT as u16);
+    message.put_u32_le(sample.len() as u32); // what RTPS can express
+    message.put_slice(payload);
     message.freeze()
 }
 

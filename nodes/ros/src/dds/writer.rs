@@ -10,6 +10,7 @@ use super::{
     one_way::Waiting,
     parts::{Keep, LARGEST, Offered, peer_of},
     reconcile::Own,
+    resend::{Care, LargeSample},
     rtps::LARGEST_ANSWER,
     shared::{Shared, is_foreign},
     wire::Answer,
@@ -23,9 +24,8 @@ use crate::{
 use bytes::Bytes;
 use futures::future::BoxFuture;
 use rustdds::{
-    GUID, SequenceNumber, Timestamp, WriteOptionsBuilder,
+    Timestamp,
     dds::result::{CreateResult, WriteError},
-    rpc::SampleIdentity,
 };
 use std::{
     collections::VecDeque,
@@ -50,6 +50,9 @@ pub(super) struct DdsWriter {
     waiting: WaitingRoom,
 }
 
+/// A reader that has acknowledged nothing for this long is not waiting for fragments.
+const STUCK: Duration = Duration::from_secs(2);
+
 /// How long a retired DDS writer waits for readers that take large messages.
 const PARTS_RETIREMENT: Duration = Duration::from_secs(10);
 
@@ -66,6 +69,7 @@ struct WriterCore {
     is_topic: bool,
     is_reliable: bool,
     is_latched: bool,
+    care: Care,
     /// Held while a sample is sent, so that all readers get them in one order.
     sent: Mutex<Sent>,
     /// Samples of retired DDS writers that some reader never took, and that were not reported yet.
@@ -282,7 +286,14 @@ impl WriterCore {
         if self.is_latched {
             now = sent.stamps.next(now);
         }
-        let number = match write(&mut sent.line, sample, answers, now) {
+        let large = match self.is_topic && self.is_reliable && !sent.waiting.is_long(STUCK) {
+            true => LargeSample::of(sent.line.id(), sent.line.window.last() + 1, now, sample),
+            false => None,
+        };
+        if let Some(large) = &large {
+            self.shared.send_ahead(large, &self.care);
+        }
+        let number = match sent.line.write(sample, answers, now) {
             Ok(number) => number,
             Err(WriteError::WouldBlock { .. }) => return Ok(Written::WindowFull),
             Err(error) => {
@@ -292,6 +303,9 @@ impl WriterCore {
         };
         if !self.is_reliable {
             sent.line.window.acknowledged(number);
+        } else if let Some(large) = large {
+            let writer = Arc::downgrade(sent.line.writer());
+            self.shared.resend(writer, large, &self.care);
         }
         if self.is_latched {
             sent.history.push_back((sample.clone(), now));
@@ -370,7 +384,7 @@ impl WriterCore {
         let (old, new) = (sent.line.id(), successor.id());
         for (sample, written) in &sent.history {
             // late readers want them; those of this suite know the time, and do not take them twice
-            if let Err(error) = write(&mut successor, sample, None, *written) {
+            if let Err(error) = successor.write(sample, None, *written) {
                 tracing::debug!("{}: {error}", self.endpoint.name);
             }
         }
@@ -387,27 +401,6 @@ impl WriterCore {
         failure.watch(&self.runtime, "retired writers", retirement);
         self.shared.changed();
     }
-}
-
-/// Sends a sample on a DDS writer; its number.
-fn write(
-    line: &mut Line,
-    sample: &Bytes,
-    answers: Option<RequestId>,
-    written: Timestamp,
-) -> Result<i64, WriteError<Bytes>> {
-    let related = answers.map(|request| SampleIdentity {
-        writer_guid: GUID::from_bytes(request.client),
-        sequence_number: SequenceNumber::from(request.sequence),
-    });
-    let options = WriteOptionsBuilder::new()
-        .source_timestamp(written)
-        .related_sample_identity_opt(related)
-        .build();
-    let identity = line.writer().write_with_options(sample.clone(), options)?;
-    let number = identity.sequence_number.into();
-    line.window.wrote(number, sample.len());
-    Ok(number)
 }
 
 /// Keeps a DDS writer for what its readers have not taken, and then drops it.
@@ -447,6 +440,7 @@ impl DdsWriter {
             is_topic: endpoint.channel == Channel::Topic,
             is_reliable: qos.reliability == Reliability::Reliable,
             is_latched: qos.durability == Durability::TransientLocal,
+            care: Care::default(),
             sent: Mutex::new(Sent {
                 line,
                 successor: None,

@@ -110,6 +110,10 @@ fn station() {
 enum Other {
     Wm,
     Rclpy,
+    /// With a stream of small messages of its own.
+    RclpyListens,
+    /// And on the first one: what the network and the machine allow.
+    RclpyOnBoth,
 }
 
 /// A station on each host.
@@ -129,34 +133,35 @@ impl Pair {
         stream: (f64, usize),
     ) -> Self {
         let (rate, size) = stream;
-        let argument = |own, other, at| format!("{own} {other} {at} {rate} {size}");
-        let on = Network::on(&network.first);
-        let first = role(
-            &on,
-            "hosts::station",
-            domain,
-            &argument("first", "second", at[0]),
-        );
-        let on = Network::on(&network.second);
+        let wm = |host: &str, [own, peer]: [&str; 2], at: &str| {
+            let argument = format!("{own} {peer} {at} {rate} {size}");
+            role(&Network::on(host), "hosts::station", domain, &argument)
+        };
+        let rclpy = |host: &str, [own, peer]: [&str; 2]| {
+            let size = match other {
+                Other::RclpyListens => 1000,
+                Other::Wm | Other::Rclpy | Other::RclpyOnBoth => size,
+            };
+            let words = [own, peer, &rate.to_string(), &size.to_string()];
+            let python = rclpy(peers, domain, "station.py", &words);
+            let on = Network::on(host);
+            let mut command = std::process::Command::new(on[0]);
+            command
+                .args(&on[1..])
+                .arg(python.get_program())
+                .args(python.get_args())
+                .env("ROS_DOMAIN_ID", domain.to_string())
+                .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET");
+            command
+        };
+        let (forth, back) = (["first", "second"], ["second", "first"]);
+        let first = match other {
+            Other::Wm | Other::Rclpy | Other::RclpyListens => wm(&network.first, forth, at[0]),
+            Other::RclpyOnBoth => rclpy(&network.first, forth),
+        };
         let second = match other {
-            Other::Wm => role(
-                &on,
-                "hosts::station",
-                domain,
-                &argument("second", "first", at[1]),
-            ),
-            Other::Rclpy => {
-                let words = ["second", "first", &rate.to_string(), &size.to_string()];
-                let python = rclpy(peers, domain, "station.py", &words);
-                let mut command = std::process::Command::new(on[0]);
-                command
-                    .args(&on[1..])
-                    .arg(python.get_program())
-                    .args(python.get_args())
-                    .env("ROS_DOMAIN_ID", domain.to_string())
-                    .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET");
-                command
-            }
+            Other::Wm => wm(&network.second, back, at[1]),
+            Other::Rclpy | Other::RclpyListens | Other::RclpyOnBoth => rclpy(&network.second, back),
         };
         let stations = [first, second].map(Process::start);
         let mut pair = Self {
@@ -231,18 +236,25 @@ impl Pair {
     }
 }
 
-/// For so long, no message of either side is lost.
-fn nothing_is_lost(pair: &mut Pair, name: &str, length: Duration) {
+/// Messages that each side received, and those that were sent to it, for so long.
+fn count(pair: &mut Pair, name: &str, length: Duration) -> [[u32; 2]; 2] {
     let begin = pair.look();
     std::thread::sleep(length);
     let end = pair.look();
     println!("{name}: {begin:?} to {end:?}");
-    for (receiver, sender) in [(0, 1), (1, 0)] {
+    [(0, 1), (1, 0)].map(|(receiver, sender)| {
         let came = end[receiver].came - begin[receiver].came;
         let sent = end[sender].sent - begin[sender].sent;
+        assert_eq!(end[receiver].lost, begin[receiver].lost, "{name}: {end:?}");
+        [came, sent]
+    })
+}
+
+/// For so long, no message of either side is lost.
+fn nothing_is_lost(pair: &mut Pair, name: &str, length: Duration) {
+    for [came, sent] in count(pair, name, length) {
         // what was under way at either end
         assert!(came + 20 > sent, "{name}: {came} of {sent}");
-        assert_eq!(end[receiver].lost, begin[receiver].lost, "{name}: {end:?}");
     }
 }
 
@@ -271,6 +283,12 @@ fn two_hosts_lose_nothing_in_a_minute() {
             Other::Rclpy,
             SUBNET,
             (30.0, 48 * KIB),
+        ),
+        (
+            "wm and rclpy, every interface, 512 KiB",
+            Other::Rclpy,
+            SUBNET,
+            (5.0, 512 * KIB),
         ),
     ];
     side_by_side(&peers, &cases, |pair, name| {
@@ -346,22 +364,48 @@ fn every_cut_ends_with_the_network() {
     assert_eq!(failed, 0);
 }
 
-/// Two minutes at every rate and size.
+/// Two minutes at every rate and size, one after the other; `STREAMS` chooses some: `STREAMS="Wm SUBNET"`.
 #[test]
-#[ignore = "long: cargo test -p wm_ros --test peers -- --ignored two_minutes"]
+#[ignore = "long: cargo test -p wm_ros --test peers -- --ignored two_minutes --nocapture"]
 fn two_hosts_lose_nothing_in_two_minutes() {
     let Some(peers) = peers() else { return };
-    for other in [Other::Wm, Other::Rclpy] {
+    let wanted = std::env::var("STREAMS").unwrap_or_default();
+    let mut failed = Vec::new();
+    let others = [
+        Other::Wm,
+        Other::RclpyListens,
+        Other::Rclpy,
+        Other::RclpyOnBoth,
+    ];
+    for other in others {
         for at in [SUBNET, NAMED] {
-            for size in [48 * KIB, 512 * KIB] {
-                let name: &'static str = format!("{other:?} {at:?} {size} bytes").leak();
-                let cases = [5.0, 30.0].map(|rate| (name, other, at, (rate, size)));
-                side_by_side(&peers, &cases, |pair, name| {
-                    nothing_is_lost(pair, name, Duration::from_secs(120));
+            for (size, rate) in [(48, 5.0), (48, 30.0), (512, 5.0), (512, 30.0)] {
+                let name = format!("{other:?} {} {size} KiB {rate} Hz", at[0]);
+                let words: Vec<&str> = name.split(' ').collect();
+                if !wanted.split_whitespace().all(|word| words.contains(&word)) {
+                    continue;
+                }
+                let Some(network) = Network::new() else {
+                    return;
+                };
+                let stream = (rate, size * KIB);
+                let run = std::panic::AssertUnwindSafe(|| {
+                    let mut pair = Pair::start(network, &peers, domain(3), other, at, stream);
+                    let length = Duration::from_secs(120);
+                    match other {
+                        Other::Wm | Other::RclpyListens | Other::Rclpy => {
+                            nothing_is_lost(&mut pair, &name, length);
+                        }
+                        Other::RclpyOnBoth => drop(count(&mut pair, &name, length)),
+                    }
                 });
+                if std::panic::catch_unwind(run).is_err() {
+                    failed.push(name);
+                }
             }
         }
     }
+    assert!(failed.is_empty(), "messages were lost: {failed:?}");
 }
 
 /// Runs as a node does, and prints the error that ends it.
