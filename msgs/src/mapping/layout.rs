@@ -2,7 +2,7 @@ use super::{ConvertError, DEPTH_LIMIT, MappingError, input::Input, output::Outpu
 use crate::{FieldType, TypeDescription};
 use std::collections::HashMap;
 
-/// What a number is in CDR.
+/// The type of a number in CDR.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Scalar {
     Bool,
@@ -106,11 +106,11 @@ impl Layout {
         })
     }
 
-    /// Whether these bytes, CDR with its header, are one message of this type: no byte more or less, but for up to three of
+    /// That these bytes, CDR with its header, are one message of this type: no byte more or less, except for up to three of
     /// padding.
     ///
     /// # Errors
-    /// Says what differs.
+    /// [`ConvertError`] names the difference.
     pub fn check(&self, bytes: &[u8]) -> Result<(), ConvertError> {
         let mut input = Input::open(bytes)?;
         self.skip_structure(0, &mut input, 0)?;
@@ -135,7 +135,7 @@ impl Layout {
         Ok(())
     }
 
-    /// Moves the input behind a field. Each element takes at least a byte, so that this ends.
+    /// Skips a field of the input. Each element takes at least a byte, so that this ends.
     pub(super) fn skip(
         &self,
         member: &Member,
