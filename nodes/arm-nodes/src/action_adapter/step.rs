@@ -44,7 +44,7 @@ pub struct Settings {
     pub period: Duration,
     /// Longest time from one pose to the next; a velocity holds for so long.
     pub timeout: Duration,
-    /// How fast the arm can be: what is faster is no motion of it.
+    /// The greatest speeds of the arm: faster poses and twists are dropped.
     pub speeds: Speeds,
     /// Where motions come from.
     pub source: MotionSource,

@@ -23,7 +23,7 @@ use wm_ros::{
     complaints::Complaints,
 };
 
-use crate::hear::next;
+use crate::optional::next;
 
 use super::{
     Cause, Command, ExecutorStep, Moment, Output, Refusal, Source, State, Status, StopSources,

@@ -340,7 +340,7 @@ fn poses_that_stay_where_they_leapt_to_begin_anew() {
 
 /// Other transforms come between those of the arm, and each message is followed.
 #[test]
-fn transforms_that_leap_are_counted_once_and_not_given() {
+fn transforms_that_leap_are_counted_once_and_not_published() {
     let send = |adapter: &mut AdapterStep, frame: TransformStamped| {
         let message = TFMessage {
             transforms: vec![frame],
