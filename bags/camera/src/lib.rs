@@ -10,6 +10,7 @@ pub mod goal;
 pub mod image_message;
 pub mod jpeg;
 pub mod raw_image;
+pub mod recent_pictures;
 pub mod signature;
 pub mod transport;
 #[cfg(feature = "video")]
