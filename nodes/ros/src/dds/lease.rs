@@ -3,8 +3,8 @@
 //! - **A participant loses itself**: it knows itself by its own announcements, which multicast brings back, and by their
 //!   lease of 50 s. It announces itself where it knows participants, so that once the network has been gone for that
 //!   long, it never announces itself again. So it gets a sign of life from here.
-//! - **It announces itself every 10 s only**, and at once when it meets a participant. So that others meet it again sooner
-//!   after a cut, it meets nobody every few seconds.
+//! - **It announces itself every 10 s only**, and at once when it discovers a participant. So that others discover it
+//!   sooner after a cut, it discovers a fictitious participant every few seconds.
 //! - **A participant of Fast DDS that was lost is never met again**: its announcements all have the number 1, and rustdds
 //!   takes each number once, for as long as it is among the last 64 announcements of all participants. So when a lease
 //!   has run out, these are displaced.
@@ -12,7 +12,7 @@
 //!   again**: rustdds takes its readers to have them. Packets that are lost in one direction do that. So the lease of a
 //!   participant that has acknowledged nothing for longer than the lease here is ended, and it is met anew.
 //!
-//! All this goes to the participant of this process only, in its own name or in that of nobody.
+//! All this is sent to the participant of this process only, in its own name or in that of the fictitious participant.
 
 use super::{parts::Peer, rtps};
 use crate::backend::EndpointId;
@@ -35,13 +35,13 @@ pub(super) struct OwnPort {
     socket: UdpSocket,
     own: EndpointId,
     to: SocketAddr,
-    /// Of the last announcement of nobody.
+    /// Of the fictitious participant's last announcement.
     number: AtomicI64,
 }
 
 impl OwnPort {
-    /// `address`: of the interface that it uses, since what comes from loopback would make rustdds send to itself by
-    /// loopback alone. `port`: where it receives announcements.
+    /// `address`: of the interface that it uses. If it received from loopback, rustdds would send to itself by loopback
+    /// alone. `port`: where it receives announcements.
     pub(super) fn new(own: EndpointId, address: Ipv4Addr, port: u16) -> io::Result<Self> {
         let socket = UdpSocket::bind((address, 0))?;
         socket.set_nonblocking(true)?;
@@ -55,7 +55,7 @@ impl OwnPort {
         })
     }
 
-    /// Has rustdds forget the announcements that it has taken.
+    /// Displaces the announcements that rustdds remembers.
     pub(super) fn forget_announcements(&self) {
         let last = self.number.fetch_add(REMEMBERED, Ordering::Relaxed);
         let numbers = (last + 1)..=(last + REMEMBERED);

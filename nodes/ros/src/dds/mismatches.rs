@@ -17,12 +17,12 @@ const LIMIT: usize = 1024;
 pub(super) struct Mismatches {
     /// In words, by own endpoint and other.
     known: Mutex<BTreeMap<(EndpointId, EndpointId), String>>,
-    /// Own readers beside which others take what their reliability or durability excludes.
+    /// Own readers with siblings in the same subscription, which receive from the publishers that they exclude.
     tolerant: Mutex<BTreeSet<EndpointId>>,
 }
 
 impl Mismatches {
-    /// What this reader's reliability or durability excludes, another one of the same subscription takes.
+    /// A sibling of this reader receives from the publishers that its reliability or durability excludes.
     pub(super) fn tolerate(&self, own: EndpointId) {
         lock(&self.tolerant).insert(own);
         // No other mismatch of so new a reader can be known yet.
@@ -110,7 +110,7 @@ impl Mismatches {
         }
     }
 
-    /// What keeps others from this endpoint.
+    /// Why other endpoints are not connected to this one.
     pub(super) fn of(&self, own: &EndpointId) -> Vec<String> {
         let known = lock(&self.known);
         let of_own = known.iter().filter(|((endpoint, _), _)| endpoint == own);
@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn a_reader_with_siblings_tolerates_what_they_take() {
+    fn a_reader_with_siblings_has_no_mismatch_of_reliability() {
         let mismatches = Mismatches::default();
         let (wants, offers) = (
             qos::for_reader(Qos::reliable(1)),
