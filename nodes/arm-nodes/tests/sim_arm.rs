@@ -350,7 +350,7 @@ async fn told(here: &Context) {
 async fn as_fast_as_it_is_answered_it_does_what_the_environment_does() {
     let running = context(3);
     let words = format!(
-        "--ros-args -p task:=reach -p seed:={SEED} -p image_transport:=raw -p real_time_factor:=0.0 -p \
+        "--ros-args -p task:=reach -p seed:={SEED} -p image_transport:=raw -p real_time_factor:=0.0 -p noise:=0.0 -p \
          command_timeout:=60.0"
     );
     let thread = start(&running, "sim_arm", &words, sim_arm::body);
