@@ -183,7 +183,7 @@ impl Mapping {
         Ok(number)
     }
 
-    /// Writes the struct at the input's place in our layout; the input stands behind it then.
+    /// Reads a struct in their layout and writes it in ours.
     fn structure(
         &self,
         number: usize,
@@ -266,7 +266,7 @@ impl Mapping {
     }
 }
 
-/// Whether every value of their field has a place in ours.
+/// Whether our field holds every value of theirs.
 fn fits(theirs: &Member, ours: &Member) -> bool {
     let container = match (theirs.container, ours.container) {
         (Container::One, Container::One) => true,

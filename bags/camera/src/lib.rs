@@ -12,6 +12,7 @@ pub mod image_message;
 pub mod jpeg;
 mod limits;
 pub mod raw_image;
+pub mod recent_pictures;
 pub mod signature;
 pub mod transport;
 #[cfg(feature = "video")]

@@ -55,7 +55,7 @@ fn at(field: &str) -> String {
     }
 }
 
-/// Why bytes are not a message of a definition, or have no place in another.
+/// Why bytes are not a message of a definition, or do not fit another.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ConvertError {

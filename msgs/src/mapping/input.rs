@@ -51,7 +51,7 @@ impl<'a> Input<'a> {
         self.at = place;
     }
 
-    /// That nothing but padding is left.
+    /// That only padding is left.
     pub fn end(&self) -> Result<(), ConvertError> {
         let length = self.body.len();
         if length.saturating_sub(self.at) > MOST_PADDING {
@@ -90,7 +90,7 @@ impl<'a> Input<'a> {
         }
         match self.is_little {
             true => u64::from_le_bytes(value),
-            // The bytes stand at the front.
+            // They are the first bytes of the value.
             false => u64::from_be_bytes(value) >> (8 * (8 - bytes.len().clamp(1, 8))),
         }
     }
@@ -122,13 +122,13 @@ impl<'a> Input<'a> {
         }
     }
 
-    /// Moves behind numbers of this size.
+    /// Skips numbers of this size.
     pub fn skip(&mut self, size: usize, count: u64) -> Result<(), ConvertError> {
         self.bytes(size, count.saturating_mul(size as u64))
             .map(drop)
     }
 
-    /// Copies numbers, as wider ones where the target has those.
+    /// Copies numbers, as wider ones if the target's are wider.
     pub fn scalars(
         &mut self,
         from: Scalar,
@@ -138,7 +138,7 @@ impl<'a> Input<'a> {
     ) -> Result<(), ConvertError> {
         let size = from.size();
         let bytes = self.bytes(size, count.saturating_mul(size as u64))?;
-        // Of the same size are only equal types, and byte beside uint8.
+        // Types of one size are equal, or byte and uint8.
         if size == to.size() && (self.is_little || size == 1) {
             return output.bytes(size, bytes);
         }

@@ -74,11 +74,11 @@ impl Layout {
         })
     }
 
-    /// Whether these bytes, CDR with its header, are one message of this type: no byte more or less, but for up to three of
+    /// That these bytes, CDR with its header, are one message of this type: no byte more or less, except for up to three of
     /// padding.
     ///
     /// # Errors
-    /// Says what differs.
+    /// [`ConvertError`] names the difference.
     pub fn check(&self, bytes: &[u8]) -> Result<(), ConvertError> {
         let mut input = Input::open(bytes)?;
         self.skip_structure(0, &mut input, 0)?;
@@ -103,7 +103,7 @@ impl Layout {
         Ok(())
     }
 
-    /// Moves the input behind a field. Each element takes at least a byte, so that this ends.
+    /// Skips a field of the input. Each element takes at least a byte, so that this ends.
     pub(super) fn skip(
         &self,
         member: &Member,

@@ -3,7 +3,7 @@ use super::{
     scalar::{Number, Scalar},
 };
 
-/// Far more than any message of this suite, and what a hostile bag can make of a small one.
+/// Far more than any message of this suite. Without it, a hostile bag could make a small message as large as it likes.
 const LARGEST: usize = 512 << 20;
 /// Little-endian plain CDR of version 1.
 const HEADER: [u8; 4] = [0, 1, 0, 0];

@@ -1,4 +1,4 @@
-/// What a number is in CDR.
+/// The type of a number in CDR.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Scalar {
     Bool,

@@ -67,7 +67,7 @@ impl Time {
         Self { sec, nanosec }
     }
 
-    /// Nanoseconds since the epoch, of a message that somebody else has sent.
+    /// Nanoseconds since the epoch, of a received message.
     ///
     /// # Errors
     /// [`InvalidNanoseconds`].
@@ -88,7 +88,7 @@ impl Duration {
         Self { sec, nanosec }
     }
 
-    /// The span in nanoseconds, of a message that somebody else has sent.
+    /// The span in nanoseconds, of a received message.
     ///
     /// # Errors
     /// [`InvalidNanoseconds`].

@@ -4,11 +4,11 @@
 use super::DescriptionError;
 use std::collections::BTreeMap;
 
-/// Typedefs of typedefs, of which rosidl makes none.
+/// Typedefs of typedefs, of which rosidl makes none, and modules within modules, of which it makes two.
 const DEPTH_LIMIT: usize = 16;
 
 /// Reads IDL text with one struct or more; gives name (`package/msg/Type`) and `.msg` text of each. Annotations, constants,
-/// comments and lines of the preprocessor are passed over.
+/// comments and lines of the preprocessor are skipped.
 ///
 /// # Errors
 /// Text that is no IDL, or a type that `.msg` text cannot express (unions, maps, arrays of arrays).
@@ -26,8 +26,7 @@ pub fn idl_definitions(text: &str) -> Result<Vec<(String, String)>, DescriptionE
     Ok(parser.structs)
 }
 
-/// Words, and everything else character by character. Texts in quotes become one token, as they stand only in annotations
-/// and constants.
+/// Words, and all other characters one by one. A text in quotes becomes one token: only annotations and constants have any.
 fn tokens(text: &str) -> Vec<String> {
     let mut tokens = Vec::new();
     let mut rest = text;
@@ -116,6 +115,9 @@ impl Parser {
             }
             "module" => {
                 let name = self.next()?;
+                if self.scope.len() >= DEPTH_LIMIT {
+                    return Err(wrong("fewer modules within modules", &name));
+                }
                 self.scope.push(name);
                 self.expect("{")
             }
@@ -197,6 +199,10 @@ impl Parser {
         let text = match word.as_str() {
             "sequence" => {
                 self.expect("<")?;
+                // Not by recursion: a hostile bag may nest them without end.
+                if self.peek() == Some("sequence") {
+                    return Err(wrong("an array of one dimension", "sequence<sequence>"));
+                }
                 let element = self.field_type()?;
                 let limit = self.limit()?;
                 return joined(&element, &format!("[{limit}]"));
@@ -254,7 +260,7 @@ impl Parser {
         }
     }
 
-    /// What a typedef stands for, searched from the innermost module outwards; else the name of a message type.
+    /// The type of a typedef, searched from the innermost module outwards; else the name of a message type.
     fn resolved(&self, name: &str) -> String {
         let mut name = name.to_owned();
         for _ in 0..DEPTH_LIMIT {
@@ -381,6 +387,16 @@ module sensor_msgs {
             "}",
         ] {
             assert!(idl_definitions(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    /// They once overflowed the stack, or took hours.
+    #[test]
+    fn types_and_modules_nested_without_end_are_refused() {
+        let sequences = format!("struct T {{ {}octet x; }};", "sequence<".repeat(200_000));
+        let modules = "module a { ".repeat(200_000);
+        for text in [sequences, modules] {
+            assert!(idl_definitions(&text).is_err());
         }
     }
 

@@ -1,20 +1,21 @@
 //! The executor node: chunks and plans in, commands for an arm out.
 //!
 //! [`ExecutorStep`] is the node's whole behaviour without DDS and without a clock. It takes an offer (a chunk or a plan)
-//! only if it passes every check ([`Refusal`]), and at each [`ExecutorStep::tick`] says what to send ([`Output`]): the
-//! motion that the newest offer tells for the next command period, within limits of velocity and acceleration
-//! ([`Limits`]), of the workspace ([`Workspace`]) or the joints ([`Joints`]), and of the deadman switch ([`Deadman`]).
-//! What moves is an end effector or joints, by the [`Layout`] of the actions; the step knows only axes ([`Rates`]).
+//! only if it passes every check ([`Refusal`]). Each [`ExecutorStep::tick`] gives the command ([`Output`]): the motion of
+//! the newest offer in the next command period, within limits of velocity and acceleration ([`Limits`]), of the workspace
+//! ([`Workspace`]) or the joints ([`Joints`]), and of the deadman switch ([`Deadman`]). An end effector moves, or joints,
+//! by the [`Layout`] of the actions; the step knows only axes ([`Rates`]).
 //!
 //! Promises, each with a test:
-//! - Nothing is sent on the command topics before the node is armed, or after an emergency stop but zeros.
+//! - Before the node is armed, nothing is sent on the command topics; after an emergency stop, only zeros are.
 //! - Commanded velocity and acceleration never exceed their limits; the emergency stop alone is a step to zero.
-//! - Whatever is missing (the next chunk, the pose, the deadman, the clock, the camera) ends in zero velocity within
+//! - If an input is missing (the next chunk, the pose, the deadman, the clock, the camera), the arm stands still within
 //!   `stop_within`.
-//! - What is executed is no older than `max_age`, by the node's clock and by the monotonic one.
+//! - An offer is executed for at most `max_age` after its reception, by the node's clock and by real time. With
+//!   `command_clock` ros, real time counts once the node's clock stands still.
 //!
-//! It is no safety function: it runs on an ordinary computer and network. The arm's controller has to stop by itself
-//! where commands stay out.
+//! It is no safety function: it runs on an ordinary computer and network. The arm's controller has to stop by itself if
+//! commands fail to come.
 
 mod beat;
 mod bounds;

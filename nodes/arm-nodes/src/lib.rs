@@ -9,7 +9,7 @@
 pub mod action_adapter;
 mod displacement;
 pub mod executor;
-mod hear;
+mod optional;
 pub mod sim_arm;
 mod space;
 

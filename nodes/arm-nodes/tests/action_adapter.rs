@@ -2,44 +2,21 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
 
-use std::{collections::BTreeMap, thread::JoinHandle, time::Duration};
+mod running;
 
+use std::{collections::BTreeMap, time::Duration};
+
+use running::{context, node, start};
 use wm_arm_nodes::{action_adapter, sim_arm};
 use wm_msgs::{
     geometry_msgs::{PoseStamped, TwistStamped},
     std_msgs::Float64,
     wm_msgs::Action,
 };
-use wm_ros::{Context, Environment, Node, NodeArgs, Publisher, Qos, Reach, Subscription};
+use wm_ros::{Context, Publisher, Qos, Subscription};
 
 /// Far above anything that happens here; it only ends a test that hangs.
 const PATIENCE: Duration = Duration::from_secs(120);
-
-/// A domain for each test, so that tests neither meet each other nor another run of them.
-fn context(test: u16) -> Context {
-    let reach = Reach::Localhost;
-    let domain_id = 20 + (std::process::id() % 16) as u16 * 5 + test;
-    Context::new(&Environment { domain_id, reach }).unwrap()
-}
-
-/// A node at work.
-fn start(
-    context: &Context,
-    name: &'static str,
-    words: &str,
-    body: impl AsyncFnOnce(Node) -> anyhow::Result<()> + Send + 'static,
-) -> JoinHandle<anyhow::Result<()>> {
-    let context = context.clone();
-    let words = words.to_owned();
-    std::thread::spawn(move || {
-        let args = NodeArgs::parse(words.split_whitespace()).unwrap();
-        let node = Node::new(&context, name, wm_ros::NAMESPACE, &args)?;
-        tokio::runtime::Builder::new_current_thread()
-            .enable_all()
-            .build()?
-            .block_on(body(node))
-    })
-}
 
 #[tokio::test(flavor = "current_thread")]
 async fn its_actions_are_those_of_the_arm_by_poses_and_by_frames() {
@@ -77,8 +54,7 @@ async fn its_actions_are_those_of_the_arm_by_poses_and_by_frames() {
 }
 
 async fn compared(here: &Context) {
-    let args = NodeArgs::parse(std::iter::empty::<&str>()).unwrap();
-    let node = Node::new(here, "observer", wm_ros::NAMESPACE, &args).unwrap();
+    let node = node(here, "observer", "");
     let depth = Qos::reliable(100);
     let mut done: Subscription<Action> = node.subscription("action", depth).unwrap();
     let mut adapted: Subscription<Action> = node.subscription("adapted", depth).unwrap();

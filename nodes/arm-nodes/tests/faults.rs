@@ -3,11 +3,11 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
 
-use std::{
-    thread::JoinHandle,
-    time::{Duration, Instant},
-};
+mod running;
 
+use std::time::{Duration, Instant};
+
+use running::{context, node, start, with};
 use wm_arm_nodes::executor;
 use wm_msgs::{
     builtin_interfaces::{Duration as RosDuration, Time},
@@ -17,46 +17,24 @@ use wm_msgs::{
     std_srvs::{Outcome, SetBool, SetBoolRequest, Trigger, TriggerRequest},
     wm_msgs::{Action, ActionChunk, CameraState, ExecutorStatus},
 };
-use wm_ros::{Client, Context, Environment, Node, NodeArgs, Publisher, Qos, Reach, Subscription};
+use wm_ros::{Client, Node, Publisher, Qos, Subscription};
 
 /// Far above anything that happens here; it only ends a test that hangs.
 const PATIENCE: Duration = Duration::from_secs(120);
 /// When simulated clocks begin \[ns\].
 const BEGIN_NS: i64 = 1_700_000_000_000_000_000;
 
-fn context(test: u16) -> Context {
-    // Apart from the domains of this crate's other tests, and from another run of this one.
-    let domain_id = 20 + (std::process::id() % 10) as u16 * 8 + test;
-    let reach = Reach::Localhost;
-    Context::new(&Environment { domain_id, reach }).unwrap()
-}
-
-fn node(context: &Context, words: &str) -> Node {
-    let args = NodeArgs::parse(words.split_whitespace()).unwrap();
-    Node::new(context, "world", wm_ros::NAMESPACE, &args).unwrap()
-}
-
-fn start(context: &Context, parameters: &str) -> JoinHandle<anyhow::Result<()>> {
-    let context = context.clone();
-    let words = match parameters {
-        "" => String::new(),
-        parameters => format!("--ros-args {parameters}"),
-    };
-    std::thread::spawn(move || {
-        let args = NodeArgs::parse(words.split_whitespace()).unwrap();
-        let node = Node::new(&context, "executor", wm_ros::NAMESPACE, &args)?;
-        tokio::runtime::Builder::new_current_thread()
-            .enable_all()
-            .build()?
-            .block_on(executor::body(node))
-    })
-}
-
 /// The executor, and the world around it, while `scenario` runs.
 async fn run(test: u16, parameters: &str, words: &str, scenario: impl AsyncFnOnce(World)) {
     let (executor_side, here) = (context(test), context(test));
-    let thread = start(&executor_side, parameters);
-    let world = World::new(node(&here, words)).await;
+    let words_of_executor = with(parameters);
+    let thread = start(
+        &executor_side,
+        "executor",
+        &words_of_executor,
+        executor::body,
+    );
+    let world = World::new(node(&here, "world", words)).await;
     tokio::time::timeout(PATIENCE, scenario(world))
         .await
         .expect("a message that should come does not");
@@ -124,7 +102,7 @@ impl World {
         self.twists.recv().await.unwrap().message.twist.linear.x
     }
 
-    /// Waits until the arm moves, and gives up the commands that came until then.
+    /// Waits until the arm moves, and drops the commands up to then.
     async fn moves(&mut self) {
         while self.forward().await < 0.09 {}
         while self.twists.try_recv().is_some() {}
@@ -156,8 +134,8 @@ impl World {
     }
 }
 
-/// Tells the time until a moment, 20 ms apart.
-async fn tell_time(clock: &Publisher<Clock>, until: impl AsyncFnOnce()) {
+/// Publishes the time every 20 ms until a moment.
+async fn publish_time(clock: &Publisher<Clock>, until: impl AsyncFnOnce()) {
     let begin = Instant::now();
     let mut ticks = tokio::time::interval(Duration::from_millis(20));
     let mut until = std::pin::pin!(until());
@@ -188,7 +166,7 @@ async fn a_clock_that_stops_stops_the_arm_within_max_age() {
             // The executor and this node.
             clock.wait_for_subscribers(2).await;
             let mut moving = None;
-            tell_time(&clock, async || {
+            publish_time(&clock, async || {
                 world
                     .status(|status| status.header.stamp.to_nanos() > BEGIN_NS)
                     .await;
@@ -291,7 +269,7 @@ async fn a_best_effort_emergency_stop_stops_the_arm() {
             }
         }
         assert!(world.set_armed(true).await.success);
-        // Whoever could stop it is gone.
+        // The publisher that could stop it goes.
         world.go();
         world.moves().await;
         drop(emergency);
@@ -313,7 +291,7 @@ async fn an_emergency_stop_of_another_type_keeps_the_arm_disarmed() {
             .unwrap();
         loop {
             let outcome = world.set_armed(true).await;
-            // One that is found while the node is armed disarms it first.
+            // If it is discovered while the node is armed, it disarms the node.
             if outcome.message.contains("std_msgs/msg/String") {
                 assert!(!outcome.success);
                 break;

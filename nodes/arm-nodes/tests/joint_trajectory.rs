@@ -2,8 +2,11 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
 
-use std::{sync::LazyLock, thread::JoinHandle, time::Duration};
+mod running;
 
+use std::{sync::LazyLock, time::Duration};
+
+use running::{context, node, start, with};
 use wm_arm_nodes::executor;
 use wm_msgs::{
     builtin_interfaces::Duration as RosDuration,
@@ -11,31 +14,10 @@ use wm_msgs::{
     trajectory_msgs::JointTrajectory,
     wm_msgs::{Action, ActionChunk},
 };
-use wm_ros::{Context, Environment, Node, NodeArgs, Publisher, Qos, Reach, Subscription};
+use wm_ros::{Context, Publisher, Qos, Subscription};
 
 /// Far above anything that happens here; it only ends a test that hangs.
 const PATIENCE: Duration = Duration::from_secs(60);
-
-/// A domain for each test, so that tests neither meet each other nor another run of them.
-fn context(test: u16) -> Context {
-    let reach = Reach::Localhost;
-    let domain_id = 20 + (std::process::id() % 16) as u16 * 5 + test;
-    Context::new(&Environment { domain_id, reach }).unwrap()
-}
-
-/// The executor at work.
-fn start(context: &Context, parameters: &str) -> JoinHandle<anyhow::Result<()>> {
-    let words = format!("--ros-args {parameters}");
-    let context = context.clone();
-    std::thread::spawn(move || {
-        let args = NodeArgs::parse(words.split_whitespace()).unwrap();
-        let node = Node::new(&context, "executor", wm_ros::NAMESPACE, &args)?;
-        tokio::runtime::Builder::new_current_thread()
-            .enable_all()
-            .build()?
-            .block_on(executor::body(node))
-    })
-}
 
 /// A file of an action space of two joints, written once.
 static JOINT_SPACE: LazyLock<&str> = LazyLock::new(|| {
@@ -59,7 +41,7 @@ async fn actions_become_trajectories_from_where_the_joints_are() {
         "-p command_type:=joint_trajectory -p arm_on_start:=true -p joint_names:=[left,right] -p action_space:={}",
         *JOINT_SPACE
     );
-    let thread = start(&running, &parameters);
+    let thread = start(&running, "executor", &with(&parameters), executor::body);
     tokio::time::timeout(PATIENCE, executed(&here))
         .await
         .expect("a message that should come does not");
@@ -70,8 +52,7 @@ async fn actions_become_trajectories_from_where_the_joints_are() {
 }
 
 async fn executed(here: &Context) {
-    let args = NodeArgs::parse(std::iter::empty::<&str>()).unwrap();
-    let node = Node::new(here, "arm", wm_ros::NAMESPACE, &args).unwrap();
+    let node = node(here, "arm", "");
     let chunks: Publisher<ActionChunk> = node.publisher("action_chunk", Qos::reliable(10)).unwrap();
     let joints: Publisher<JointState> = node.publisher("joint_states", Qos::reliable(10)).unwrap();
     let mut trajectories: Subscription<JointTrajectory> = node
@@ -141,7 +122,10 @@ fn parameters_that_contradict_each_other_are_named() {
         (&of_joints("max_joint_acceleration:=[2.0]"), "stop_within"),
     ] {
         let context = context(1);
-        let error = start(&context, parameters).join().unwrap().unwrap_err();
+        let error = start(&context, "executor", &with(parameters), executor::body)
+            .join()
+            .unwrap()
+            .unwrap_err();
         context.close();
         let error = format!("{error:#}");
         assert!(error.contains(named), "{error}");

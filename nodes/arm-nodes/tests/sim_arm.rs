@@ -3,8 +3,11 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
 
-use std::{thread::JoinHandle, time::Duration};
+mod running;
 
+use std::time::Duration;
+
+use running::{context, node, start};
 use wm_arm_nodes::{executor, sim_arm};
 use wm_msgs::{
     builtin_interfaces::Duration as RosDuration,
@@ -17,43 +20,18 @@ use wm_msgs::{
     vision_msgs::LabelInfo,
     wm_msgs::{Action, ActionChunk, ExecutorStatus, Reset, ResetRequest},
 };
-use wm_ros::{Client, Context, Environment, Node, NodeArgs, Publisher, Qos, Reach, Subscription};
+use wm_ros::{Client, Context, Publisher, Qos, Subscription};
 use wm_sim::{GoalKind, Target, Variety};
 
 /// Far above anything that happens here; it only ends a test that hangs.
 const PATIENCE: Duration = Duration::from_secs(120);
 const SEED: u64 = 3;
 
-/// A domain for each test, so that tests neither meet each other nor another run of them.
-fn context(test: u16) -> Context {
-    let reach = Reach::Localhost;
-    let domain_id = 20 + (std::process::id() % 16) as u16 * 5 + test;
-    Context::new(&Environment { domain_id, reach }).unwrap()
-}
-
-/// A node at work.
-fn start(
-    context: &Context,
-    name: &'static str,
-    words: String,
-    body: impl AsyncFnOnce(Node) -> anyhow::Result<()> + Send + 'static,
-) -> JoinHandle<anyhow::Result<()>> {
-    let context = context.clone();
-    std::thread::spawn(move || {
-        let args = NodeArgs::parse(words.split_whitespace()).unwrap();
-        let node = Node::new(&context, name, wm_ros::NAMESPACE, &args)?;
-        tokio::runtime::Builder::new_current_thread()
-            .enable_all()
-            .build()?
-            .block_on(body(node))
-    })
-}
-
 #[tokio::test(flavor = "current_thread")]
 async fn twists_bring_the_tool_to_the_goal_and_a_reset_back_to_the_start() {
     let running = context(0);
     let words = format!("--ros-args -p task:=reach -p seed:={SEED} -p image_transport:=both");
-    let thread = start(&running, "sim_arm", words, sim_arm::body);
+    let thread = start(&running, "sim_arm", &words, sim_arm::body);
     let here = context(0);
     tokio::time::timeout(PATIENCE, scenario(&here))
         .await
@@ -69,8 +47,7 @@ async fn scenario(here: &Context) {
     let Target::Tool { position } = table.goal().target else {
         panic!("a reach is of the tool");
     };
-    let args = NodeArgs::parse(std::iter::empty::<&str>()).unwrap();
-    let node = Node::new(here, "controller", wm_ros::NAMESPACE, &args).unwrap();
+    let node = node(here, "controller", "");
     let twists: Publisher<TwistStamped> =
         node.publisher("command/twist", Qos::reliable(1)).unwrap();
     let gripper: Publisher<Float64> = node.publisher("command/gripper", Qos::reliable(1)).unwrap();
@@ -171,11 +148,11 @@ async fn what_the_executor_sends_moves_it_without_remapping() {
     for command in ["twist", "velocity", "action"] {
         let (arm_side, executor_side, here) = (context(1), context(1), context(1));
         let words = format!("--ros-args -p seed:={SEED} -p image_transport:=raw");
-        let arm = start(&arm_side, "sim_arm", words, sim_arm::body);
+        let arm = start(&arm_side, "sim_arm", &words, sim_arm::body);
         let words = format!(
             "--ros-args -p command_type:={command} -p base_frame:=base_link -p begin:=reception"
         );
-        let executor = start(&executor_side, "executor", words, executor::body);
+        let executor = start(&executor_side, "executor", &words, executor::body);
         let moved = tokio::time::timeout(PATIENCE, executed(&here, command))
             .await
             .unwrap_or_else(|_| panic!("{command}: a message that should come does not"));
@@ -192,8 +169,7 @@ async fn what_the_executor_sends_moves_it_without_remapping() {
 
 /// How far a chunk of three motions of 0.02 m moves the tool \[m\].
 async fn executed(here: &Context, command: &str) -> f64 {
-    let args = NodeArgs::parse(std::iter::empty::<&str>()).unwrap();
-    let node = Node::new(here, "policy", wm_ros::NAMESPACE, &args).unwrap();
+    let node = node(here, "policy", "");
     let chunks: Publisher<ActionChunk> = node.publisher("action_chunk", Qos::reliable(10)).unwrap();
     let mut poses: Subscription<PoseStamped> =
         node.subscription("ee_pose", Qos::reliable(100)).unwrap();
@@ -252,7 +228,7 @@ async fn it_tells_what_its_cameras_see_and_where_things_are() {
     let words = format!(
         "--ros-args -p task:=push -p seed:={SEED} -p front_camera:=true -p image_transport:=raw -p real_time_factor:=4.0"
     );
-    let thread = start(&running, "sim_arm", words, sim_arm::body);
+    let thread = start(&running, "sim_arm", &words, sim_arm::body);
     let here = context(2);
     tokio::time::timeout(PATIENCE, told(&here))
         .await
@@ -265,8 +241,7 @@ async fn it_tells_what_its_cameras_see_and_where_things_are() {
 
 async fn told(here: &Context) {
     let table = wm_sim::Environment::new(GoalKind::Push, SEED, &Variety::default()).unwrap();
-    let args = NodeArgs::parse(std::iter::empty::<&str>()).unwrap();
-    let node = Node::new(here, "observer", wm_ros::NAMESPACE, &args).unwrap();
+    let node = node(here, "observer", "");
     let (latched, depth) = (Qos::latched(1), Qos::reliable(100));
     let mut infos: Subscription<CameraInfo> =
         node.subscription("/camera/camera_info", depth).unwrap();
@@ -375,10 +350,10 @@ async fn told(here: &Context) {
 async fn as_fast_as_it_is_answered_it_does_what_the_environment_does() {
     let running = context(3);
     let words = format!(
-        "--ros-args -p task:=reach -p seed:={SEED} -p image_transport:=raw -p real_time_factor:=0.0 -p \
+        "--ros-args -p task:=reach -p seed:={SEED} -p image_transport:=raw -p real_time_factor:=0.0 -p noise:=0.0 -p \
          command_timeout:=60.0"
     );
-    let thread = start(&running, "sim_arm", words, sim_arm::body);
+    let thread = start(&running, "sim_arm", &words, sim_arm::body);
     let here = context(3);
     tokio::time::timeout(PATIENCE, answered(&here))
         .await
@@ -391,8 +366,7 @@ async fn as_fast_as_it_is_answered_it_does_what_the_environment_does() {
 
 async fn answered(here: &Context) {
     let mut table = wm_sim::Environment::new(GoalKind::Reach, SEED, &Variety::default()).unwrap();
-    let args = NodeArgs::parse(std::iter::empty::<&str>()).unwrap();
-    let node = Node::new(here, "policy", wm_ros::NAMESPACE, &args).unwrap();
+    let node = node(here, "policy", "");
     let mut images: Subscription<Image> = node
         .subscription("/camera/image_raw", Qos::reliable(10))
         .unwrap();
@@ -433,7 +407,7 @@ async fn answered(here: &Context) {
 #[test]
 fn it_does_not_make_the_time_that_it_follows() {
     let running = context(4);
-    let words = "--ros-args -p use_sim_time:=true -p real_time_factor:=0.0".to_owned();
+    let words = "--ros-args -p use_sim_time:=true -p real_time_factor:=0.0";
     let thread = start(&running, "sim_arm", words, sim_arm::body);
     let error = thread.join().unwrap().unwrap_err().to_string();
     assert!(error.contains("use_sim_time"), "{error}");
@@ -447,10 +421,10 @@ async fn the_executor_keeps_to_the_time_that_the_arm_makes() {
     let words = format!(
         "--ros-args -p seed:={SEED} -p image_transport:=raw -p real_time_factor:=0.0 -p command_timeout:=1.0"
     );
-    let arm = start(&arm_side, "sim_arm", words, sim_arm::body);
+    let arm = start(&arm_side, "sim_arm", &words, sim_arm::body);
     let words = "--ros-args -p use_sim_time:=true -p command_clock:=ros -p rate:=5.0 -p stop_within:=0.4 -p \
                  base_frame:=base_link -p begin:=reception -p arm_on_start:=true";
-    let executor = start(&executor_side, "executor", words.to_owned(), executor::body);
+    let executor = start(&executor_side, "executor", words, executor::body);
     tokio::time::timeout(PATIENCE, kept(&here))
         .await
         .expect("a message that should come does not");
@@ -463,9 +437,7 @@ async fn the_executor_keeps_to_the_time_that_the_arm_makes() {
 }
 
 async fn kept(here: &Context) {
-    let args = "--ros-args -p use_sim_time:=true";
-    let args = NodeArgs::parse(args.split_whitespace()).unwrap();
-    let node = Node::new(here, "policy", wm_ros::NAMESPACE, &args).unwrap();
+    let node = node(here, "policy", "--ros-args -p use_sim_time:=true");
     let chunks: Publisher<ActionChunk> = node.publisher("action_chunk", Qos::reliable(10)).unwrap();
     let mut actions: Subscription<Action> =
         node.subscription("action", Qos::reliable(100)).unwrap();

@@ -3,8 +3,11 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
 
+mod running;
+
 use std::{thread::JoinHandle, time::Duration};
 
+use running::{context, node, start, with};
 use wm_arm_nodes::executor;
 use wm_msgs::{
     builtin_interfaces::{Duration as RosDuration, Time},
@@ -13,20 +16,10 @@ use wm_msgs::{
     std_srvs::{Outcome, SetBool, SetBoolRequest, Trigger, TriggerRequest},
     wm_msgs::{Action, ActionChunk, ExecutorStatus, Plan},
 };
-use wm_ros::{Client, Context, Environment, Node, NodeArgs, Publisher, Qos, Reach, Subscription};
+use wm_ros::{Client, Context, Node, Publisher, Qos, Subscription};
 
 /// Far above anything that happens here; it only ends a test that hangs.
 const PATIENCE: Duration = Duration::from_secs(60);
-
-/// A domain for each test, so that tests neither meet each other nor another run of them.
-fn domain(test: u16) -> u16 {
-    20 + (std::process::id() % 16) as u16 * 5 + test
-}
-
-fn context(domain_id: u16) -> Context {
-    let reach = Reach::Localhost;
-    Context::new(&Environment { domain_id, reach }).unwrap()
-}
 
 /// The node at work.
 struct Running {
@@ -35,21 +28,9 @@ struct Running {
 }
 
 impl Running {
-    fn start(domain: u16, parameters: &str) -> Self {
-        let args = match parameters {
-            "" => String::new(),
-            parameters => format!("--ros-args {parameters}"),
-        };
-        let args = NodeArgs::parse(args.split_whitespace()).unwrap();
-        let context = context(domain);
-        let of_thread = context.clone();
-        let thread = std::thread::spawn(move || {
-            let node = Node::new(&of_thread, "executor", wm_ros::NAMESPACE, &args)?;
-            tokio::runtime::Builder::new_current_thread()
-                .enable_all()
-                .build()?
-                .block_on(executor::body(node))
-        });
+    fn start(test: u16, parameters: &str) -> Self {
+        let context = context(test);
+        let thread = start(&context, "executor", &with(parameters), executor::body);
         Self { context, thread }
     }
 
@@ -73,8 +54,7 @@ struct World {
 
 impl World {
     async fn new(context: &Context) -> Self {
-        let args = NodeArgs::parse(std::iter::empty::<&str>()).unwrap();
-        let node = Node::new(context, "world", wm_ros::NAMESPACE, &args).unwrap();
+        let node = node(context, "world", "");
         let world = Self {
             chunks: node.publisher("action_chunk", Qos::reliable(10)).unwrap(),
             emergency: node.publisher("emergency_stop", Qos::latched(1)).unwrap(),
@@ -135,9 +115,9 @@ fn in_time<T>(scenario: impl Future<Output = T>) -> impl Future<Output = T> {
 
 #[tokio::test(flavor = "current_thread")]
 async fn chunks_become_twists_once_it_is_armed_and_silence_becomes_zero() {
-    let domain = domain(0);
-    let running = Running::start(domain, "-p base_frame:=base_link");
-    let here = context(domain);
+    let test = 0;
+    let running = Running::start(test, "-p base_frame:=base_link");
+    let here = context(test);
     in_time(async {
         let mut world = World::new(&here).await;
         let mut twists: Subscription<TwistStamped> = world
@@ -196,9 +176,9 @@ async fn chunks_become_twists_once_it_is_armed_and_silence_becomes_zero() {
 /// As where std_srvs is not at hand, and the arm is a simulated one.
 #[tokio::test(flavor = "current_thread")]
 async fn armed_from_the_start_it_executes_without_a_call() {
-    let domain = domain(4);
-    let running = Running::start(domain, "-p arm_on_start:=true");
-    let here = context(domain);
+    let test = 4;
+    let running = Running::start(test, "-p arm_on_start:=true");
+    let here = context(test);
     in_time(async {
         let mut world = World::new(&here).await;
         let mut twists: Subscription<TwistStamped> = world
@@ -234,9 +214,9 @@ async fn armed_from_the_start_it_executes_without_a_call() {
 
 #[tokio::test(flavor = "current_thread")]
 async fn an_emergency_stop_ends_a_motion_and_latches() {
-    let domain = domain(1);
-    let running = Running::start(domain, "-p command_type:=velocity -p publish_action:=true");
-    let here = context(domain);
+    let test = 1;
+    let running = Running::start(test, "-p command_type:=velocity -p publish_action:=true");
+    let here = context(test);
     in_time(async {
         let mut world = World::new(&here).await;
         let mut velocities: Subscription<Float64MultiArray> = world
@@ -290,9 +270,9 @@ async fn an_emergency_stop_ends_a_motion_and_latches() {
 
 #[tokio::test(flavor = "current_thread")]
 async fn a_node_that_ends_stops_the_arm_first() {
-    let domain = domain(2);
-    let running = Running::start(domain, "-p command_type:=action");
-    let here = context(domain);
+    let test = 2;
+    let running = Running::start(test, "-p command_type:=action");
+    let here = context(test);
     let mut motions = in_time(async {
         let world = World::new(&here).await;
         let mut motions: Subscription<Action> = world
@@ -314,16 +294,15 @@ async fn a_node_that_ends_stops_the_arm_first() {
 
 #[tokio::test(flavor = "current_thread")]
 async fn it_moves_while_the_deadman_is_held_and_the_pose_is_known() {
-    let domain = domain(3);
+    let test = 3;
     let running = Running::start(
-        domain,
+        test,
         "-p base_frame:=base_link -p require_deadman:=true -p source:=plan -p workspace_min:=[-1.0,-1.0,-1.0] \
          -p workspace_max:=[1.0,1.0,1.0]",
     );
-    let here = context(domain);
+    let here = context(test);
     in_time(async {
-        let args = NodeArgs::parse(std::iter::empty::<&str>()).unwrap();
-        let node = Node::new(&here, "world", wm_ros::NAMESPACE, &args).unwrap();
+        let node = node(&here, "world", "");
         let plans: Publisher<Plan> = node.publisher("plan", Qos::reliable(10)).unwrap();
         let deadman: Publisher<Bool> = node.publisher("deadman", Qos::reliable(10)).unwrap();
         let poses: Publisher<PoseStamped> = node.publisher("ee_pose", Qos::reliable(10)).unwrap();
@@ -396,7 +375,7 @@ fn parameters_that_contradict_each_other_are_named() {
             "expected one of them",
         ),
     ] {
-        let running = Running::start(domain(4), parameters);
+        let running = Running::start(4, parameters);
         let result = running.thread.join().unwrap();
         running.context.close();
         let error = format!("{:#}", result.unwrap_err());

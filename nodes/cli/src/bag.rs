@@ -3,6 +3,7 @@
 mod convert;
 mod cut;
 mod info;
+mod output;
 mod play;
 mod record;
 mod recover;

@@ -8,14 +8,14 @@ use wm_motion::{
     motion::{Motion, MotionSettings, Pace},
 };
 
-/// What is wrong with the pictures of the camera, and with pictures and actions together. What the checks of camera and
-/// action find by the stamps is not repeated.
+/// Faults of the camera's pictures, and of pictures and actions together. Findings by the stamps are left to the checks of
+/// camera and action.
 pub(crate) fn check(
     heard: &Heard,
     (camera, action): (Option<&str>, Option<&str>),
     model: Option<&ModelFacts>,
 ) -> Vec<Finding> {
-    let mut findings = look(heard, (camera, action), model);
+    let mut findings = examine(heard, (camera, action), model);
     // Repeated and stopped pictures are found by their bytes too, without actions: one finding for one fault, the worse.
     let is_repeat = |finding: &Finding| matches!(&*finding.check, "repeats" | "frozen");
     let worst = findings.iter().filter(|finding| is_repeat(finding));
@@ -29,7 +29,7 @@ pub(crate) fn check(
     findings
 }
 
-fn look(
+fn examine(
     heard: &Heard,
     (camera, action): (Option<&str>, Option<&str>),
     model: Option<&ModelFacts>,
@@ -50,7 +50,7 @@ fn look(
     let track = actions.map_or_else(ActionTrack::default, |actions| track(actions, space));
     let activity = |from_ns, to_ns| track.activity(from_ns, to_ns);
     let known: Option<wm_audit::Activity<'_>> = (!track.is_empty()).then_some(&activity);
-    let mut findings = camera.looked.pictures.check(known);
+    let mut findings = camera.comparison.pictures.check(known);
     // Lost messages are counted by their numbers.
     findings.retain(|finding| finding.check != "dropped");
     if let (Some(actions), Some(space)) = (actions, space) {
@@ -66,7 +66,10 @@ fn look(
                 .filter(|finding| finding.check == "lag"),
         );
     }
-    let (skipped, compared) = (camera.looked.skipped, camera.looked.pictures.count());
+    let (skipped, compared) = (
+        camera.comparison.skipped,
+        camera.comparison.pictures.count(),
+    );
     if skipped > 0 {
         let what = format!(
             "{skipped} of {} pictures came faster than they were decoded, and were not compared",
@@ -115,7 +118,7 @@ fn episode(camera: &Camera, actions: &Actions, space: &ActionSpace) -> Episode {
     for (at_ns, values) in &actions.rows {
         motion.take(*at_ns, Arc::from(values.as_slice()));
     }
-    let frames = camera.looked.signatures.iter();
+    let frames = camera.comparison.signatures.iter();
     let frames: Vec<_> = frames.filter(|(at_ns, _)| pace.is_due(*at_ns)).collect();
     let mut episode = Episode::new("live", space.len());
     let pairs = frames.iter().zip(frames.iter().skip(1));
@@ -134,8 +137,8 @@ fn episode(camera: &Camera, actions: &Actions, space: &ActionSpace) -> Episode {
 mod tests {
     use super::*;
     use crate::{
-        Picture, Stream, fit::facts, heard::DEFAULT_ACTION, heard::DEFAULT_CAMERA, looker::Looked,
-        timeline::regular,
+        Picture, Stream, comparison::Comparison, fit::facts, heard::DEFAULT_ACTION,
+        heard::DEFAULT_CAMERA, timeline::regular,
     };
     use image::{Rgb, RgbImage};
     use wm_audit::Pictures;
@@ -151,9 +154,9 @@ mod tests {
 
     /// A camera of 30 Hz that shows tick `shown(k)` at tick `k`, and actions of 30 Hz.
     fn heard(shown: impl Fn(i64) -> i64, acts: bool) -> Heard {
-        let mut looked = Looked {
+        let mut comparison = Comparison {
             pictures: Pictures::new("/camera/image_raw"),
-            ..Looked::default()
+            ..Comparison::default()
         };
         let mut actions = Actions::default();
         for tick in 0..240 {
@@ -165,8 +168,8 @@ mod tests {
                 Rgb([if is_inside { 240 } else { 60 }; 3])
             });
             let signature = Signature::of(&picture);
-            looked.signatures.push((at_ns, signature.clone()));
-            looked
+            comparison.signatures.push((at_ns, signature.clone()));
+            comparison
                 .pictures
                 .push(at_ns, seen as u64, Some((64, 48)), Some(signature));
             let dx = if acts {
@@ -180,7 +183,7 @@ mod tests {
         }
         let mut heard = Heard::default();
         let camera = Camera {
-            looked,
+            comparison,
             pictures: vec![Ok(Picture::default())],
             ..Camera::default()
         };
@@ -264,7 +267,7 @@ mod tests {
             .iter()
             .filter(|finding| finding.level == Level::Error);
         assert_eq!(frozen.count(), 1, "{stopped:?}");
-        // Without motion, the bytes alone tell.
+        // Without motion, only the bytes show it.
         let resting = found(&with_messages(heard(|_| 5, false), 2));
         assert_eq!(
             (resting.len(), &*resting[0].check),

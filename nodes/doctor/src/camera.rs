@@ -184,9 +184,16 @@ fn repeats_of(name: &str, stream: &Stream) -> Option<Finding> {
     let (period_s, picture_s) = (timeline.period_s()?, timeline.picture_period_s()?);
     let rate = |period_s| hertz(Duration::from_secs_f64(period_s));
     (picture_s > 1.2 * period_s).then(|| {
-        Finding::warning(CHECK, format!("{name}: publishes {}, but only {} of it are new pictures: the others repeat the one before", rate(period_s), rate(picture_s)))
-            .because("the model steps by the pictures that the camera takes, not by their copies")
-            .fix("set the driver's rate to that of the camera, or shorten its exposure")
+        Finding::warning(
+            CHECK,
+            format!(
+                "{name}: publishes {}, but only {} of new pictures: the others are repeated",
+                rate(period_s),
+                rate(picture_s)
+            ),
+        )
+        .because("the model steps by the pictures that the camera takes, not by their copies")
+        .fix("set the driver's rate to that of the camera, or shorten its exposure")
     })
 }
 
@@ -222,7 +229,7 @@ pub(crate) fn stamps(name: &str, stream: &Stream, has_clock: bool) -> Vec<Findin
                     -delay_s
                 ),
             )
-            .because("the nodes refuse what is more than 0.1 s ahead (bad_stamp)")
+            .because("the nodes drop messages with stamps more than 0.1 s ahead (bad_stamp)")
             .fix(if has_clock { simulated } else { clocks }),
         );
     } else if delay_s < -AHEAD_S {

@@ -1,6 +1,6 @@
 //! What was heard in the graph.
 
-use crate::{Picture, Timeline, looker::Looked};
+use crate::{Picture, Timeline, comparison::Comparison};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -39,7 +39,7 @@ pub struct Camera {
     /// `encoding` of its raw frames, or `format` of its compressed ones.
     pub encoding: Option<String>,
     /// All of its pictures, compared with each other.
-    pub looked: Looked,
+    pub comparison: Comparison,
 }
 
 impl Camera {
@@ -90,7 +90,7 @@ pub struct Heard {
     pub cameras: BTreeMap<String, Camera>,
     /// Actions and chunks by their topic.
     pub actions: BTreeMap<String, Actions>,
-    /// What to do about topics with pictures that the nodes do not read.
+    /// Remedies for topics with pictures that the nodes do not read.
     pub unread: Vec<String>,
     /// Velocities and poses of an arm.
     pub motions: Vec<Motion>,

@@ -1,7 +1,7 @@
 //! Listens to the graph.
 
 use crate::{
-    Actions, Arrival, Camera, DoctorError, Heard, Motion, Picture, Stream, looker::Looker,
+    Actions, Arrival, Camera, DoctorError, Heard, Motion, Picture, Stream, comparison::Comparer,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
@@ -96,7 +96,7 @@ fn adapter_source(type_name: &str) -> Option<&'static str> {
         .find_map(|(name, source)| (name == type_name).then_some(source))
 }
 
-/// What the timeline needs of a message.
+/// The parts of a message that the timeline needs.
 #[derive(Default)]
 struct Content {
     /// If its type has one.
@@ -122,7 +122,7 @@ struct Taken {
     encoding: Option<String>,
     values: Vec<Vec<f32>>,
     rows: Vec<(i64, Vec<f32>)>,
-    looker: Option<Looker>,
+    comparer: Option<Comparer>,
     clock_ns: Option<(i64, i64)>,
     reports: BTreeMap<String, (String, bool)>,
 }
@@ -266,7 +266,7 @@ async fn take(
         encoding: None,
         values: Vec::new(),
         rows: Vec::new(),
-        looker: None,
+        comparer: None,
         clock_ns: None,
         reports: BTreeMap::new(),
     };
@@ -307,7 +307,7 @@ impl Taken {
         }
     }
 
-    /// Keeps what matters of a message; gives what the timeline needs of it.
+    /// Keeps the relevant parts of a message; gives those that the timeline needs.
     fn content(
         &mut self,
         bytes: &[u8],
@@ -330,9 +330,11 @@ impl Taken {
             }
             Kind::Action => {
                 let action: Action = cdr::from_bytes(bytes)?;
-                if self.rows.len() < MOST_ACTIONS {
-                    let row = (action.header.stamp.to_nanos(), action.values.clone());
-                    self.rows.push(row);
+                // The check of the stamps names malformed ones.
+                if let Ok(stamp_ns) = action.header.stamp.checked_nanos()
+                    && self.rows.len() < MOST_ACTIONS
+                {
+                    self.rows.push((stamp_ns, action.values.clone()));
                 }
                 self.keep(action.values);
                 Content::of(action.header)
@@ -364,8 +366,8 @@ impl Taken {
             self.frames.push(frame.clone());
         }
         let topic = &self.stream.topic;
-        let looker = self.looker.get_or_insert_with(|| Looker::new(topic));
-        looker.look(frame, received_ns);
+        let comparer = self.comparer.get_or_insert_with(|| Comparer::new(topic));
+        comparer.take(frame, received_ns);
         content
     }
 
@@ -399,7 +401,7 @@ fn enter(heard: &mut Heard, taken: Taken) {
         encoding,
         values,
         rows,
-        looker,
+        comparer,
         clock_ns,
         reports,
     } = taken;
@@ -421,9 +423,9 @@ fn enter(heard: &mut Heard, taken: Taken) {
             if camera.pictures.is_empty() {
                 camera.pictures = decoded.collect();
             }
-            let looked = looker.map(Looker::finish).unwrap_or_default();
-            if looked.pictures.count() > camera.looked.pictures.count() {
-                camera.looked = looked;
+            let comparison = comparer.map(Comparer::finish).unwrap_or_default();
+            if comparison.pictures.count() > camera.comparison.pictures.count() {
+                camera.comparison = comparison;
             }
             if camera.encoding.is_none() || kind == Kind::Raw {
                 camera.encoding = encoding.or(camera.encoding.take());

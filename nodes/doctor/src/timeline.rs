@@ -1,10 +1,9 @@
 //! When the messages of a topic came, and what they are stamped with.
 
-use std::{collections::VecDeque, time::Duration};
+use std::time::Duration;
+use wm_camera::recent_pictures::RecentPictures;
 use wm_msgs::builtin_interfaces::Time;
 
-/// Pictures that are remembered, as in the encoder.
-const REMEMBERED: usize = 4;
 /// Part of the pictures that are new for a camera that repeats none.
 const MOSTLY_NEW: f64 = 0.8;
 
@@ -89,22 +88,12 @@ impl Timeline {
         (gaps_s.len() >= 2).then(|| quantile(gaps_s, 0.5)).flatten()
     }
 
-    /// The messages with a new picture; none of them if messages have no pictures. A driver that has stopped may publish its
-    /// last few pictures in turn.
+    /// The messages with a new picture; none of them if messages have no pictures.
     pub(crate) fn of_new_pictures(&self) -> Self {
-        let mut last = VecDeque::new();
+        let mut recent = RecentPictures::default();
         let is_new = |arrival: &&Arrival| {
-            let Some(fingerprint) = arrival.fingerprint else {
-                return false;
-            };
-            let is_new = !last.contains(&fingerprint);
-            if is_new {
-                last.push_back(fingerprint);
-                if last.len() > REMEMBERED {
-                    last.pop_front();
-                }
-            }
-            is_new
+            let fingerprint = arrival.fingerprint;
+            fingerprint.is_some_and(|fingerprint| recent.insert(fingerprint))
         };
         Self(self.0.iter().filter(is_new).copied().collect())
     }

@@ -3,11 +3,11 @@
 //! [`EncoderStep`] is the node without its ROS interface. `/camera/image_raw` and its `/compressed` sibling carry the
 //! same frames; the node takes either, and if a frame arrives on both, only the first.
 //!
-//! The node also watches the camera itself (`stillness.rs`): one that has stopped may go on with fresh stamps, and no other
-//! node receives all of its frames.
+//! The node also monitors the camera itself (`stillness.rs`): a camera that has stopped may publish on with fresh stamps, and
+//! no other node receives all of its frames.
 
 mod choice;
-mod looks;
+mod decoding;
 mod node;
 mod other_transports;
 mod picture_size;

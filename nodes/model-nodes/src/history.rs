@@ -62,7 +62,7 @@ use stamp::{AHEAD_NS, ANNOUNCED_NS, seconds_of, stamp_of};
 /// A policy answers a frame before it has passed the encoder, and may be slow, but not by this much \[ns\]: its clock is
 /// not the frames'.
 const FAR_AHEAD_NS: i64 = 60_000_000_000;
-/// The name under which `/diagnostics` counts what is not done since the camera has stopped.
+/// The counter on `/diagnostics` of plans and evaluations that are dropped because the camera has stopped.
 pub(crate) const FROZEN_CAMERA: &str = "frozen_camera";
 /// A camera that is silent for this many frame periods, and at least a second, may be replaced by another.
 const SILENT_FRAMES: u32 = 5;
@@ -448,7 +448,7 @@ impl History {
         self.timing().jump_ns.saturating_add(self.latest_ns)
     }
 
-    /// Finds out whether a jump of the frames to `now` is one of the camera's clock alone.
+    /// Determines whether a jump of the frames to `now` is one of the camera's clock alone.
     fn camera_jumped(&mut self, now: &Frame) {
         let Some(from) = self.frames.newest() else {
             return;
@@ -491,7 +491,7 @@ impl History {
             .is_some_and(|newest| stamp_ns < newest.stamp_ns.saturating_sub(self.timing().jump_ns))
     }
 
-    /// Refuses what is stamped `stamp_ns` in the camera's time, `sent_ns` in its sender's, if that is far ahead.
+    /// That a stamp (`stamp_ns` in the camera's time, `sent_ns` in its sender's) is not far ahead.
     fn expect_near(
         &self,
         what: &'static str,

@@ -216,7 +216,7 @@ impl World {
 }
 
 #[test]
-fn stopped_repeating_and_mistimed_cameras_are_named_and_not_planned_from() {
+fn faulty_cameras_are_named_and_not_planned_from() {
     let folder = tempfile::tempdir().unwrap();
     write_model(folder.path());
     let model = format!(

@@ -57,8 +57,7 @@ impl Frames {
         }
     }
 
-    /// Says how the model takes frames of another aspect. Frames that were brought to the size of the predicted pictures
-    /// in another way are forgotten.
+    /// Sets how the model takes frames of another aspect. Frames that were resized by another fit are forgotten.
     pub fn set_fit(&mut self, fit: Fit) {
         if self.fit == fit {
             return;
@@ -91,7 +90,7 @@ impl Frames {
     }
 }
 
-/// The frame as the model takes it; as it is if it cannot be brought there, so that the comparison says why.
+/// The frame as the model takes it. A frame that cannot be resized stays as it is, so that the comparison names the error.
 fn framed(frame: RgbImage, framing: Framing) -> RgbImage {
     if (frame.height() as usize, frame.width() as usize) == framing.size {
         return frame;

@@ -32,7 +32,8 @@ pub(crate) struct Endpoint {
     pub(crate) qos: Qos,
     /// For a reader: whether it hears this participant's own writers.
     pub(crate) hears_own: bool,
-    /// For a reader: whether others of the same subscription take what its reliability and durability exclude.
+    /// For a reader: whether siblings in the same subscription receive from the publishers that its reliability or
+    /// durability excludes.
     pub(crate) has_siblings: bool,
 }
 

@@ -3,7 +3,7 @@
 use std::{
     sync::{
         Arc,
-        atomic::{AtomicI64, Ordering},
+        atomic::{AtomicBool, AtomicI64, Ordering},
     },
     time::{Duration, SystemTime, UNIX_EPOCH},
 };
@@ -24,8 +24,10 @@ struct Inner {
     /// The time on `/clock` \[ns\] where the clock is simulated; 0 until the first message, as in rclcpp.
     simulated: watch::Sender<Option<i64>>,
     jumps: watch::Sender<u64>,
-    /// From one time on `/clock` to the next, the last time that it moved forward \[ns\].
+    /// The last step forward on `/clock` \[ns\].
     step_ns: AtomicI64,
+    /// Whether an invalid time has been logged.
+    has_warned: AtomicBool,
 }
 
 impl Clock {
@@ -35,6 +37,7 @@ impl Clock {
                 simulated: watch::Sender::new(None),
                 jumps: watch::Sender::new(0),
                 step_ns: AtomicI64::new(0),
+                has_warned: AtomicBool::new(false),
             }),
         }
     }
@@ -49,7 +52,7 @@ impl Clock {
         self.inner.simulated.borrow().is_some()
     }
 
-    /// How far the clock moves at a time \[ns\]: it may be late by as much. Zero for the system's clock.
+    /// Step of a simulated clock \[ns\], by which it may be late. Zero for the system's clock.
     pub fn step_ns(&self) -> i64 {
         match self.is_simulated() {
             true => self.inner.step_ns.load(Ordering::Relaxed),
@@ -105,7 +108,12 @@ impl Clock {
     /// A message of `/clock`.
     pub(crate) fn advance(&self, time: Time) {
         let Ok(nanos) = time.checked_nanos() else {
-            tracing::warn!("/clock: {} s and {} ns are no time", time.sec, time.nanosec);
+            if !self.inner.has_warned.swap(true, Ordering::Relaxed) {
+                let Time { sec, nanosec } = time;
+                tracing::warn!(
+                    "skipping invalid times on /clock, the first: {sec} s and {nanosec} ns"
+                );
+            }
             return;
         };
         let mut jumped = false;
@@ -165,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn a_simulated_clock_knows_its_step_and_refuses_what_is_no_time() {
+    fn a_simulated_clock_knows_its_step_and_skips_invalid_times() {
         let clock = Clock::new();
         assert_eq!(clock.step_ns(), 0);
         clock.set_simulated(true);

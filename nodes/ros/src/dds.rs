@@ -1,28 +1,28 @@
 //! The DDS middleware: rustdds for the wire, ros2-client for what ROS 2 adds to it (names, and the announcement of
 //! which node an endpoint belongs to).
 //!
-//! What is minded here, each at its place:
+//! Workarounds, by module:
 //! - a publisher starts a new DDS writer when a reader falls behind ([`line`]), since a stopped reader would silence the
 //!   topic for all;
 //! - latched samples are taken in one order from the DDS writers of a publisher ([`latched`]);
-//! - sockets hear only the interfaces that were requested ([`confine`]), since rustdds binds them to all;
+//! - sockets receive only from the interfaces that were requested ([`confine`]), since rustdds binds them to all;
 //! - ros2-client's own node and spinner are not used: its `/clock` has the wrong type, its parameters no
 //!   descriptors, and its spinner keeps the participant alive;
 //! - large messages go in parts ([`parts`]), since their bursts overflow the receive buffers of Linux;
 //! - large messages that readers of other implementations miss are sent again ([`resend`]), since rustdds repairs them
 //!   too slowly;
-//! - large answers are sent by ourselves ([`wire`]), since rustdds spoils them;
+//! - large responses are sent by this crate ([`wire`]), since rustdds corrupts them;
 //! - a participant's writers and readers are connected here ([`local`]), since rustdds does not do it on loopback;
-//! - what is believed of the graph is compared with what rustdds knows ([`reconcile`]), since its events may be lost;
-//! - endpoints wait while a Fast DDS participant catches up ([`catch_up`]), since it would never hear of some;
-//! - participants that return after their lease has run out are met and connected anew ([`lease`], [`rematch`]), and so
-//!   are those that have lost this one alone ([`one_way`]), since rustdds does not;
+//! - the graph of this crate is compared with that of rustdds ([`reconcile`]), since events may be lost;
+//! - endpoints wait while a Fast DDS participant catches up ([`catch_up`]), since it would never discover some;
+//! - participants that return after their lease has run out are discovered and connected anew ([`lease`], [`rematch`]), and
+//!   so are those that have lost this one while it has not lost them ([`one_way`]), since rustdds does not;
 //! - participants on loopback are announced to all others of the host ([`introduction`]), since rustdds announces them
 //!   to twelve;
-//! - a clock that is set back or a task that panics ends the participant ([`failure`]), since it would be deaf, and so does
-//!   an interface whose address changes ([`addresses`]);
+//! - a clock that is set back or a task that panics ends the participant ([`failure`]), since it would receive nothing, and
+//!   so does an interface whose address changes ([`addresses`]);
 //! - a writer stays for a moment after its last sample ([`writer`]), since rustdds' readers forget it too early;
-//! - the participant goes last, after its readers and writers, or the others never hear that it left.
+//! - the participant is dropped last, after its readers and writers: otherwise the others do not learn that it left.
 
 mod addresses;
 mod answers;

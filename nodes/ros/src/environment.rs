@@ -147,7 +147,7 @@ impl std::fmt::Display for EnvironmentWarning {
     }
 }
 
-/// The middlewares of ROS 2 that speak DDS, as the nodes do.
+/// The middlewares of ROS 2 that use DDS, as the nodes do.
 const DDS_MIDDLEWARES: [&str; 5] = [
     "rmw_fastrtps_cpp",
     "rmw_fastrtps_dynamic_cpp",
@@ -163,8 +163,8 @@ fn warnings(variable: &impl Fn(&str) -> Option<String>) -> Result<Vec<Environmen
     {
         warnings.push(EnvironmentWarning {
             problem: format!(
-                "RMW_IMPLEMENTATION is `{middleware}`, which is not a DDS middleware: this node speaks DDS, and does \
-                 not meet nodes that use `{middleware}`"
+                "RMW_IMPLEMENTATION is `{middleware}`, which is not a DDS middleware: this node uses DDS, and does \
+                 not discover nodes that use `{middleware}`"
             ),
             fix: "set RMW_IMPLEMENTATION=rmw_fastrtps_cpp (or rmw_cyclonedds_cpp) for all nodes of the graph, and \
                   unset it if this is so already"
@@ -174,8 +174,8 @@ fn warnings(variable: &impl Fn(&str) -> Option<String>) -> Result<Vec<Environmen
     if let Some(peers) = variable("ROS_STATIC_PEERS") {
         warnings.push(EnvironmentWarning {
             problem: format!(
-                "ROS_STATIC_PEERS is `{peers}`, but this middleware announces itself by multicast only: it meets these \
-                 peers only if multicast reaches them"
+                "ROS_STATIC_PEERS is `{peers}`, but this middleware announces itself by multicast only: it discovers \
+                 these peers only if multicast reaches them"
             ),
             fix: "use a network with multicast, or the Zenoh bridge (`wm-bridge`)".to_owned(),
         });

@@ -19,7 +19,7 @@ use crate::{
     logging,
     names::{NodeName, TypeName},
     parameters::Parameters,
-    subscription::{CatchUp, Intake, Served},
+    subscription::{FurtherReader, Intake, PublisherKind},
     value::{ParameterType, Value},
 };
 use std::sync::{Arc, Mutex, PoisonError};
@@ -296,15 +296,12 @@ impl Node {
         topic: &str,
         qos: Qos,
     ) -> Result<Subscription<M>, Error> {
-        self.inner.interfaces.message::<M>();
-        let hears = Hears::default();
-        let raw = self.subscribe(topic, type_of::<M>(), qos, hears)?;
-        Ok(Subscription::new(raw))
+        self.subscribe_typed(topic, qos, Hears::default())
     }
 
-    /// As [`subscription`](Self::subscription), and where a publisher latches (durability transient local), what it
-    /// published before comes too: for what holds until something else is said, as a goal does. Publishers that do not
-    /// latch are heard as well, which a subscription with [`Qos::latched`] would not be connected to.
+    /// As [`subscription`](Self::subscription), and the latched samples of publishers that latch (durability transient
+    /// local) are received too: for messages that are valid until the next one, as a goal. Publishers that do not latch
+    /// are connected as well, unlike with [`Qos::latched`].
     ///
     /// # Errors
     /// A name that ROS does not allow, or the middleware failed.
@@ -313,17 +310,18 @@ impl Node {
         topic: &str,
         qos: Qos,
     ) -> Result<Subscription<M>, Error> {
-        self.inner.interfaces.message::<M>();
-        let hears = Hears {
-            latched: true,
-            ..Hears::default()
-        };
-        let raw = self.subscribe(topic, type_of::<M>(), qos, hears)?;
-        Ok(Subscription::new(raw))
+        self.subscribe_typed(
+            topic,
+            qos,
+            Hears {
+                latched: true,
+                ..Hears::default()
+            },
+        )
     }
 
     /// As [`subscription_catching_up`](Self::subscription_catching_up), and best-effort publishers are connected as well:
-    /// for what must not be missed because of its publisher's quality of service, as an emergency stop.
+    /// for messages that must arrive with any quality of service of their publisher, as an emergency stop.
     ///
     /// # Errors
     /// A name that ROS does not allow, or the middleware failed.
@@ -332,12 +330,24 @@ impl Node {
         topic: &str,
         qos: Qos,
     ) -> Result<Subscription<M>, Error> {
+        self.subscribe_typed(
+            topic,
+            qos,
+            Hears {
+                latched: true,
+                best_effort: true,
+                ..Hears::default()
+            },
+        )
+    }
+
+    fn subscribe_typed<M: Message>(
+        &self,
+        topic: &str,
+        qos: Qos,
+        hears: Hears,
+    ) -> Result<Subscription<M>, Error> {
         self.inner.interfaces.message::<M>();
-        let hears = Hears {
-            latched: true,
-            best_effort: true,
-            ..Hears::default()
-        };
         let raw = self.subscribe(topic, type_of::<M>(), qos, hears)?;
         Ok(Subscription::new(raw))
     }
@@ -433,13 +443,18 @@ impl Node {
         };
         let reader = backend.reader(node, &endpoint, sink)?;
         let further = [
-            latched.then(|| (Served::Latching, intake.sink_of_latched())),
-            best_effort.then(|| (Served::BestEffort, intake.sink_of_best_effort(backend))),
+            latched.then(|| (PublisherKind::Latching, intake.sink_of_latched())),
+            best_effort.then(|| {
+                (
+                    PublisherKind::BestEffort,
+                    intake.sink_of_best_effort(backend),
+                )
+            }),
         ];
-        let further = further.into_iter().flatten().map(|(served, sink)| {
+        let further = further.into_iter().flatten().map(|(kind, sink)| {
             let runtime = self.inner.context.runtime();
             let (node, endpoint) = (node.to_owned(), endpoint.clone());
-            CatchUp::begin(runtime, backend, node, endpoint, served, sink)
+            FurtherReader::begin(runtime, backend, node, endpoint, kind, sink)
         });
         let further = further.collect();
         Ok(RawSubscription::new(

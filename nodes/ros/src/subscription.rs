@@ -1,9 +1,9 @@
 //! Subscriptions, typed and raw.
 
-mod catch_up;
+mod further_reader;
 mod gaps;
 
-pub(crate) use catch_up::{CatchUp, Served};
+pub(crate) use further_reader::{FurtherReader, PublisherKind};
 pub use gaps::Gaps;
 
 use crate::{
@@ -70,7 +70,7 @@ pub struct RawSubscription {
     shutdown: Shutdown,
     type_name: String,
     /// For publishers that the reader does not serve.
-    _catch_up: Vec<CatchUp>,
+    further: Vec<FurtherReader>,
 }
 
 /// Reads a message from what a sample carries.
@@ -160,15 +160,18 @@ impl Intake {
                 let Some(backend) = backend.upgrade() else {
                     return;
                 };
-                if known.len() >= MAX_PUBLISHERS && !known.contains_key(&sample.writer) {
-                    known.clear();
-                }
-                let is_reliable = *known.entry(sample.writer).or_insert_with(|| {
+                if !known.contains_key(&sample.writer) {
+                    if known.len() >= MAX_PUBLISHERS {
+                        known.clear();
+                    }
                     let seen = backend.seen();
-                    let writer = seen.iter().find(|seen| seen.id == sample.writer);
-                    writer.is_some_and(|seen| seen.qos.reliability == Reliability::Reliable)
-                });
-                if is_reliable {
+                    // One that is not discovered yet is looked up again at its next sample.
+                    if let Some(writer) = seen.iter().find(|seen| seen.id == sample.writer) {
+                        let is_reliable = writer.qos.reliability == Reliability::Reliable;
+                        known.insert(sample.writer, is_reliable);
+                    }
+                }
+                if known.get(&sample.writer) == Some(&true) {
                     return;
                 }
             }
@@ -302,7 +305,7 @@ impl RawSubscription {
         backend: Arc<dyn Backend>,
         shutdown: Shutdown,
         type_name: String,
-        catch_up: Vec<CatchUp>,
+        further: Vec<FurtherReader>,
     ) -> Self {
         intake
             .diagnostics
@@ -313,7 +316,7 @@ impl RawSubscription {
             backend,
             shutdown,
             type_name,
-            _catch_up: catch_up,
+            further,
         }
     }
 
@@ -388,7 +391,10 @@ impl RawSubscription {
 
     /// Why other publishers of the topic are not connected, in words: their type or quality of service.
     pub fn mismatches(&self) -> Vec<String> {
-        self.backend.mismatches(&self.reader.id())
+        let mut mismatches = self.backend.mismatches(&self.reader.id());
+        let failures = self.further.iter().filter_map(FurtherReader::failure);
+        mismatches.extend(failures.map(str::to_owned));
+        mismatches
     }
 
     /// Waits until at least `number` publishers are connected.

@@ -141,8 +141,8 @@ pub struct Picture {
 }
 
 impl Picture {
-    /// Whether it takes milliseconds to make the picture of a frame: a raw image is encoded, a PNG decoded to see that it
-    /// is complete.
+    /// Whether making the picture of a frame takes milliseconds: a raw image is encoded, and a PNG is decoded to check that
+    /// it is complete.
     pub fn is_slow(frame: &CameraFrame) -> bool {
         match frame {
             CameraFrame::Raw(_) => true,

@@ -18,7 +18,7 @@ use wm_ros::{
 use super::{AdapterStep, Done, Problem, outlets::Endpoints, parameters::Parameters};
 use wm_sim::message::pose as pose_message;
 
-use crate::hear::next;
+use crate::optional::next;
 
 const NAME: &str = "action_adapter";
 

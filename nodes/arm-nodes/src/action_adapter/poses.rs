@@ -20,8 +20,8 @@ pub(super) struct Poses {
     timeout_ns: i64,
     speeds: Speeds,
     state: Option<State>,
-    /// The last pose that leapt, and how many before it, in a row, agree with it.
-    leapt: Option<(i64, Isometry3<f64>, u32)>,
+    /// The newest pose, if it leapt.
+    leap: Option<Leap>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -32,6 +32,15 @@ struct State {
     last: Isometry3<f64>,
 }
 
+/// A pose that leapt.
+#[derive(Clone, Copy, Debug)]
+struct Leap {
+    stamp_ns: i64,
+    pose: Isometry3<f64>,
+    /// Poses in a row that agree with it, itself included.
+    count: u32,
+}
+
 impl Poses {
     pub(super) fn new(what: &'static str, period_ns: i64, timeout_ns: i64, speeds: Speeds) -> Self {
         Self {
@@ -40,17 +49,18 @@ impl Poses {
             timeout_ns,
             speeds,
             state: None,
-            leapt: None,
+            leap: None,
         }
     }
 
-    /// Stamp of the last pose.
-    pub(super) fn last_ns(&self) -> Option<i64> {
-        self.state.map(|state| state.last_ns)
+    /// Stamp of the newest pose, a leap included.
+    pub(super) fn newest_ns(&self) -> Option<i64> {
+        let last_ns = self.state.map(|state| state.last_ns);
+        last_ns.max(self.leap.map(|leap| leap.stamp_ns))
     }
 
     pub(super) fn clear(&mut self) {
-        (self.state, self.leapt) = (None, None);
+        (self.state, self.leap) = (None, None);
     }
 
     /// Takes a pose, and gives the periods that are over with it, and how many are lost.
@@ -70,24 +80,26 @@ impl Poses {
             return Ok(Vec::new());
         };
         let since_ns = stamp_ns.saturating_sub(state.last_ns);
+        let newest_ns = self
+            .leap
+            .map_or(state.last_ns, |leap| leap.stamp_ns.max(state.last_ns));
+        let silent_ns = stamp_ns.saturating_sub(newest_ns);
         let seconds = |ns: i64| ns as f64 / 1e9;
-        if since_ns <= 0 {
-            let (what, by_s) = (self.what, -seconds(since_ns));
-            if since_ns > -JUMP_NS {
+        if silent_ns <= 0 {
+            let (what, by_s) = (self.what, -seconds(silent_ns));
+            if silent_ns > -JUMP_NS {
                 return Err(Problem::Older {
                     what,
                     before_s: by_s,
                 });
             }
-            (self.state, self.leapt) = (Some(begin), None);
+            (self.state, self.leap) = (Some(begin), None);
             return Err(Problem::Jump { what, by_s });
         }
         let lost = stamp_ns.saturating_sub(state.start_ns) / self.period_ns;
         let periods = lost.unsigned_abs().max(1);
-        let newest_ns = self.leapt.map_or(state.last_ns, |(leapt_ns, ..)| leapt_ns);
-        let silent_ns = stamp_ns.saturating_sub(newest_ns.max(state.last_ns));
         if silent_ns > self.timeout_ns {
-            (*state, self.leapt) = (begin, None);
+            (*state, self.leap) = (begin, None);
             return Err(Problem::Gap {
                 what: self.what,
                 periods,
@@ -97,24 +109,28 @@ impl Poses {
         let way = Displacement::between(&state.last, &pose);
         let share = self.speeds.share(&way, seconds(since_ns));
         // The longer ago the last good pose, the further the arm may be from it: a pose that stays is a leap all the same.
-        let agreeing = self.leapt.filter(|(leapt_ns, at, _)| {
-            let since_s = seconds(stamp_ns.saturating_sub(*leapt_ns));
-            let of_leapt = self
+        let agreeing = self.leap.filter(|leap| {
+            let way = Displacement::between(&leap.pose, &pose);
+            let of_leap = self
                 .speeds
-                .share(&Displacement::between(at, &pose), since_s);
-            since_s > 0.0 && of_leapt <= 1.0 && of_leapt < share
+                .share(&way, seconds(stamp_ns.saturating_sub(leap.stamp_ns)));
+            of_leap <= 1.0 && of_leap < share
         });
         if share > 1.0 || agreeing.is_some() {
             let what = self.what;
-            let count = agreeing.map_or(1, |(.., count)| count.saturating_add(1));
+            let count = agreeing.map_or(1, |leap| leap.count.saturating_add(1));
             if count >= STAYS {
-                (*state, self.leapt) = (begin, None);
+                (*state, self.leap) = (begin, None);
                 return Err(Problem::Moved { what, periods });
             }
-            self.leapt = Some((stamp_ns, pose, count));
+            self.leap = Some(Leap {
+                stamp_ns,
+                pose,
+                count,
+            });
             return Err(self.speeds.leap(what, &way, seconds(since_ns)));
         }
-        self.leapt = None;
+        self.leap = None;
         let mut over = Vec::new();
         loop {
             let end_ns = state.start_ns.saturating_add(self.period_ns);

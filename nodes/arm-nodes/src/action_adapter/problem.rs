@@ -174,6 +174,14 @@ impl Problem {
         }
     }
 
+    /// Whether actions begin anew with the pose at which it was found.
+    pub(super) fn begins_anew(&self) -> bool {
+        matches!(
+            self,
+            Self::Jump { .. } | Self::Gap { .. } | Self::Moved { .. }
+        )
+    }
+
     /// How many things were dropped.
     pub fn count(&self) -> u64 {
         match self {

@@ -1,4 +1,4 @@
-//! How fast the arm can be.
+//! The greatest speeds of the arm.
 
 use super::Problem;
 use crate::{displacement::Displacement, executor::Velocity};
@@ -8,7 +8,7 @@ const NOISE_M: f64 = 0.02;
 /// The same for turns \[rad\].
 const NOISE_RAD: f64 = 0.1;
 
-/// How fast the arm can be.
+/// The greatest speeds of the arm.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Speeds {
     /// Greatest speed of the end effector, above zero \[m/s\].
@@ -18,14 +18,14 @@ pub struct Speeds {
 }
 
 impl Speeds {
-    /// The share of what the arm can do in `seconds` that it takes to go this way; above 1, it cannot.
+    /// A displacement by what the arm can do in `seconds`; above 1, the arm cannot do it.
     pub(super) fn share(&self, way: &Displacement, seconds: f64) -> f64 {
         let of_way = way.translation.norm() / (NOISE_M + self.linear * seconds);
         let of_turn = way.turn.angle() / (NOISE_RAD + self.angular * seconds);
         of_way.max(of_turn)
     }
 
-    /// This way as a problem.
+    /// A displacement that the arm cannot do, as a problem.
     pub(super) fn leap(&self, what: &'static str, way: &Displacement, seconds: f64) -> Problem {
         Problem::Leap {
             what,
@@ -37,7 +37,7 @@ impl Speeds {
         }
     }
 
-    /// Whether the arm can be so fast.
+    /// That the arm can be so fast.
     ///
     /// # Errors
     /// [`Problem::TooFast`].

@@ -44,7 +44,7 @@ pub struct Settings {
     pub period: Duration,
     /// Longest time from one pose to the next; a velocity holds for so long.
     pub timeout: Duration,
-    /// How fast the arm can be: what is faster is no motion of it.
+    /// The greatest speeds of the arm: faster poses and twists are dropped.
     pub speeds: Speeds,
     /// Where motions come from.
     pub source: MotionSource,
@@ -204,7 +204,8 @@ impl AdapterStep {
         taken.filter_map(Result::err).collect()
     }
 
-    /// Follows the transforms to the newest time that is known; gives where the end effector is then, if that is new.
+    /// Follows the transforms to the newest time that is known; gives the pose of the end effector, if it is new and no
+    /// leap.
     ///
     /// # Errors
     /// [`Unknown`] says which transforms are missing.
@@ -219,14 +220,21 @@ impl AdapterStep {
             return Ok(None);
         };
         let (stamp_ns, pose) = frames.newest(base, tool)?;
-        if poses.last_ns() == Some(stamp_ns) {
+        if poses.newest_ns() == Some(stamp_ns) {
             return Ok(None);
         }
-        match poses.take(stamp_ns, pose) {
-            Ok(over) => self.end(&over),
-            Err(problem) => self.done.push(Err(problem)),
-        }
-        Ok(Some((stamp_ns, pose)))
+        let is_pose = match poses.take(stamp_ns, pose) {
+            Ok(over) => {
+                self.end(&over);
+                true
+            }
+            Err(problem) => {
+                let begins = problem.begins_anew();
+                self.done.push(Err(problem));
+                begins
+            }
+        };
+        Ok(is_pose.then_some((stamp_ns, pose)))
     }
 
     /// Takes how far the gripper is open, 0 closed to 1 open.
@@ -249,7 +257,7 @@ impl AdapterStep {
         self.gripper.joints(joints, received_ns)
     }
 
-    /// Time goes on without a message: an arm that nobody tells to move stands still. Whether the source is silent.
+    /// Time goes on without a message: an arm without commands stands still. Whether the source is silent.
     pub fn tick(&mut self, now_ns: i64) -> bool {
         let last_ns = match &mut self.course {
             Course::Twists(twists) => {
@@ -259,7 +267,7 @@ impl AdapterStep {
                 self.end(&over);
                 last_ns
             }
-            Course::Poses(poses) | Course::Frames { poses, .. } => poses.last_ns(),
+            Course::Poses(poses) | Course::Frames { poses, .. } => poses.newest_ns(),
         };
         last_ns.is_none_or(|last_ns| now_ns.saturating_sub(last_ns) > self.timeout_ns)
     }

@@ -18,9 +18,9 @@ pub(super) struct Beat {
 }
 
 enum Source {
-    /// Real time, whatever the clock says: where an arm is real.
+    /// Real time, independent of the node's clock: for a real arm.
     Real(Interval),
-    /// The clock: where an arm makes its own time.
+    /// The node's clock: for a simulated arm that makes its own time.
     Clock {
         jumps: watch::Receiver<u64>,
         period_ns: i64,
@@ -34,8 +34,8 @@ enum Source {
 }
 
 impl Beat {
-    /// One beat every `period`, of the node's clock or of real time. If the clock is silent for `timeout`, real time goes
-    /// on in its place.
+    /// One beat every `period`, by the node's clock or by real time. If the clock is silent for `timeout`, real time takes
+    /// its place.
     pub(super) fn new(is_clock: bool, period: Duration, timeout: Duration, clock: Clock) -> Self {
         let source = match is_clock {
             true => Source::Clock {
@@ -56,7 +56,7 @@ impl Beat {
         Self { clock, source }
     }
 
-    /// Whether it stops where the node's clock stops.
+    /// Whether it depends on the node's clock.
     pub(super) fn is_clock(&self) -> bool {
         matches!(self.source, Source::Clock { .. })
     }
@@ -85,8 +85,8 @@ impl Beat {
         }
     }
 
-    /// Waits for the next beat, for the clock to jump back, or, while it stands still, for a period of real time. What was
-    /// missed is not made up for.
+    /// Waits for the next beat, for the clock to jump back, or, while it stands still, for a period of real time. Missed
+    /// beats are skipped.
     pub(super) async fn tick(&mut self) {
         match &mut self.source {
             Source::Real(interval) => {
@@ -172,7 +172,7 @@ impl Passed {
         }
         let passed = real.saturating_duration_since(since);
         self.at += match is_first {
-            // Nothing was commanded meanwhile.
+            // No command was sent meanwhile.
             true => passed.saturating_sub(timeout),
             false => passed,
         };

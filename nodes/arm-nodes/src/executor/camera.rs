@@ -1,4 +1,4 @@
-//! Whether the camera that offers depend on shows the present.
+//! The state of the camera that offers depend on.
 
 use std::time::{Duration, Instant};
 
@@ -6,10 +6,11 @@ use wm_msgs::wm_msgs::CameraState;
 
 use super::{Hold, Moment, Offer, Refusal, refusal::stamp_of};
 
-/// What the encoder reports about the camera. Without an encoder there is no report, and nothing to wait for.
+/// The encoder's reports about the camera. Without an encoder none is expected.
 #[derive(Clone, Debug)]
 pub struct Camera {
     timeout: Duration,
+    /// When the last report came, and the reason of the stop that it reports.
     last: Option<(Instant, Option<String>)>,
     /// Capture time of the first frame after the last freeze \[ns\].
     thawed_ns: Option<i64>,
@@ -28,22 +29,26 @@ impl Camera {
     /// Takes a report.
     ///
     /// # Errors
-    /// [`Refusal::Stamp`]: its stamp is malformed. The report is dropped.
+    /// [`Refusal::Stamp`]: its stamp is malformed. The report is dropped, unless it reports a stop.
     pub(super) fn report(&mut self, state: &CameraState, received: Moment) -> Result<(), Refusal> {
-        let stamp_ns = stamp_of("camera_state", state.header.stamp)?;
-        let was_stopped = self.check(received).is_err();
-        if was_stopped && !state.frozen {
+        let stamp_ns = stamp_of("camera_state", state.header.stamp);
+        if state.frozen {
+            let reason = match state.reason.as_str() {
+                "" => "its frames do not change",
+                reason => reason,
+            };
+            self.last = Some((received.at, Some(reason.to_owned())));
+            return stamp_ns.map(drop);
+        }
+        let stamp_ns = stamp_ns?;
+        if self.check(received).is_err() {
             self.thawed_ns = Some(stamp_ns);
         }
-        let reason = state.frozen.then(|| match state.reason.as_str() {
-            "" => "its frames do not change".to_owned(),
-            reason => reason.to_owned(),
-        });
-        self.last = Some((received.at, reason));
+        self.last = Some((received.at, None));
         Ok(())
     }
 
-    /// Whether the camera runs.
+    /// That the camera runs.
     ///
     /// # Errors
     /// [`Hold::CameraFrozen`] or [`Hold::CameraSilent`].
@@ -62,7 +67,7 @@ impl Camera {
         }
     }
 
-    /// Whether an offer was made from a frame that is newer than the last freeze.
+    /// That an offer was made from a frame that is newer than the last freeze.
     ///
     /// # Errors
     /// [`Refusal::FrozenFrame`].
@@ -75,13 +80,13 @@ impl Camera {
         }
     }
 
-    /// The node's clock was set back: stamps of before no longer compare.
+    /// Forgets the stamps of before the node's clock was set back.
     pub(super) fn forget_stamps(&mut self) {
         self.thawed_ns = None;
     }
 
-    /// A person says that things are in order: an encoder that has ended is no longer waited for. A camera that was
-    /// frozen stays so until the encoder reports otherwise.
+    /// No longer expects reports of an encoder that has ended. A frozen camera stays frozen until the encoder reports
+    /// otherwise.
     pub(super) fn reset(&mut self) {
         if self
             .last

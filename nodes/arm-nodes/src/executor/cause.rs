@@ -1,16 +1,16 @@
-//! Why the arm does not move, or not as it was told.
+//! Why the arm does not move, or moves other than its offer says.
 
 use std::fmt;
 
 use thiserror::Error;
 
-/// What must be there for a motion, and is not.
+/// A missing condition of every motion.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum Hold {
     /// The node's clock stands still.
     #[error(
-        "/clock has not advanced for more than {timeout_s} s (clock_timeout); expected it to, since use_sim_time is set"
+        "/clock has not advanced for more than {timeout_s} s (clock_timeout), but use_sim_time is set"
     )]
     ClockStopped {
         /// The parameter, or less with a short max_age \[s\].
@@ -59,9 +59,9 @@ pub enum Hold {
         /// The parameter \[s\].
         timeout_s: f64,
     },
-    /// The arm does not go where it is told to.
+    /// The arm does not follow its commands.
     #[error(
-        "joint {axis} is {by:.3} from where it is told to be; at most {most} is allowed (max_joint_error)"
+        "joint {axis} is {by:.3} from its commanded position; at most {most} is allowed (max_joint_error)"
     )]
     Apart {
         /// Which joint, from 0.
@@ -94,22 +94,22 @@ impl Hold {
     }
 }
 
-/// Why the arm does not move, or not as it was told.
+/// Why the arm does not move, or moves other than its offer says.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Cause {
-    /// Nothing was offered that could be executed.
+    /// No chunk or plan to execute.
     Nothing,
-    /// What was executed is over, and nothing followed.
+    /// The offer is over, and none followed.
     Silence,
-    /// What was executed was received too long ago.
+    /// The offer was received too long ago.
     Stale,
-    /// What was executed is over by real time, but not by the node's clock, which is slower.
+    /// The offer is over by real time, but not by the node's clock, which is slower.
     ClockSlow,
-    /// The node's clock jumped ahead, past what was executed \[s\].
+    /// The node's clock jumped ahead, past the offer \[s\].
     ClockAhead(f64),
     /// The planner was reset: its older plans are void.
     OldEpoch,
-    /// What was executed was vetoed.
+    /// The offer was vetoed.
     Vetoed,
     /// Something is missing.
     Held(Hold),
@@ -123,18 +123,18 @@ pub enum Cause {
     StopMismatch(String),
     /// The node ends.
     Shutdown,
-    /// An emergency stop, and who asked for it how.
+    /// An emergency stop, and its cause in words.
     Emergency(String),
     /// It moves, but not along these axes (x, y, z): the workspace box ends there.
     Cut([bool; 3]),
     /// It moves, but not all joints: some are at their limits.
     CutJoints,
-    /// It moves, but slower than it was told.
+    /// It moves, but slower than its offer says.
     Slowed,
 }
 
 impl Cause {
-    /// Whether it is why an offer ended, which holds until the next one begins.
+    /// Whether it ended an offer: it holds until the next one begins.
     pub(super) fn is_end(&self) -> bool {
         matches!(
             self,

@@ -1,4 +1,4 @@
-//! The topic of the emergency stop: what it says, and whether it is connected.
+//! The topic of the emergency stop: which publishers press it, and whether they are connected.
 
 use std::collections::BTreeSet;
 
@@ -6,12 +6,12 @@ use wm_ros::PublisherId;
 
 use super::{ArmError, Cause};
 
-/// Who can stop the arm by the topic.
+/// The publishers of the topic.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct StopSources {
     /// The publishers that are connected.
     pub connected: BTreeSet<PublisherId>,
-    /// Why other publishers of the topic are not, in words.
+    /// Publishers that are not connected, each with the reason.
     pub mismatches: Vec<String>,
 }
 
@@ -19,7 +19,10 @@ pub struct StopSources {
 #[derive(Clone, Debug)]
 pub struct EmergencyStop {
     is_required: bool,
-    is_pressed: bool,
+    /// Publishers whose newest message is true: one of them does not release what another presses.
+    pressed: BTreeSet<PublisherId>,
+    /// Those of them that have gone, and cannot release it themselves.
+    gone: BTreeSet<PublisherId>,
     sources: StopSources,
 }
 
@@ -28,19 +31,30 @@ impl EmergencyStop {
     pub fn new(is_required: bool) -> Self {
         Self {
             is_required,
-            is_pressed: false,
+            pressed: BTreeSet::new(),
+            gone: BTreeSet::new(),
             sources: StopSources::default(),
         }
     }
 
-    /// Takes the newest message.
-    pub(super) fn press(&mut self, is_pressed: bool) {
-        self.is_pressed = is_pressed;
+    /// Takes the newest message of a publisher. A publisher that has gone is released by any other.
+    pub(super) fn press(&mut self, publisher: PublisherId, is_pressed: bool) {
+        self.gone.remove(&publisher);
+        if is_pressed {
+            self.pressed.insert(publisher);
+            return;
+        }
+        self.pressed.remove(&publisher);
+        let gone = std::mem::take(&mut self.gone);
+        self.pressed.retain(|pressed| !gone.contains(pressed));
     }
 
-    /// Takes who is connected, and gives why an armed arm has to stop.
+    /// Takes the publishers, and gives the reason why an armed arm has to stop.
     pub(super) fn connect(&mut self, sources: StopSources) -> Option<Cause> {
         let before = std::mem::replace(&mut self.sources, sources);
+        let gone = before.connected.difference(&self.sources.connected);
+        self.gone
+            .extend(gone.filter(|gone| self.pressed.contains(gone)));
         if let Some(text) = self.sources.mismatches.first() {
             return Some(Cause::StopMismatch(text.clone()));
         }
@@ -48,7 +62,7 @@ impl EmergencyStop {
         is_lost.then_some(Cause::StopLost)
     }
 
-    /// Whether the arm can be stopped by the topic, as far as that is expected.
+    /// That the topic can stop the arm.
     ///
     /// # Errors
     /// [`ArmError`].
@@ -60,14 +74,14 @@ impl EmergencyStop {
         }
     }
 
-    /// Whether the topic is released.
+    /// That no publisher presses it.
     ///
     /// # Errors
     /// [`ArmError::Pressed`].
     pub(super) fn expect_released(&self) -> Result<(), ArmError> {
-        match self.is_pressed {
-            true => Err(ArmError::Pressed),
-            false => Ok(()),
+        match self.pressed.is_empty() {
+            true => Ok(()),
+            false => Err(ArmError::Pressed),
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Where the joints are, where they are told to be, and where they may be.
+//! Measured positions, commanded positions and limits of the joints.
 
 use std::time::{Duration, Instant};
 
@@ -14,7 +14,7 @@ const JUMP_NS: i64 = 100_000_000;
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum JointError {
-    /// Not a number.
+    /// A position that is not finite.
     #[error("joint_states has {name} at {value}; expected a finite number")]
     NotFinite {
         /// The joint.
@@ -22,7 +22,7 @@ pub enum JointError {
         /// What came.
         value: f64,
     },
-    /// Older than what is known of a joint.
+    /// Older than the last position of a joint.
     #[error("joint_states has {name} {before_s:.3} s older than before")]
     Older {
         /// The joint.
@@ -46,36 +46,36 @@ impl JointError {
     }
 }
 
-/// Where a joint is.
+/// A measured position of a joint.
 #[derive(Clone, Copy, Debug)]
-struct Measured {
+struct Measurement {
     /// \[rad or m\]
     place: f64,
-    /// When that came.
+    /// Time of reception.
     at: Instant,
     /// Of the message; 0 if it has none \[ns\].
     stamp_ns: i64,
 }
 
-/// Where the joints are, where they are told to be, and where they may be.
+/// Measured positions, commanded positions and limits of the joints.
 #[derive(Clone, Debug)]
 pub struct Joints {
     names: Vec<String>,
-    /// Least and greatest position of each, infinite where there is no limit \[rad or m\].
+    /// Least and greatest position of each, infinite without a limit \[rad or m\].
     limits: Vec<(f64, f64)>,
     lookahead: Duration,
     timeout: Duration,
-    /// How far they may be from where they are told to be \[rad or m\].
+    /// Greatest distance from the commanded positions \[rad or m\].
     most_apart: f64,
-    /// In the order of the names; parts of the robot may report apart.
-    measured: Vec<Option<Measured>>,
-    /// Where they are told to be at the end of the last command period.
-    told: Option<Rates>,
+    /// In the order of the names; parts of the robot may publish separately.
+    measured: Vec<Option<Measurement>>,
+    /// Commanded positions at the end of the last command period.
+    commanded: Option<Rates>,
 }
 
 impl Joints {
-    /// Those with these names, which may be between `limits` \[rad or m\] and stop there within `lookahead`, whose
-    /// positions come at least every `timeout`, and may be `most_apart` from where they are told to be.
+    /// Joints of these names, which stay within `limits` \[rad or m\] and stop there within `lookahead`. They are measured at
+    /// least every `timeout`, and at most `most_apart` from the commanded positions.
     pub fn new(
         names: Vec<String>,
         limits: Vec<(f64, f64)>,
@@ -91,7 +91,7 @@ impl Joints {
             timeout,
             most_apart,
             measured,
-            told: None,
+            commanded: None,
         }
     }
 
@@ -105,10 +105,10 @@ impl Joints {
         &self.limits
     }
 
-    /// Takes where some or all of them are; that came at `at`.
+    /// Takes positions of some or all of them, received at `at`.
     ///
     /// # Errors
-    /// [`JointError`]; what came before still counts, for as long as it may.
+    /// [`JointError`]: the message is dropped, and the earlier positions stay until their timeout.
     pub fn measure(&mut self, joints: &JointState, at: Instant) -> Result<(), JointError> {
         let stamp_ns = stamp_of("joint_states", joints.header.stamp)?;
         let mut found = Vec::new();
@@ -134,7 +134,7 @@ impl Joints {
         }
         for (index, place) in found {
             if let Some(known) = self.measured.get_mut(index) {
-                *known = Some(Measured {
+                *known = Some(Measurement {
                     place,
                     at,
                     stamp_ns,
@@ -144,19 +144,19 @@ impl Joints {
         Ok(())
     }
 
-    /// Where they are, once that is known of all.
+    /// The measured positions, once all are known.
     fn measured(&self) -> Option<Rates> {
         let places = self.measured.iter().copied();
         let places: Option<Vec<f64>> = places.map(|known| Some(known?.place)).collect();
         places.map(Rates::of)
     }
 
-    /// Where they are told to be; before anything was told, where they are.
+    /// The commanded positions; before any command, the measured ones.
     pub fn places(&self) -> Option<Rates> {
-        self.told.or_else(|| self.measured())
+        self.commanded.or_else(|| self.measured())
     }
 
-    /// Whether it is known where they are: the oldest counts.
+    /// That all are measured: the oldest position counts.
     ///
     /// # Errors
     /// [`Hold`] says why the arm may not move.
@@ -175,17 +175,17 @@ impl Joints {
         Ok(())
     }
 
-    /// Whether they are about where they are told to be.
+    /// That they are near the commanded positions.
     ///
     /// # Errors
     /// [`Hold::Apart`]: the arm does not follow.
     pub fn check_following(&self) -> Result<(), Hold> {
-        let (Some(told), Some(measured)) = (self.told, self.measured()) else {
+        let (Some(commanded), Some(measured)) = (self.commanded, self.measured()) else {
             return Ok(());
         };
-        let apart = told.as_slice().iter().zip(measured.as_slice());
+        let apart = commanded.as_slice().iter().zip(measured.as_slice());
         let mut apart = apart
-            .map(|(told, measured)| (told - measured).abs())
+            .map(|(commanded, measured)| (commanded - measured).abs())
             .enumerate();
         match apart.find(|(_, by)| *by > self.most_apart) {
             None => Ok(()),
@@ -197,8 +197,8 @@ impl Joints {
         }
     }
 
-    /// What is left of velocities so that no joint goes beyond its limits, or further, and whether anything was cut. The
-    /// nearer the limit, the slower: the joint can stop in time.
+    /// Reduces velocities so that no joint goes (further) beyond its limits; whether anything was cut. The nearer the limit,
+    /// the slower: the joint can stop in time.
     pub fn cut(&self, velocity: Rates) -> (Rates, bool) {
         let Some(places) = self.places() else {
             return (Rates::zero(self.names.len()), true);
@@ -217,14 +217,14 @@ impl Joints {
         (left, is_cut)
     }
 
-    /// They are told to move at `velocity` for `seconds`.
+    /// Commands a motion at `velocity` for `seconds`.
     pub fn go(&mut self, velocity: Rates, seconds: f64) {
-        self.told = self.places().map(|places| places.plus(velocity, seconds));
+        self.commanded = self.places().map(|places| places.plus(velocity, seconds));
     }
 
-    /// They stand still: where they are is where they are told to be from now on.
+    /// They stand still: the measured positions count as the commanded ones from now on.
     pub fn settle(&mut self) {
-        self.told = None;
+        self.commanded = None;
     }
 }
 

@@ -1,28 +1,28 @@
-//! Offers that come late, again and again: the arm must not start and stop with each of them.
+//! Sources whose offers come late repeatedly: the arm must not start and stop with each offer.
 
 use std::time::Duration;
 
 use super::{Offer, Refusal, Source};
 
-/// A source that leaves the arm at rest has to be in time for so long before the arm moves again \[ns\].
+/// A source whose lateness brought the arm to rest has to be in time for this long before the arm moves again \[ns\].
 const FIRST_PROBATION_NS: i64 = 2_000_000_000;
 /// The same after several relapses \[ns\].
 const LONGEST_PROBATION_NS: i64 = 16_000_000_000;
-/// Offers whose first half was over in a row that are reported.
+/// A source is reported after this many offers in a row whose first half was over.
 const REPORTED: u32 = 3;
-/// After so long without a late offer, the next one is reported again \[ns\].
+/// After this long without a late offer, the next one is reported again \[ns\].
 const QUIET_NS: i64 = 30_000_000_000;
-/// After so long without an offer, the source begins anew \[ns\].
+/// After this long without an offer, the source begins anew \[ns\].
 const FORGOTTEN_NS: i64 = 10_000_000_000;
 
-/// A source that is late, to be reported once.
+/// A report of a late source.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LateNotice {
-    /// Whose offers they are.
+    /// The source.
     pub source: Source,
-    /// After its beginning, the last one came \[s\].
+    /// From the beginning of the last offer to its reception \[s\].
     pub late_s: f64,
-    /// How long it takes \[s\].
+    /// Duration of the last offer \[s\].
     pub span_s: f64,
     /// Whether the arm stands still until the source is in time.
     pub is_refused: bool,
@@ -41,7 +41,7 @@ impl std::fmt::Display for LateNotice {
     }
 }
 
-/// How an arm is when an offer comes.
+/// State of the arm when an offer comes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Course {
     /// By the node's clock \[ns\].
@@ -58,7 +58,7 @@ struct Gap {
     from_ns: i64,
     /// None while it lasts.
     to_ns: Option<i64>,
-    /// How much of it late offers would have filled, and up to when that is counted.
+    /// The part of it that late offers would have filled, and the time up to which that is counted.
     filled_ns: i64,
     counted_ns: i64,
 }
@@ -73,7 +73,7 @@ impl Gap {
         }
     }
 
-    /// Counts an offer that came late; whether most of the rest is by now the fault of such, and more than `grace_ns`.
+    /// Counts a late offer; whether late offers have caused most of the rest by now, and more than `grace_ns`.
     fn fill(&mut self, offer: &Offer, now_ns: i64, grace_ns: i64) -> bool {
         let to_ns = self.to_ns.unwrap_or(now_ns);
         let until_ns = offer.end_ns().min(to_ns);
@@ -84,7 +84,7 @@ impl Gap {
     }
 }
 
-/// Whether offers come in time for one motion.
+/// Lateness of a source, and its consequence.
 #[derive(Clone, Debug)]
 pub(super) struct Lateness {
     /// Gaps that are shorter do not bring the arm to rest \[ns\].
@@ -107,7 +107,7 @@ pub(super) struct Lateness {
 }
 
 impl Lateness {
-    /// For an arm that does not stop in a gap of `grace` between two offers, and needs `least` to start and stop.
+    /// For an arm that does not stop in a gap of `grace` between two offers, and takes `least` to start and stop.
     pub fn new(grace: Duration, least: Duration) -> Self {
         let nanos = |duration: Duration| i64::try_from(duration.as_nanos()).unwrap_or(i64::MAX);
         Self {
@@ -139,18 +139,18 @@ impl Lateness {
         };
     }
 
-    /// Whether an offer has come late lately.
+    /// Whether an offer was late in the last seconds.
     pub fn is_late_at_times(&self, now_ns: i64) -> bool {
         self.last_late_ns
             .is_some_and(|last_ns| now_ns.saturating_sub(last_ns) <= FORGOTTEN_NS)
     }
 
-    /// What is to be reported since the last call.
+    /// The report since the last call, if there is one.
     pub fn take_notice(&mut self) -> Option<LateNotice> {
         self.notice.take()
     }
 
-    /// Takes an offer that passed every other check of its time, or came when it was over.
+    /// Takes an offer that passed every other check of its time.
     ///
     /// # Errors
     /// [`Refusal::Late`] or [`Refusal::Behind`]: it is not executed.
@@ -188,7 +188,7 @@ impl Lateness {
         judged
     }
 
-    /// An offer that lasts until `until_ns` has come.
+    /// Takes note of an offer that lasts until `until_ns`.
     fn cover(&mut self, now_ns: i64, until_ns: i64) {
         self.covered = match self.covered {
             Some((since_ns, before_ns)) if before_ns.saturating_add(self.grace_ns) >= now_ns => {
@@ -224,7 +224,7 @@ impl Lateness {
             self.recovered_ns = Some(now_ns);
             return Ok(());
         }
-        // Whether the arm would not have come to rest, or for a shorter time, had late offers come in time.
+        // Had late offers come in time, the arm would have rested for a shorter time, or not at all.
         let rest = course.over_ns.filter(|_| course.is_at_rest);
         if let Some(over_ns) = rest
             && self.gap.is_none_or(|gap| gap.from_ns != over_ns)
@@ -247,7 +247,7 @@ impl Lateness {
         Ok(())
     }
 
-    /// The arm is at rest, for lack of offers that were late: it stays there until they are in time for a while.
+    /// The arm is at rest because offers were late: it stays there until they are in time for a while.
     fn refuse(&mut self, now_ns: i64) {
         let is_relapse = self.recovered_ns.is_some_and(|recovered_ns| {
             now_ns.saturating_sub(recovered_ns) < self.probation_ns.saturating_mul(4)

@@ -147,7 +147,7 @@ impl Layout {
         Some(indices.iter().filter_map(name).collect())
     }
 
-    /// Whether actions say where joints are to be, which ends a motion by itself.
+    /// Whether actions are positions of joints, at which a motion ends by itself.
     pub fn has_positions(&self) -> bool {
         matches!(
             self.motion,

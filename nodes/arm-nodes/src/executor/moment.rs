@@ -1,4 +1,4 @@
-//! Moments by the clocks that commands depend on.
+//! Moments, by all clocks that commands depend on.
 
 use std::time::{Duration, Instant};
 
@@ -23,7 +23,7 @@ impl Moment {
         }
     }
 
-    /// Time from `self` to `now`: the longer one of that by `at` and that by the node's clock.
+    /// Time from `self` to `now`, by `at` or by the node's clock: the longer one.
     pub(super) fn age(&self, now: Self) -> Duration {
         let by_stamp_ns = now.stamp_ns.saturating_sub(self.stamp_ns);
         let by_stamp = Duration::from_nanos(u64::try_from(by_stamp_ns).unwrap_or(0));

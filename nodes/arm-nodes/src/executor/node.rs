@@ -18,12 +18,12 @@ use wm_msgs::{
 };
 use wm_ros::{
     Call, Component, Diagnostics, EndpointSet as _, Level, NAMESPACE, Node, NodeArgs,
-    NodeDefinition, ParameterSet as _, Subscription,
+    NodeDefinition, ParameterSet as _, Received, Subscription,
     calls::{Calls, answer},
     complaints::Complaints,
 };
 
-use crate::hear::next;
+use crate::optional::next;
 
 use super::{
     Cause, Command, ExecutorStep, Moment, Output, Refusal, Source, State, Status, StopSources,
@@ -122,8 +122,8 @@ pub async fn body(node: Node) -> Result<()> {
             shapes,
             status,
         },
-        told: None,
-        unread: 0,
+        published: None,
+        undecodable: 0,
         is_deadman_required,
         node: node.clone(),
     };
@@ -141,57 +141,71 @@ pub async fn body(node: Node) -> Result<()> {
     let mut is_ending = false;
     let mut graph = node.graph_changes();
     graph.mark_changed();
-    loop {
-        // What stops the arm goes first; commands go before what leads to further ones.
-        tokio::select! {
-            biased;
-            Some(received) = emergency.recv() => executor.emergency(received.message.data, beat.now())?,
-            Ok(()) = graph.changed() => executor.connect(&emergency, &deadman, beat.now())?,
-            call = calls.next() => executor.obey(call, beat.now())?,
-            () = shutdown.wait(), if !is_ending => {
-                is_ending = true;
-                if beat.is_clock() {
-                    // Its clock may stand still for ever.
-                    executor.step.stop("the node ends");
-                    executor.tick(beat.now())?;
-                    return executor.outlets.settle().await;
+    let ended: Result<()> = async {
+        loop {
+            // What stops the arm goes first; commands go before what leads to further ones.
+            tokio::select! {
+                biased;
+                Some(received) = emergency.recv() => executor.emergency(&received, beat.now())?,
+                Ok(()) = graph.changed() => executor.connect(&emergency, &deadman, beat.now())?,
+                call = calls.next() => executor.obey(call, beat.now())?,
+                () = shutdown.wait(), if !is_ending => {
+                    is_ending = true;
+                    if beat.is_clock() {
+                        // Its clock may stand still for ever.
+                        executor.step.stop("the node ends");
+                        executor.tick(beat.now())?;
+                        return executor.outlets.settle().await;
+                    }
+                    executor.step.disarm(Cause::Shutdown);
                 }
-                executor.step.disarm(Cause::Shutdown);
-            }
-            Some(received) = deadman.recv() => executor.step.deadman(received.message.data, beat.of(&received).at),
-            Some(received) = cameras.recv() => {
-                let taken = executor.step.camera(&received.message, beat.of(&received));
-                executor.drop_malformed(taken);
-            }
-            Some(received) = poses.recv() => executor.pose(&received.message, beat.of(&received).at),
-            Some(received) = next(&mut joints) => executor.joints(&received.message, beat.of(&received).at),
-            () = beat.tick() => {
-                executor.expect_readable(emergency.undecodable());
-                let is_moving = executor.tick(beat.now())?;
-                if is_ending && !is_moving {
-                    return executor.outlets.settle().await;
+                Some(received) = deadman.recv() => executor.step.deadman(received.message.data, beat.of(&received).at),
+                Some(received) = cameras.recv() => {
+                    let taken = executor.step.camera(&received.message, beat.of(&received));
+                    executor.drop_malformed(taken);
                 }
-            }
-            Some(received) = errors.recv() => executor.step.prediction_error(&received.message),
-            Some(received) = candidates.recv() => {
-                let taken = executor.step.candidates(&received.message);
-                executor.drop_malformed(taken);
-            }
-            Some(received) = assessments.recv() => executor.assessment(&received.message, beat.now()),
-            Some(received) = next(&mut chunks) => {
-                let taken = executor.step.chunk(&received.message, beat.of(&received), beat.now());
-                executor.take(Source::Chunk, taken);
-            }
-            Some(received) = next(&mut plans) => {
-                let taken = executor.step.plan(&received.message, beat.of(&received), beat.now());
-                let is_accepted = matches!(taken, Ok(Taken::Accepted));
-                executor.take(Source::Plan, taken);
-                if is_accepted {
-                    executor.announce(&received.message)?;
+                Some(received) = poses.recv() => executor.pose(&received.message, beat.of(&received).at),
+                Some(received) = next(&mut joints) => executor.joints(&received.message, beat.of(&received).at),
+                () = beat.tick() => {
+                    executor.expect_readable(emergency.undecodable());
+                    if is_ending {
+                        // A call may have armed it meanwhile.
+                        executor.step.disarm(Cause::Shutdown);
+                    }
+                    let is_moving = executor.tick(beat.now())?;
+                    if is_ending && !is_moving {
+                        return executor.outlets.settle().await;
+                    }
+                }
+                Some(received) = errors.recv() => executor.step.prediction_error(&received.message),
+                Some(received) = candidates.recv() => {
+                    let taken = executor.step.candidates(&received.message);
+                    executor.drop_malformed(taken);
+                }
+                Some(received) = assessments.recv() => executor.assessment(&received.message, beat.now()),
+                Some(received) = next(&mut chunks) => {
+                    let taken = executor.step.chunk(&received.message, beat.of(&received), beat.now());
+                    executor.take(Source::Chunk, taken);
+                }
+                Some(received) = next(&mut plans) => {
+                    let taken = executor.step.plan(&received.message, beat.of(&received), beat.now());
+                    let is_accepted = matches!(taken, Ok(Taken::Accepted));
+                    executor.take(Source::Plan, taken);
+                    if is_accepted {
+                        executor.announce(&received.message)?;
+                    }
                 }
             }
         }
     }
+    .await;
+    if let Err(error) = &ended {
+        // The last command would hold until the arm's controller misses the next.
+        executor.step.stop(&format!("the node ends: {error:#}"));
+        executor.act(beat.now()).ok();
+        executor.outlets.settle().await.ok();
+    }
+    ended
 }
 
 struct Executor {
@@ -200,17 +214,17 @@ struct Executor {
     outlets: Outlets,
     complaints: Complaints,
     diagnostics: Diagnostics,
-    /// The status that was sent last, and when.
-    told: Option<(Status, Instant)>,
-    /// Messages of the emergency stop that could not be read.
-    unread: u64,
+    /// The status that was published last, and when.
+    published: Option<(Status, Instant)>,
+    /// Undecodable messages of the emergency stop.
+    undecodable: u64,
     is_deadman_required: bool,
 }
 
 /// The status goes out at least this often.
 pub(super) const STATUS_PERIOD: Duration = Duration::from_secs(1);
-/// Who calls where the graph does not tell.
-const SOMEBODY: &str = "somebody";
+/// A caller that the graph does not name.
+const UNKNOWN_NODE: &str = "an unknown node";
 
 impl Executor {
     fn header(&self, stamp_ns: i64) -> Header {
@@ -220,14 +234,14 @@ impl Executor {
         }
     }
 
-    /// Sends the command of this period, and tells of it; whether the arm moves.
+    /// Publishes the command of this period and the status; whether the arm moves.
     fn tick(&mut self, now: Moment) -> Result<bool> {
         let is_moving = self.act(now)?;
-        self.tell(now)?;
+        self.publish_status(now)?;
         Ok(is_moving)
     }
 
-    /// Sends the command of this period; whether the arm moves.
+    /// Publishes the command of this period; whether the arm moves.
     fn act(&mut self, now: Moment) -> Result<bool> {
         let tick = self.step.tick(now);
         for refusal in &tick.refused {
@@ -299,11 +313,11 @@ impl Executor {
         message::trajectory(self.step.frame_id().to_owned(), names, command, period_ns)
     }
 
-    /// Publishes the status where it has changed, or some time has passed.
-    fn tell(&mut self, now: Moment) -> Result<()> {
+    /// Publishes the status if it has changed, or if some time has passed.
+    fn publish_status(&mut self, now: Moment) -> Result<()> {
         let status = self.step.status();
-        if let Some((told, at)) = &self.told
-            && *told == status
+        if let Some((published, at)) = &self.published
+            && *published == status
             && now.at.saturating_duration_since(*at) < STATUS_PERIOD
         {
             return Ok(());
@@ -324,15 +338,16 @@ impl Executor {
         message.reason = reason;
         self.outlets.status.publish(&message)?;
         self.draw(message.header)?;
-        self.told = Some((status, now.at));
+        self.published = Some((status, now.at));
         Ok(())
     }
 
-    /// Logs a change of the state, and what is missing once, when it is.
+    /// Logs a change of the state, and each hold once, when it begins.
     fn log(&self, status: &Status) {
-        let before = self.told.as_ref().map(|(told, _)| told);
-        let is_new_hold = status.hold.is_some() && before.and_then(|told| told.hold) != status.hold;
-        if !is_new_hold && before.is_none_or(|told| told.state == status.state) {
+        let before = self.published.as_ref().map(|(before, _)| before);
+        let is_new_hold =
+            status.hold.is_some() && before.and_then(|before| before.hold) != status.hold;
+        if !is_new_hold && before.is_none_or(|before| before.state == status.state) {
             return;
         }
         let reason = match status.hold {
@@ -348,7 +363,7 @@ impl Executor {
         }
     }
 
-    /// Draws the workspace box, where somebody looks.
+    /// Publishes the workspace box, if a node subscribes.
     fn draw(&self, header: Header) -> Result<()> {
         let workspace = self.step.settings().workspace.as_ref();
         let shapes = self.outlets.shapes.as_ref();
@@ -360,15 +375,16 @@ impl Executor {
         Ok(())
     }
 
-    /// Names of this node's own, in full: who reads a log or a page does not know whose `~` is.
+    /// The text with this node's name in place of `~`.
     fn spelled(&self, text: &str) -> String {
         text.replace("~/", &format!("{}/", self.node.fully_qualified_name()))
     }
 
-    /// Logs who called a service of this node, as far as the graph tells; gives the same text.
+    /// Logs which node called a service of this node; gives the same text.
     fn log_call(&self, participant: [u8; 12], service: &str) -> String {
         let node = self.node.node_of(participant);
-        let text = format!("{} called ~/{service}", node.as_deref().unwrap_or(SOMEBODY));
+        let node = node.as_deref().unwrap_or(UNKNOWN_NODE);
+        let text = format!("{node} called ~/{service}");
         info!("{}", self.spelled(&text));
         text
     }
@@ -380,7 +396,7 @@ impl Executor {
         self.report_lateness();
     }
 
-    /// Counts a refusal, and logs it unless its reason is logged as a whole: what is missing, or a source that is late.
+    /// Counts a refusal, and logs it unless its cause is logged once for all: a hold, or a late source.
     fn refuse(&mut self, refusal: &Refusal, prefix: &str) {
         let reason = refusal.reason();
         let text = self.spelled(&format!("{prefix}{refusal}"));
@@ -408,7 +424,7 @@ impl Executor {
         }
     }
 
-    /// The graph has changed: who can stop the arm.
+    /// Takes the publishers that can stop the arm, after a change of the graph.
     fn connect(
         &mut self,
         emergency: &Subscription<Bool>,
@@ -423,19 +439,18 @@ impl Executor {
             connected: emergency.matching_publishers(),
             mismatches,
         });
-        self.tell(now)
+        self.publish_status(now)
     }
 
-    /// What a message of the emergency stop said that could not be read, nobody knows: the arm stops.
-    fn expect_readable(&mut self, unread: u64) {
-        if unread > self.unread {
-            self.unread = unread;
-            self.step
-                .stop("a message on emergency_stop could not be read");
+    /// Stops the arm at an undecodable message of the emergency stop, which may have been true.
+    fn expect_readable(&mut self, undecodable: u64) {
+        if undecodable > self.undecodable {
+            self.undecodable = undecodable;
+            self.step.stop("a message on emergency_stop is undecodable");
         }
     }
 
-    /// Tells others of a plan that is going to be done.
+    /// Publishes an accepted plan for the predictor and the planner.
     fn announce(&self, plan: &Plan) -> Result<()> {
         let is_armed = self.step.status().state != State::DryRun;
         if let (Some(announcements), true) = (&self.outlets.announcements, is_armed) {
@@ -463,8 +478,9 @@ impl Executor {
         }
     }
 
-    fn emergency(&mut self, is_pressed: bool, now: Moment) -> Result<()> {
-        self.step.emergency(is_pressed);
+    fn emergency(&mut self, received: &Received<Bool>, now: Moment) -> Result<()> {
+        let is_pressed = received.message.data;
+        self.step.emergency(received.publisher, is_pressed);
         if is_pressed {
             // The arm does not wait for the next period.
             self.tick(now)?;
@@ -472,7 +488,7 @@ impl Executor {
         Ok(())
     }
 
-    /// The answer to a call; why it is refused is in the log too.
+    /// The response to a call; a refusal is logged too.
     fn outcome(&self, done: Result<(), super::ArmError>, what: &str) -> Outcome {
         let message = match &done {
             Ok(()) => what.to_owned(),
@@ -489,7 +505,7 @@ impl Executor {
     }
 
     fn obey(&mut self, request: Request, now: Moment) -> Result<()> {
-        // Each is obeyed before the graph is searched for who called: an arm does not wait for that.
+        // First the action, then the search of the graph for the caller: an arm does not wait for that.
         match request {
             Request::Arm(call) if call.request.data => {
                 let armed = self.step.arm();
@@ -502,7 +518,7 @@ impl Executor {
                 answer(call, &self.outcome(Ok(()), "disarmed"));
             }
             Request::Stop(call) => {
-                let is_first = self.step.stop(&format!("{SOMEBODY} called ~/stop"));
+                let is_first = self.step.stop(&format!("{UNKNOWN_NODE} called ~/stop"));
                 self.act(now)?;
                 let by = self.log_call(call.participant(), "stop");
                 if is_first {
@@ -516,7 +532,7 @@ impl Executor {
                 answer(call, &self.outcome(reset, "reset: not armed"));
             }
         }
-        self.tell(now)
+        self.publish_status(now)
     }
 }
 

@@ -41,7 +41,7 @@ pub struct Offer {
     pub stamp_ns: i64,
     /// Which offer is newer: of a chunk its stamp; of a plan the stamp of the frame that it was made from \[ns\].
     pub made_ns: i64,
-    /// When the camera saw what it responds to; of a chunk that does not say so, its stamp \[ns\].
+    /// Capture time of the frame that it responds to; of a chunk without one, its stamp \[ns\].
     pub seen_ns: i64,
     /// When its first action begins, by the node's clock \[ns\].
     pub begin_ns: i64,
@@ -63,7 +63,7 @@ impl Offer {
     pub fn of_chunk(chunk: &ActionChunk) -> Result<Self, Refusal> {
         let stamp_ns = stamp_of("the chunk", chunk.header.stamp)?;
         let seen_ns = match stamp_of("timing.capture", chunk.timing.capture)? {
-            // The policy does not say what it saw.
+            // The policy does not name its frame.
             0 => stamp_ns,
             capture_ns => capture_ns,
         };

@@ -152,7 +152,7 @@ pub(super) struct Outlets {
 }
 
 impl Outlets {
-    /// Waits, but not for long, until the last command has arrived: a node that is gone sends nothing again.
+    /// Waits, but not for long, until the last command has arrived: a node that has ended repeats nothing.
     pub(super) async fn settle(&self) -> Result<()> {
         if let Some(twists) = &self.twists {
             twists.wait_for_acknowledgments(FAREWELL).await?;

@@ -41,7 +41,7 @@ impl Accepted {
         }
     }
 
-    /// Whether it is over by real time: its motions would take longer than they say.
+    /// Whether it is over by real time: its motions would take longer than their periods.
     fn is_outrun(&self, now: Moment) -> bool {
         let span_ns = self.offer.end_ns().saturating_sub(self.received.stamp_ns);
         let most_ns = span_ns
@@ -52,9 +52,9 @@ impl Accepted {
     }
 }
 
-/// What an offer tells for one command period.
+/// The motion of the offers in one command period.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Told {
+pub(super) struct PeriodMotion {
     /// Mean velocity over the period.
     pub velocity: Rates,
     /// The gripper's opening at its beginning.
@@ -63,7 +63,7 @@ pub(super) struct Told {
     pub running_out: Option<f64>,
 }
 
-/// What has happened in a schedule since the last command.
+/// A change of the schedule since the last command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Change {
     /// The next offer has begun.
@@ -151,8 +151,8 @@ impl Schedule {
         )
     }
 
-    /// Goes on to a command period of `span_ns` that begins now: what has changed, and why offers that were to begin by
-    /// the end of the period do not.
+    /// Goes on to a command period of `span_ns` that begins now. Gives the change, and why offers that were to begin by the
+    /// end of the period do not.
     pub fn advance(
         &mut self,
         now: Moment,
@@ -204,12 +204,18 @@ impl Schedule {
         (change, dropped)
     }
 
-    /// What is told for the time from `from_ns` on, for `span_ns`, at whose beginning joints are at `places`. An action is a
-    /// motion over an interval: one that lies in that time in part counts in part.
-    pub fn told(&self, from_ns: i64, span_ns: i64, layout: &Layout, places: Rates) -> Option<Told> {
+    /// The motion from `from_ns` on, for `span_ns`; at its beginning joints are at `places`. An action is a motion over an
+    /// interval: the part of it that lies in that time counts.
+    pub fn motion(
+        &self,
+        from_ns: i64,
+        span_ns: i64,
+        layout: &Layout,
+        places: Rates,
+    ) -> Option<PeriodMotion> {
         let mut places = places;
         let to_ns = from_ns.saturating_add(span_ns);
-        let mut told: Option<Told> = None;
+        let mut motion: Option<PeriodMotion> = None;
         let mut offers = self.current.iter().chain(&self.next).peekable();
         let mut covered = 0.0;
         while let Some(Accepted { offer, .. }) = offers.next() {
@@ -231,22 +237,22 @@ impl Schedule {
                     continue;
                 }
                 let share = (end_ns - start_ns) as f64 / span_ns.max(1) as f64;
-                // At least a nanosecond: an action that is over is left out above.
+                // At least a nanosecond: an action that is over is skipped above.
                 let left_ns = offer.start_ns(index + 1).saturating_sub(start_ns).max(1);
                 let left_s = left_ns as f64 / 1e9;
                 let velocity = layout.rates(values, period_s, left_s, places.as_slice());
                 places = places.plus(velocity, (end_ns - start_ns) as f64 / 1e9);
-                let told = told.get_or_insert_with(|| Told {
+                let motion = motion.get_or_insert_with(|| PeriodMotion {
                     velocity: Rates::zero(layout.axes()),
                     gripper: layout.gripper(values),
                     running_out: None,
                 });
-                told.velocity = told.velocity.plus(velocity, share);
+                motion.velocity = motion.velocity.plus(velocity, share);
                 covered += share;
-                told.running_out = (end_ns < to_ns).then_some(covered);
+                motion.running_out = (end_ns < to_ns).then_some(covered);
             }
         }
-        told
+        motion
     }
 }
 
@@ -288,8 +294,8 @@ mod tests {
 
     fn forward(schedule: &Schedule, from_ms: i64, span_ms: i64) -> Option<f64> {
         let layout = Layout::new(ActionSpace::bridge()).unwrap();
-        let told = schedule.told(from_ms * MS, span_ms * MS, &layout, Rates::zero(0));
-        told.map(|told| told.velocity.velocity().linear[0])
+        let motion = schedule.motion(from_ms * MS, span_ms * MS, &layout, Rates::zero(0));
+        motion.map(|motion| motion.velocity.velocity().linear[0])
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! What can be chosen of the executor.
+//! The executor's settings.
 
 use std::time::Duration;
 
@@ -7,7 +7,7 @@ use super::{
     VetoSettings, Workspace,
 };
 
-/// What can be chosen of the executor.
+/// The executor's settings.
 #[derive(Clone, Debug)]
 pub struct Settings {
     /// Where motions stand in actions.
@@ -16,7 +16,7 @@ pub struct Settings {
     pub base_frame: String,
     /// Time from one command to the next.
     pub period: Duration,
-    /// What a single action may be.
+    /// Bounds of a single action.
     pub bounds: Bounds,
     /// How fast the arm may move.
     pub limits: Limits,
@@ -34,7 +34,7 @@ pub struct Settings {
     pub dry_run: bool,
     /// The box that the end effector has to stay in.
     pub workspace: Option<Workspace>,
-    /// The joints, where it is joints that move.
+    /// The joints, if the actions are of joints.
     pub joints: Option<Joints>,
     /// The switch that has to be held.
     pub deadman: Option<Deadman>,

@@ -1,6 +1,6 @@
-//! What the executor reports about itself.
+//! The executor's status.
 
-/// What the executor does.
+/// The executor's state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum State {
     /// Not armed: nothing is sent.
@@ -15,14 +15,14 @@ pub enum State {
     Stopped,
 }
 
-/// What the executor does, and why.
+/// The executor's status.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Status {
-    /// What it does.
+    /// The state.
     pub state: State,
-    /// Why it does not move, or not as it was told; empty if it does.
+    /// Why the arm does not move, or moves other than its offer says; empty if it moves as offered.
     pub reason: String,
-    /// One word for what is missing, if something is.
+    /// One word for a missing condition of motion.
     pub hold: Option<&'static str>,
     /// Stamp of the offer that is executed \[ns\].
     pub offer_ns: Option<i64>,
@@ -35,7 +35,7 @@ pub struct Status {
 pub struct Counts {
     /// Offers that were begun.
     pub begun: u64,
-    /// Offers that were refused, those that waited in vain included.
+    /// Offers that were refused, at once or after waiting.
     pub refused: u64,
     /// Offers that were vetoed.
     pub vetoed: u64,

@@ -13,6 +13,7 @@ use wm_frames::pose;
 use wm_msgs::{
     geometry_msgs::PoseStamped, sensor_msgs::JointState, std_msgs::Header, wm_msgs::CameraState,
 };
+use wm_ros::PublisherId;
 
 use super::{
     Cause, Counts, JointError, LateNotice, Moment, Offer, PoseError, Rates, Refusal, Settings,
@@ -27,33 +28,33 @@ const JUMP_NS: i64 = 100_000_000;
 pub struct Command {
     /// Velocity along each axis for the whole period.
     pub velocity: Rates,
-    /// Where the joints are at its end, where it is joints that move \[rad or m\].
+    /// Of an arm that moves by joints, their positions at its end \[rad or m\].
     pub places: Option<Rates>,
-    /// The gripper's opening, 0 closed to 1 open; none where none was told yet.
+    /// The gripper's opening, 0 closed to 1 open; `None` before an offer has named it.
     pub gripper: Option<f64>,
 }
 
-/// What to do with a command.
+/// The receiver of a command.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Output {
-    /// There is none.
+    /// No command.
     Silent,
-    /// It may only be shown: the node is not armed.
+    /// The preview alone: the node is not armed.
     Preview(Command),
-    /// It is for the arm.
+    /// The arm.
     Send(Command),
 }
 
-/// What a command period brings.
+/// The result of a command period.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tick {
     /// The command.
     pub output: Output,
-    /// Offers that waited in vain.
+    /// Why offers are not executed that waited for an assessment or for their beginning.
     pub refused: Vec<Refusal>,
 }
 
-/// What became of an offer that was not refused.
+/// The result for an offer that was not refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Taken {
     /// It is executed from its stamp on.
@@ -72,8 +73,8 @@ pub enum ArmError {
     /// It has been disarmed, and has yet to stand still.
     #[error("still coming to a stop: call again in a moment")]
     Stopping,
-    /// Somebody still asks for the emergency stop.
-    #[error("the topic emergency_stop still says true")]
+    /// The newest message of a publisher of the emergency stop is true.
+    #[error("a publisher of emergency_stop still publishes true")]
     Pressed,
     /// The emergency stop has no publisher, but needs one.
     #[error(
@@ -170,7 +171,7 @@ impl ExecutorStep {
         &self.frame_id
     }
 
-    /// Takes where the end effector is; it came at `at`.
+    /// Takes the pose of the end effector, received at `at`.
     ///
     /// # Errors
     /// [`PoseError`]: it is dropped.
@@ -191,7 +192,7 @@ impl ExecutorStep {
         Ok(())
     }
 
-    /// Takes where the joints are; it came at `at`.
+    /// Takes positions of joints, received at `at`.
     ///
     /// # Errors
     /// [`JointError`]: it is dropped.
@@ -207,23 +208,22 @@ impl ExecutorStep {
         Rates::zero(self.settings.layout.axes())
     }
 
-    /// Takes what the deadman switch says; it came at `at`.
+    /// Takes the state of the deadman switch, received at `at`.
     pub fn deadman(&mut self, is_held: bool, at: Instant) {
         if let Some(deadman) = &mut self.settings.deadman {
             deadman.set(is_held, at);
         }
     }
 
-    /// Takes what the encoder reports about the camera; it came at `received`.
+    /// Takes the encoder's report about the camera.
     ///
     /// # Errors
-    /// [`Refusal::Stamp`]: it is dropped.
+    /// [`Refusal::Stamp`]: it is dropped, unless it reports a stop.
     pub fn camera(&mut self, state: &CameraState, received: Moment) -> Result<(), Refusal> {
         self.settings.camera.report(state, received)
     }
 
-    /// Takes who is connected to the topic of the emergency stop. An armed arm stops if one of them is gone, or if one
-    /// could not stop it.
+    /// Takes the publishers of the emergency stop. An armed arm stops if one of them is gone, or is not connected.
     pub fn stop_sources(&mut self, sources: StopSources) {
         if let Some(cause) = self.settings.emergency.connect(sources) {
             self.disarm(cause);
@@ -235,16 +235,16 @@ impl ExecutorStep {
         self.lateness.take_notice()
     }
 
-    /// Takes the newest message of the emergency stop's topic.
-    pub fn emergency(&mut self, is_pressed: bool) {
-        self.settings.emergency.press(is_pressed);
+    /// Takes the newest message of a publisher of the emergency stop's topic.
+    pub fn emergency(&mut self, publisher: PublisherId, is_pressed: bool) {
+        self.settings.emergency.press(publisher, is_pressed);
         if is_pressed {
-            self.stop("the topic emergency_stop says true");
+            self.stop("the topic emergency_stop is true");
         }
     }
 
-    /// The emergency stop; `by` says who asked for it how. The next command is zero, and the node is disarmed until
-    /// [`Self::reset`] and [`Self::arm`]. False where it was stopped already.
+    /// The emergency stop; `by` is its cause in words. The next command is zero, and the node is disarmed until
+    /// [`Self::reset`] and [`Self::arm`]. False if it was stopped already.
     pub fn stop(&mut self, by: &str) -> bool {
         if matches!(self.phase, Phase::Stopped(_)) {
             return false;
@@ -262,7 +262,7 @@ impl ExecutorStep {
         true
     }
 
-    /// Who asked for the emergency stop, once that is known.
+    /// Replaces the cause of the emergency stop.
     pub fn name_stopper(&mut self, by: String) {
         if let Phase::Stopped(cause) = &mut self.phase {
             *cause = Cause::Emergency(by);
@@ -273,7 +273,7 @@ impl ExecutorStep {
     /// node is not armed.
     ///
     /// # Errors
-    /// [`ArmError::Pressed`]: the emergency stop's topic still says true.
+    /// [`ArmError::Pressed`]: a publisher still presses the emergency stop.
     pub fn reset(&mut self) -> Result<(), ArmError> {
         self.settings.emergency.expect_released()?;
         self.settings.camera.reset();
@@ -291,8 +291,7 @@ impl ExecutorStep {
         Ok(())
     }
 
-    /// From now on commands go out. What was tried out before is forgotten: the first motion is that of an offer that
-    /// comes later.
+    /// From now on commands go out. Offers of the dry run are forgotten: the first motion is of a later offer.
     ///
     /// # Errors
     /// [`ArmError`] says why not.

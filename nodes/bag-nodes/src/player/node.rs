@@ -144,7 +144,7 @@ struct Player {
     /// The next message; none where the source has yet to be asked for it, or has none.
     next: Option<Ahead>,
     is_read_to_the_end: bool,
-    /// Whether nothing has been read since the last jump.
+    /// Whether no message has been read since the last jump.
     is_at_a_jump: bool,
     /// The first is being published.
     asked: VecDeque<Asked>,
@@ -358,7 +358,7 @@ impl Player {
     }
 
     fn take(&mut self, next: Option<Ahead>) {
-        // What holds at a time may take a while to be found, which delays no message after the first.
+        // The search for latched messages may take a while: it delays the first message only.
         if std::mem::take(&mut self.is_at_a_jump) {
             self.playback.begin_late(self.epoch.elapsed());
         }
@@ -572,7 +572,7 @@ async fn sleep_until(moment: Option<Instant>) {
     std::thread::sleep(moment.saturating_duration_since(Instant::now()));
 }
 
-/// Reads from this log time on. What holds then comes first: late subscribers want it, and those who follow a jump.
+/// Reads from this log time on. The latched messages that are valid then come first.
 fn open_source(
     reader: &Arc<BagReader>,
     playlist: &Playlist,

@@ -197,7 +197,7 @@ impl Settings {
     }
 }
 
-/// Log time at which a playback begins: with the bag, or so long after the beginning of the recording itself.
+/// Log time at which a playback begins: that of the bag, or `offset` after the beginning of the recording itself.
 pub(super) fn start_ns(reader: &BagReader, offset: Duration) -> u64 {
     match offset {
         Duration::ZERO => reader.start_ns(),

@@ -1,7 +1,7 @@
-//! Which definition the bag has of a topic: one that the bytes of its messages fit.
+//! The definition that a bag stores for a topic: one that the bytes of its messages fit.
 //!
-//! DDS sends bytes and the name of their type. The publisher's definition may be another than this suite's, or than the one
-//! that is installed here; a bag that carries the wrong one is decoded wrongly by whoever reads it.
+//! DDS sends bytes and the name of their type. The publisher's definition may differ from this suite's, and from the one
+//! that is installed here. Readers decode a bag by the definition that it stores.
 
 use anyhow::Result;
 use std::collections::BTreeMap;
@@ -10,7 +10,7 @@ use tracing::warn;
 use wm_bag::{BagError, BagWriter, QosProfile, Schema, definitions};
 use wm_msgs::{ConvertError, Layout};
 
-/// A definition with the layout of its messages; none where that is not known.
+/// A definition with the layout of its messages, if that is known.
 struct Candidate {
     schema: Schema,
     layout: Option<Layout>,
@@ -26,22 +26,22 @@ impl Candidate {
     }
 }
 
-/// What the bag has of a topic.
-enum Recorded {
-    /// Nothing: no message came.
+/// The channel of a topic in the bag.
+enum Channel {
+    /// None yet: no message has come.
     Announced(Vec<Candidate>),
-    /// A channel with this definition.
+    /// With this definition.
     Defined(Candidate),
-    /// A channel without one.
+    /// Without a definition.
     Undefined,
-    /// No channel, because the bag cannot have it.
+    /// None, because the bag refuses its name or type.
     Refused,
 }
 
 struct Topic {
     type_name: String,
     qos: QosProfile,
-    recorded: Recorded,
+    channel: Channel,
     /// Messages that the definition does not fit.
     foreign: u64,
 }
@@ -67,7 +67,7 @@ impl Definitions {
             Candidate { schema, layout }
         });
         let topic = Topic {
-            recorded: Recorded::Announced(candidates.collect()),
+            channel: Channel::Announced(candidates.collect()),
             type_name,
             qos,
             foreign: 0,
@@ -88,20 +88,20 @@ impl Definitions {
             writer.count_lost(name, 1);
             return Ok(());
         };
-        if let Recorded::Announced(candidates) = &mut topic.recorded {
+        if let Channel::Announced(candidates) = &mut topic.channel {
             let is_known = !candidates.is_empty();
             let fitting = candidates.iter().position(|candidate| candidate.fits(data));
             let fitting = fitting.map(|number| candidates.swap_remove(number));
             if is_known && fitting.is_none() {
                 warn!(
-                    "{name} is recorded without a definition: its messages are not those of the {} that is known here",
+                    "{name} is recorded without a definition: its messages do not fit the {} that is known here",
                     topic.type_name
                 );
             }
             topic.record(writer, name, fitting)?;
         }
-        match &topic.recorded {
-            Recorded::Defined(definition) if !definition.fits(data) => {
+        match &topic.channel {
+            Channel::Defined(definition) if !definition.fits(data) => {
                 if topic.foreign == 0 {
                     let type_name = &topic.type_name;
                     warn!(
@@ -111,15 +111,15 @@ impl Definitions {
                 topic.foreign += 1;
                 writer.write_undefined(name, log_time_ns, data)?;
             }
-            Recorded::Defined(definition) => {
+            Channel::Defined(definition) => {
                 let schema = &definition.schema;
                 writer.write_raw(name, &topic.type_name, schema, log_time_ns, data)?;
             }
-            Recorded::Undefined => {
+            Channel::Undefined => {
                 let schema = definitions::unknown();
                 writer.write_raw(name, &topic.type_name, &schema, log_time_ns, data)?;
             }
-            Recorded::Announced(_) | Recorded::Refused => writer.count_lost(name, 1),
+            Channel::Announced(_) | Channel::Refused => writer.count_lost(name, 1),
         }
         Ok(())
     }
@@ -127,7 +127,7 @@ impl Definitions {
     /// Adds the topics without a message, each with its first definition.
     pub fn add_silent(&mut self, writer: &mut BagWriter) -> Result<()> {
         for (name, topic) in &mut self.topics {
-            if let Recorded::Announced(candidates) = &mut topic.recorded {
+            if let Channel::Announced(candidates) = &mut topic.channel {
                 let first = (!candidates.is_empty()).then(|| candidates.swap_remove(0));
                 topic.record(writer, name, first)?;
             }
@@ -147,8 +147,8 @@ impl Topic {
         let unknown = definitions::unknown();
         let schema = definition.as_ref().map_or(&unknown, |known| &known.schema);
         let qos_yaml = self.qos.to_yaml();
-        self.recorded = match writer.add_topic_raw(name, &self.type_name, schema, &qos_yaml) {
-            Ok(()) => definition.map_or(Recorded::Undefined, Recorded::Defined),
+        self.channel = match writer.add_topic_raw(name, &self.type_name, schema, &qos_yaml) {
+            Ok(()) => definition.map_or(Channel::Undefined, Channel::Defined),
             // Its messages are counted as lost.
             Err(
                 error @ (BagError::TopicName(_)
@@ -156,7 +156,7 @@ impl Topic {
                 | BagError::TypeConflict { .. }),
             ) => {
                 warn!("a topic is not recorded: {error}");
-                Recorded::Refused
+                Channel::Refused
             }
             Err(error) => return Err(error.into()),
         };

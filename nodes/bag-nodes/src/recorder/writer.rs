@@ -63,12 +63,12 @@ struct Held {
     messages: VecDeque<Entry>,
     bytes: usize,
     latched_topics: HashSet<Arc<str>>,
-    /// Latched messages that hold, and no longer wait.
+    /// Latched messages that have left the queue and are still valid.
     latched: Latched<Bytes>,
 }
 
 impl Held {
-    /// Keeps a message that waits no longer, if it holds until it is replaced.
+    /// Keeps a latched message that leaves the queue.
     fn keep(&mut self, entry: &Entry) {
         if let Entry::Message { topic, data, .. } = entry
             && self.latched_topics.contains(topic)
@@ -77,7 +77,7 @@ impl Held {
         }
     }
 
-    /// The messages that wait, after those that hold already when the first of them came.
+    /// The messages that wait, after the latched ones that were valid when the first of them came.
     fn take(&mut self) -> Vec<Entry> {
         let first_ns = self.messages.front().and_then(|entry| match entry {
             Entry::Message { log_time_ns, .. } => Some(*log_time_ns),
@@ -443,7 +443,7 @@ mod tests {
     }
 
     #[test]
-    fn a_snapshot_begins_with_what_holds() {
+    fn a_snapshot_begins_with_the_latched_messages() {
         let folder = tempfile::tempdir().unwrap();
         let bag = folder.path().join("bag");
         let recording =

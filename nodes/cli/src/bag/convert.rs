@@ -1,12 +1,12 @@
 //! `wm bag convert`.
 
+use super::output::{print_size, print_warnings};
 use crate::output::print;
 use anyhow::Result;
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use wm_bag::{BagWarning, Compression, WriterOptions};
-use wm_bag_nodes::ending::Ending;
+use wm_bag::{Compression, WriterOptions};
 use wm_progress::Progress;
 
 /// Converts a bag.
@@ -54,12 +54,7 @@ impl ConvertCommand {
         let progress = Progress::open_ended("converting", "messages");
         let converted = wm_bag::convert(&self.input, &self.output, options, &mut [])?;
         drop(progress);
-        print(format_args!(
-            "wrote {} message(s) of {} topic(s) to {}\n",
-            converted.summary.message_count,
-            converted.summary.topics.len(),
-            converted.summary.path.display()
-        ))?;
+        print_size(&converted.summary)?;
         for (old, new) in &converted.transformed {
             print(format_args!("transformed {old} to {new}\n"))?;
         }
@@ -68,10 +63,6 @@ impl ConvertCommand {
                 "Warning: the type of {topic} has no definition in the new bag\n"
             ))?;
         }
-        for warning in &converted.warnings {
-            print(format_args!("Warning: {warning}\n"))?;
-        }
-        let is_lost = converted.warnings.iter().any(BagWarning::is_loss);
-        Ok(Ending::lost_if(is_lost).into())
+        print_warnings(&converted.warnings)
     }
 }

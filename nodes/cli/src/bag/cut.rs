@@ -1,6 +1,7 @@
 //! `wm bag cut`.
 
 use super::{
+    output::{print_size, print_warnings},
     time::{parse_seconds, parse_stamp_ns},
     topic_options::TopicOptions,
 };
@@ -10,8 +11,7 @@ use clap::Args;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
-use wm_bag::{BagWarning, CutEnd, CutStart};
-use wm_bag_nodes::ending::Ending;
+use wm_bag::{CutEnd, CutStart};
 use wm_progress::Progress;
 
 /// Cuts a bag.
@@ -69,21 +69,12 @@ impl CutCommand {
         let progress = Progress::open_ended("cutting", "messages");
         let part = wm_bag::cut(&self.input, &self.output, start, end, &topics)?;
         drop(progress);
-        print(format_args!(
-            "wrote {} message(s) of {} topic(s) to {}\n",
-            part.summary.message_count,
-            part.summary.topics.len(),
-            part.summary.path.display()
-        ))?;
+        print_size(&part.summary)?;
         for topic in &part.latched {
             print(format_args!(
                 "kept the last message before the start: {topic}\n"
             ))?;
         }
-        for warning in &part.warnings {
-            print(format_args!("Warning: {warning}\n"))?;
-        }
-        let is_lost = part.warnings.iter().any(BagWarning::is_loss);
-        Ok(Ending::lost_if(is_lost).into())
+        print_warnings(&part.warnings)
     }
 }

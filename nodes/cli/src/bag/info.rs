@@ -19,7 +19,7 @@ use wm_progress::Progress;
     Exit codes: 0 done, also with findings; 1 failed; 2 wrong usage; 3 the bag has lost messages."
 )]
 pub struct InfoCommand {
-    /// Folder of the bag, or a single .mcap file
+    /// Folder of the bag, or one of its files
     bag: PathBuf,
     /// Examine pictures, stamps, actions and state too
     #[arg(long)]

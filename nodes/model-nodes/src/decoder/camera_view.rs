@@ -1,4 +1,4 @@
-//! How the camera sees the predicted pictures.
+//! The `camera_info` of the predicted pictures.
 
 use wm_camera::{
     camera_frame::CameraFrame,
@@ -31,15 +31,18 @@ impl CameraView {
         };
         if self.info.as_ref().map(layout) != Some(layout(&info)) {
             self.size = None;
-            let qos = Qos::best_effort(1);
-            let images = ImageSubscription::new(node, "/camera/image_raw", Transports::BOTH, qos);
-            self.images = Some(images?);
+            // Two cameras on one topic may alternate: one subscription serves until a frame arrives.
+            if self.images.is_none() {
+                let (topic, qos) = ("/camera/image_raw", Qos::best_effort(1));
+                let images = ImageSubscription::new(node, topic, Transports::BOTH, qos);
+                self.images = Some(images?);
+            }
         }
         self.info = Some(info);
         Ok(())
     }
 
-    /// The next frame, while the size is not known; else never. Cancel safe.
+    /// The next frame, until the size is known; pending from then on. Cancel safe.
     pub async fn frame(&mut self) -> Option<CameraFrame> {
         match &mut self.images {
             Some(images) => images.recv().await.map(|received| received.message),
@@ -55,8 +58,8 @@ impl CameraView {
         }
     }
 
-    /// How the camera sees the predicted pictures, which have this size and fit. None if they are another camera's, if its own
-    /// pictures have not come yet, or if camera_info does not fit those, which is logged once.
+    /// The `camera_info` of predicted pictures of this size and fit. `None` if they are another camera's, if no picture of the
+    /// camera has arrived yet, or if its `camera_info` does not fit that picture, which is logged once.
     pub fn of(&mut self, pictures: &Pictures, size: (u32, u32), fit: Fit) -> Option<CameraInfo> {
         let found = info_of(self.info.as_ref()?, self.size?, pictures, (size, fit));
         match found {

@@ -23,7 +23,7 @@ use wm_zoo::PlacedModel;
 
 use super::{
     Choice, EncoderError, EncoderStep, Fate, Mismatch, Mode, Needs, Repetition, Sight, Stillness,
-    looks::{Arrived, Looked, Looks},
+    decoding::{DecodedFrame, Decoding, ReceivedFrame},
     other_transports,
     picture_size::{PictureSizes, SizeChange},
     repeats::{Arrival, Repeats},
@@ -32,7 +32,7 @@ use crate::{
     cadence::{OPEN, PACE, SKIPPED, hertz, measured, rough},
     camera::{Admission, Camera, Source, WrongCamera},
     harness::{self, Configured, ModelNode},
-    history::{Reception, epoch_after, seconds, stamp_of_frame},
+    history::{Reception, epoch_after, seconds, stamp_of_frame, stamp_of_other},
     pool::Pool,
     work::Work,
 };
@@ -122,7 +122,7 @@ struct Model {
 }
 
 struct Encoder {
-    looks: Looks,
+    decoding: Decoding,
     work: Work<Job, Encoded>,
     /// Which frames are encoded.
     choice: Choice,
@@ -214,7 +214,7 @@ impl ModelNode for Encoder {
         let clock = at.node.clock();
         let epoch = epoch_after(0, clock.now());
         Ok(Self {
-            looks: Looks::new(),
+            decoding: Decoding::new(),
             work,
             choice,
             needs: *needs,
@@ -253,14 +253,13 @@ impl ModelNode for Encoder {
                         other_transports::warn(&at.node);
                     }
                 }
-                looked = self.looks.work.finished() => self.looked(looked.context("the decoder's thread")?, states)?,
+                decoded = self.decoding.work.finished() => {
+                    self.decoded(decoded.context("the decoder's thread")?, states)?;
+                }
                 Ok(()) = self.jumps.changed() => self.restart(),
                 received = actions.recv() => {
                     let Some(received) = received else { return Ok(()) };
-                    let Action { header, values } = received.message;
-                    if let Ok(stamp_ns) = header.stamp.checked_nanos() {
-                        self.stillness.action(stamp_ns, values);
-                    }
+                    self.action(received.message);
                 }
                 received = images.recv() => {
                     let Some(received) = received else { return Ok(()) };
@@ -298,6 +297,20 @@ impl Encoder {
     fn unusable(&mut self, is_raw: bool, error: &EncoderError) {
         self.repeats.distrust(is_raw);
         self.complaints.left_out("bad_image", error);
+    }
+
+    /// Takes an action: if the arm moves, the picture of a live camera changes.
+    fn action(&mut self, Action { header, values }: Action) {
+        let stamp_ns = match stamp_of_other("action", header.stamp) {
+            Ok(stamp_ns) => stamp_ns,
+            Err(error) => return self.complaints.left_out(error.reason(), &error),
+        };
+        if let Err(error) = self.stillness.action(stamp_ns, values) {
+            let text = format_args!(
+                "{error}: without the arm's motions, a camera is frozen only if its picture repeats exactly"
+            );
+            self.complaints.left_out("malformed_action", &text);
+        }
     }
 
     /// Compares the size of a picture with the one before and with the training's.
@@ -359,7 +372,7 @@ impl Encoder {
         }
     }
 
-    /// Chooses whether a frame is encoded, and looks at it in any case.
+    /// Chooses whether a frame is encoded, and has it decoded in any case.
     fn choose(&mut self, frame: CameraFrame, reception: &Reception) {
         let stamp = frame.header().stamp;
         let stamp_ns = stamp.to_nanos();
@@ -378,9 +391,9 @@ impl Encoder {
             Fate::Late => self.late(stamp),
         }
         let lost = self
-            .looks
+            .decoding
             .submit(frame, reception.at, self.epoch, (fate, repeat));
-        if let Some(Arrived { frame, fate, .. }) = lost
+        if let Some(ReceivedFrame { frame, fate, .. }) = lost
             && fate == Fate::Encode
         {
             self.late(frame.header().stamp);
@@ -397,9 +410,9 @@ impl Encoder {
         );
     }
 
-    /// Publishes what a frame shows about its camera, and has it encoded if it was chosen.
-    fn looked(&mut self, looked: Looked, states: &Publisher<CameraState>) -> Result<()> {
-        let Looked {
+    /// Publishes the state of the camera by a decoded frame, and has the frame encoded if it was chosen.
+    fn decoded(&mut self, decoded: DecodedFrame, states: &Publisher<CameraState>) -> Result<()> {
+        let DecodedFrame {
             mut header,
             is_raw,
             at,
@@ -407,7 +420,7 @@ impl Encoder {
             fate,
             repeat,
             picture,
-        } = looked;
+        } = decoded;
         let (picture, grid) = match picture {
             None => (None, None),
             Some(Ok((picture, grid))) => (Some(picture), Some(grid)),
@@ -430,7 +443,7 @@ impl Encoder {
         self.report(&sight);
         let is_frozen = sight.frozen.is_some();
         if self.is_frozen && !is_frozen {
-            // The frames of the stop are no pictures of their time: no context may begin with one.
+            // Frames of the stop do not show their time: no context may begin with one.
             tracing::info!("the camera's picture changes again");
             self.epoch = epoch_after(self.epoch, self.clock.now());
         }
@@ -470,7 +483,7 @@ impl Encoder {
         Ok(())
     }
 
-    /// Says on `/diagnostics` and in the log what is wrong with the camera.
+    /// Reports faults of the camera on `/diagnostics` and in the log.
     fn report(&mut self, sight: &Sight) {
         if let Some(frozen) = &sight.frozen {
             if !self.is_frozen {

@@ -8,7 +8,7 @@ use wm_ros::{Node, RemoteEndpoint, Role, logging::of_others};
 /// Topics that are named at most.
 const MOST: usize = 8;
 
-/// Logs topics with pictures that nobody here reads, with what to do about each.
+/// Logs topics with pictures that the nodes do not read, each with the remedy.
 pub(super) fn warn(node: &Node) {
     for advice in advice(node.remote_endpoints()) {
         tracing::warn!("no camera image yet: {advice}");

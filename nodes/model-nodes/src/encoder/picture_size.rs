@@ -13,7 +13,7 @@ pub enum Mismatch {
         found: PictureSize,
         /// Size of the training's pictures.
         trained_on: PictureSize,
-        /// What happens to the difference.
+        /// How the pictures are brought to the model's aspect.
         fit: Fit,
     },
     /// Width / height is the same, the number of pixels is not.
@@ -67,7 +67,7 @@ impl Mismatch {
         matches!(self, Self::Aspect { .. })
     }
 
-    /// What to do about it.
+    /// The remedy.
     pub fn fix(&self) -> String {
         match self {
             Self::Aspect { trained_on, .. } | Self::Size { trained_on, .. } => format!(
@@ -114,7 +114,7 @@ impl fmt::Display for Mismatch {
     }
 }
 
-/// What the size of a picture changes.
+/// A change of the size of pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum SizeChange {
     /// It is the first picture.
@@ -148,7 +148,7 @@ impl PictureSizes {
         }
     }
 
-    /// Takes the size of a picture; `None` if it is that of the one before.
+    /// Takes the size of a picture; `None` if it has not changed.
     pub(super) fn take(&mut self, size: PictureSize) -> Option<SizeChange> {
         let Some(from) = self.last.replace(size) else {
             return Some(SizeChange::First);

@@ -6,14 +6,15 @@ use wm_msgs::builtin_interfaces::Time;
 
 /// Frames that are remembered: the two transports of one frame are never further apart.
 const REMEMBERED: usize = 16;
-/// A stamp this far behind means that time jumped back, and earlier frames may come again \[ns\].
-const JUMP_NS: i64 = 1_000_000_000;
+/// A stamp this far behind means that time jumped back, and earlier frames may come again. Nearer ones were overtaken, as
+/// raw frames are by compressed ones \[ns\].
+pub(super) const JUMP_NS: i64 = 1_000_000_000;
 
-/// Tells a frame's second arrival by its stamp.
+/// Finds a frame's second arrival by its stamp.
 #[derive(Debug, Default)]
 pub(super) struct Repeats {
     seen: VecDeque<(Time, bool)>,
-    /// The transport (whether the raw one) whose last frame could not be used: what it brought hides nothing.
+    /// The transport (whether the raw one) whose last frame could not be used: its frames do not hide those of the other.
     distrusted: Option<bool>,
 }
 

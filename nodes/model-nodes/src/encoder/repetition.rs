@@ -1,15 +1,13 @@
 //! Frames that show the same picture again, byte for byte.
 
-use std::collections::VecDeque;
+use wm_camera::recent_pictures::RecentPictures;
 
-use super::stillness::Rates;
+use super::{repeats::JUMP_NS, stillness::Rates};
 
-/// Pictures that are remembered: a driver that has stopped may publish its last few buffers in turn, usually four.
-const REMEMBERED: usize = 4;
-/// A gap this long between two frames is a pause: the frames before it say nothing of those after it \[ns\].
+/// A gap this long between two frames is a pause: pictures of before and after are not compared \[ns\].
 const PAUSE_NS: i64 = 10_000_000_000;
 
-/// What a frame is among the last ones.
+/// A frame compared with the last ones.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Repeat {
     /// Whether one of the last frames had the same picture.
@@ -25,7 +23,7 @@ pub(crate) struct Repeat {
 }
 
 impl Repeat {
-    /// Whether the frame is worth nothing: a new one comes soon.
+    /// Whether the frame is a copy that the model does not need: a new picture comes soon.
     pub fn is_surplus(&self) -> bool {
         self.is_repeated && self.is_steady
     }
@@ -34,7 +32,7 @@ impl Repeat {
 /// The last pictures of a camera.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Repetition {
-    last: VecDeque<u64>,
+    recent: RecentPictures,
     newest_ns: Option<i64>,
     new_ns: i64,
     rates: Rates,
@@ -44,17 +42,17 @@ impl Repetition {
     /// Takes a frame of the stamp `stamp_ns` whose picture has this fingerprint.
     pub fn frame(&mut self, stamp_ns: i64, fingerprint: u64) -> Repeat {
         let is_pause =
-            |newest_ns: i64| !(0..=PAUSE_NS).contains(&stamp_ns.saturating_sub(newest_ns));
+            |newest_ns: i64| !(-JUMP_NS..=PAUSE_NS).contains(&stamp_ns.saturating_sub(newest_ns));
         if self.newest_ns.is_some_and(is_pause) {
             self.restart();
         }
+        // A frame that was overtaken counts as of the newest stamp.
+        let stamp_ns = self
+            .newest_ns
+            .map_or(stamp_ns, |newest_ns| newest_ns.max(stamp_ns));
         self.newest_ns = Some(stamp_ns);
-        let is_repeated = self.last.contains(&fingerprint);
+        let is_repeated = !self.recent.insert(fingerprint);
         if !is_repeated {
-            if self.last.len() == REMEMBERED {
-                self.last.pop_front();
-            }
-            self.last.push_back(fingerprint);
             self.new_ns = stamp_ns;
         }
         self.rates.push(stamp_ns, !is_repeated);
@@ -80,7 +78,7 @@ mod tests {
     const PERIOD: i64 = 1_000_000_000 / 30;
 
     #[test]
-    fn every_frame_twice_is_told_and_each_second_one_is_surplus() {
+    fn of_pictures_that_come_twice_the_second_is_surplus() {
         let mut repetition = Repetition::default();
         let mut surplus = 0;
         for index in 0..120 {
@@ -93,7 +91,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_in_turn_are_no_new_ones() {
+    fn old_pictures_in_turn_are_repeated() {
         let mut repetition = Repetition::default();
         for index in 0..60 {
             repetition.frame(index * PERIOD, index as u64);

@@ -1,12 +1,12 @@
 //! Whether a camera has stopped, though frames with fresh stamps go on.
 //!
-//! A live picture is never the same twice: a sensor has noise. So a picture that repeats byte for byte for longer than
-//! `frozen_after` is no live one. A picture that differs by noise alone may be of a still scene, or of a camera that has
-//! stopped behind a lossy link: the arm's motions decide. An arm that moves changes what the camera sees; if it does not,
-//! the camera has stopped. A still arm before a still scene is no fault.
+//! Two live pictures are never the same: a sensor has noise. So a camera has stopped if its picture repeats byte for byte
+//! for longer than `frozen_after`. A picture that differs by noise alone may be of a still scene, or of a camera that has
+//! stopped behind a lossy link: the arm's motions decide. If the arm moves and the picture does not change, the camera has
+//! stopped. A still arm in front of a still scene is no fault.
 //!
-//! [`Stillness`] knows no clock: it goes by the stamps of frames. It says so for as long as the picture does not change,
-//! also after the arm has stopped.
+//! [`Stillness`] has no clock: it goes by the stamps of frames. A camera stays frozen for as long as its picture does not
+//! change, also after the arm has stopped.
 
 mod grid;
 mod movement;
@@ -14,50 +14,47 @@ mod rates;
 
 use std::{collections::VecDeque, fmt, time::Duration};
 
-use wm_motion::actions::ActionSpace;
+use wm_motion::actions::{ActionError, ActionSpace};
 
 pub(crate) use grid::Grid;
-use movement::{Moved, Movement};
+use movement::{ArmMotion, Movement};
 pub(super) use rates::Rates;
 
-use super::Repeat;
+use super::{Repeat, repeats::JUMP_NS};
 
 /// Actions that wait for their frame: 30 s of them at 30 Hz.
 const MOST_COMING: usize = 1000;
-/// A change so many times as strong as noise explains is one of the scene, not of a slow drift.
+/// A change this many times as strong as noise explains is one of the scene, not of a slow drift.
 const CLEAR: f32 = 4.0;
 
-/// Why a camera counts as one that has stopped.
+/// Why a camera counts as frozen.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Frozen(Reason);
-
-#[derive(Clone, Debug, PartialEq)]
-enum Reason {
+pub(crate) enum FreezeReason {
     /// The same bytes again and again.
-    Repeated { for_s: f64 },
+    SameBytes { for_s: f64 },
     /// The arm has moved, and the picture has not changed.
-    ArmMoved { for_s: f64, moved: Moved },
+    ArmMotion { for_s: f64, motion: ArmMotion },
 }
 
-impl fmt::Display for Frozen {
+impl fmt::Display for FreezeReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match &self.0 {
-            Reason::Repeated { for_s } => write!(
+        match self {
+            Self::SameBytes { for_s } => write!(
                 f,
                 "the camera has stopped: its picture has been the same, byte for byte, for {for_s:.1} s. Start its driver \
                  again. If it is a simulator that renders without noise, set frozen_after:=0.0 on the encoder"
             ),
-            Reason::ArmMoved { for_s, moved } => write!(
+            Self::ArmMotion { for_s, motion } => write!(
                 f,
-                "the camera has stopped: its picture has not changed for {for_s:.1} s, but the arm has moved by {moved}. \
-                 Start the camera's driver again; if the camera is alive, check that it sees the arm, and that the arm does \
-                 what its actions say"
+                "the camera has stopped: its picture has not changed for {for_s:.1} s, but the arm has moved by {motion}. \
+                 Start the camera's driver again; if the camera is alive, check that it sees the arm, and that the arm \
+                 executes its actions"
             ),
         }
     }
 }
 
-/// What a frame shows about its camera.
+/// The state of a camera, by a frame.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Sight {
     /// Difference from the frame before, noise removed: 0 (same) to 1; `None`: not measured.
@@ -70,8 +67,8 @@ pub(crate) struct Sight {
     pub distinct_rate: Option<f64>,
     /// Whether the camera takes pictures at a steady rate, but is published faster.
     pub is_repeating: bool,
-    /// Why the camera counts as one that has stopped.
-    pub frozen: Option<Frozen>,
+    /// Why the camera counts as frozen, if it does.
+    pub frozen: Option<FreezeReason>,
 }
 
 /// Watches the pictures of a camera and the motions of the arm.
@@ -109,15 +106,20 @@ impl Stillness {
         }
     }
 
-    /// Takes an action of the stamp `stamp_ns` that the arm takes.
-    pub fn action(&mut self, stamp_ns: i64, values: Vec<f32>) {
+    /// Takes an action of the arm, of the stamp `stamp_ns`.
+    ///
+    /// # Errors
+    /// [`ActionError`]: it is not of the arm's action space, and is dropped.
+    pub fn action(&mut self, stamp_ns: i64, values: Vec<f32>) -> Result<(), ActionError> {
+        self.movement.space().check(&values)?;
         if self.coming.len() == MOST_COMING {
             self.coming.pop_front();
         }
         self.coming.push_back((stamp_ns, values));
+        Ok(())
     }
 
-    /// Takes the actions up to a frame.
+    /// Applies the actions up to a frame.
     fn move_until(&mut self, stamp_ns: i64) {
         let movement = &mut self.movement;
         self.coming.retain(|(action_ns, values)| {
@@ -129,12 +131,17 @@ impl Stillness {
         });
     }
 
-    /// Takes a frame of the stamp `stamp_ns`, as it is among the last ones. `picture`: what it shows; none for one that
-    /// was not decoded.
+    /// Takes a frame of the stamp `stamp_ns`, and how it compares with the last ones. `picture`: `None` if the frame was not
+    /// decoded.
     pub fn frame(&mut self, stamp_ns: i64, repeat: &Repeat, picture: Option<&Grid>) -> Sight {
-        if self.newest_ns.is_some_and(|newest_ns| stamp_ns < newest_ns) {
+        let is_back = |newest_ns: i64| stamp_ns < newest_ns.saturating_sub(JUMP_NS);
+        if self.newest_ns.is_some_and(is_back) {
             self.restart();
         }
+        // A frame that was overtaken counts as of the newest stamp.
+        let stamp_ns = self
+            .newest_ns
+            .map_or(stamp_ns, |newest_ns| newest_ns.max(stamp_ns));
         self.newest_ns = Some(stamp_ns);
         self.move_until(stamp_ns);
         let change = picture.map(|picture| self.picture(stamp_ns, picture));
@@ -142,13 +149,13 @@ impl Stillness {
             Some((_, since_ns)) => *since_ns,
             None => stamp_ns,
         };
-        let moved = self.movement.moved();
-        if moved.is_none() {
+        let motion = self.movement.greatest();
+        if motion.is_none() {
             self.moved_ns = None;
         } else if self.moved_ns.is_none() {
             self.moved_ns = Some(stamp_ns);
         }
-        // A new picture of which nothing was measured may have changed.
+        // A new picture that was not decoded may have changed.
         let visible_ns = stamp_ns.saturating_sub(since_ns);
         let unchanged_ns = match repeat.is_repeated {
             true => visible_ns.max(repeat.since_new_ns),
@@ -168,33 +175,31 @@ impl Stillness {
             rate,
             distinct_rate,
             is_repeating: repeat.is_steady || is_visibly,
-            frozen: self
-                .reason(stamp_ns, repeat, unchanged_ns, moved)
-                .map(Frozen),
+            frozen: self.freeze_reason(stamp_ns, repeat, unchanged_ns, motion),
         }
     }
 
-    fn reason(
+    fn freeze_reason(
         &self,
         stamp_ns: i64,
         repeat: &Repeat,
         unchanged_ns: i64,
-        moved: Option<Moved>,
-    ) -> Option<Reason> {
+        motion: Option<ArmMotion>,
+    ) -> Option<FreezeReason> {
         let after_ns = self.frozen_after_ns?;
         let seconds = |span_ns: i64| span_ns as f64 / 1e9;
-        if let (Some(moved), Some(moved_ns)) = (moved, self.moved_ns)
+        if let (Some(motion), Some(moved_ns)) = (motion, self.moved_ns)
             && stamp_ns.saturating_sub(moved_ns) > after_ns
         {
             let for_s = seconds(unchanged_ns);
-            return Some(Reason::ArmMoved { for_s, moved });
+            return Some(FreezeReason::ArmMotion { for_s, motion });
         }
-        (repeat.since_new_ns > after_ns).then(|| Reason::Repeated {
+        (repeat.since_new_ns > after_ns).then(|| FreezeReason::SameBytes {
             for_s: seconds(repeat.since_new_ns),
         })
     }
 
-    /// Takes a picture; the change since the one before.
+    /// Takes a picture; gives the change since the one before.
     fn picture(&mut self, stamp_ns: i64, picture: &Grid) -> Option<f32> {
         let has_changed = match &self.since {
             Some((since, _)) => picture.difference(since).strength > 1.0,

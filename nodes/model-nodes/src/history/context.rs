@@ -15,8 +15,8 @@ impl History {
         self.moment_of(self.frames.newest().ok_or(Wait::NoFrame)?)
     }
 
-    /// The newest frame that has a whole context; the newest one, where none has. A slow encoder's contexts come frame by
-    /// frame: until the next one is whole, this is of the one before.
+    /// The newest frame that has a whole context; if none has, the newest one. A slow encoder's contexts come frame by
+    /// frame: until the next one is whole, this is the frame of the last one.
     pub fn latest(&self) -> Option<&Frame> {
         let mut frames = self.frames.newest_first();
         let whole = frames.find(|frame| self.context(frame.stamp_ns).is_ok());
@@ -107,7 +107,7 @@ impl History {
 
     pub(super) fn step(&self, from_ns: i64, to_ns: i64) -> Result<StepAction, Wait> {
         let step = self.motion.step(&self.encoding, from_ns, to_ns);
-        // Every action was checked when it came: only that there is none can be wrong.
+        // Every action was checked when it came: only a missing one is an error here.
         step.map_err(|error| Wait::NoAction {
             needed_ns: match error {
                 ActionError::Unknown { at_ns } => at_ns,

@@ -18,7 +18,7 @@ pub struct Frame {
     pub frame_id: Arc<str>,
     /// Its normalised latent, row-major, channels last.
     pub values: Arc<[f32]>,
-    /// Whether the camera had stopped: nobody may act on it.
+    /// Whether the camera had stopped: no node may act on it.
     pub is_frozen: bool,
     /// When it arrived, and from which publisher.
     pub reception: Reception,

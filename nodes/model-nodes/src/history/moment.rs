@@ -109,10 +109,11 @@ impl Moment {
         Duration::from_nanos(self.timing.step_ns())
     }
 
-    /// Whether the observed frame is fresh at `now`, so that an arm may act on it.
+    /// That the observed frame is fresh at `now`, so that an arm may act on it.
     ///
     /// # Errors
-    /// [`Wait::Frozen`] if the camera has stopped, [`Wait::CameraClock`] if its clock has stepped, [`Wait::Stale`] if the frame was received longer ago than `max_age`.
+    /// [`Wait::Frozen`] if the camera has stopped, [`Wait::CameraClock`] if its clock has stepped, [`Wait::Stale`] if the
+    /// frame was received longer ago than `max_age`.
     pub fn expect_fresh(&self, now: Instant, max_age: std::time::Duration) -> Result<(), Wait> {
         if self.is_frozen {
             return Err(Wait::Frozen);

@@ -9,7 +9,7 @@ pub(super) const AHEAD_NS: i64 = 100_000_000;
 /// A policy may announce actions; further ahead it is of another clock \[ns\].
 pub(super) const ANNOUNCED_NS: i64 = 10_000_000_000;
 
-/// The stamp of a message that somebody else has sent \[ns\].
+/// The stamp of a received message \[ns\].
 ///
 /// # Errors
 /// [`HistoryError::Stamp`].

@@ -47,8 +47,8 @@ pub enum Wait {
     },
     /// The camera has stopped.
     #[error(
-        "the camera has stopped: nothing is planned or assessed from its frames until its picture changes \
-         (/wm/camera_state and the encoder on /diagnostics say why)"
+        "the camera has stopped: nothing is planned or assessed from its frames until its picture changes (the reason is on \
+         /wm/camera_state and on /diagnostics)"
     )]
     Frozen,
     /// The camera's clock has stepped.

@@ -8,13 +8,13 @@ use wm_msgs::wm_msgs::Prediction;
 
 use super::Doubt;
 
-/// A motion shorter than this is none: rounding \[m or rad\].
+/// A shorter motion is rounding \[m or rad\].
 const STILL: f64 = 1e-4;
 
 /// A longer latency is a difference of clocks, as in a bag that is played with its own stamps \[ns\].
 const LONGEST_NS: i64 = 60_000_000_000;
 
-/// What a rollout comes to.
+/// A rollout in one line.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Summary {
     /// Model steps K.
@@ -23,9 +23,9 @@ pub(super) struct Summary {
     pub step_s: f64,
     /// The last known ratio of each k.
     pub ratios: BTreeMap<u32, f32>,
-    /// What the arm is assumed to do.
+    /// The motion that the rollout assumes.
     pub motion: Motion,
-    /// What speaks against the predictions.
+    /// The reason not to trust the predictions.
     pub doubt: Option<Doubt>,
     /// From the capture of the observed frame until the first and the last step were ready \[s\]; `None` if the frame's clock
     /// is another one.
@@ -181,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_known_is_said() {
+    fn unknown_figures_are_named() {
         let unknown = Summary {
             ratios: BTreeMap::new(),
             motion: Motion::of(&[step([0.0; 7])], &ActionSpace::bridge()),

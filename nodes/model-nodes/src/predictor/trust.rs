@@ -25,7 +25,7 @@ const STILL: f64 = 1e-3;
 pub enum Doubt {
     /// The camera's clock has stepped: frames and actions may be of different moments.
     CameraClock(CameraStep),
-    /// The camera has stopped: a still picture is as easy to predict as it is wrong.
+    /// The camera has stopped: its still picture is predicted well, but is outdated.
     Frozen,
     /// The camera shows what the model was not trained on.
     UnlikeTraining {
@@ -44,8 +44,8 @@ impl fmt::Display for Doubt {
         match self {
             Self::CameraClock(step) => write!(f, "{step}"),
             Self::Frozen => f.write_str(
-                "the camera has stopped: the predictions go on from a picture that is no longer true \
-                 (/wm/camera_state and the encoder on /diagnostics say why)",
+                "the camera has stopped: the predictions start from an outdated picture (the reason is on \
+                 /wm/camera_state and on /diagnostics)",
             ),
             Self::UnlikeTraining { part } => write!(
                 f,

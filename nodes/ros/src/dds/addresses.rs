@@ -1,6 +1,6 @@
 //! Addresses of this host that change while a participant uses them. rustdds 0.15.1 announces the addresses that it
 //! finds at its start, and joins the multicast group on these only. The kernel forgets the membership with the address.
-//! So a participant whose interface gets another address, or gets its address back, is mute without a sign of it.
+//! So a participant whose interface gets another address, or gets its address back, would be mute without an error.
 
 use crate::{Environment, Error, Interface, Reach};
 use std::{
@@ -14,12 +14,12 @@ pub(super) struct Addresses {
     used: Vec<Interface>,
     /// Whether it uses every interface.
     is_subnet: bool,
-    seen: Mutex<Seen>,
+    changes: Mutex<Changes>,
 }
 
-/// What was found so far.
+/// Changes so far.
 #[derive(Default)]
-struct Seen {
+struct Changes {
     /// Addresses in use that are gone.
     missing: Vec<Interface>,
     /// Addresses that are not in use, and were reported.
@@ -41,7 +41,7 @@ impl Addresses {
         Ok(Self {
             used: used.collect(),
             is_subnet: environment.reach == Reach::Subnet,
-            seen: Mutex::default(),
+            changes: Mutex::default(),
         })
     }
 
@@ -69,19 +69,19 @@ impl Addresses {
 
     fn change(&self, now: &[Interface]) -> Option<Error> {
         // no invariant spans the lock
-        let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut changes = self.changes.lock().unwrap_or_else(PoisonError::into_inner);
         for used in &self.used {
-            if !now.contains(used) && !seen.missing.contains(used) {
+            if !now.contains(used) && !changes.missing.contains(used) {
                 tracing::warn!(
                     "{} has lost its address {}: nothing is sent or received there until it is back",
                     used.name,
                     used.address
                 );
-                seen.missing.push(used.clone());
+                changes.missing.push(used.clone());
             }
         }
         let is_new = |found: &&Interface| !self.used.contains(found);
-        for missing in &seen.missing {
+        for missing in &changes.missing {
             let mut of_same = now.iter().filter(|found| found.name == missing.name);
             let found = of_same.find(|found| *found == missing || is_new(found));
             // on every interface, one network may come in the place of another
@@ -96,13 +96,13 @@ impl Addresses {
         }
         if self.is_subnet {
             for found in now.iter().filter(is_new) {
-                if !seen.unused.contains(found) {
+                if !changes.unused.contains(found) {
                     tracing::warn!(
                         "{} has a new address {}, which this node does not use: restart it to use it",
                         found.name,
                         found.address
                     );
-                    seen.unused.push(found.clone());
+                    changes.unused.push(found.clone());
                 }
             }
         }
@@ -128,11 +128,11 @@ mod tests {
 
     fn addresses(used: &[Interface], is_subnet: bool) -> Addresses {
         let used = used.to_vec();
-        let seen = Mutex::default();
+        let changes = Mutex::default();
         Addresses {
             used,
             is_subnet,
-            seen,
+            changes,
         }
     }
 
@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn a_second_network_is_none_while_the_first_is_there() {
+    fn a_second_network_is_no_change_while_the_first_works() {
         let (used, new) = (interface("eth0", "10.0.0.1"), interface("tun0", "10.8.0.2"));
         let addresses = addresses(std::slice::from_ref(&used), true);
         assert!(addresses.change(&[used, new.clone()]).is_none());

@@ -2,8 +2,8 @@
 //!
 //! Loopback mostly has no multicast. There rustdds 0.15.1 announces a participant to the first twelve participant
 //! numbers of the domain only, so that two participants with higher numbers would never meet. So each participant
-//! sends its first announcement to the other numbers too, in its own name. Who receives it answers, and from then on
-//! rustdds announces itself to both.
+//! sends its first announcement to the other numbers too, in its own name. A participant that receives it answers, and from
+//! then on rustdds announces itself to both.
 
 use super::{confine::Ports, rtps};
 use crate::backend::EndpointId;
@@ -24,7 +24,7 @@ const PAUSES: [Duration; 4] = [
     Duration::from_secs(10),
 ];
 
-/// Participants that a domain can have on one host: the ports of the highest domains end before.
+/// Participants that a domain can have on one host: the highest domains have fewer ports.
 pub(super) fn participants_of(domain: u16) -> u16 {
     let numbers = 0..NUMBERS;
     numbers
@@ -43,7 +43,7 @@ pub(super) async fn introduce(socket: UdpSocket, own: EndpointId, domain: u16, p
         for other in (ANNOUNCED..participants_of(domain)).filter(|other| *other != participant) {
             let port = Ports::new(domain, other).discovery();
             let to = SocketAddr::from((Ipv4Addr::LOCALHOST, port));
-            // the number may be free, and what is lost is sent again
+            // the number may be free, and a lost datagram is repeated
             if let Err(error) = socket.send_to(&message, to) {
                 tracing::debug!("cannot announce to {to}: {error}");
             }

@@ -4,15 +4,15 @@
 //!   lease of 50 s. It announces itself where it knows participants. After a cut of that length it knows none, and never
 //!   announces itself again. So it receives a sign of life from here.
 //! - **It announces itself every 10 s only**, and at once when it discovers a participant. So that others discover it
-//!   sooner after a cut, it discovers a placeholder every few seconds: a participant that does not exist.
+//!   sooner after a cut, it discovers a fictitious participant every few seconds.
 //! - **A participant of Fast DDS that was lost is never discovered again.** Its announcements all have the number 1.
 //!   rustdds takes each number once, for as long as it is among the last 64 announcements of all participants. So
-//!   announcements of the placeholder displace them when a lease has run out.
+//!   announcements of the fictitious participant displace them when a lease has run out.
 //! - **A participant that has lost this one, and is not lost itself, never receives the announcements of the endpoints
 //!   again.** rustdds assumes that its readers have them. Packets that are lost in one direction cause this. So the lease
 //!   of a participant ends here once it has acknowledged nothing for longer than that lease, and it is discovered anew.
 //!
-//! All this goes to the participant of this process only, in its own name or in that of the placeholder.
+//! All this goes to the participant of this process only, in its own name or in that of the fictitious participant.
 
 use super::{parts::Peer, rtps};
 use crate::backend::EndpointId;
@@ -35,13 +35,13 @@ pub(super) struct OwnPort {
     socket: UdpSocket,
     own: EndpointId,
     to: SocketAddr,
-    /// Of the last announcement of the placeholder.
+    /// Of the fictitious participant's last announcement.
     number: AtomicI64,
 }
 
 impl OwnPort {
-    /// `address`: of the interface that it uses, since what comes from loopback would make rustdds send to itself by
-    /// loopback alone. `port`: where it receives announcements.
+    /// `address`: of the interface that it uses. If it received from loopback, rustdds would send to itself by loopback
+    /// alone. `port`: where it receives announcements.
     pub(super) fn new(own: EndpointId, address: Ipv4Addr, port: u16) -> io::Result<Self> {
         let socket = UdpSocket::bind((address, 0))?;
         socket.set_nonblocking(true)?;
@@ -55,7 +55,7 @@ impl OwnPort {
         })
     }
 
-    /// Has rustdds forget the announcements that it has taken.
+    /// Displaces the announcements that rustdds remembers.
     pub(super) fn forget_announcements(&self) {
         let last = self.number.fetch_add(REMEMBERED, Ordering::Relaxed);
         let numbers = (last + 1)..=(last + REMEMBERED);

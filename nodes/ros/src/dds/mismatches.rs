@@ -10,19 +10,27 @@ use std::{
     sync::Mutex,
 };
 
-/// Mismatches that are remembered; more of them are logged again.
-const LIMIT: usize = 1024;
+/// Mismatches that are remembered of an own endpoint; more are only logged. The limit is not a common one: many mismatches
+/// on one topic must not hide that of an emergency stop.
+const LIMIT: usize = 64;
+
+/// In words, by own endpoint and other.
+type Known = BTreeMap<(EndpointId, EndpointId), String>;
+
+fn of_endpoint<'a>(known: &'a Known, own: &EndpointId) -> impl Iterator<Item = &'a String> {
+    let all = (*own, EndpointId::default())..=(*own, [u8::MAX; 16]);
+    known.range(all).map(|(_, text)| text)
+}
 
 #[derive(Default)]
 pub(super) struct Mismatches {
-    /// In words, by own endpoint and other.
-    known: Mutex<BTreeMap<(EndpointId, EndpointId), String>>,
-    /// Own readers beside which others take what their reliability or durability excludes.
+    known: Mutex<Known>,
+    /// Own readers with siblings in the same subscription, which receive from the publishers that they exclude.
     tolerant: Mutex<BTreeSet<EndpointId>>,
 }
 
 impl Mismatches {
-    /// What this reader's reliability or durability excludes, another one of the same subscription takes.
+    /// A sibling of this reader receives from the publishers that its reliability or durability excludes.
     pub(super) fn tolerate(&self, own: EndpointId) {
         lock(&self.tolerant).insert(own);
         // No other mismatch of so new a reader can be known yet.
@@ -101,20 +109,21 @@ impl Mismatches {
 
     fn know(&self, own: EndpointId, other: EndpointId, text: String) {
         let mut known = lock(&self.known);
-        if known.len() >= LIMIT {
-            known.clear();
-        }
-        if known.insert((own, other), text.clone()).as_ref() != Some(&text) {
-            drop(known);
+        let is_known = known.contains_key(&(own, other));
+        let is_new = match is_known || of_endpoint(&known, &own).count() < LIMIT {
+            true => known.insert((own, other), text.clone()).as_ref() != Some(&text),
+            false => true,
+        };
+        drop(known);
+        if is_new {
             tracing::warn!("{text}");
         }
     }
 
-    /// What keeps others from this endpoint.
+    /// Why other endpoints are not connected to this one.
     pub(super) fn of(&self, own: &EndpointId) -> Vec<String> {
         let known = lock(&self.known);
-        let of_own = known.iter().filter(|((endpoint, _), _)| endpoint == own);
-        let mut texts: Vec<String> = of_own.map(|(_, text)| text.clone()).collect();
+        let mut texts: Vec<String> = of_endpoint(&known, own).cloned().collect();
         texts.dedup();
         texts
     }
@@ -145,6 +154,21 @@ mod tests {
         for part in ["/camera/image_raw: a publisher", types.0, types.1] {
             assert!(text.contains(part), "{text}");
         }
+    }
+
+    #[test]
+    fn many_mismatches_of_one_endpoint_hide_no_other() {
+        let mismatches = Mismatches::default();
+        let types = ("std_msgs/msg/Bool", "std_msgs/msg/String");
+        mismatches.types([1; 16], [2; 16], "/emergency_stop", types, true);
+        for number in 0..2_000_u16 {
+            let mut other = [3; 16];
+            other[..2].copy_from_slice(&number.to_be_bytes());
+            mismatches.types([4; 16], other, "/camera", types, true);
+        }
+        assert_eq!(mismatches.of(&[1; 16]).len(), 1);
+        let known = lock(&mismatches.known).len();
+        assert_eq!(known, 1 + LIMIT);
     }
 
     #[test]
@@ -185,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn a_reader_with_siblings_tolerates_what_they_take() {
+    fn a_reader_with_siblings_has_no_mismatch_of_reliability() {
         let mismatches = Mismatches::default();
         let (wants, offers) = (
             qos::for_reader(Qos::reliable(1)),

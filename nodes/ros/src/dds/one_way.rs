@@ -1,4 +1,4 @@
-//! Participants that no longer receive anything from here, while they are received: packets are lost in one direction.
+//! Participants that no longer receive this one, while this one receives them: packets are lost in one direction.
 //!
 //! Once their lease for this participant has run out, they have lost it, and would never be connected again
 //! ([`super::lease`]). They are found by what their reliable readers do not acknowledge. rustdds 0.15.1 reports when
@@ -27,7 +27,7 @@ const RECENT: Duration = Duration::from_secs(20);
 const REPEATS: usize = 4;
 const PAUSE: Duration = Duration::from_millis(1500);
 
-/// What is known of acknowledgements.
+/// Acknowledgements of the readers elsewhere.
 #[derive(Default)]
 pub(super) struct OneWay {
     /// When the readers of each DDS writer have acknowledged something last.
@@ -62,8 +62,8 @@ impl Waiting {
 }
 
 impl Shared {
-    /// Notes what a look at a DDS writer has shown: `is_acknowledged` of something since the last look, or `is_waiting`
-    /// for something.
+    /// Takes the state of a DDS writer. `is_acknowledged`: its readers have acknowledged samples since the last call;
+    /// `is_waiting`: samples are unacknowledged.
     pub(super) fn note(
         self: &Arc<Self>,
         line: &EndpointId,
@@ -102,14 +102,14 @@ impl Shared {
         }
         if !hosts.is_empty() {
             tracing::warn!(
-                "{} participants of several hosts acknowledge nothing: one of them may not receive what is sent from here; \
+                "{} participants of several hosts acknowledge nothing: one of them may not receive this node's messages; \
                  restart it when its network is back",
                 suspects.len()
             );
             return;
         }
         tracing::warn!(
-            "{} participants of a host have acknowledged nothing for {} s: they are met anew",
+            "{} participants of a host have acknowledged nothing for {} s: connecting them anew",
             suspects.len(),
             LEASE.as_secs()
         );

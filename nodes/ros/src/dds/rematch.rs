@@ -1,10 +1,10 @@
 //! Connections to participants that return after their lease has run out.
 //!
 //! rustdds 0.15.1 remembers the endpoints of such a participant, but connects its own endpoints to them only when they
-//! are announced anew, which does not happen: the other side has announced them already. rustdds also tries to connect
+//! are announced anew. That does not happen: the other side has announced them already. rustdds also tries to connect
 //! all endpoints of a topic when this process makes a new one on it. So an endpoint is made on each topic that lacks a
-//! connection, and dropped again. The connections get back their old identities and numbers, so that nothing that was
-//! taken before the cut is taken twice.
+//! connection, and dropped again. The connections get back their old identities and numbers, so that no sample is
+//! received twice.
 
 use super::{
     codec::Raw,
@@ -21,16 +21,16 @@ use rustdds::{
 };
 use std::{collections::BTreeSet, sync::Arc, time::Duration};
 
-/// How long such an endpoint stays: rustdds looks at it within milliseconds.
+/// How long such an endpoint stays: rustdds connects it within milliseconds.
 const STAY: Duration = Duration::from_secs(1);
 
 /// An endpoint that is made to be dropped.
-enum Passing {
+enum Temporary {
     Writer(DataWriter<Bytes, Raw>),
     Reader(SimpleDataReader<Bytes, Raw>),
 }
 
-impl Passing {
+impl Temporary {
     fn id(&self) -> EndpointId {
         match self {
             Self::Writer(writer) => writer.guid().to_bytes(),
@@ -43,25 +43,25 @@ impl Shared {
     /// Has rustdds connect these endpoints of this process with all that they fit.
     pub(super) fn rematch(self: &Arc<Self>, ids: &BTreeSet<EndpointId>) {
         let mut topics = BTreeSet::new();
-        let mut passing = Vec::new();
+        let mut temporary = Vec::new();
         for (id, own) in self.own_of(ids) {
             let is_of_first = id.starts_with(&self.first);
             if !topics.insert((own.topic.clone(), own.is_writer, is_of_first)) {
                 continue;
             }
-            match self.pass_by(&own, is_of_first) {
-                Ok(endpoint) => passing.extend(endpoint),
+            match self.temporary(&own, is_of_first) {
+                Ok(endpoint) => temporary.extend(endpoint),
                 Err(error) => tracing::debug!("{error}"),
             }
         }
-        if passing.is_empty() {
+        if temporary.is_empty() {
             return;
         }
-        tracing::debug!("{} topics are connected anew", passing.len());
+        tracing::debug!("{} topics are connected anew", temporary.len());
         let shared = Arc::clone(self);
         self.failure.watch(&self.runtime, "discovery", async move {
             tokio::time::sleep(STAY).await;
-            for endpoint in passing {
+            for endpoint in temporary {
                 lock(&shared.matches).remove(&endpoint.id());
                 drop(endpoint);
             }
@@ -69,7 +69,7 @@ impl Shared {
     }
 
     /// `None` once the participant is closed.
-    fn pass_by(&self, own: &Own, is_of_first: bool) -> Result<Option<Passing>, Error> {
+    fn temporary(&self, own: &Own, is_of_first: bool) -> Result<Option<Temporary>, Error> {
         let first = lock(&self.participant);
         let second = lock(&self.second);
         let (participant, publisher): (Option<&DomainParticipant>, Option<&Publisher>) =
@@ -88,19 +88,19 @@ impl Shared {
             return Ok(None);
         };
         let failed = |error| Error::middleware(format!("connect {}", own.topic), error);
-        // A reader that requests nothing fits every writer. A writer has to offer what the own one does.
+        // A best-effort, volatile reader fits every writer. A writer has to offer the own one's quality of service.
         let qos = for_reader(Qos::best_effort(1));
         let (name, type_name) = (own.topic.clone(), own.type_name.clone());
         let topic = participant
             .create_topic(name, type_name, &qos, TopicKind::NoKey)
             .map_err(failed)?;
         Ok(Some(match own.is_writer {
-            true => Passing::Writer(
+            true => Temporary::Writer(
                 publisher
                     .create_datawriter_no_key(&topic, Some(own.qos.clone()))
                     .map_err(failed)?,
             ),
-            false => Passing::Reader(
+            false => Temporary::Reader(
                 self.subscriber
                     .create_simple_datareader_no_key(&topic, Some(qos))
                     .map_err(failed)?,

@@ -1,5 +1,5 @@
-//! The RTPS messages that this runtime writes itself (DDSI-RTPS 2.5, chapter 9.4), where rustdds 0.15.1 falls short.
-//! [`super::wire`], [`super::resend`], [`super::introduction`] and [`super::lease`] send them and say why.
+//! The RTPS messages that this runtime writes itself (DDSI-RTPS 2.5, chapter 9.4), for gaps of rustdds 0.15.1. The
+//! modules [`super::wire`], [`super::resend`], [`super::introduction`] and [`super::lease`] send them and give the reasons.
 
 use super::parts::{Peer, peer_of};
 use crate::backend::{EndpointId, RequestId};
@@ -20,7 +20,7 @@ const LITTLE_ENDIAN: u8 = 0x01;
 const INLINE_QOS: u8 = 0x02;
 /// DATA: a serialized payload follows.
 const PAYLOAD: u8 = 0x04;
-/// DATA: the key of what has gone follows.
+/// DATA: the key of a disposed instance follows.
 const KEY: u8 = 0x08;
 
 /// Which request a sample answers (DDS-RPC 1.0), and the number that Fast DDS used for it first and still sends.
@@ -194,43 +194,37 @@ pub(super) fn life_sign(own: &EndpointId) -> Bytes {
     message.freeze()
 }
 
-/// The identity of a placeholder: a participant that does not exist, announced to the own participant only.
-fn placeholder(own: &EndpointId) -> EndpointId {
-    let mut placeholder = *own;
-    placeholder[2..12].fill(0xff);
-    placeholder[12..].copy_from_slice(&PARTICIPANT);
-    placeholder
+/// The identity of a fictitious participant, which only the own participant discovers.
+fn fictitious(own: &EndpointId) -> EndpointId {
+    let mut id = *own;
+    id[2..12].fill(0xff);
+    id[12..].copy_from_slice(&PARTICIPANT);
+    id
 }
 
-/// The placeholder arrives and leaves: announcements of this number and the next.
+/// The fictitious participant joins and leaves: announcements of this number and the next.
 pub(super) fn visit(own: &EndpointId, number: i64) -> Bytes {
-    let placeholder = placeholder(own);
-    let mut message = header(&placeholder);
-    let data = participant(&placeholder, 0, 1, None);
+    let id = fictitious(own);
+    let mut message = header(&id);
+    let data = participant(&id, 0, 1, None);
     announced(&mut message, SPDP_READER, PAYLOAD, &data, number);
-    announced(
-        &mut message,
-        SPDP_READER,
-        KEY,
-        &key(&placeholder),
-        number + 1,
-    );
+    announced(&mut message, SPDP_READER, KEY, &key(&id), number + 1);
     message.freeze()
 }
 
-/// The placeholder leaves, once for each of `numbers`.
+/// The fictitious participant leaves, once for each of `numbers`.
 pub(super) fn departures(own: &EndpointId, numbers: impl Iterator<Item = i64>) -> Bytes {
-    let placeholder = placeholder(own);
-    let mut message = header(&placeholder);
+    let id = fictitious(own);
+    let mut message = header(&id);
     for number in numbers {
-        announced(&mut message, SPDP_READER, KEY, &key(&placeholder), number);
+        announced(&mut message, SPDP_READER, KEY, &key(&id), number);
     }
     message.freeze()
 }
 
-/// That the lease of the participant `peer` ends within a second.
+/// The lease of the participant `peer` ends within a second.
 pub(super) fn expiry(own: &EndpointId, peer: &Peer, number: i64) -> Bytes {
-    let mut id = placeholder(own);
+    let mut id = fictitious(own);
     let mut message = header(&id);
     id[..12].copy_from_slice(peer);
     let data = participant(&id, 0, 1, None);
@@ -299,7 +293,7 @@ mod tests {
     const WRITER: EndpointId = [1, 0x18, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 0, 0, 2, 0x03];
 
     #[test]
-    fn departures_are_those_of_the_placeholder() {
+    fn departures_are_of_the_fictitious_participant() {
         let message = departures(&READER, [64, 128].into_iter());
         assert_eq!(message[8..20], [&READER[..2], &[0xff; 10]].concat());
         assert_eq!(message.len(), 20 + 2 * 52);

@@ -1,9 +1,9 @@
 //! A second participant for reliable writers of topics that this process reads as well, where it is bound to loopback.
 //!
 //! rustdds 0.15.1 connects a new writer with the readers of its own participant, but sends nothing to its own participant
-//! by loopback: they acknowledge nothing, and the writer would be started anew again and
-//! again ([`super::line`]). Between two participants all is well; what the two say to each other is left, as
-//! within one, for the delivery in memory ([`super::local`]). ROS tools show the writers, but not whose they are.
+//! by loopback: they acknowledge nothing, and the publisher would start one DDS writer after
+//! the other ([`super::line`]). Between two participants this does not happen. Messages between the two are delivered in
+//! memory ([`super::local`]), as within one. ROS tools show the writers, but not their node.
 
 use super::{
     Dds, confine,
@@ -108,7 +108,7 @@ impl Dds {
         })
     }
 
-    /// Follows what a participant discovers, and mends its discovery as far as the environment needs it.
+    /// Starts the tasks of a participant: its discovery events, and the announcements that rustdds does not send.
     pub(super) fn attend(&self, participant: &DomainParticipant) -> Result<(), Error> {
         let failed = |source| Error::io("open a UDP socket", source);
         let own = participant.guid().to_bytes();

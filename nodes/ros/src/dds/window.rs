@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 /// A reader that lacks this much has fallen behind, however few samples that are \[byte\].
 const PATIENCE_BYTES: usize = 16 << 20;
-/// What is kept at most \[samples, byte\]: more is refused.
+/// Samples and bytes that are kept at most; more are refused.
 const MOST: usize = 4096;
 const MOST_BYTES: usize = 64 << 20;
 

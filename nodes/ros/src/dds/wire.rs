@@ -41,7 +41,7 @@ impl Wire {
         }
     }
 
-    /// What is lost is sent again by the caller, or does no harm.
+    /// A lost datagram is repeated by the caller, or does no harm.
     pub(super) fn send(&self, message: &[u8], to: SocketAddr) {
         if let Err(error) = self.socket.send_to(message, to) {
             tracing::debug!("cannot send {} bytes to {to}: {error}", message.len());

@@ -316,7 +316,7 @@ fn side_by_side(peers: &Path, cases: &[Case], run: impl Fn(&mut Pair, &str) + Sy
 
 /// The leases are 20 s for a participant of Fast DDS and 50 s for one of rustdds.
 #[test]
-fn what_a_cut_ends_returns_with_the_network() {
+fn streams_return_with_the_network_after_a_cut() {
     let Some(peers) = peers() else { return };
     let cuts = [
         ("wm and wm, both directions", Other::Wm, Cut::Both, 58),

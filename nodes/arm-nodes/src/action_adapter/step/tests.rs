@@ -338,6 +338,41 @@ fn poses_that_stay_where_they_leapt_to_begin_anew() {
     }
 }
 
+/// Other transforms come between those of the arm, and each message is followed.
+#[test]
+fn transforms_that_leap_are_counted_once_and_not_published() {
+    let send = |adapter: &mut AdapterStep, frame: TransformStamped| {
+        let message = TFMessage {
+            transforms: vec![frame],
+        };
+        assert_eq!(adapter.transforms(&message, false), []);
+        adapter
+            .follow()
+            .unwrap()
+            .map(|(_, pose)| pose.translation.x)
+    };
+    let leapt = |by: f64| {
+        let mut adapter = frames();
+        send(&mut adapter, frame(0, "base_link", "tool", &hand(0)));
+        let mut given = Vec::new();
+        for ms in [50, 100, 150, 200] {
+            let at = Isometry3::translation(by, 0.0, 0.0) * hand(ms);
+            given.push(send(&mut adapter, frame(ms, "base_link", "tool", &at)));
+            let wheel = frame(ms + 10, "base_link", "wheel", &hand(0));
+            assert_eq!(send(&mut adapter, wheel), None);
+        }
+        let done = adapter.take_done().into_iter();
+        let reasons: Vec<_> = done
+            .filter_map(|done| done.err().map(|problem| problem.reason()))
+            .collect();
+        (given.iter().map(Option::is_some).collect(), reasons)
+    };
+    let (given, reasons): (Vec<bool>, _) = leapt(1.0);
+    assert_eq!(given, [false, false, true, true]);
+    assert_eq!(reasons, ["pose_leapt", "pose_leapt", "pose_moved"]);
+    assert_eq!(leapt(0.0), (vec![true; 4], Vec::new()));
+}
+
 #[test]
 fn a_twist_that_the_arm_cannot_do_is_dropped() {
     let mut adapter = adapter(MotionSource::Twist);

@@ -1,11 +1,11 @@
-//! What to command in the next command period.
+//! The command of the next command period.
 
 use std::time::Duration;
 
 use super::{Cause, Command, ExecutorStep, JUMP_NS, Moment, Output, Phase, Refusal, Tick};
 use crate::executor::{
     Rates, State, Status,
-    schedule::{Change, Told},
+    schedule::{Change, PeriodMotion},
 };
 
 impl ExecutorStep {
@@ -30,10 +30,10 @@ impl ExecutorStep {
             // All at once: an emergency stop is the one step that no limit smooths.
             self.velocity = self.still();
         } else {
-            let (told, cause) = self.told(now, &mut refused);
-            let target = self.settings.limits.within(told.velocity);
-            self.gripper = told.gripper.or(self.gripper);
-            self.cause = cause.or((target != told.velocity).then_some(Cause::Slowed));
+            let (motion, cause) = self.motion(now, &mut refused);
+            let target = self.settings.limits.within(motion.velocity);
+            self.gripper = motion.gripper.or(self.gripper);
+            self.cause = cause.or((target != motion.velocity).then_some(Cause::Slowed));
             self.velocity = self.settings.limits.toward(self.velocity, target, seconds);
         }
         self.rest(now);
@@ -44,9 +44,9 @@ impl ExecutorStep {
         }
     }
 
-    /// What is told for this period, and why it is not all that an offer tells.
-    fn told(&mut self, now: Moment, refused: &mut Vec<Refusal>) -> (Told, Option<Cause>) {
-        let nothing = Told {
+    /// The motion of this period, and why it is not that of an offer.
+    fn motion(&mut self, now: Moment, refused: &mut Vec<Refusal>) -> (PeriodMotion, Option<Cause>) {
+        let nothing = PeriodMotion {
             velocity: self.still(),
             gripper: None,
             running_out: None,
@@ -66,35 +66,35 @@ impl ExecutorStep {
             return (nothing, Some(Cause::Held(hold)));
         }
         let cause = self.advance(now, leap_s, refused);
-        let Some(mut told) = self.offered(now).or_else(|| self.eased(now)) else {
+        let Some(mut motion) = self.offered(now).or_else(|| self.eased(now)) else {
             return (nothing, Some(cause.unwrap_or(Cause::Nothing)));
         };
         let mut cause = cause.filter(|_| self.schedule.current().is_none());
         if let Some(workspace) = &self.settings.workspace {
-            let mut velocity = told.velocity.velocity();
+            let mut velocity = motion.velocity.velocity();
             match workspace.cut(velocity.linear, now.at) {
                 Ok((linear, is_cut)) => {
                     velocity.linear = linear;
-                    told.velocity = velocity.into();
+                    motion.velocity = velocity.into();
                     if is_cut.contains(&true) {
                         cause = Some(Cause::Cut(is_cut));
                     }
                 }
-                // What `expect_free` has ruled out.
+                // `expect_free` has ruled this out.
                 Err(hold) => return (nothing, Some(Cause::Held(hold))),
             }
         }
         if let Some(joints) = &self.settings.joints {
             let is_cut;
-            (told.velocity, is_cut) = joints.cut(told.velocity);
+            (motion.velocity, is_cut) = joints.cut(motion.velocity);
             if is_cut {
                 cause = Some(Cause::CutJoints);
             }
         }
-        (told, cause)
+        (motion, cause)
     }
 
-    /// Goes on in the schedule; gives why the last offer has ended, if nothing has begun since.
+    /// Advances the schedule; gives the reason why the last offer has ended, if none has begun since.
     fn advance(
         &mut self,
         now: Moment,
@@ -138,26 +138,26 @@ impl ExecutorStep {
                 self.counts.interrupted += 1;
                 Some(Cause::ClockSlow)
             }
-            // Why the last one ended; what held it back is over.
+            // Only the reason of an end stays; a hold is over.
             None => before.filter(Cause::is_end),
         }
     }
 
-    /// What offers tell for this period. If their source is late at times and the last one ends in it, that goes on to the
-    /// end of the period: the next one may be on its way.
-    fn offered(&self, now: Moment) -> Option<Told> {
+    /// The motion of the offers in this period. If their source is late at times and the last one ends in it, that goes on to
+    /// the end of the period: the next one may be on its way.
+    fn offered(&self, now: Moment) -> Option<PeriodMotion> {
         let joints = self.settings.joints.as_ref();
         let places = joints.and_then(|joints| joints.places());
         let places = places.unwrap_or(Rates::zero(0));
         let layout = &self.settings.layout;
-        let mut told = self
+        let mut motion = self
             .schedule
-            .told(now.stamp_ns, self.span_ns(), layout, places)?;
-        let covered = told.running_out.filter(|covered| *covered > 0.0);
+            .motion(now.stamp_ns, self.span_ns(), layout, places)?;
+        let covered = motion.running_out.filter(|covered| *covered > 0.0);
         if let Some(covered) = covered.filter(|_| self.is_eased(now)) {
-            told.velocity = self.still().plus(told.velocity, covered.recip());
+            motion.velocity = self.still().plus(motion.velocity, covered.recip());
         }
-        Some(told)
+        Some(motion)
     }
 
     /// Whether the next offer may be late, and the arm does not stop by itself.
@@ -167,11 +167,11 @@ impl ExecutorStep {
 
     /// After offers of a source that is late at times, the arm takes all the time that it has to stop: the next one may be
     /// on its way.
-    fn eased(&self, now: Moment) -> Option<Told> {
+    fn eased(&self, now: Moment) -> Option<PeriodMotion> {
         let (velocity, since) = self.ease?;
         let passed = now.at.saturating_duration_since(since) + self.settings.period;
         let share = 1.0 - passed.as_secs_f64() / self.settings.stop_within.as_secs_f64().max(1e-3);
-        (share > 0.0).then(|| Told {
+        (share > 0.0).then(|| PeriodMotion {
             velocity: self.still().plus(velocity, share),
             gripper: None,
             running_out: None,
@@ -194,7 +194,7 @@ impl ExecutorStep {
         }
     }
 
-    /// Time has gone back: a bag begins again, or the clock was set. Nothing of before holds.
+    /// Time has gone back, as when a bag begins again or the clock is set: forgets everything.
     fn jump(&mut self) {
         self.forget();
         self.epoch = None;
@@ -204,7 +204,7 @@ impl ExecutorStep {
         self.disarm(Cause::ClockJump);
     }
 
-    /// Refuses what has waited too long for its assessment.
+    /// Refuses offers that have waited too long for their assessments.
     fn expire(&mut self, now: Moment) -> Vec<Refusal> {
         let wait = self.vetoes.settings().wait;
         let mut refused = Vec::new();
@@ -223,7 +223,7 @@ impl ExecutorStep {
         refused
     }
 
-    /// Goes on with zeros for a while after a motion, and then with nothing.
+    /// Sends zeros for a while after a motion, and then nothing.
     fn rest(&mut self, now: Moment) {
         let is_stopped = matches!(self.phase, Phase::Stopped(_));
         let is_active = !is_stopped && self.schedule.current().is_some();
@@ -262,7 +262,7 @@ impl ExecutorStep {
         }
     }
 
-    /// What it does, and why.
+    /// The state, and the reason for it.
     pub fn status(&self) -> Status {
         let offer = match self.phase {
             Phase::DryRun | Phase::Armed => self.schedule.current(),

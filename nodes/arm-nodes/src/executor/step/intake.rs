@@ -1,4 +1,4 @@
-//! Offers that come, and whether they may be executed.
+//! The checks of offers, and the inputs of the veto.
 
 use std::time::Duration;
 
@@ -59,11 +59,11 @@ impl ExecutorStep {
             Phase::Stopped(_) => return Err(Refusal::Stopped),
         }
         let settings = &self.settings;
-        // What begins before all time would be over with the first message on /clock.
+        // An offer that begins at zero would be over with the first message on /clock.
         if now.stamp_ns == 0 {
             return Err(Refusal::NoClock);
         }
-        // Without joints no motion is free, and where they set out from is not known.
+        // Without measured joints no motion is allowed, and its beginning is not known.
         if let Some(joints) = &settings.joints {
             joints.check(now.at)?;
         }
@@ -131,7 +131,7 @@ impl ExecutorStep {
         let seconds = |ns: i64| ns as f64 / 1e9;
         let mut age = received.age(now);
         if self.settings.begin == Begin::Reception {
-            // It would never be late: only its stamp tells that it waited somewhere else.
+            // It is never late: only its stamp shows that it waited elsewhere.
             let since_ns = now.stamp_ns.saturating_sub(offer.stamp_ns);
             age = age.max(Duration::from_nanos(u64::try_from(since_ns).unwrap_or(0)));
         }
@@ -158,7 +158,7 @@ impl ExecutorStep {
         }
     }
 
-    /// Whether all is there that a motion needs.
+    /// That no condition of a motion is missing.
     pub(super) fn expect_free(&self, now: Moment) -> Result<(), Hold> {
         self.settings.clock.check(now)?;
         self.settings.camera.check(now)?;
@@ -171,7 +171,7 @@ impl ExecutorStep {
         }
         if let Some(joints) = &self.settings.joints {
             joints.check(now)?;
-            // What is only tried out moves nothing.
+            // A dry run moves nothing.
             if self.phase != Phase::DryRun {
                 joints.check_following()?;
             }
@@ -189,8 +189,8 @@ impl ExecutorStep {
         Ok(())
     }
 
-    /// Takes what the model predicts of a policy's candidates: those that waited for it go on, and one that is executed
-    /// may be vetoed. Gives the offers that it speaks against.
+    /// Takes an assessment of a policy's candidates: chunks that waited for it are considered again, and the one that is
+    /// executed may be vetoed. Gives the refusals.
     pub fn assessment(&mut self, assessment: &Assessment, now: Moment) -> Vec<Refusal> {
         let stamp_ns = match stamp_of("assessment", assessment.candidates_stamp) {
             Ok(stamp_ns) => stamp_ns,
@@ -227,7 +227,7 @@ impl ExecutorStep {
         refused
     }
 
-    /// Takes what the last prediction was worth.
+    /// Takes the error of a prediction.
     pub fn prediction_error(&mut self, error: &PredictionError) {
         self.vetoes.prediction_error(error);
     }

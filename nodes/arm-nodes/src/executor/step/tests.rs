@@ -19,6 +19,8 @@ use wm_msgs::{
 };
 
 const MS: i64 = 1_000_000;
+/// The publisher of the emergency stop.
+const BUTTON: wm_ros::PublisherId = wm_ros::PublisherId([1; 16]);
 /// When the tests begin, by the node's clock \[ns\].
 const START: i64 = 1_700_000_000_000_000_000;
 /// Time from one command to the next \[ms\].
@@ -420,17 +422,17 @@ fn disarming_stops_it_and_then_nothing_is_sent() {
 #[test]
 fn the_emergency_stop_is_at_once_and_latches() {
     let mut bench = Bench::moving(settings());
-    bench.step.emergency(true);
+    bench.step.emergency(BUTTON, true);
     assert_eq!(sent(bench.tick(401)), Some(0.0));
     assert_eq!(bench.refused(450, &chunk(450, 0.02, 20)).0, "stopped");
     assert_eq!(bench.step.arm(), Err(ArmError::Stopped));
     assert_eq!(bench.run(450, 850), Some(0.0));
     assert_eq!(bench.run(950, 1200), None);
-    bench.step.emergency(false);
+    bench.step.emergency(BUTTON, false);
     assert_eq!(bench.state(), State::Stopped);
-    bench.step.emergency(true);
+    bench.step.emergency(BUTTON, true);
     assert_eq!(bench.step.reset(), Err(ArmError::Pressed));
-    bench.step.emergency(false);
+    bench.step.emergency(BUTTON, false);
     bench.step.reset().unwrap();
     assert_eq!(bench.state(), State::DryRun);
     bench.offer(1300, &chunk(1300, 0.02, 20)).unwrap();

@@ -66,8 +66,10 @@ impl Player {
                 self.ask(messages, Asker::Burst(call));
             }
             Command::Seek(call) => {
-                let wanted_ns = u64::try_from(call.request.time.to_nanos()).unwrap_or(0);
-                let found_ns = self.playback.seek(now, wanted_ns);
+                let wanted_ns = call.request.time.checked_nanos().ok();
+                // A time before 1970 is that of the first message.
+                let wanted_ns = wanted_ns.map(|ns| u64::try_from(ns).unwrap_or(0));
+                let found_ns = wanted_ns.and_then(|ns| self.playback.seek(now, ns));
                 if let Some(found_ns) = found_ns {
                     info!("resumed at {:.3}", found_ns as f64 / 1e9);
                     self.read_from(found_ns);
@@ -125,14 +127,23 @@ impl Player {
         is_valid
     }
 
-    /// Begins the playback that `~/play` asks for. A limit that is not positive is none: a request without any plays
-    /// everything.
+    /// Begins the playback that `~/play` requests; false if it cannot. Limits that are not positive are ignored: without any,
+    /// everything is played.
     fn play_again(&mut self, request: &PlayRequest) -> bool {
+        let times = (
+            request.start_offset.checked_nanos(),
+            request.playback_duration.checked_nanos(),
+            request.playback_until_timestamp.checked_nanos(),
+        );
+        let (Ok(offset_ns), Ok(duration_ns), Ok(until_ns)) = times else {
+            warn!("a call of ~/play is refused: expected less than 1e9 ns in its times");
+            return false;
+        };
         let positive = |ns: i64| u64::try_from(ns).ok().filter(|ns| *ns > 0);
-        let offset_ns = positive(request.start_offset.to_nanos()).unwrap_or(0);
-        let start_ns = start_ns(&self.reader, Duration::from_nanos(offset_ns));
-        let duration = positive(request.playback_duration.to_nanos()).map(Duration::from_nanos);
-        let until_ns = positive(request.playback_until_timestamp.to_nanos());
+        let offset = Duration::from_nanos(positive(offset_ns).unwrap_or(0));
+        let start_ns = start_ns(&self.reader, offset);
+        let duration = positive(duration_ns).map(Duration::from_nanos);
+        let until_ns = positive(until_ns);
         let last_ns = last_ns(&self.reader, start_ns, duration, until_ns);
         let begins = self.playback.play(self.epoch.elapsed(), start_ns, last_ns);
         if begins {

@@ -108,7 +108,7 @@ fn messages_come_at_their_distances_over_the_rate() {
 }
 
 #[test]
-fn longer_gaps_are_jumped_over_and_told() {
+fn longer_gaps_are_jumped_over_and_reported() {
     let plan = Plan {
         start_ns: bag(0) - 3_600_000_000_000,
         max_gap: Some(at(300)),

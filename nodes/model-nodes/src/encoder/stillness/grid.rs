@@ -1,4 +1,4 @@
-//! A picture reduced to what a camera's noise leaves unchanged.
+//! A picture reduced to cells in which a camera's noise averages out.
 
 use image::RgbImage;
 
@@ -6,8 +6,8 @@ use image::RgbImage;
 const MOST_CELLS: usize = 32;
 /// Pixels along a cell's side at least: the mean of 64 pixels has an eighth of their noise.
 const CELL_SIDE: usize = 8;
-/// The least difference of two cells that is no noise, for cells of so many pixels that noise averages out \[grey level\]:
-/// rounding, and the steps in which JPEG keeps the mean of a block.
+/// The least difference of two cells that is no noise, if cells have so many pixels that noise averages out \[grey
+/// level\]: rounding, and the steps in which JPEG stores the mean of a block.
 const LEAST: f32 = 1.0;
 /// The same for a cell of one pixel; it falls with the root of the pixels \[grey level\].
 const LEAST_OF_PIXEL: f32 = 16.0;
@@ -22,7 +22,7 @@ const OF_MEDIAN: f32 = 1.4826;
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Grid {
     columns: usize,
-    /// Pixels that a cell is the mean of, at least.
+    /// Least number of pixels of a cell.
     pixels: f32,
     cells: Vec<f32>,
 }

@@ -2,17 +2,17 @@
 
 use wm_motion::actions::{ActionSpace, Dimension};
 
-/// What a camera that sees the arm cannot miss: of values in metres.
+/// A motion that a camera which sees the arm shows clearly: of values in metres.
 const MOVED_M: f32 = 0.02;
-/// Of values in radians.
+/// The same of values in radians.
 const MOVED_RAD: f32 = 0.1;
-/// Of changes in another unit: part of the greatest usual one.
+/// The same of changes in another unit: part of the greatest usual one.
 const MOVED_DELTA: f32 = 0.4;
-/// Of states in another unit: part of their greatest magnitude.
+/// The same of states in another unit: part of their greatest magnitude.
 const MOVED_STATE: f32 = 0.05;
 
-/// The range of each value of the arm's pose since the picture changed last. It goes by how far the arm came, not by the
-/// sum of its motions: a measured pose jitters, and jitter leads nowhere.
+/// The range of each value of the arm's pose since the picture changed last. A range and not the sum of motions: a measured
+/// pose jitters, and jitter leads nowhere.
 #[derive(Clone, Debug)]
 pub(super) struct Movement {
     space: ActionSpace,
@@ -22,14 +22,14 @@ pub(super) struct Movement {
 
 /// The value that has moved most.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Moved {
+pub(crate) struct ArmMotion {
     /// Its name.
     name: String,
     unit: String,
     distance: f32,
 }
 
-impl std::fmt::Display for Moved {
+impl std::fmt::Display for ArmMotion {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{:.3} {} ({})", self.distance, self.unit, self.name)
     }
@@ -56,11 +56,13 @@ impl Movement {
         }
     }
 
-    /// Takes the values of an action. Those of another space say nothing of the arm.
+    /// The space of the actions.
+    pub fn space(&self) -> &ActionSpace {
+        &self.space
+    }
+
+    /// Takes the values of an action of its space.
     pub fn action(&mut self, values: &[f32]) {
-        if self.space.check(values).is_err() {
-            return;
-        }
         let dimensions = self.space.dimensions().iter().zip(values);
         for (range, (dimension, value)) in self.ranges.iter_mut().zip(dimensions) {
             *range = match (*range, dimension.kind.is_delta()) {
@@ -74,8 +76,8 @@ impl Movement {
         }
     }
 
-    /// The value that has moved most, if one has moved as far as a camera cannot miss.
-    pub fn moved(&self) -> Option<Moved> {
+    /// The greatest motion, if a camera that sees the arm shows it clearly.
+    pub fn greatest(&self) -> Option<ArmMotion> {
         let distances = self.ranges.iter().zip(self.space.dimensions());
         let distances = distances.filter_map(|(range, dimension)| {
             let (_, low, high) = (*range)?;
@@ -85,7 +87,7 @@ impl Movement {
         });
         let most = distances.max_by(|(one, ..), (other, ..)| one.total_cmp(other))?;
         let (_, distance, dimension) = most;
-        Some(Moved {
+        Some(ArmMotion {
             name: dimension.name.clone(),
             unit: dimension.unit.clone(),
             distance,
@@ -105,7 +107,7 @@ mod tests {
     fn moved(actions: &[[f32; 7]]) -> Option<String> {
         let mut movement = Movement::new(ActionSpace::bridge());
         actions.iter().for_each(|action| movement.action(action));
-        movement.moved().map(|moved| moved.to_string())
+        movement.greatest().map(|motion| motion.to_string())
     }
 
     fn along_x(value: f32) -> [f32; 7] {
@@ -113,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn the_way_counts_and_jitter_leads_nowhere() {
+    fn a_distance_counts_and_jitter_does_not() {
         assert_eq!(moved(&[along_x(0.005); 3]), None);
         assert_eq!(moved(&[along_x(0.005); 5]), Some("0.025 m (dx)".to_owned()));
         let jitter: Vec<_> = (0..1000)
@@ -129,16 +131,13 @@ mod tests {
     }
 
     #[test]
-    fn grippers_and_actions_of_another_space_do_not_count() {
+    fn grippers_do_not_count() {
         let gripper = |value| [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, value];
         assert_eq!(moved(&[gripper(0.0), gripper(1.0)]), None);
         let mut movement = Movement::new(ActionSpace::bridge());
-        movement.action(&[1.0; 3]);
-        movement.action(&along_x(f32::NAN));
-        assert_eq!(movement.moved(), None);
         movement.action(&along_x(0.05));
-        assert!(movement.moved().is_some());
+        assert!(movement.greatest().is_some());
         movement.restart();
-        assert_eq!(movement.moved(), None);
+        assert_eq!(movement.greatest(), None);
     }
 }

@@ -1,19 +1,19 @@
-//! How often frames come, and how often one is new.
+//! The rates of frames and of new pictures.
 
 use std::collections::VecDeque;
 
-/// What is judged \[ns\].
+/// Span of time that rates are measured over \[ns\].
 const SPAN_NS: i64 = 2_000_000_000;
-/// Frames that are judged at least, and at most.
+/// Least and greatest number of frames in it.
 const LEAST: usize = 8;
 const MOST: usize = 256;
-/// New frames that a steady rate needs at least.
+/// Least number of new frames in it for a steady rate.
 const LEAST_NEW: usize = 4;
-/// Repetitions of one picture in a row beyond which it is no rate but a stop.
+/// With more repetitions of one picture in a row, the camera has stopped.
 const MOST_REPEATS: usize = 4;
-/// New frames with repetitions after them that a steady rate needs at least.
+/// Least number of new frames with repetitions after them for a steady rate.
 const LEAST_RUNS: usize = 3;
-/// Part of the frames that repeat from which the rate is named.
+/// Least part of repeated frames for which a camera counts as repeating.
 const REPEATED: f64 = 0.2;
 
 /// The last frames: stamp, and whether the picture was new.
@@ -21,7 +21,7 @@ const REPEATED: f64 = 0.2;
 pub(in crate::encoder) struct Rates(VecDeque<(i64, bool)>);
 
 impl Rates {
-    /// Takes a frame. Where stamps go back, measuring begins anew; a stamp that comes again is the same frame.
+    /// Takes a frame. If its stamp goes back, measuring begins anew; a stamp that comes again is skipped.
     pub fn push(&mut self, stamp_ns: i64, is_new: bool) {
         match self.0.back() {
             Some((last_ns, _)) if stamp_ns == *last_ns => return,
@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stop_and_a_start_are_no_rate() {
+    fn a_camera_that_stops_or_starts_does_not_count_as_repeating() {
         assert!(!rates(90, |_| false).is_repeating());
         assert!(!rates(90, |index| index < 60).is_repeating());
         assert!(!rates(90, |index| index > 60).is_repeating());

@@ -82,7 +82,7 @@ impl Camera {
 
     fn act_at(&mut self, stamp_ns: i64, dx: f32) {
         let values = vec![dx, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0];
-        self.stillness.action(stamp_ns, values);
+        self.stillness.action(stamp_ns, values).unwrap();
     }
 }
 
@@ -144,7 +144,7 @@ fn still_arm_before_a_still_scene_is_no_fault() {
             assert_eq!(sight.frozen, None, "{index}");
         }
         // The gripper may close on nothing in sight, and a first motion is not late.
-        camera.stillness.action(0, vec![0.0; 7]);
+        camera.stillness.action(0, vec![0.0; 7]).unwrap();
         camera.act(0.03);
         let sight = camera.frame(20 * SECOND, &random.on(&picture, noise));
         assert_eq!(sight.frozen, None);
@@ -181,10 +181,10 @@ fn late_pictures_are_compared_with_the_motions_before_them() {
         let sight = camera.frame(seen * SECOND / 5, &picture);
         assert_eq!(sight.frozen, None, "{index}");
     }
-    for index in 50..100 {
-        camera.act_at(i64::MAX, index as f32);
+    for _ in 0..MOST_COMING + 50 {
+        camera.act_at(i64::MAX, 0.01);
     }
-    assert!(camera.stillness.coming.len() < MOST_COMING);
+    assert_eq!(camera.stillness.coming.len(), MOST_COMING);
 }
 
 #[test]
@@ -228,6 +228,38 @@ fn frozen_after_zero_turns_it_off() {
         assert_eq!(sight.frozen, None);
         assert_eq!(sight.unchanged_ns, index * SECOND / 5);
     }
+}
+
+/// By two transports, or by UDP.
+#[test]
+fn frozen_camera_stays_frozen_if_its_frames_overtake_each_other() {
+    for noise in [0, 1] {
+        let (mut camera, mut random) = (Camera::new(None), Noise(6));
+        let picture = table((64, 64), 0.3);
+        let mut has_begun = false;
+        for index in 0..90_i64 {
+            camera.act(0.01);
+            // 0, 3, 2, 1, 4, 7, 6, 5, and so on.
+            let overtaking = [0, 2, 0, -2][(index % 4) as usize];
+            let stamp_ns = (index + overtaking) * SECOND / 30;
+            let sight = camera.frame(stamp_ns, &random.on(&picture, noise));
+            has_begun |= sight.frozen.is_some();
+            assert_eq!(sight.frozen.is_some(), has_begun, "{noise} {index}");
+            assert_eq!(
+                has_begun,
+                index > 40 || (has_begun && index > 25),
+                "{noise} {index}"
+            );
+        }
+    }
+}
+
+#[test]
+fn actions_of_another_space_are_refused() {
+    let mut stillness = Stillness::new(AFTER, ActionSpace::bridge());
+    assert!(stillness.action(0, vec![1.0; 3]).is_err());
+    assert!(stillness.action(0, vec![f32::NAN; 7]).is_err());
+    assert!(stillness.coming.is_empty());
 }
 
 #[test]

@@ -98,8 +98,8 @@ impl GoalReader {
         Ok(Arc::from(values))
     }
 
-    /// How many pixels a mask of a camera's picture marks in each cell of the latent grid. What the encoder's picture does
-    /// not show counts in none.
+    /// The number of pixels that a mask of a camera's picture marks in each cell of the latent grid. Pixels outside the
+    /// encoder's picture do not count.
     fn mask(&self, mask: &Image) -> Result<Option<Arc<[f32]>>, GoalError> {
         if mask.data.is_empty() {
             return Ok(None);

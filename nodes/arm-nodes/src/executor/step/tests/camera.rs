@@ -43,7 +43,7 @@ fn a_frozen_camera_stops_the_arm_with_its_reason() {
 }
 
 #[test]
-fn after_a_freeze_only_what_was_made_from_newer_frames_moves_the_arm() {
+fn after_a_freeze_only_offers_from_newer_frames_move_the_arm() {
     let mut bench = Bench::armed(settings());
     bench.frame(0, true);
     bench.frame(500, false);

@@ -37,7 +37,7 @@ fn a_stopped_clock_stops_the_arm_within_max_age() {
 
 /// Neither the offer that is executed nor the next one outlives its age.
 #[test]
-fn a_chunk_ahead_of_a_stopped_clock_does_not_move_the_arm_for_long() {
+fn a_chunk_ahead_of_a_stopped_clock_soon_ends() {
     let mut bench = Bench::armed(settings());
     bench.tick(0);
     // It begins within a command period.
@@ -101,7 +101,7 @@ fn a_plan_is_not_executed_longer_than_max_age_by_either_clock() {
 }
 
 #[test]
-fn by_a_slow_clock_the_arm_does_not_move_further_than_the_chunk_says() {
+fn a_slow_clock_does_not_lengthen_the_motion_of_a_chunk() {
     let mut bench = Bench::armed(settings());
     // 0.08 m in 0.8 s.
     bench.offer(0, &chunk(0, 0.02, 4)).unwrap();

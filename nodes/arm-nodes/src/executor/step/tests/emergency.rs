@@ -51,6 +51,24 @@ fn a_stop_that_is_lost_disarms() {
 }
 
 #[test]
+fn one_publisher_does_not_release_what_another_presses() {
+    let mut bench = Bench::armed(settings());
+    let other = PublisherId([2; 16]);
+    bench.step.stop_sources(sources(&[1, 2], &[]));
+    bench.step.emergency(BUTTON, true);
+    bench.step.emergency(other, false);
+    assert_eq!(bench.step.reset(), Err(ArmError::Pressed));
+    bench.step.emergency(BUTTON, false);
+    bench.step.reset().unwrap();
+    // A publisher that has gone cannot release it: another one, as its successor, does.
+    bench.step.emergency(BUTTON, true);
+    bench.step.stop_sources(sources(&[2], &[]));
+    assert_eq!(bench.step.reset(), Err(ArmError::Pressed));
+    bench.step.emergency(other, false);
+    bench.step.reset().unwrap();
+}
+
+#[test]
 fn a_stop_that_is_required_must_be_there() {
     let mut bench = Bench::new(Settings {
         emergency: EmergencyStop::new(true),

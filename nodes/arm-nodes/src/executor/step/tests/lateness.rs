@@ -71,7 +71,7 @@ fn chunks_that_are_partly_late_are_executed_without_a_stop() {
 }
 
 #[test]
-fn a_short_gap_between_late_chunks_slows_the_arm_down_and_no_more() {
+fn a_short_gap_between_late_chunks_only_slows_the_arm_down() {
     // Each comes 0.1 s after the last one was over.
     let motion = execute(1_000, 500, &[600; 20]);
     assert_eq!(motion.starts().len(), 1, "{motion:?}");
@@ -80,7 +80,7 @@ fn a_short_gap_between_late_chunks_slows_the_arm_down_and_no_more() {
 }
 
 #[test]
-fn chunks_that_leave_the_arm_at_rest_are_refused_until_they_are_in_time() {
+fn late_chunks_that_rest_the_arm_are_refused_until_in_time() {
     // Back to back, and each 0.4 s late: the arm would move for 0.6 s and rest for 0.4 s.
     let mut delays = vec![400; 10];
     let motion = execute(1_000, 1_000, &delays);
@@ -95,7 +95,7 @@ fn chunks_that_leave_the_arm_at_rest_are_refused_until_they_are_in_time() {
 
 /// Every other chunk comes when it is over: the arm would move and rest in turn.
 #[test]
-fn chunks_that_are_missed_in_turn_do_not_make_the_arm_move_in_turn() {
+fn chunks_missed_in_turn_do_not_start_and_stop_the_arm() {
     let delays: Vec<i64> = (0..50).map(|index| index % 2 * 550).collect();
     let motion = execute(400, 400, &delays);
     assert!(motion.starts().len() <= 2, "{motion:?}");

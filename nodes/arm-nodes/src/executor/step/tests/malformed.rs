@@ -53,6 +53,11 @@ fn a_malformed_stamp_is_refused_wherever_it_is() {
     let mut camera = CameraState::default();
     camera.header.stamp = stamp;
     assert!(bench.step.camera(&camera, now).is_err());
+    assert!(bench.offer(0, &chunk(0, 0.02, 4)).is_ok());
+    // A stop counts all the same.
+    camera.frozen = true;
+    assert!(bench.step.camera(&camera, now).is_err());
+    assert_eq!(bench.refused(0, &chunk(0, 0.02, 4)).0, "camera_frozen");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Frames on their way from the topic to the encoder: decoded, and looked at.
+//! Frames between the topic and the encoder: they are decoded on a thread of their own.
 
 use std::time::Instant;
 
@@ -12,11 +12,11 @@ use crate::work::Work;
 
 /// Frames that may wait to be decoded, more than those that wait to be encoded: decoding is much faster.
 const WAITING: usize = 4;
-/// Frames that are not encoded are decoded this often, by their stamps: enough for a stop of the camera, and cheap \[ns\].
-const LOOK_NS: i64 = 100_000_000;
+/// Frames that are not encoded are decoded this often, by their stamps: enough to detect a freeze, and cheap \[ns\].
+const DECODE_NS: i64 = 100_000_000;
 
-/// A frame that has arrived.
-pub(super) struct Arrived {
+/// A frame as it was received.
+pub(super) struct ReceivedFrame {
     pub frame: CameraFrame,
     pub at: Instant,
     /// The encoder's when it arrived.
@@ -26,20 +26,20 @@ pub(super) struct Arrived {
     is_decoded: bool,
 }
 
-/// A frame that was looked at.
-pub(super) struct Looked {
+/// A frame with its picture.
+pub(super) struct DecodedFrame {
     pub header: Header,
     pub is_raw: bool,
     pub at: Instant,
     pub epoch: u64,
     pub fate: Fate,
     pub repeat: Repeat,
-    /// What it shows; `None` for a frame that is not encoded, if another one was decoded just before.
+    /// `None` for a frame that is not encoded, if another one was decoded just before.
     pub picture: Option<Result<(RgbImage, Grid), ImageError>>,
 }
 
-impl Arrived {
-    fn look(self) -> Looked {
+impl ReceivedFrame {
+    fn decode(self) -> DecodedFrame {
         let picture = self.is_decoded.then(|| {
             let picture = self.frame.decode()?;
             let grid = Grid::of(&picture);
@@ -47,7 +47,7 @@ impl Arrived {
         });
         let header = self.frame.header().clone();
         frame_trace::passed("picture decoded", header.stamp);
-        Looked {
+        DecodedFrame {
             is_raw: matches!(self.frame, CameraFrame::Raw(_)),
             header,
             at: self.at,
@@ -60,15 +60,15 @@ impl Arrived {
 }
 
 /// Decodes frames, in their order.
-pub(super) struct Looks {
-    pub work: Work<Arrived, Looked>,
+pub(super) struct Decoding {
+    pub work: Work<ReceivedFrame, DecodedFrame>,
     decoded_ns: Option<i64>,
 }
 
-impl Looks {
+impl Decoding {
     pub fn new() -> Self {
         Self {
-            work: Work::new(WAITING, |arrived: Arrived, _| arrived.look()),
+            work: Work::new(WAITING, |frame: ReceivedFrame, _| frame.decode()),
             decoded_ns: None,
         }
     }
@@ -81,14 +81,15 @@ impl Looks {
         at: Instant,
         epoch: u64,
         (fate, repeat): (Fate, Repeat),
-    ) -> Option<Arrived> {
+    ) -> Option<ReceivedFrame> {
         let stamp_ns = frame.header().stamp.to_nanos();
-        let is_near = |decoded_ns: i64| (0..LOOK_NS).contains(&stamp_ns.saturating_sub(decoded_ns));
+        let is_near =
+            |decoded_ns: i64| (0..DECODE_NS).contains(&stamp_ns.saturating_sub(decoded_ns));
         let is_decoded = fate == Fate::Encode || !self.decoded_ns.is_some_and(is_near);
         if is_decoded {
             self.decoded_ns = Some(stamp_ns);
         }
-        self.work.submit(Arrived {
+        self.work.submit(ReceivedFrame {
             frame,
             at,
             epoch,

@@ -1,9 +1,9 @@
-//! Subscriptions that there may not be.
+//! Optional subscriptions.
 
 use wm_msgs::Message;
 use wm_ros::{Received, Subscription};
 
-/// The next message; where there is no subscription, none ever comes.
+/// The next message; pending without a subscription.
 pub(crate) async fn next<M: Message>(
     subscription: &mut Option<Subscription<M>>,
 ) -> Option<Received<M>> {

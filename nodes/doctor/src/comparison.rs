@@ -14,8 +14,8 @@ const MOST_SIGNATURES: usize = 2_000;
 
 /// The pictures of a topic, compared with each other.
 #[derive(Clone, Debug, Default)]
-pub struct Looked {
-    /// What each picture is like beside the one before.
+pub struct Comparison {
+    /// Each picture compared with its predecessor.
     pub pictures: Pictures,
     /// Stamp \[ns\] and signature of each picture.
     pub signatures: Vec<(i64, Signature)>,
@@ -23,15 +23,15 @@ pub struct Looked {
     pub skipped: u64,
 }
 
-/// Decodes and compares pictures on a thread of its own, while messages are received.
-pub(crate) struct Looker {
+/// Decodes and compares pictures on a separate thread, while messages are received.
+pub(crate) struct Comparer {
     waiting: SyncSender<(CameraFrame, i64)>,
-    thread: JoinHandle<Looked>,
+    thread: JoinHandle<Comparison>,
     /// All pictures that came.
     count: u64,
 }
 
-impl Looker {
+impl Comparer {
     /// For the pictures of a topic.
     pub fn new(topic: &str) -> Self {
         let (waiting, frames) = sync_channel(WAITING);
@@ -44,45 +44,45 @@ impl Looker {
     }
 
     /// Takes a picture; skips it if too many wait.
-    pub fn look(&mut self, frame: CameraFrame, received_ns: i64) {
+    pub fn take(&mut self, frame: CameraFrame, received_ns: i64) {
         self.count += 1;
         // Those that are not compared are counted at the end.
         let _ = self.waiting.try_send((frame, received_ns));
     }
 
     /// Waits for the last picture.
-    pub fn finish(self) -> Looked {
+    pub fn finish(self) -> Comparison {
         drop(self.waiting);
         // A thread that failed has compared none.
-        let looked = self.thread.join().unwrap_or_default();
-        Looked {
-            skipped: self.count - looked.pictures.count().min(self.count),
-            ..looked
+        let comparison = self.thread.join().unwrap_or_default();
+        Comparison {
+            skipped: self.count - comparison.pictures.count().min(self.count),
+            ..comparison
         }
     }
 }
 
-fn compare(frames: &Receiver<(CameraFrame, i64)>, pictures: Pictures) -> Looked {
-    let mut looked = Looked {
+fn compare(frames: &Receiver<(CameraFrame, i64)>, pictures: Pictures) -> Comparison {
+    let mut comparison = Comparison {
         pictures,
-        ..Looked::default()
+        ..Comparison::default()
     };
     for (frame, received_ns) in frames {
-        let stamp_ns = frame.header().stamp.to_nanos();
-        // A driver that does not stamp is a finding of its own.
+        // A driver with missing or malformed stamps is a finding of its own.
+        let stamp_ns = frame.header().stamp.checked_nanos().unwrap_or(0);
         let at_ns = if stamp_ns > 0 { stamp_ns } else { received_ns };
         let signature = frame.decode().ok().map(|picture| Signature::of(&picture));
         if let Some(signature) = signature
             .clone()
-            .filter(|_| looked.signatures.len() < MOST_SIGNATURES)
+            .filter(|_| comparison.signatures.len() < MOST_SIGNATURES)
         {
-            looked.signatures.push((at_ns, signature));
+            comparison.signatures.push((at_ns, signature));
         }
-        looked
+        comparison
             .pictures
             .push(at_ns, frame.fingerprint(), frame.size(), signature);
     }
-    looked
+    comparison
 }
 
 #[cfg(test)]
@@ -92,7 +92,7 @@ mod tests {
 
     #[test]
     fn every_picture_is_compared_or_counted() {
-        let mut looker = Looker::new("/camera");
+        let mut comparer = Comparer::new("/camera");
         for index in 0..100_i64 {
             let image = Image {
                 header: Header {
@@ -106,10 +106,13 @@ mod tests {
                 data: vec![(index / 2) as u8; 12],
                 ..Image::default()
             };
-            looker.look(CameraFrame::Raw(image), 0);
+            comparer.take(CameraFrame::Raw(image), 0);
         }
-        let looked = looker.finish();
-        assert_eq!(looked.pictures.count() + looked.skipped, 100);
-        assert_eq!(looked.signatures.len() as u64, looked.pictures.count());
+        let comparison = comparer.finish();
+        assert_eq!(comparison.pictures.count() + comparison.skipped, 100);
+        assert_eq!(
+            comparison.signatures.len() as u64,
+            comparison.pictures.count()
+        );
     }
 }

@@ -7,19 +7,31 @@ use crate::{
     Durability, Reliability,
     backend::{Backend, Channel, Endpoint, Seen, Sink},
 };
-use std::sync::Arc;
+use std::{
+    fmt,
+    sync::{Arc, OnceLock},
+};
 use tokio::{runtime::Handle, task::AbortHandle};
 
-/// The publishers that a further reader serves.
+/// The kind of publishers that a further reader serves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Served {
-    /// Those that latch: the reader gets what was published before.
+pub(crate) enum PublisherKind {
+    /// Publishers that latch: the reader gets their latched samples.
     Latching,
-    /// Those that are best effort.
+    /// Best-effort publishers.
     BestEffort,
 }
 
-impl Served {
+impl fmt::Display for PublisherKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Latching => "latching",
+            Self::BestEffort => "best-effort",
+        })
+    }
+}
+
+impl PublisherKind {
     fn is_of(self, publisher: &Seen) -> bool {
         match self {
             Self::Latching => publisher.qos.durability == Durability::TransientLocal,
@@ -29,29 +41,32 @@ impl Served {
 }
 
 /// A further reader, until it is dropped.
-pub(crate) struct CatchUp {
+pub(crate) struct FurtherReader {
     task: AbortHandle,
+    failure: Arc<OnceLock<String>>,
 }
 
-impl CatchUp {
+impl FurtherReader {
     /// `endpoint` is the subscription's own, `node` the full name of its node.
     pub(crate) fn begin(
         runtime: &Handle,
         backend: &Arc<dyn Backend>,
         node: String,
         mut endpoint: Endpoint,
-        served: Served,
+        kind: PublisherKind,
         sink: Sink,
     ) -> Self {
         let backend = Arc::clone(backend);
         endpoint.has_siblings = true;
-        match served {
-            Served::Latching => endpoint.qos.durability = Durability::TransientLocal,
-            Served::BestEffort => endpoint.qos.reliability = Reliability::BestEffort,
+        match kind {
+            PublisherKind::Latching => endpoint.qos.durability = Durability::TransientLocal,
+            PublisherKind::BestEffort => endpoint.qos.reliability = Reliability::BestEffort,
         }
+        let failure: Arc<OnceLock<String>> = Arc::default();
+        let failed = Arc::clone(&failure);
         let task = runtime.spawn(async move {
             let mut changes = backend.changes();
-            while !has_publisher(&*backend, &endpoint, served) {
+            while !has_publisher(&*backend, &endpoint, kind) {
                 if changes.changed().await.is_err() {
                     return;
                 }
@@ -61,28 +76,35 @@ impl CatchUp {
                     let _held = reader;
                     std::future::pending::<()>().await;
                 }
-                Err(error) => tracing::warn!(
-                    "{}: cannot receive from publishers that are {served:?}: {error}",
-                    endpoint.name
-                ),
+                Err(error) => {
+                    let name = &endpoint.name;
+                    let text = format!("{name}: cannot receive from {kind} publishers: {error}");
+                    tracing::warn!("{text}");
+                    failed.get_or_init(|| text);
+                }
             }
         });
         let task = task.abort_handle();
-        Self { task }
+        Self { task, failure }
+    }
+
+    /// Why its publishers are not connected, if it could not be made.
+    pub(crate) fn failure(&self) -> Option<&str> {
+        self.failure.get().map(String::as_str)
     }
 }
 
-impl Drop for CatchUp {
+impl Drop for FurtherReader {
     fn drop(&mut self) {
         self.task.abort();
     }
 }
 
-fn has_publisher(backend: &dyn Backend, endpoint: &Endpoint, served: Served) -> bool {
+fn has_publisher(backend: &dyn Backend, endpoint: &Endpoint, kind: PublisherKind) -> bool {
     backend.seen().iter().any(|seen| {
         seen.is_writer
             && seen.channel == Channel::Topic
             && seen.name == endpoint.name
-            && served.is_of(seen)
+            && kind.is_of(seen)
     })
 }
