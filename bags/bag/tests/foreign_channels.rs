@@ -225,7 +225,7 @@ fn a_topic_without_its_slash_is_found_with_it() {
 const HEADER: [u8; 16] = [1, 0, 0, 0, 0, 0, 0, 0, 2, 0, 0, 0, b'b', 0, 0, 0];
 
 #[test]
-fn other_fields_are_told_and_values_stay_in_their_places() {
+fn other_fields_are_named_and_values_keep_their_fields() {
     let scratch = TempDir::new().unwrap();
     let mut file = File::new();
     let definition = "std_msgs/Header header\nuint32 mode\nfloat32[] values\n";
