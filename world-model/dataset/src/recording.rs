@@ -329,7 +329,7 @@ impl Recording {
         }
         if let Some((count, first)) = self.actions.implausible() {
             let what = format!(
-                "no robot makes them, and the frames around them are left out too: {} {first}",
+                "implausible, left out with the frames around them: {} {first}",
                 self.action_topic
             );
             self.complaints.push((count as u64, Thing::Action, what));
@@ -345,7 +345,10 @@ impl Recording {
                     super::manifest::counted(count, thing.name())
                 )
             });
-            let what = no_actions(&self.action_topic) + &reasons.collect::<String>();
+            let mut what = no_actions(&self.action_topic) + &reasons.collect::<String>();
+            if self.actions.implausible().is_some() {
+                what += "; describe positions, or values in another unit, with --action-space FILE";
+            }
             return Err(Unusable::Lacks(what));
         }
         Ok(self)
