@@ -1,11 +1,11 @@
-//! The actions by themselves: idle time, zeros at the end, outliers, units.
+//! The actions by themselves: idle time, zeros at the end, outliers, units, the gripper's range.
 
 use crate::{
     Finding,
     episode::{Effect, Episode, Episodes},
     quantile::quantile,
 };
-use wm_motion::actions::{Dimension, Kind};
+use wm_motion::actions::{ActionSurvey, Cause, Contradiction, Dimension, Hint, Kind};
 
 /// Share of idle frames from which on it is a fault. Of four real data sets it is 0 to .12.
 const IDLE: f64 = 0.5;
@@ -29,13 +29,16 @@ const OF_KIND: f32 = 1.0 / 3.0;
 const FASTEST: f64 = 2.0;
 /// Share of actions that may be so.
 const FAST: f64 = 0.1;
+/// The check of the gripper's range.
+const GRIPPER: &str = "gripper";
 
-/// What is to be said of the actions by themselves.
+/// The findings about the actions by themselves.
 pub(crate) fn check(all: Episodes<'_>) -> Vec<Finding> {
     let mut findings = vec![idle(all)];
     findings.extend(last_action(all));
     findings.extend(outliers(all));
     findings.extend(units(all));
+    findings.extend(grippers(all));
     findings
 }
 
@@ -196,6 +199,43 @@ fn units(all: Episodes<'_>) -> Option<Finding> {
             .figure("fast_share", share)
             .figure("fastest_m_s", most)
     })
+}
+
+/// Grippers whose values are not 0 (closed) to 1 (open), or may be inverted.
+fn grippers(all: Episodes<'_>) -> Vec<Finding> {
+    let mut survey = ActionSurvey::new(all.space.clone(), all.space.rate());
+    for episode in all.episodes {
+        survey.add(&episode.rows(), &[] as &[&[f32]]);
+    }
+    let contradictions = survey.contradictions();
+    let ranges = contradictions.iter().filter_map(|found| match found.cause {
+        Cause::Gripper { closed, open } => Some(gripper_range(found, (closed, open))),
+        _ => None,
+    });
+    let hints = survey.hints();
+    let inverted = hints.iter().filter(|hint| hint.is_inverted());
+    let inverted = inverted.map(|hint: &Hint| {
+        Finding::note(GRIPPER, hint.to_string())
+            .because("a model takes 1 for open, and so do the commands of the executor")
+            .fix("compare it with the pictures; if so, give an --action-space whose gripper is inverted")
+    });
+    ranges.chain(inverted).collect()
+}
+
+/// The fault of a gripper whose values are `closed` to `open`.
+fn gripper_range(found: &Contradiction, (closed, open): (f32, f32)) -> Finding {
+    let name = &found.column;
+    let scale = |closed: f32, open: f32| (open - closed).recip();
+    Finding::warning(GRIPPER, found.to_string())
+        .because("a model takes 0 for closed and 1 for open, and so do the commands of the executor")
+        .fix(format!(
+            "give an --action-space whose {name} is gripper_continuous with offset {closed} and scale {}, or with offset \
+             {open} and scale {} if {open} is closed",
+            scale(closed, open),
+            scale(open, closed)
+        ))
+        .figure("least", f64::from(found.measured.low))
+        .figure("greatest", f64::from(found.measured.high))
 }
 
 #[cfg(test)]

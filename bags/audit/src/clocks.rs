@@ -129,6 +129,7 @@ impl Clocks {
             match header_ns.cmp(&self.last_header_ns) {
                 std::cmp::Ordering::Less => self.backwards += 1,
                 std::cmp::Ordering::Equal if header_ns != 0 => self.equal += 1,
+                _ if header_ns == 0 || self.last_header_ns == 0 => {}
                 _ => self
                     .gaps
                     .push(header_ns.saturating_sub(self.last_header_ns)),
@@ -167,7 +168,7 @@ impl Clocks {
         &self.gaps
     }
 
-    /// Why no moment can be told by the stamps in the headers: all are zero, or all are equal.
+    /// Why the stamps in the headers give no moment: all are zero, or all are equal.
     #[must_use]
     pub fn unusable(&self) -> Option<UnusableStamps> {
         if self.count < 2 {
@@ -193,7 +194,7 @@ impl Clocks {
         offsets.get(offsets.len() / 2).copied().map(seconds)
     }
 
-    /// What is wrong with the stamps of this topic alone.
+    /// The faults of the stamps of this topic alone.
     #[must_use]
     pub fn check(&self) -> Vec<Finding> {
         if let Some(unusable) = self.unusable() {
@@ -255,7 +256,7 @@ impl Clocks {
         })
     }
 
-    /// What is wrong with the stamps of a camera and of the actions together.
+    /// The faults of the stamps of a camera and of the actions together.
     #[must_use]
     pub fn check_pair(camera: &Self, actions: &Self) -> Option<Finding> {
         if camera.unusable().is_some() || actions.unusable().is_some() {
@@ -268,7 +269,7 @@ impl Clocks {
                 .because(why)
                 .fix("stamp both by one clock; for this recording: --stamps log")
         };
-        // Log times that do not pass, or that are of other times, say nothing.
+        // Log times that do not pass, or that are of other times, are no reference.
         let is_logged = camera.log.overlap(actions.log) > 0.5 && camera.log.seconds() > 0.0;
         let share = camera.header.overlap(actions.header);
         let (camera_s, actions_s) = (camera.offset_s()?, actions.offset_s()?);
@@ -493,6 +494,20 @@ mod tests {
         );
         assert!(found.what.contains("0.31 s"), "{}", found.what);
         assert_eq!(good("/joint_states").check_gaps(), None);
+        // The time from a stamp of zero to a real one is no gap.
+        let mut late = Clocks::new("/joint_states");
+        for index in (0..100).filter(|index| *index != 50) {
+            late.push(Stamps {
+                header_ns: if index < 10 {
+                    0
+                } else {
+                    START + index * 10_000_000
+                },
+                ..Stamps::default()
+            });
+        }
+        let found = late.check_gaps().unwrap();
+        assert!(found.what.contains("0.02 s"), "{}", found.what);
     }
 
     #[test]

@@ -103,7 +103,7 @@ pub(crate) fn check(all: Episodes<'_>) -> Vec<Finding> {
     findings
 }
 
-/// What is wrong with a dimension; `acts` and `moves` say whether its actions and its state move enough to tell.
+/// Faults of a dimension. `acts` and `moves`: whether its actions and its state move enough for a judgement.
 fn verdict(dimension: &Dimension, fit: &Fit, acts: bool, moves: bool) -> Option<Finding> {
     let name = &dimension.name;
     let why = "a model trained on it expects other motions than plans cause, and plans go astray";

@@ -91,6 +91,11 @@ impl Episode {
             .collect()
     }
 
+    /// The actions, a row for each frame.
+    pub(crate) fn rows(&self) -> Vec<&[f32]> {
+        self.actions.chunks_exact(self.width).collect()
+    }
+
     /// The action's value of a dimension at each frame.
     pub(crate) fn actions(&self, dimension: usize) -> Vec<f32> {
         self.column(&self.actions, dimension)

@@ -66,7 +66,7 @@ struct Pair {
     is_still: bool,
 }
 
-/// The pictures of a camera in the order in which they came; what is kept of each is a few numbers.
+/// The pictures of a camera in the order of arrival. Of each, only a few numbers are kept.
 #[derive(Clone, Debug, Default)]
 pub struct Pictures {
     /// The topic.
@@ -212,7 +212,7 @@ impl Pictures {
         frozen.collect()
     }
 
-    /// What is wrong with the pictures; `activity` is what the robot does, if that is known.
+    /// Faults of the pictures. `activity`: the robot's motion, if known.
     #[must_use]
     pub fn check(&self, activity: Option<Activity<'_>>) -> Vec<Finding> {
         let mut findings: Vec<Finding> = self.check_sizes().into_iter().collect();

@@ -69,7 +69,7 @@ impl Recorded {
         camera.pictures.push(at_ns, fingerprint, size, signature)
     }
 
-    /// What is wrong with the stamps; if `uses_headers` is false, other times are used, and unusable headers are worth a
+    /// Faults of the stamps. If `uses_headers` is false, other times are used, and unusable headers are worth a
     /// note.
     #[must_use]
     pub fn check_stamps(&self, uses_headers: bool) -> Vec<Finding> {
@@ -91,7 +91,7 @@ impl Recorded {
         findings
     }
 
-    /// What is wrong with the pictures.
+    /// Faults of the pictures.
     #[must_use]
     pub fn check_pictures(&self, actions: &ActionTrack) -> Vec<Finding> {
         let activity = |from_ns, to_ns| actions.activity(from_ns, to_ns);

@@ -98,8 +98,11 @@ pub enum BagError {
         /// What is wrong with it.
         reason: String,
     },
-    /// A file that `metadata.yaml` lists is not there.
-    #[error("{dir}: metadata.yaml lists {file}, which does not exist")]
+    /// A file that `metadata.yaml` lists is missing.
+    #[error(
+        "{dir}: metadata.yaml lists {file}, which does not exist; put it back, or read the other files of the folder \
+         with `wm bag recover`"
+    )]
     MissingFile {
         /// The bag.
         dir: PathBuf,

@@ -66,7 +66,10 @@ pub use cut::{Cut, CutEnd, CutStart, cut};
 pub use error::BagError;
 pub use latched::{Latched, kept_messages, known_qos};
 pub use qos::{Durability, QosProfile, Reliability};
-pub use reader::{BagMessage, BagReader, Messages, stored_file::is_bag_file};
+pub use reader::{
+    BagMessage, BagReader, Messages,
+    stored_file::{is_bag_file, preferred_form},
+};
 pub use recover::{Loss, Losses, Recovery, recover};
 pub use schema::{Schema, SchemaEncoding, type_schema};
 pub use shard::Shard;

@@ -2,17 +2,22 @@ use std::collections::HashMap;
 
 use crate::{BagError, BagReader, BagWarning, BagWriter, reader::StoredMessage};
 
-/// A new bag while it gets messages of another.
+/// Damaged chunks and messages of the old bag that are named one by one; the others are counted.
+const MOST_NAMED: usize = 100;
+
+/// A new bag while it receives messages of another.
 pub(crate) struct Part {
     pub writer: BagWriter,
     /// Number in it of each file's channels.
     pub numbers: HashMap<(usize, u16), usize>,
-    /// What is wrong with the old bag.
+    /// Faults of the old bag.
     pub warnings: Vec<BagWarning>,
+    /// Warnings that [`warn`](Self::warn) added by name.
+    named: usize,
 }
 
 impl Part {
-    /// A bag with what is noted of the old one.
+    /// A bag with the notes of the old one.
     pub fn new(
         reader: &BagReader,
         mut writer: BagWriter,
@@ -25,10 +30,26 @@ impl Part {
             writer,
             numbers: HashMap::new(),
             warnings: reader.warnings().to_vec(),
+            named: 0,
         }
     }
 
-    /// Adds the channels of the topics that are wanted.
+    /// Reports a chunk or a message that is not copied: the first ones by name, the others by their number.
+    pub fn warn(&mut self, warning: BagWarning) {
+        if self.warnings.contains(&warning) {
+            return;
+        }
+        match self.warnings.last_mut() {
+            Some(BagWarning::MoreSkipped { count }) => *count += 1,
+            _ if self.named < MOST_NAMED => {
+                self.named += 1;
+                self.warnings.push(warning);
+            }
+            _ => self.warnings.push(BagWarning::MoreSkipped { count: 1 }),
+        }
+    }
+
+    /// Adds the channels of the selected topics.
     pub fn add_channels(
         &mut self,
         reader: &BagReader,
@@ -67,9 +88,7 @@ impl Part {
                     },
                     other => BagWarning::MessageSkipped(other.to_string()),
                 };
-                if !self.warnings.contains(&warning) {
-                    self.warnings.push(warning);
-                }
+                self.warn(warning);
                 Ok(None)
             }
             Err(error) => Err(error),
@@ -89,5 +108,40 @@ impl Part {
             Err(error @ BagError::LogTime { .. }) => self.readable(Err(error)).map(drop),
             written => written,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::{
+        BagWarning, BagWriter, CutEnd, CutStart, QosProfile, TopicFilter, WriterOptions, cut,
+        type_schema,
+    };
+    use wm_msgs::{Message as _, std_msgs::String as Text};
+
+    #[test]
+    fn many_undecodable_messages_are_named_up_to_a_limit() {
+        let scratch = tempfile::tempdir().unwrap();
+        let (old, new) = (scratch.path().join("old"), scratch.path().join("new"));
+        let mut writer = BagWriter::create(&old, WriterOptions::default()).unwrap();
+        let (name, schema) = (Text::ros_name(), type_schema::<Text>());
+        let qos = QosProfile::reliable().to_yaml();
+        writer.add_topic_raw("/text", &name, &schema, &qos).unwrap();
+        // Each begins like a message that rosbag2 compressed, and is none.
+        let broken = [0x28, 0xb5, 0x2f, 0xfd, 0xff, 0xff];
+        for time in 1..=250 {
+            writer
+                .write_raw("/text", &name, &schema, time, &broken)
+                .unwrap();
+        }
+        writer.finish().unwrap();
+        let all = TopicFilter::default();
+        let cut = cut(&old, &new, CutStart::Beginning, CutEnd::End, &all).unwrap();
+        assert_eq!(cut.summary.message_count, 0);
+        assert_eq!(cut.warnings.len(), 101);
+        assert_eq!(
+            cut.warnings.last(),
+            Some(&BagWarning::MoreSkipped { count: 150 })
+        );
     }
 }

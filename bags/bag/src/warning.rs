@@ -41,8 +41,13 @@ pub enum BagWarning {
     MoreDamaged {
         /// The file.
         file: PathBuf,
-        /// Damaged places that are not told of.
+        /// Damaged places without a warning of their own.
         places: u64,
+    },
+    /// More chunks and messages are left out of a copy than are named one by one.
+    MoreSkipped {
+        /// How many.
+        count: u64,
     },
     /// A directory without `metadata.yaml`; its `.mcap` files were taken by name.
     NoMetadata {
@@ -57,7 +62,7 @@ pub enum BagWarning {
         /// What is wrong with it.
         reason: String,
     },
-    /// The summary says other things than the messages; the messages are believed.
+    /// The summary differs from the messages; the messages count.
     WrongSummary {
         /// The file.
         file: PathBuf,
@@ -102,7 +107,7 @@ pub enum BagWarning {
         topic: String,
         /// The type.
         type_name: String,
-        /// What is wrong with the definition.
+        /// The fault of the definition.
         reason: String,
     },
     /// A file that was compressed as a whole was decompressed for reading.
@@ -193,7 +198,7 @@ pub enum BagWarning {
     },
 }
 
-/// Fewer messages than this may well have one log time.
+/// Fewer messages than this may have one log time without a fault.
 const MANY: u64 = 10;
 
 impl BagWarning {
@@ -205,13 +210,14 @@ impl BagWarning {
             Self::Truncated { .. }
                 | Self::Damaged { .. }
                 | Self::MoreDamaged { .. }
+                | Self::MoreSkipped { .. }
                 | Self::CompressedEnd { .. }
                 | Self::MessageSkipped(_)
                 | Self::MissingFile { .. }
         )
     }
 
-    /// What to say about the fields of a channel's type.
+    /// The warning about the fields of a channel's type, if they differ.
     pub(crate) fn of_fields(topic: &str, type_name: &str, fields: &Fields) -> Option<Self> {
         let (topic, type_name) = (topic.to_owned(), type_name.to_owned());
         match fields {
@@ -239,7 +245,7 @@ impl BagWarning {
         }
     }
 
-    /// What to say about log times.
+    /// The warnings about log times.
     pub(crate) fn of_times(path: &Path, times: &Times, stretches: &[Stretch]) -> Vec<Self> {
         let path = || path.to_owned();
         let mut warnings = Vec::new();
@@ -262,7 +268,7 @@ impl BagWarning {
                 main_ns: (main.start_ns, main.end_ns),
             });
         }
-        // Those to messages that are not part of the recording are told above.
+        // Gaps to messages outside the recording are part of the warning above.
         let is_within = |stretch: &&Stretch| {
             main.is_none_or(|(main, _)| {
                 main.start_ns <= stretch.start_ns && stretch.end_ns <= main.end_ns
@@ -326,6 +332,9 @@ impl fmt::Display for BagWarning {
                     "{} is also damaged in {places} other places",
                     file.display()
                 )
+            }
+            Self::MoreSkipped { count } => {
+                write!(f, "{count} more chunks or messages are left out")
             }
             Self::NoMetadata { dir } => {
                 write!(

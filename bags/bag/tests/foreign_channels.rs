@@ -152,6 +152,37 @@ fn unreadable_channels_are_left_out_by_name() {
 }
 
 #[test]
+fn messages_of_an_undefined_channel_are_counted() {
+    let scratch = TempDir::new().unwrap();
+    let record = |opcode: u8, body: &[u8]| {
+        let length = (body.len() as u64).to_le_bytes();
+        [&[opcode][..], &length, body].concat()
+    };
+    // Channel 7, sequence number, log and publish time.
+    let message = [&[7, 0, 1, 0, 0, 0][..], &[0; 16], &[0, 1, 0, 0]].concat();
+    let parts = [
+        mcap::MAGIC.to_vec(),
+        record(mcap::records::op::HEADER, &[0; 8]),
+        record(mcap::records::op::MESSAGE, &message),
+        record(mcap::records::op::MESSAGE, &message),
+        record(mcap::records::op::DATA_END, &[0; 4]),
+        record(mcap::records::op::FOOTER, &[0; 20]),
+        mcap::MAGIC.to_vec(),
+    ];
+    let path = scratch.path().join("undefined.mcap");
+    fs::write(&path, parts.concat()).unwrap();
+    let reader = BagReader::open(&path).unwrap();
+    assert_eq!(reader.message_count(), 0);
+    let warnings: Vec<String> = reader.warnings().iter().map(ToString::to_string).collect();
+    assert!(
+        warnings
+            .iter()
+            .any(|w| w.contains("channel number 7 with 2 message(s)")),
+        "{warnings:?}"
+    );
+}
+
+#[test]
 fn a_topic_with_two_types_keeps_the_one_of_most_messages() {
     let scratch = TempDir::new().unwrap();
     let mut file = File::new();
@@ -194,7 +225,7 @@ fn a_topic_without_its_slash_is_found_with_it() {
 const HEADER: [u8; 16] = [1, 0, 0, 0, 0, 0, 0, 0, 2, 0, 0, 0, b'b', 0, 0, 0];
 
 #[test]
-fn other_fields_are_told_and_values_stay_in_their_places() {
+fn other_fields_are_named_and_values_keep_their_fields() {
     let scratch = TempDir::new().unwrap();
     let mut file = File::new();
     let definition = "std_msgs/Header header\nuint32 mode\nfloat32[] values\n";

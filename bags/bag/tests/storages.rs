@@ -294,7 +294,7 @@ fn ordered(messages: u64) -> Vec<String> {
 }
 
 #[test]
-fn sqlite_bags_of_every_version_are_read_in_the_order_of_log_times() {
+fn sqlite_bags_of_every_version_are_read_in_log_order() {
     for version in 1..=4 {
         let scratch = TempDir::new().unwrap();
         let dir = scratch.path().join("bag");

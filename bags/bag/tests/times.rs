@@ -108,7 +108,7 @@ fn chunk_times_that_lie_change_no_reading() {
 }
 
 #[test]
-fn statistics_that_lie_are_told() {
+fn wrong_statistics_are_reported() {
     let scratch = TempDir::new().unwrap();
     let file = bag(&scratch.path().join("bag"), seconds());
     // Counts: of messages; then the first and the last time.
@@ -153,7 +153,7 @@ fn lengths_that_lead_out_of_a_record_take_no_memory() {
 }
 
 #[test]
-fn a_message_without_a_time_is_told_and_offsets_count_without_it() {
+fn messages_at_time_zero_are_reported_and_move_no_offset() {
     for outlier in [0, 2 * START_NS] {
         let scratch = TempDir::new().unwrap();
         let dir = scratch.path().join("bag");
@@ -190,7 +190,7 @@ fn a_message_without_a_time_is_told_and_offsets_count_without_it() {
 }
 
 #[test]
-fn a_clock_that_is_set_back_is_told_with_its_place() {
+fn a_step_back_of_the_clock_is_reported_with_its_place() {
     let scratch = TempDir::new().unwrap();
     let back = START_NS - 7200 * S;
     let all = seconds().chain((0..5).map(|second| back + second * S));

@@ -6,7 +6,7 @@
 mod mapping;
 
 use std::{
-    io::Write as _,
+    io::{IsTerminal as _, Write as _},
     ops::RangeInclusive,
     path::{Path, PathBuf},
     process::ExitCode,
@@ -247,6 +247,7 @@ fn main() -> ExitCode {
     tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal())
         .init();
     match run(Command::parse()) {
         Ok(code) => code,

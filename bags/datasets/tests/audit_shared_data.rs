@@ -4,6 +4,9 @@
 
 #![allow(clippy::unwrap_used)] // the helpers of tests too, not only what is marked #[test]
 
+#[path = "../../import/tests/shared_data/folder.rs"]
+mod folder;
+
 use std::{
     path::{Path, PathBuf},
     process::Command,
@@ -13,15 +16,7 @@ use tempfile::TempDir;
 use wm_audit::{Level, Topics, audit_bag};
 use wm_bag::BagReader;
 
-fn shared(name: &str) -> Option<PathBuf> {
-    let found = std::env::var_os("WM_SHARED_DATA")
-        .map(|dir| PathBuf::from(dir).join(name))
-        .filter(|dir| dir.is_dir());
-    if found.is_none() {
-        eprintln!("skipped: set WM_SHARED_DATA to a directory with {name}/ in it");
-    }
-    found
-}
+use folder::shared;
 
 /// Imports a data set with the program, and examines each bag.
 fn expect_no_fault(format: &str, source: &Path, options: &[&str]) {

@@ -116,7 +116,7 @@ impl Unread for Annotated {
 struct Timing {
     /// Seconds from frame to frame.
     period_s: f64,
-    /// What is unusual.
+    /// Peculiarities.
     note: Option<String>,
 }
 

@@ -99,7 +99,7 @@ pub(crate) struct Episode {
     pub instruction: Option<String>,
     /// Whether the task was carried out, if that is known.
     pub success: Option<bool>,
-    /// What is unusual about it; the same words for each episode of its kind.
+    /// Peculiarities; the same words for each episode of one kind.
     pub notes: Vec<String>,
 }
 

@@ -13,7 +13,7 @@ pub struct Imported {
     pub skipped: Vec<String>,
     /// The measured ranges of the actions, in words; none without actions.
     pub ranges: Option<String>,
-    /// What is unusual about the data.
+    /// Peculiarities of the data.
     pub notes: Notes,
 }
 

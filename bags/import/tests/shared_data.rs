@@ -1,9 +1,10 @@
-//! Real Bridge V2 episodes, from the directory that the environment variable WM_SHARED_DATA names (with `bridge_v2/`
-//! and `bridge_rlds/` in it), and DROID's, from the directory that WM_DROID_DIR names. They are not part of the repository.
+//! Real Bridge V2 and DROID episodes, from the directory that the environment variable WM_SHARED_DATA names (with
+//! `bridge_v2/`, `bridge_rlds/` and `droid/` in it). They are not part of the repository.
 
 #![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
 
-use std::path::PathBuf;
+#[path = "shared_data/folder.rs"]
+mod folder;
 
 use image::{ImageFormat, RgbImage};
 use tempfile::TempDir;
@@ -17,15 +18,7 @@ use wm_msgs::{
     wm_msgs::Action,
 };
 
-fn shared(name: &str) -> Option<PathBuf> {
-    let found = std::env::var_os("WM_SHARED_DATA")
-        .map(|dir| PathBuf::from(dir).join(name))
-        .filter(|dir| dir.is_dir());
-    if found.is_none() {
-        eprintln!("skipped: set WM_SHARED_DATA to a directory with {name}/ in it");
-    }
-    found
-}
+use folder::shared;
 
 fn of_topic(reader: &BagReader, topic: &str) -> Vec<BagMessage> {
     reader
@@ -144,12 +137,11 @@ fn bridge_rlds_becomes_bags() {
 
 #[test]
 fn droid_becomes_bags() {
-    let Some(src) = std::env::var_os("WM_DROID_DIR") else {
-        eprintln!("skipped: set WM_DROID_DIR to a directory of DROID episodes");
+    let Some(src) = shared("droid") else {
         return;
     };
     let out = TempDir::new().unwrap();
-    let bags = import_droid(src.as_ref(), out.path(), &ImportOptions::default())
+    let bags = import_droid(&src, out.path(), &ImportOptions::default())
         .unwrap()
         .bags;
     let mut lengths = Vec::new();

@@ -229,7 +229,7 @@ fn survey(
     Ok(())
 }
 
-/// Values of which nothing is known but their names, so that their ranges can be shown: grippers by name, others plain.
+/// Values with known names only, so that their ranges can be shown: grippers by name, others plain.
 fn unknown(dataset: &Dataset) -> Option<ActionSpace> {
     let names = dataset.info.features.get(ACTION)?.value_names();
     let dimensions = names.into_iter().map(|name| Dimension {

@@ -38,7 +38,7 @@ enum Subcommands {
     /// Make bags with a simulated arm on a tabletop (runs wm-training); --live: the node sim_arm
     #[command(disable_help_flag = true, disable_version_flag = true)]
     Sim(external::Arguments),
-    /// Prepare bags for training, or say what is prepared (runs wm-training)
+    /// Prepare bags for training, or show prepared data (runs wm-training)
     #[command(disable_help_flag = true, disable_version_flag = true)]
     Dataset(external::Arguments),
     /// Train models from bags (runs wm-training)

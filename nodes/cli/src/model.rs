@@ -20,7 +20,7 @@ pub enum ModelCommand {
     Info(info::InfoCommand),
     /// Load a model as the nodes do, run it once, and report what it is or what is wrong
     Check(check::CheckCommand),
-    /// Measure on bags what a model's matrices are multiplied with, for int8 (runs wm-training)
+    /// Calibrate a model's int8 input ranges on bags (runs wm-training)
     #[command(disable_help_flag = true, disable_version_flag = true)]
     Calibrate(external::Arguments),
     /// Run a model on the tensors in a file

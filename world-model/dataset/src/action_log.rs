@@ -1,4 +1,4 @@
-use std::sync::Arc;
+use std::{collections::BTreeSet, sync::Arc};
 
 use wm_bag::{BagError, BagMessage};
 use wm_motion::{
@@ -9,6 +9,11 @@ use wm_msgs::{Message as _, sensor_msgs::JointState, wm_msgs::Action};
 
 use super::recording::Unusable;
 
+/// Greatest age of a joint's value beside that of the first joint, if they come in several messages \[ns\].
+const OLDEST_NS: u64 = 1_000_000_000;
+/// Names of joints that an error lists.
+const MOST_NAMES: usize = 100;
+
 /// The actions of a recording, by their stamps.
 #[derive(Debug, Default)]
 pub(super) struct ActionLog {
@@ -17,7 +22,7 @@ pub(super) struct ActionLog {
     /// `width` values a stamp: an hour at 100 Hz and seven dimensions takes 13 MB.
     values: Vec<f32>,
     width: usize,
-    /// When actions came that no robot makes \[ns\].
+    /// Stamps of implausible actions \[ns\].
     implausible: Vec<i64>,
     /// The first of these, in words.
     first_implausible: Option<String>,
@@ -25,9 +30,21 @@ pub(super) struct ActionLog {
     joints: Option<(i64, Joints)>,
     /// Time from one message of joints to the next \[ns\].
     joint_period_ns: i64,
+    /// The last value of each dimension's joint: an arm and its gripper may publish on one topic.
+    latest: Vec<Option<Joint>>,
+    /// Names of the joints, for an error.
+    names: BTreeSet<String>,
 }
 
-/// What a message of joints says of each dimension of the action space.
+/// The joint of a dimension.
+#[derive(Clone, Copy, Debug)]
+struct Joint {
+    at_ns: i64,
+    position: f32,
+    velocity: f32,
+}
+
+/// The joints of all dimensions of the action space.
 #[derive(Debug)]
 struct Joints {
     positions: Vec<f32>,
@@ -38,11 +55,12 @@ impl ActionLog {
     pub fn new(space: &ActionSpace) -> Self {
         Self {
             width: space.len(),
+            latest: vec![None; space.len()],
             ..Self::default()
         }
     }
 
-    /// Whether a topic of this type tells actions.
+    /// Whether a topic of this type has actions.
     pub fn reads(type_name: &str) -> bool {
         type_name == Action::ros_name() || type_name == JointState::ros_name()
     }
@@ -73,9 +91,11 @@ impl ActionLog {
         }
         let state: JointState = message.decode().map_err(undecodable)?;
         let at_ns = at_ns(state.header.stamp.to_nanos());
-        let joints = Joints::of(&state, space).map_err(Unusable::Differs)?;
+        let Some(joints) = self.merged(&state, at_ns, space) else {
+            return Ok(());
+        };
         if let Some((before_ns, before)) = self.joints.take() {
-            // One that comes late tells nothing that a later one has not told.
+            // A late message adds nothing to a later one.
             if at_ns <= before_ns {
                 self.joints = Some((before_ns, before));
                 return Ok(());
@@ -87,6 +107,56 @@ impl ActionLog {
         }
         self.joints = Some((at_ns, joints));
         Ok(())
+    }
+
+    /// Takes the joints of a message. All joints, if it has the first one and no other is too old: so one of several
+    /// publishers sets the times.
+    fn merged(&mut self, state: &JointState, at_ns: i64, space: &ActionSpace) -> Option<Joints> {
+        if self.names.len() < MOST_NAMES {
+            self.names
+                .extend(state.name.iter().take(MOST_NAMES).cloned());
+        }
+        let mut has_first = false;
+        for (which, dimension) in space.dimensions().iter().enumerate() {
+            let Some(index) = state.name.iter().position(|name| *name == dimension.name) else {
+                continue;
+            };
+            has_first |= which == 0;
+            // Single precision is what an action carries. An absent list is no number, and found out by `check`.
+            let value = |values: &[f64]| values.get(index).map_or(f32::NAN, |value| *value as f32);
+            let joint = Joint {
+                at_ns,
+                position: value(&state.position),
+                velocity: value(&state.velocity),
+            };
+            let latest = self.latest.get_mut(which)?;
+            if latest.is_none_or(|latest| latest.at_ns <= at_ns) {
+                *latest = Some(joint);
+            }
+        }
+        if !has_first {
+            return None;
+        }
+        let is_fresh = |joint: &Joint| joint.at_ns.abs_diff(at_ns) <= OLDEST_NS;
+        let joints = self.latest.iter().map(|joint| joint.filter(is_fresh));
+        let joints: Vec<Joint> = joints.collect::<Option<_>>()?;
+        Some(Joints {
+            positions: joints.iter().map(|joint| joint.position).collect(),
+            velocities: joints.iter().map(|joint| joint.velocity).collect(),
+        })
+    }
+
+    /// Names the first dimension that no message has a joint of.
+    fn check_names(&self, space: &ActionSpace) -> Result<(), String> {
+        let mut joints = self.latest.iter().zip(space.dimensions());
+        match joints.find(|(latest, _)| latest.is_none()) {
+            Some((_, dimension)) if !self.names.is_empty() => Err(format!(
+                "expected the joints of {space}; there is no {:?} among {:?}",
+                dimension.name,
+                Vec::from_iter(&self.names)
+            )),
+            _ => Ok(()),
+        }
     }
 
     fn insert(&mut self, at_ns: i64, values: &[f32], space: &ActionSpace) -> Result<(), String> {
@@ -106,7 +176,11 @@ impl ActionLog {
     }
 
     /// To be called after the last message: brings the actions into the order of their stamps.
+    ///
+    /// # Errors
+    /// A dimension that no joint has the name of.
     pub fn sort(&mut self, space: &ActionSpace) -> Result<(), String> {
+        self.check_names(space)?;
         if let Some((at_ns, last)) = self.joints.take() {
             let mut values = last.until(&last, self.joint_period_ns, space);
             // Nothing follows: what moves goes on as before.
@@ -205,28 +279,6 @@ impl ActionLog {
 }
 
 impl Joints {
-    /// # Errors
-    /// A dimension that no joint has the name of.
-    fn of(state: &JointState, space: &ActionSpace) -> Result<Self, String> {
-        let mut joints = Self {
-            positions: Vec::with_capacity(space.len()),
-            velocities: Vec::with_capacity(space.len()),
-        };
-        for dimension in space.dimensions() {
-            let Some(index) = state.name.iter().position(|name| *name == dimension.name) else {
-                return Err(format!(
-                    "expected the joints of {space}; there is no {:?} among {:?}",
-                    dimension.name, state.name
-                ));
-            };
-            // Single precision is what an action carries. An absent list is no number, and found out by `check`.
-            let value = |values: &[f64]| values.get(index).map_or(f32::NAN, |value| *value as f32);
-            joints.positions.push(value(&state.position));
-            joints.velocities.push(value(&state.velocity));
-        }
-        Ok(joints)
-    }
-
     /// The action from this message to the next, `span_ns` later: the change of the joints that are deltas, from their
     /// positions or else from the velocity; the velocity of those that are velocities, or else from the change of the
     /// position; and the position of the others.

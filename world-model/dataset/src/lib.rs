@@ -6,7 +6,7 @@
 //! decodes the frames that are in one, and writes each to its place in the file. So memory holds one picture a thread and
 //! about 15 MB for an hour of actions at 100 Hz, however long a recording is.
 //!
-//! What is prepared is keyed by the contents of the bags, the options, the picture size and the fit: other contents make a
+//! Prepared data are keyed by the contents of the bags, the options, the picture size and the fit: other contents make a
 //! new folder in the cache.
 
 mod action_log;
@@ -69,7 +69,7 @@ pub struct Episode {
     pub frame_count: usize,
     /// What the robot does from each frame to the next, in the units of the dataset's action space.
     pub actions: Vec<Vec<f32>>,
-    /// What the robot was told to do (`/task/instruction`), where that is known.
+    /// The task in words (`/task/instruction`), if known.
     pub instruction: Option<String>,
     /// Whether the robot did it (`/task/success`), where that is known.
     pub success: Option<bool>,

@@ -85,7 +85,7 @@ pub struct ManifestEpisode {
     pub frames: usize,
     /// What it is for.
     pub split: Split,
-    /// What the robot was told to do.
+    /// The task in words.
     pub instruction: Option<String>,
     /// Whether the robot did it.
     pub success: Option<bool>,
@@ -123,7 +123,7 @@ pub enum Thing {
 }
 
 impl Thing {
-    fn name(self) -> &'static str {
+    pub(super) fn name(self) -> &'static str {
         match self {
             Self::Frame => "frame",
             Self::Picture => "picture",
@@ -146,7 +146,11 @@ impl LeftOut {
 
 impl fmt::Display for LeftOut {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}: ", self.path.display())?;
+        let path = self.path.display().to_string();
+        // Errors of a bag's reader name its file themselves.
+        if !self.reason.starts_with(&path) {
+            write!(f, "{path}: ")?;
+        }
         if let Some((count, thing)) = self.count {
             let count = usize::try_from(count).unwrap_or(usize::MAX);
             write!(f, "{}", counted(count, thing.name()))?;
@@ -215,15 +219,17 @@ impl fmt::Display for Manifest {
         let bags = counted(self.sources.len(), "bag");
         match self.left_out.len() {
             0 => write!(f, "{bags}; nothing was left out"),
-            count => {
-                let entries = counted(count, "entry");
-                write!(f, "{bags}; {entries} in the list of what was left out")
-            }
+            count => write!(
+                f,
+                "{bags}; left out, with the reasons: {}",
+                counted(count, "entry")
+            ),
         }
     }
 }
 
-fn counted(count: usize, thing: &str) -> String {
+/// A number of things, in words.
+pub(super) fn counted(count: usize, thing: &str) -> String {
     match (count, thing.strip_suffix('y')) {
         (1, _) => format!("1 {thing}"),
         (_, Some(stem)) => format!("{count} {stem}ies"),

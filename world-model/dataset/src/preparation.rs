@@ -82,11 +82,7 @@ impl Preparation {
             });
         }
         let mut hash = Sha256::new();
-        hash.update(format!("{VERSION} {size}\n"));
-        // Folders of earlier versions keep their digest.
-        if !fit.is_stretch() {
-            hash.update(format!("{fit}\n"));
-        }
+        hash.update(format!("{VERSION} {size} {fit}\n"));
         // Settings are numbers, lists and texts, which JSON can always hold.
         hash.update(serde_json::to_vec(&settings).unwrap_or_default());
         for source in &sources {
@@ -121,7 +117,7 @@ impl Preparation {
             return Err(DatasetError::Exists(dir.to_owned()));
         }
         let survey = Survey::of(&self.sources, &self.settings)?;
-        let mut broken: Vec<Broken> = vec![Broken::new(); self.sources.len()];
+        let mut broken: Vec<Broken> = vec![Broken::default(); self.sources.len()];
         loop {
             let plan = survey.plan(&self.sources, &self.settings, &broken)?;
             let folder = NewFolder::create(dir)?;
@@ -220,7 +216,7 @@ pub(super) fn identity(source: &Source, begin_ns: i64) -> String {
     format!("{} {begin_ns}", source.digest)
 }
 
-/// What is wrong with the data: with each bag, and with all episodes together.
+/// The audit of each bag, and of all episodes together.
 fn audit(plan: &bags::Plan, manifest: &Manifest, changes: &[Vec<Option<f32>>]) -> Audit {
     let space = &plan.space;
     let drafts = plan.bags.iter().flat_map(|bag| &bag.episodes);

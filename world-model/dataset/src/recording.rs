@@ -93,8 +93,46 @@ impl Unusable {
     }
 }
 
-/// Pictures that cannot be decoded: topic and stamp \[ns\].
-pub(super) type Broken = BTreeSet<(String, i64)>;
+/// Pictures that cannot be decoded.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Broken {
+    /// Topic and stamp \[ns\].
+    pictures: BTreeSet<(String, i64)>,
+    /// Why not, for the first picture of each topic.
+    reasons: BTreeMap<String, String>,
+}
+
+impl Broken {
+    pub fn insert(&mut self, topic: &str, stamp_ns: i64, reason: impl FnOnce() -> String) {
+        self.pictures.insert((topic.to_owned(), stamp_ns));
+        if !self.reasons.contains_key(topic) {
+            self.reasons.insert(topic.to_owned(), reason());
+        }
+    }
+
+    pub fn contains(&self, topic: &str, stamp_ns: i64) -> bool {
+        self.pictures.contains(&(topic.to_owned(), stamp_ns))
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.pictures.is_empty()
+    }
+
+    /// Takes the pictures of another decoding; reasons that are known stay.
+    pub fn extend(&mut self, other: Self) {
+        self.pictures.extend(other.pictures);
+        for (topic, reason) in other.reasons {
+            self.reasons.entry(topic).or_insert(reason);
+        }
+    }
+
+    /// The reasons, each with its topic.
+    fn reasons(&self) -> String {
+        let reasons = self.reasons.iter();
+        let reasons = reasons.map(|(topic, reason)| format!("{topic}: {reason}"));
+        reasons.collect::<Vec<_>>().join("; ")
+    }
+}
 
 impl Recording {
     /// Reads a bag once, and keeps none of its pictures; those in `broken` are left out.
@@ -165,9 +203,8 @@ impl Recording {
                 .push((count, Thing::Message, format!("cannot be read: {first}")));
         }
         if skipped > 0 {
-            recording
-                .complaints
-                .push((skipped, Thing::Picture, "cannot be decoded".to_owned()));
+            let what = format!("cannot be decoded: {}", broken.reasons());
+            recording.complaints.push((skipped, Thing::Picture, what));
         }
         recording.finish(settings)
     }
@@ -185,7 +222,7 @@ impl Recording {
         }
     }
 
-    /// Takes note of a message; `false` for a picture that is known to be broken.
+    /// Takes a message; `false` for a picture that is known to be broken.
     fn take(
         &mut self,
         message: &BagMessage,
@@ -230,11 +267,11 @@ impl Recording {
             let frame = CameraMessage::of_bag(message).map_err(|what| Unusable::Lacks(at(what)))?;
             let stamps = Stamps::of_bag(message, frame.header().stamp.to_nanos());
             let stamp_ns = settings.stamps.of(stamps);
-            if broken.contains(&(topic.to_owned(), stamp_ns)) {
+            if broken.contains(topic, stamp_ns) {
                 return Ok(false);
             }
             if stream.pictures.is_empty() {
-                // What no picture of the topic will do is better known before hours of decoding.
+                // A format that no picture of the topic escapes is reported before hours of decoding.
                 frame
                     .check_format()
                     .map_err(|what| Unusable::Lacks(at(what)))?;
@@ -292,13 +329,26 @@ impl Recording {
         }
         if let Some((count, first)) = self.actions.implausible() {
             let what = format!(
-                "no robot makes them, and the frames around them are left out too: {} {first}",
+                "implausible, left out with the frames around them: {} {first}",
                 self.action_topic
             );
             self.complaints.push((count as u64, Thing::Action, what));
         }
         if self.actions.is_empty() {
-            let what = no_actions(&self.action_topic);
+            let complaints = self.complaints.iter();
+            let of_actions = |thing: &Thing| matches!(thing, Thing::Action | Thing::Message);
+            let complaints = complaints.filter(|(_, thing, _)| of_actions(thing));
+            let reasons = complaints.map(|(count, thing, what)| {
+                let count = usize::try_from(*count).unwrap_or(usize::MAX);
+                format!(
+                    "; {}: {what}",
+                    super::manifest::counted(count, thing.name())
+                )
+            });
+            let mut what = no_actions(&self.action_topic) + &reasons.collect::<String>();
+            if self.actions.implausible().is_some() {
+                what += "; describe positions, or values in another unit, with --action-space FILE";
+            }
             return Err(Unusable::Lacks(what));
         }
         Ok(self)
@@ -316,7 +366,7 @@ impl Recording {
         })
     }
 
-    /// What is wrong with stamps and pictures.
+    /// Faults of stamps and pictures.
     pub fn findings(&self, settings: &Settings, space: &ActionSpace) -> Vec<Finding> {
         let track = ActionTrack::new(space, self.actions.rows());
         let uses_headers = settings.stamps == StampSource::Header;

@@ -87,7 +87,10 @@ fn search(folder: &Path, depth: usize, found: &mut Found) -> Result<bool, Datase
     };
     let mut has_bags = false;
     for path in entries.iter().filter(|path| !is_hidden(path)) {
-        let reason = if is_bag(path) {
+        let other_form = wm_bag::preferred_form(path);
+        let reason = if let Some(other) = other_form.filter(|_| !path.is_dir()) {
+            format!("the same file in another form: {} is read", other.display())
+        } else if is_bag(path) {
             found.bags.push(path.clone());
             has_bags = true;
             continue;

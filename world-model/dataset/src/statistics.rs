@@ -81,7 +81,7 @@ impl Statistics {
     }
 
     /// `space` with scales, offsets and clips fitted to these statistics of its actions: the quantiles 0.01 and 0.99 lie
-    /// at the ends of -1..1, or the one that is farther from 0, for a delta or a velocity. A binary gripper stays as it is, and so does a
+    /// at the ends of -1..1, or the one that is farther from 0, for a delta or a velocity. A binary gripper is kept, and so is a
     /// dimension that does not move.
     ///
     /// # Errors

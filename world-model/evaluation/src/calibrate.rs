@@ -18,7 +18,7 @@ use crate::windows::SEED;
 /// Frames that are predicted after every context.
 const PREDICTED: usize = 2;
 
-/// Measures what a model's matrices are multiplied with, for `"dtype": "int8"` in its model.json.
+/// Calibrates a model's int8 input ranges, for `"dtype": "int8"` in its model.json.
 ///
 /// The model runs in f32 on frames and actions of bags, spread evenly over them. The largest absolute value of every input
 /// is written beside the model.json, where loading the model in int8 finds it. As many other frames tell how far int8 is from

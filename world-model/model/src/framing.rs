@@ -298,7 +298,7 @@ impl Framing {
             .map(|(x, y)| (view * to.width + x, y)))
     }
 
-    /// The same for what is placed by itself: several cameras that are stretched are one picture.
+    /// The same for pictures that are placed separately: several stretched cameras are one picture.
     fn apart(self) -> Self {
         match self.fit {
             Fit::Stretch => Self { views: 1, ..self },

@@ -40,7 +40,7 @@ const STOPPED: u8 = 130;
 enum Command {
     /// Make bags with a simulated arm on a tabletop
     Sim(SimArgs),
-    /// Prepare bags for training, or say what is prepared
+    /// Prepare bags for training, or show prepared data
     Dataset(Box<DatasetArgs>),
     /// Train models from bags
     #[command(subcommand)]
@@ -48,14 +48,14 @@ enum Command {
     /// Evaluate models on held-out bags
     #[command(subcommand)]
     Eval(Box<EvalCommand>),
-    /// What `wm model` needs bags for
+    /// Commands of `wm model` that read bags
     #[command(subcommand)]
     Model(Box<ModelCommand>),
 }
 
 #[derive(Debug, Subcommand)]
 enum ModelCommand {
-    /// Measure on bags what a model's matrices are multiplied with, for int8
+    /// Calibrate a model's int8 input ranges on bags
     Calibrate(CalibrateArgs),
 }
 

@@ -20,8 +20,17 @@ struct Cli<A: Args> {
     arguments: A,
 }
 
-fn parsed<A: Args>(line: &[&str]) -> Result<A, clap::Error> {
-    let line = ["train"].iter().chain(line);
+/// The arguments of a training, with settings for a small model.
+fn parsed<A: Args>(
+    [data, out]: [&str; 2],
+    more: &[&str],
+    settings: &[&str],
+) -> Result<A, clap::Error> {
+    let line = ["train", "--data", data, "--out", out];
+    let mut line = Vec::from(line);
+    line.extend(["--threads", "2", "--validation", "0"]);
+    line.extend(more);
+    line.extend(settings.iter().flat_map(|setting| ["--set", setting]));
     Cli::try_parse_from(line).map(|cli: Cli<A>| cli.arguments)
 }
 
@@ -43,37 +52,18 @@ fn bag(dir: &Path, width: u32, height: u32) -> String {
 }
 
 fn train_autoencoder(bag: &str, out: &str, more: &[&str]) -> anyhow::Result<()> {
-    let line = [
-        "--data",
-        bag,
-        "--out",
-        out,
-        "--steps",
-        "3",
-        "--threads",
-        "2",
-        "--validation",
-        "0",
-    ];
     let settings = [
-        "--set",
         "model.height=16",
-        "--set",
         "model.width=16",
-        "--set",
         "model.widths=[8, 16]",
-        "--set",
         "model.encoder_blocks=[0, 1]",
-        "--set",
         "model.decoder_blocks=[0, 1]",
-        "--set",
         "model.latent_channels=4",
-        "--set",
         "crop=8",
-        "--set",
         "batch=2",
     ];
-    let arguments: TrainAutoencoderArgs = parsed(&[&line[..], &settings, more].concat())?;
+    let more = [&["--steps", "3"], more].concat();
+    let arguments: TrainAutoencoderArgs = parsed([bag, out], &more, &settings)?;
     arguments.run(&Stop::default()).map(drop)
 }
 
@@ -86,7 +76,7 @@ fn size(width: u32, height: u32) -> Option<PictureSize> {
 }
 
 #[test]
-fn an_autoencoder_crops_unless_another_fit_is_asked_for() {
+fn an_autoencoder_crops_unless_another_fit_is_set() {
     let dir = tempfile::tempdir().unwrap();
     let bag = bag(dir.path(), 40, 20);
     let cases: [(&[&str], Fit); 3] = [
@@ -122,29 +112,14 @@ fn a_transition_model_takes_the_fit_of_its_encoder() {
     train_autoencoder(&bag(dir.path(), 40, 20), text, &["--fit", "pad"]).unwrap();
     // On another camera.
     let bag = bag(dir.path(), 48, 27);
-    let line = [
-        "--data",
-        &bag,
-        "--out",
-        text,
-        "--encoder",
-        text,
-        "--steps",
-        "1",
-        "--threads",
-        "2",
-        "--validation",
-        "0",
-        "--set",
+    let more = ["--encoder", text, "--steps", "1"];
+    let settings = [
         "model.hidden=32",
-        "--set",
         "model.depth=1",
-        "--set",
         "model.heads=2",
-        "--set",
         "batch=2",
     ];
-    let arguments: TrainTransitionArgs = parsed(&line).unwrap();
+    let arguments: TrainTransitionArgs = parsed([&bag, text], &more, &settings).unwrap();
     arguments.run(&Stop::default()).unwrap();
     let model = opened(&out);
     model.world_model().unwrap();
@@ -158,37 +133,18 @@ fn an_encoder_describes_its_fit() {
     let bag = bag(dir.path(), 40, 20);
     let out = dir.path().join("encoder");
     let text = out.to_str().unwrap();
-    let line = [
-        "--data",
-        &bag,
-        "--out",
-        text,
-        "--steps",
-        "1",
-        "--threads",
-        "2",
-        "--validation",
-        "0",
-        "--set",
+    let settings = [
         "batch=2",
-        "--set",
         "micro_batch=2",
-        "--set",
         "windows=2",
-        "--set",
         "model.image=16",
-        "--set",
         "model.patch=4",
-        "--set",
         "model.hidden=32",
-        "--set",
         "model.depth=1",
-        "--set",
         "head.hidden=32",
-        "--set",
         "head.width=8",
     ];
-    let arguments: TrainEncoderArgs = parsed(&line).unwrap();
+    let arguments: TrainEncoderArgs = parsed([&bag, text], &["--steps", "1"], &settings).unwrap();
     arguments.run(&Stop::default()).unwrap();
     let model = opened(&out);
     assert_eq!(model.fit().unwrap(), Fit::Crop);

@@ -1,26 +1,19 @@
-//! Real episodes of Bridge V2 and DROID, imported and prepared. They are not part of this repository: the test looks for
-//! `bridge_v2/` in the folder `WM_SHARED_DATA`, and for DROID in the folder `WM_DROID_DIR`, and says so and passes where
-//! they are not given.
+//! Real episodes of Bridge V2 and DROID, imported and prepared. They are read from the directory that the environment
+//! variable WM_SHARED_DATA names (with `bridge_v2/` and `droid/` in it), and are not part of the repository.
 
 #![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
 
-use std::{env, path::PathBuf};
+#[path = "../../../bags/import/tests/shared_data/folder.rs"]
+mod folder;
 
 use wm_dataset::{Data, DataOptions};
 use wm_import::{ImportOptions, import_bridge, import_droid};
 
-fn folder(variable: &str, name: &str) -> Option<PathBuf> {
-    let folder = env::var_os(variable).map(|dir| PathBuf::from(dir).join(name));
-    let folder = folder.filter(|folder| folder.is_dir());
-    if folder.is_none() {
-        eprintln!("skipped: set {variable} to a folder with {name}");
-    }
-    folder
-}
+use folder::shared;
 
 #[test]
 fn bridge_is_prepared_as_it_is() {
-    let Some(source) = folder("WM_SHARED_DATA", "bridge_v2") else {
+    let Some(source) = shared("bridge_v2") else {
         return;
     };
     let scratch = tempfile::tempdir().unwrap();
@@ -42,7 +35,7 @@ fn bridge_is_prepared_as_it_is() {
 
 #[test]
 fn droid_is_prepared_with_three_cameras() {
-    let Some(source) = folder("WM_DROID_DIR", "") else {
+    let Some(source) = shared("droid") else {
         return;
     };
     let scratch = tempfile::tempdir().unwrap();

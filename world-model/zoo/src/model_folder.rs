@@ -82,7 +82,7 @@ impl ModelFolder {
     /// The space of its latents.
     ///
     /// # Errors
-    /// Names what is missing or wrong in the weights.
+    /// Names missing and wrong weights.
     pub fn space(&self) -> Result<LatentSpace> {
         match self {
             Self::Trained(folder) => Ok(folder.autoencoder()?.space().clone()),
@@ -93,7 +93,7 @@ impl ModelFolder {
     /// How its encoder takes pictures of another aspect, without loading the encoder of a described folder.
     ///
     /// # Errors
-    /// Names what is missing or wrong in the weights.
+    /// Names missing and wrong weights.
     pub fn fit(&self) -> Result<Fit> {
         match self {
             Self::Trained(folder) => Ok(folder.autoencoder()?.config().fit),
@@ -105,7 +105,7 @@ impl ModelFolder {
     /// if it is not known.
     ///
     /// # Errors
-    /// Names what is missing or wrong in the weights.
+    /// Names missing and wrong weights.
     pub fn trained_on(&self) -> Result<Option<PictureSize>> {
         match self {
             Self::Trained(folder) => Ok(folder.trained_on()?),
@@ -128,7 +128,7 @@ impl ModelFolder {
     /// Loads the encoder.
     ///
     /// # Errors
-    /// Names what is missing or wrong in the weights.
+    /// Names missing and wrong weights.
     pub fn encoder(&self) -> Result<Box<dyn Encoder>> {
         self.encoder_on(&Place::default())
     }
@@ -150,7 +150,7 @@ impl ModelFolder {
     /// Loads the decoder; `None` where the model has none.
     ///
     /// # Errors
-    /// Names what is missing or wrong in the weights.
+    /// Names missing and wrong weights.
     pub fn decoder(&self) -> Result<Option<Box<dyn Decoder>>> {
         self.decoder_on(&Place::default())
     }
@@ -238,7 +238,7 @@ impl ModelFolder {
     /// The tensors of the transition model, by their published names: what a training begins from.
     ///
     /// # Errors
-    /// Names what is missing or wrong in the weights.
+    /// Names missing and wrong weights.
     pub fn transition_tensors(&self) -> Result<TransitionTensors> {
         match self {
             Self::Trained(folder) => {
@@ -285,7 +285,7 @@ impl ModelFolder {
     /// Loads the decoder of its adapter; `None` where its latents are the encoder's own.
     ///
     /// # Errors
-    /// Names what is missing or wrong in the weights.
+    /// Names missing and wrong weights.
     pub fn native_decoder(&self) -> Result<Option<NativeDecoder>> {
         match self {
             Self::Trained(_) => Ok(None),

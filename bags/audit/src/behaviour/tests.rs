@@ -94,3 +94,40 @@ fn metres_that_no_arm_moves_by_are_another_unit() {
     let found = faults(&episodes(|frame| 30.0 * wave(frame)));
     assert_eq!(found, [("units".to_owned(), Level::Warning)]);
 }
+
+#[test]
+fn gripper_of_another_range_is_a_fault_with_the_range() {
+    let with = |range: [f32; 3]| {
+        let mut made = Episode::new("e", 7);
+        for frame in 0..60 {
+            let x = wave(frame);
+            let gripper = range[frame / 20];
+            made.push(
+                &[x, x / 2.0, x / 3.0, 0.0, 0.0, 0.0, gripper],
+                Some(4.0),
+                None,
+            );
+        }
+        let all = Episodes {
+            episodes: &[made],
+            space: &ActionSpace::bridge(),
+            period_s: 0.2,
+        };
+        let mut found = check(all);
+        found.retain(|finding| finding.check == "gripper");
+        found
+    };
+    assert_eq!(with([1.0, 0.0, 1.0]), []);
+    let [range] = &with([1.0, 0.0, -1.0])[..] else {
+        panic!("one finding")
+    };
+    assert_eq!(range.level, Level::Warning);
+    assert!(
+        range.what.contains("gripper: measured -1 to 1; expected 0"),
+        "{}",
+        range.what
+    );
+    let fix = range.fix.as_deref().unwrap();
+    assert!(fix.contains("offset -1 and scale 0.5"), "{fix}");
+    assert_eq!(with([0.0, 1.0, 1.0])[0].level, Level::Note);
+}

@@ -39,7 +39,7 @@ fn found(episodes: &[Episode]) -> Vec<Finding> {
 }
 
 #[test]
-fn a_state_that_changes_as_told_is_fine() {
+fn a_state_that_follows_the_actions_is_fine() {
     for gain in [1.0, 0.8] {
         let fine = found(&episodes([gain; 3]));
         assert_eq!((fine.len(), fine[0].level), (1, Level::Ok), "{fine:?}");

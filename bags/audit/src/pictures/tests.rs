@@ -87,7 +87,7 @@ fn three_repeats_of_a_slow_camera_are_found() {
 }
 
 #[test]
-fn bytes_alone_tell_repeats() {
+fn repeats_are_found_by_bytes_alone() {
     let mut pictures = Pictures::new("/camera");
     for index in 0..60_u64 {
         pictures.push(index as i64 * 100_000_000, index / 2, None, None);

@@ -1,7 +1,7 @@
-//! What the indexes of a file say about its chunks, held against each other.
+//! The indexes of a file's chunks, compared with each other.
 //!
-//! Three places name the times of a chunk: its own header, the summary's chunk index, and the message indexes behind it,
-//! which name each message. Where they agree, the chunk is not read to be indexed.
+//! Three places name the times of a chunk: its own header, the summary's chunk index, and the message indexes after it,
+//! which name each message. If they agree, the chunk itself is not read for the index.
 
 use std::{
     collections::BTreeSet,
@@ -19,26 +19,23 @@ use super::{
 /// Opcode, length, and the two times at the front of a chunk.
 const FRONT_BYTES: usize = RECORD_HEADER_BYTES as usize + 16;
 
-/// A chunk, and what its message indexes say.
+/// A chunk with the times of its header and of the summary.
 pub(super) struct IndexedChunk {
-    /// First byte of the chunk, and the one behind it.
+    /// First byte of the chunk, and the one after it.
     pub chunk: (u64, u64),
     /// The same with its message indexes.
     pub place: (u64, u64),
     pub compression: String,
     start_ns: u64,
     end_ns: u64,
-    /// Offset in the chunk, channel and log time \[ns\] of each message; none if it has no such index, or one that is
-    /// damaged.
-    messages: Option<Vec<(u64, u16, u64)>>,
     /// Whether the chunk's header has the times of the summary.
     is_agreed: bool,
 }
 
-/// Reads fronts and message indexes of these chunks, which lie within the file and do not overlap.
+/// Reads the headers of these chunks, which lie within the file and do not overlap.
 ///
 /// # Errors
-/// The outer: the file cannot be read. The inner says where the summary puts a chunk that is none.
+/// The outer: the file cannot be read. The inner: a chunk of the summary is not in the file, with its place.
 pub(super) fn read(
     file: &mut (impl Read + Seek),
     chunks: &[ChunkIndex],
@@ -67,7 +64,6 @@ pub(super) fn read(
             compression: chunk.compression.clone(),
             start_ns: chunk.message_start_time,
             end_ns: chunk.message_end_time,
-            messages: message_index(file, end, chunk.message_index_length)?,
             is_agreed: (time(FRONT_BYTES - 16), time(FRONT_BYTES - 8)) == times,
         });
     }
@@ -83,7 +79,8 @@ fn read_whole(file: &mut impl Read, buffer: &mut [u8]) -> std::io::Result<bool> 
     }
 }
 
-/// The messages that the index at this byte names, in the order of the chunk.
+/// The messages that the index at this byte names, in the order of the chunk: offset in the chunk, channel and log time
+/// \[ns\]. None if there is no such index, or a damaged one.
 fn message_index(
     file: &mut (impl Read + Seek),
     at: u64,
@@ -117,20 +114,31 @@ fn message_index(
 }
 
 impl IndexedChunk {
-    /// Takes the messages over into the index; false, and nothing is taken, where the indexes do not agree.
-    pub fn take(&self, index: &mut FileIndex) -> bool {
-        let Some(messages) = self.messages.as_ref().filter(|_| self.is_agreed) else {
-            return false;
+    /// Takes the messages over into the index; false, and nothing is taken, if the indexes do not agree.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn take(
+        &self,
+        file: &mut (impl Read + Seek),
+        index: &mut FileIndex,
+    ) -> std::io::Result<bool> {
+        if !self.is_agreed {
+            return Ok(false);
+        }
+        let (at, end) = (self.chunk.1, self.place.1);
+        let Some(messages) = message_index(file, at, end - at)? else {
+            return Ok(false);
         };
         let times = messages.iter().map(|(_, _, log_time_ns)| *log_time_ns);
         let found = (times.clone().min(), times.max());
         if found != (Some(self.start_ns), Some(self.end_ns)) {
-            return false;
+            return Ok(false);
         }
         let mut channels = BTreeSet::new();
         for (_, channel, log_time_ns) in messages {
-            index.count(*channel, *log_time_ns);
-            channels.insert(*channel);
+            index.count(channel, log_time_ns);
+            channels.insert(channel);
         }
         index.segments.push(Segment {
             place: SegmentPlace::Bytes {
@@ -141,7 +149,7 @@ impl IndexedChunk {
             end_ns: self.end_ns,
             channels: Some(channels.into_iter().collect()),
         });
-        true
+        Ok(true)
     }
 
     /// Whether the summary has the times of the chunk's messages.

@@ -50,7 +50,7 @@ pub(super) struct Channel {
     pub is_latched: bool,
 }
 
-/// A channel that is left out.
+/// A channel that is skipped.
 #[derive(Clone, Debug)]
 pub(super) struct Skipped {
     pub topic: String,
@@ -58,7 +58,7 @@ pub(super) struct Skipped {
     pub messages: u64,
 }
 
-/// Where the messages of one file are, and what its channels are.
+/// The places of the messages of one file, and its channels.
 #[derive(Debug)]
 pub(super) struct FileIndex {
     pub file: StoredFile,
@@ -67,7 +67,9 @@ pub(super) struct FileIndex {
     pub channels: BTreeMap<u16, Channel>,
     /// Those that cannot be read, by channel id.
     pub skipped: BTreeMap<u16, Skipped>,
-    /// The readable channels as the file defines them, for who copies them.
+    /// Messages of channels that the file does not define, by channel id.
+    undefined: BTreeMap<u16, u64>,
+    /// The readable channels as the file defines them, for copies.
     pub definitions: BTreeMap<u16, Arc<mcap::Channel<'static>>>,
     /// The text of each schema, by its id.
     schemas: HashMap<u16, Arc<Schema>>,
@@ -82,13 +84,14 @@ pub(super) struct FileIndex {
 }
 
 impl FileIndex {
-    /// The index of a file that nothing is known of yet.
+    /// The index of a file before anything is read.
     pub fn empty(file: &StoredFile, size_bytes: u64, storage: &'static str) -> Self {
         Self {
             file: file.clone(),
             size_bytes,
             channels: BTreeMap::new(),
             skipped: BTreeMap::new(),
+            undefined: BTreeMap::new(),
             definitions: BTreeMap::new(),
             schemas: HashMap::new(),
             segments: Vec::new(),
@@ -104,14 +107,17 @@ impl FileIndex {
         &self.file.path
     }
 
-    /// Adds a channel; one that cannot be read is left out by name.
+    /// Adds a channel; an unreadable one is skipped by name.
     pub fn add_channel(&mut self, channel: &Arc<mcap::Channel<'static>>) {
         let id = channel.id;
         if self.channels.contains_key(&id) || self.skipped.contains_key(&id) {
             return;
         }
+        // A definition that comes after its first messages.
+        let earlier = self.undefined.remove(&id).unwrap_or(0);
         match self.readable(channel) {
-            Ok(topic) => {
+            Ok(mut topic) => {
+                topic.message_count = earlier;
                 let decoding = Arc::new(Decoding::new(&topic.type_name, &topic.schema));
                 let is_latched = topic.is_latched();
                 let readable = Channel {
@@ -122,11 +128,16 @@ impl FileIndex {
                 self.channels.insert(id, readable);
                 self.definitions.insert(id, with_absolute_name(channel));
             }
-            Err(reason) => self.skip(id, &channel.topic, reason),
+            Err(reason) => {
+                self.skip(id, &channel.topic, reason);
+                if let Some(skipped) = self.skipped.get_mut(&id) {
+                    skipped.messages = earlier;
+                }
+            }
         }
     }
 
-    /// Leaves a channel out.
+    /// Skips a channel.
     pub fn skip(&mut self, id: u16, topic: &str, reason: String) {
         self.definitions.remove(&id);
         let known = self.channels.remove(&id);
@@ -178,10 +189,12 @@ impl FileIndex {
             self.times.push(log_time_ns);
         } else if let Some(skipped) = self.skipped.get_mut(&channel_id) {
             skipped.messages += 1;
+        } else {
+            *self.undefined.entry(channel_id).or_default() += 1;
         }
     }
 
-    /// What the user should know about its channels.
+    /// The warnings about its channels.
     pub fn channel_warnings(&self) -> impl Iterator<Item = BagWarning> + '_ {
         let skipped = self
             .skipped
@@ -196,7 +209,16 @@ impl FileIndex {
             let topic = &channel.topic;
             BagWarning::of_fields(&topic.name, &topic.type_name, channel.decoding.fields()?)
         });
-        skipped.chain(fields)
+        let undefined = self
+            .undefined
+            .iter()
+            .map(|(id, messages)| BagWarning::ChannelSkipped {
+                file: self.path().to_owned(),
+                topic: format!("number {id}"),
+                messages: *messages,
+                reason: "the file does not define it".to_owned(),
+            });
+        skipped.chain(undefined).chain(fields)
     }
 }
 

@@ -51,7 +51,7 @@ pub(super) fn index(stored: &StoredFile) -> Result<(FileIndex, Vec<BagWarning>),
             let mut doubtful = 0;
             for chunk in chunks {
                 index.compressions.insert(chunk.compression.clone());
-                if !chunk.take(&mut index) {
+                if !chunk.take(&mut scan.file, &mut index).map_err(io)? {
                     let before = index.segments.len();
                     scan.chunk_at(chunk.chunk, &mut index)?;
                     let read = index.segments.get(before);
@@ -86,7 +86,7 @@ pub(super) fn index(stored: &StoredFile) -> Result<(FileIndex, Vec<BagWarning>),
     Ok((index, all))
 }
 
-/// What the summary says that the messages do not. `doubtful`: chunks whose indexes contradict each other.
+/// The differences between the summary and the messages. `doubtful`: chunks whose indexes contradict each other.
 fn differences(
     index: &FileIndex,
     stats: Option<&Statistics>,
@@ -106,14 +106,14 @@ fn differences(
     let counted: u64 = readable.chain(skipped).sum();
     if let Some(stats) = stats {
         if stats.message_count != counted {
-            let told = stats.message_count;
+            let named = stats.message_count;
             differences.push(format!(
-                "it counts {told} messages, the file holds {counted}"
+                "it counts {named} messages, the file holds {counted}"
             ));
         }
-        // Messages that are left out have times too.
-        let told = (stats.message_start_time, stats.message_end_time);
-        if index.skipped.is_empty() && index.span.is_some_and(|span| span != told) {
+        // Skipped messages have times too.
+        let named = (stats.message_start_time, stats.message_end_time);
+        if index.skipped.is_empty() && index.span.is_some_and(|span| span != named) {
             differences.push("its first and last log times are not those of the messages".into());
         }
     }
@@ -123,14 +123,14 @@ fn differences(
     })
 }
 
-/// What a file is stored as.
+/// The storage of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Storage {
     Mcap,
     Sqlite,
 }
 
-/// Tells a bag from other files.
+/// The storage of a bag's file, by its first bytes.
 pub(crate) fn check_magic(
     file: &mut File,
     path: &Path,

@@ -171,7 +171,7 @@ enum Open {
     Sqlite(Rows),
 }
 
-/// What is wrong with single messages of a segment.
+/// Faults of single messages of a segment.
 #[derive(Default)]
 struct Problems {
     first: Option<String>,

@@ -5,7 +5,7 @@ use std::io::Read as _;
 
 use super::{chunk::MAX_RECORD_BYTES, stored_file::ZSTD_MAGIC};
 
-/// The message in a zstd frame; none where the bytes are not such a frame. CDR begins with a zero byte, so that no message
+/// The message in a zstd frame; none if the bytes are not such a frame. CDR begins with a zero byte, so that no message
 /// looks like one, and the bag's metadata need not say it: a file may have been copied out of its folder.
 pub(crate) fn decompressed(data: &[u8]) -> Option<Result<Bytes, String>> {
     if !data.starts_with(&ZSTD_MAGIC) {

@@ -32,7 +32,7 @@ pub(crate) fn parse(opcode: u8, body: &[u8]) -> Result<Record<'_>, String> {
     parse_record(opcode, body).map_err(|error| error.to_string())
 }
 
-/// What is behind the fields of a record's opcode; none if a length in it leads out of the body. Of opcodes without fields
+/// The bytes after the fields of a record's opcode; none if a length in it leads out of the body. Of opcodes without fields
 /// that are known, nothing.
 pub(crate) fn rest(opcode: u8, body: &[u8]) -> Option<&[u8]> {
     use Part::{Fixed, Long, Map, Text};
@@ -78,7 +78,7 @@ pub(crate) fn rest(opcode: u8, body: &[u8]) -> Option<&[u8]> {
     Some(left)
 }
 
-/// A text and what is behind it.
+/// A text and the bytes after it.
 fn text(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     let (length, behind) = bytes.split_first_chunk::<4>()?;
     behind.split_at_checked(usize::try_from(u32::from_le_bytes(*length)).ok()?)

@@ -25,9 +25,9 @@ use crate::{BagError, BagWarning};
 const STRETCH_BYTES: u64 = 1 << 20;
 
 /// Damaged places of a file that are reported one by one; a file of nothing else could fill the memory.
-const DAMAGE_TOLD: u64 = 100;
+const MOST_REPORTED: u64 = 100;
 
-/// How far a scan came.
+/// The end of a scan.
 pub(super) struct ScanEnd {
     /// The end of the last whole record.
     pub end: u64,
@@ -175,7 +175,7 @@ impl<'a> Scan<'a> {
             .map_err(|source| BagError::io(self.path, source))
     }
 
-    /// Reads the chunk from one byte to another, of which the file's indexes say different things.
+    /// Reads the chunk from one byte to another, on which the file's indexes disagree.
     pub fn chunk_at(
         &mut self,
         (at, end): (u64, u64),
@@ -189,10 +189,10 @@ impl<'a> Scan<'a> {
         Ok(())
     }
 
-    /// What is wrong with the file, as far as it was met.
+    /// The faults of the file that the scan found.
     pub fn into_warnings(self) -> Vec<BagWarning> {
         let mut warnings = self.warnings;
-        if let Some(places) = self.damaged_places.checked_sub(DAMAGE_TOLD)
+        if let Some(places) = self.damaged_places.checked_sub(MOST_REPORTED)
             && places > 0
         {
             warnings.push(BagWarning::MoreDamaged {
@@ -205,7 +205,7 @@ impl<'a> Scan<'a> {
 
     fn warn(&mut self, offset: u64, reason: String) {
         self.damaged_places += 1;
-        if self.damaged_places > DAMAGE_TOLD {
+        if self.damaged_places > MOST_REPORTED {
             return;
         }
         self.warnings.push(BagWarning::Damaged {

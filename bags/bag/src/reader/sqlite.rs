@@ -140,7 +140,7 @@ fn uri(path: &Path) -> String {
     format!("file:{text}?immutable=1")
 }
 
-/// The columns of a table; none where there is no such table. A view could compute anything.
+/// The columns of a table; none if the table does not exist. A view could compute anything.
 fn columns(connection: &Connection, table: &str) -> rusqlite::Result<BTreeSet<String>> {
     let is_table: i64 = connection.query_row(
         "SELECT count(*) FROM sqlite_schema WHERE type = 'table' AND name = ?1 AND sql LIKE 'CREATE TABLE%'",
@@ -394,7 +394,7 @@ fn add_channels(
     Ok(())
 }
 
-/// Whether a message is one of this definition; true where there is no message, or the definition has fields whose layout
+/// Whether a message is one of this definition; true without a message, or if the definition has fields whose layout
 /// is not known.
 fn fits(schema: &Schema, type_name: &str, message: Option<&Bytes>) -> bool {
     let Some(message) = message else {

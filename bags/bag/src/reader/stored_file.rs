@@ -1,4 +1,4 @@
-//! The files of a bag as bytes, whatever rosbag2 made of them.
+//! The files of a bag as bytes: plain, compressed by rosbag2, or with an sqlite3 journal.
 
 use std::{
     fs::{self, File},
@@ -13,14 +13,14 @@ use crate::{BagError, BagWarning};
 
 /// First bytes of a zstd frame.
 pub(crate) const ZSTD_MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
-/// Where decompressed files lie unless `TMPDIR` says otherwise: on a disk, which `/tmp` often is not.
+/// The folder of decompressed files if `TMPDIR` is not set: on a disk, which `/tmp` often is not.
 const TEMPORARY: &str = "/var/tmp";
 /// Bytes that are decompressed at a time.
 const STEP_BYTES: usize = 1 << 20;
 
 /// First bytes of an sqlite3 file.
 const SQLITE_MAGIC: &[u8] = b"SQLite format 3";
-/// What sqlite3 leaves beside a file whose writer was killed.
+/// Endings of the journals beside an sqlite3 file whose writer was killed.
 const JOURNALS: [&str; 2] = ["-wal", "-journal"];
 
 /// A file of a bag, ready to be read at any place.
@@ -31,7 +31,7 @@ pub(crate) struct StoredFile {
     copy: Option<Arc<Copy>>,
 }
 
-/// A file of ours in the place of a file of a bag. It ends with this.
+/// A temporary file that is read in place of a file of a bag. It is removed with this value.
 #[derive(Debug)]
 struct Copy {
     file: File,
@@ -41,10 +41,10 @@ struct Copy {
 }
 
 impl StoredFile {
-    /// Looks at a file, and decompresses it if it is a zstd frame.
+    /// Opens a file, and decompresses it if it is a zstd frame.
     ///
     /// # Errors
-    /// It cannot be read, or there is no room for what is in it.
+    /// It cannot be read, or there is no room for its content.
     pub fn open(path: &Path) -> Result<(Self, Option<BagWarning>), BagError> {
         let io = |source| BagError::io(path, source);
         let mut file = File::open(path).map_err(io)?;
@@ -84,12 +84,20 @@ impl StoredFile {
     }
 }
 
-/// Where our files lie.
+/// The folder of temporary files.
 fn temporary_folder() -> PathBuf {
     match std::env::var_os("TMPDIR") {
-        Some(folder) => PathBuf::from(folder),
-        None if Path::new(TEMPORARY).is_dir() => TEMPORARY.into(),
-        None => std::env::temp_dir(),
+        Some(folder) if !folder.is_empty() => PathBuf::from(folder),
+        _ if Path::new(TEMPORARY).is_dir() => TEMPORARY.into(),
+        _ => std::env::temp_dir(),
+    }
+}
+
+fn no_room(path: &Path, folder: &Path, source: &io::Error) -> BagError {
+    BagError::NoRoom {
+        path: path.to_owned(),
+        folder: folder.to_owned(),
+        reason: source.to_string(),
     }
 }
 
@@ -105,14 +113,10 @@ fn journals(path: &Path) -> Vec<PathBuf> {
     all.filter(is_filled).collect()
 }
 
-/// Copies an sqlite3 file and its journal: sqlite3 takes the journal over when it opens a file, and the bag stays as it is.
+/// Copies an sqlite3 file and its journal: sqlite3 applies the journal when it opens a file, and the bag must not change.
 fn copy_with_journal(path: &Path) -> Result<(Copy, BagWarning), BagError> {
     let folder = temporary_folder();
-    let no_room = |source: io::Error| BagError::NoRoom {
-        path: path.to_owned(),
-        folder: folder.clone(),
-        reason: source.to_string(),
-    };
+    let no_room = |source: io::Error| no_room(path, &folder, &source);
     let temporary = TempDir::new_in(&folder).map_err(no_room)?;
     let name = path.file_name().unwrap_or_default();
     let named = temporary.path().join(name);
@@ -140,11 +144,7 @@ fn copy_with_journal(path: &Path) -> Result<(Copy, BagWarning), BagError> {
 fn decompress(path: &Path) -> Result<(Copy, BagWarning), BagError> {
     let io = |source| BagError::io(path, source);
     let folder = temporary_folder();
-    let no_room = |source: io::Error| BagError::NoRoom {
-        path: path.to_owned(),
-        folder: folder.clone(),
-        reason: source.to_string(),
-    };
+    let no_room = |source: io::Error| no_room(path, &folder, &source);
     let temporary = TempDir::new_in(&folder).map_err(no_room)?;
     let named = temporary.path().join("decompressed");
     let mut output = File::create_new(&named).map_err(no_room)?;
@@ -189,7 +189,7 @@ fn decompress(path: &Path) -> Result<(Copy, BagWarning), BagError> {
 
 /// The files of a folder that a recorder numbers, in that order (`bag_2` before `bag_10`), and those that are left out.
 ///
-/// A recorder with file compression that is killed leaves its open file as it is; one that is killed while it
+/// A killed recorder with file compression leaves its open file uncompressed; one that is killed while it
 /// compresses leaves a file twice, of which the compressed one may be cut.
 ///
 /// # Errors
@@ -231,18 +231,30 @@ pub fn is_bag_file(path: &Path) -> bool {
     storage_stem(path).is_some()
 }
 
+/// The file that is read in place of this one, if both are in the folder: the same file of a bag in another form. A recorder
+/// that is killed while it compresses leaves both.
+#[must_use]
+pub fn preferred_form(path: &Path) -> Option<PathBuf> {
+    let (stem, rank) = storage_stem(path)?;
+    let names = ENDINGS.iter().take(rank);
+    let mut paths = names.map(|ending| path.with_file_name(format!("{stem}{ending}")));
+    paths.find(|path| path.is_file())
+}
+
+/// Endings of a bag's files. Of several files with one stem, the first in this order is read.
+const ENDINGS: [&str; 6] = [
+    ".mcap",
+    ".mcap.zstd",
+    ".mcap.zst",
+    ".db3",
+    ".db3.zstd",
+    ".db3.zst",
+];
+
 /// Name of a bag's file without its endings, and its rank among files of that name; none for other files.
 fn storage_stem(path: &Path) -> Option<(String, usize)> {
     let name = path.file_name()?.to_string_lossy();
-    let endings = [
-        ".mcap",
-        ".mcap.zstd",
-        ".mcap.zst",
-        ".db3",
-        ".db3.zstd",
-        ".db3.zst",
-    ];
-    endings.iter().enumerate().find_map(|(rank, ending)| {
+    ENDINGS.iter().enumerate().find_map(|(rank, ending)| {
         let stem = name.strip_suffix(ending)?;
         Some((stem.to_owned(), rank))
     })

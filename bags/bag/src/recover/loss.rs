@@ -35,14 +35,14 @@ impl fmt::Display for Loss {
 }
 
 /// Losses that are reported one by one; a file of nothing else could fill the memory.
-const TOLD: usize = 100;
+const MOST_NAMED: usize = 100;
 
 /// What was lost of a bag.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Losses {
     /// The first of them, in the order of the files.
-    pub told: Vec<Loss>,
+    pub first: Vec<Loss>,
     /// How many there are.
     pub places: u64,
     /// Bytes of the files.
@@ -67,8 +67,8 @@ impl Losses {
         self.places += 1;
         self.bytes += bytes;
         self.chunks += chunks;
-        if self.told.len() < TOLD {
-            self.told.push(Loss {
+        if self.first.len() < MOST_NAMED {
+            self.first.push(Loss {
                 file: file.to_owned(),
                 offset,
                 bytes,
@@ -89,11 +89,11 @@ impl fmt::Display for Losses {
             "lost: {} bytes in {} place(s), including {} chunk(s)",
             self.bytes, self.places, self.chunks
         )?;
-        for loss in &self.told {
+        for loss in &self.first {
             write!(f, "\n  {loss}")?;
         }
-        if self.places > self.told.len() as u64 {
-            let more = self.places - self.told.len() as u64;
+        if self.places > self.first.len() as u64 {
+            let more = self.places - self.first.len() as u64;
             write!(f, "\n  and {more} more place(s)")?;
         }
         if self.messages > 0 {

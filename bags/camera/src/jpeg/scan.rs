@@ -19,7 +19,7 @@ pub(super) const COEFFICIENTS: usize = 64;
 pub(super) struct ScanComponent<'a> {
     /// Its number in the frame.
     pub component: usize,
-    /// Tables that the scan needs; none where it needs none.
+    /// Tables that the scan needs, which may be none.
     pub dc: Option<&'a Table>,
     pub ac: Option<&'a Table>,
     /// Levels of a step of its DC coefficient.

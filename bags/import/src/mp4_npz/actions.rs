@@ -20,7 +20,7 @@ pub(super) struct Labelled {
     pub actions: Vec<[f32; VALUES]>,
     pub instruction: Option<String>,
     pub success: Option<bool>,
-    /// What is in the file and not read.
+    /// Content of the file that is not read.
     pub notes: Vec<String>,
 }
 

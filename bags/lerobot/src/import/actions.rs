@@ -114,8 +114,8 @@ fn recognised(names: &[String], is_mapped: bool) -> (Option<ActionSpace>, Option
         None => {
             tracing::warn!(
                 actions = names.join(" "),
-                "nothing says what these values are, so the bags do not say it either, and training would take seven values \
-                 for Bridge V2's: describe them with --action-space"
+                "the meaning of these values is unknown, so the bags have no action space, and a training takes seven values \
+                 for Bridge V2's; describe them with --action-space FILE"
             );
             (None, None)
         }

@@ -1,6 +1,10 @@
 //! An episode's rows and pictures.
 
-use std::path::{Component, Path};
+use std::{
+    fs::File,
+    io::Read as _,
+    path::{Component, Path},
+};
 
 use image::ImageFormat;
 
@@ -13,6 +17,9 @@ use crate::{
     },
     table::{Picture, Table, integer, number, numbers, picture, truth},
 };
+
+/// Greatest size of a picture's file \[byte\]: more than any camera's frame needs.
+const MOST_PICTURE_BYTES: u64 = 64 << 20;
 
 /// An episode, decoded.
 #[derive(Debug)]
@@ -27,7 +34,7 @@ pub(super) struct Episode {
     /// The frame from which each task holds.
     pub tasks: Vec<(u64, String)>,
     pub success: Option<bool>,
-    /// What is unusual about it.
+    /// Peculiarities.
     pub notes: Vec<String>,
 }
 
@@ -212,7 +219,19 @@ fn file_within(root: &Path, path: &Path) -> Result<Vec<u8>, String> {
             path.display()
         ));
     }
-    std::fs::read(root.join(path)).map_err(|error| format!("{}: {error}", path.display()))
+    let wrong = |error| format!("{}: {error}", path.display());
+    let file = File::open(root.join(path)).map_err(wrong)?;
+    let mut bytes = Vec::new();
+    file.take(MOST_PICTURE_BYTES + 1)
+        .read_to_end(&mut bytes)
+        .map_err(wrong)?;
+    if bytes.len() as u64 > MOST_PICTURE_BYTES {
+        return Err(format!(
+            "{}: expected at most {MOST_PICTURE_BYTES} bytes",
+            path.display()
+        ));
+    }
+    Ok(bytes)
 }
 
 /// The format that all pictures of a camera are in.

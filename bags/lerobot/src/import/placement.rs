@@ -19,7 +19,7 @@ pub(super) struct Member {
 /// When each frame of a video is shown \[s\], in order.
 pub(super) struct Times<'a>(pub &'a [f64]);
 
-/// The frames of an episode, and what is unusual about them.
+/// The frames of an episode, and their peculiarities.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Frames {
     pub range: Range<usize>,
@@ -68,7 +68,9 @@ pub(super) fn place(times: &Times<'_>, fps: f64, members: &[Member]) -> Placemen
     let mut members = members.to_vec();
     members.sort_by_key(|member| member.index);
     let total = times.count();
-    let rows: usize = members.iter().map(|member| member.length).sum();
+    // Lengths are those of the metadata, which may be anything.
+    let lengths = members.iter().map(|member| member.length);
+    let rows = lengths.fold(0, usize::saturating_add);
     let period_s = times.period_s().unwrap_or(fps.recip());
     if let [only] = members.as_slice()
         && only.from_s < QUARTER * period_s
@@ -81,7 +83,7 @@ pub(super) fn place(times: &Times<'_>, fps: f64, members: &[Member]) -> Placemen
     // Times with a gap show where a frame is missing.
     let last_s = times.0.last().copied().unwrap_or(0.0);
     let begin_s = times.0.first().copied().unwrap_or(0.0);
-    let spanned = ((last_s - begin_s) / period_s).round() as usize + 1;
+    let spanned = (((last_s - begin_s) / period_s).round() as usize).saturating_add(1);
     match spanned > total {
         true => by_times(times, period_s, begin_s, spanned, &members),
         false => by_begins(times, period_s, rows, &members),
@@ -173,7 +175,8 @@ fn by_times(
     members: &[Member],
 ) -> Placement {
     let end = |member: &Member| {
-        ((member.from_s - begin_s) / period_s).round() as i64 + member.length as i64
+        let begin = ((member.from_s - begin_s) / period_s).round() as i64;
+        begin.saturating_add(i64::try_from(member.length).unwrap_or(i64::MAX))
     };
     let last = members.iter().map(end).max().unwrap_or(0);
     let is_accounted = last == spanned as i64;
@@ -222,7 +225,7 @@ fn by_begins(times: &Times<'_>, period_s: f64, rows: usize, members: &[Member]) 
                 member.index, member.from_s
             )),
             Some(begin) => Ok(Frames {
-                range: begin..begin + member.length,
+                range: begin..begin.saturating_add(member.length),
                 note: None,
             }),
         };
@@ -264,11 +267,17 @@ fn refuse_overlaps(placement: &mut Placement) {
         .collect();
     sorted.sort_by_key(|(_, range)| (range.start, range.end));
     let mut overlaps = Vec::new();
-    for (at, (index, range)) in sorted.iter().enumerate() {
-        let later = sorted.iter().skip(at + 1);
-        for (other, theirs) in later.take_while(|(_, theirs)| theirs.start < range.end) {
-            overlaps.push((*index, *other, theirs.start));
-            overlaps.push((*other, *index, theirs.start));
+    // Of the episodes so far, the one that ends last: a later one that overlaps any of them overlaps it.
+    let mut last: Option<&(i64, Range<usize>)> = None;
+    for next in &sorted {
+        if let Some((index, range)) = last
+            && next.1.start < range.end
+        {
+            overlaps.push((*index, next.0, next.1.start));
+            overlaps.push((next.0, *index, next.1.start));
+        }
+        if last.is_none_or(|(_, range)| range.end < next.1.end) {
+            last = Some(next);
         }
     }
     for (index, other, frame) in overlaps {

@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn times_that_say_nothing_are_refused_by_row() {
+    fn unusable_times_are_refused_by_row() {
         let error = |times: &[f64], fps| Timing::of(times, fps).unwrap_err();
         assert!(error(&[0.0, 0.03, 0.03], 30.0).contains("row 2: expected a time after 0.03 s"));
         assert!(error(&[0.0, 0.03, 0.01], 30.0).contains("row 2"));

@@ -43,7 +43,7 @@ impl Videos {
         }
     }
 
-    /// The frames of an episode's part of a video as JPEG, and what is unusual about them.
+    /// The frames of an episode's part of a video as JPEG, and their peculiarities.
     ///
     /// # Errors
     /// The video cannot be read, or which frames are the episode's is uncertain; both name the file and the feature.

@@ -30,7 +30,7 @@ pub(super) struct Plan {
     pub cameras: Vec<String>,
     pub has_masks: bool,
     pub left_out: Vec<LeftOut>,
-    /// What is wrong with the stamps and the pictures of each bag.
+    /// Faults of the stamps and the pictures of each bag.
     pub findings: Vec<BagFindings>,
 }
 
@@ -72,7 +72,7 @@ impl Survey {
                 }
             };
             for warning in reader.warnings() {
-                tracing::warn!("{}: {warning}", bag.display());
+                tracing::warn!("{}", LeftOut::path(bag, &warning.to_string()));
             }
             let others = bag.display().to_string();
             match (&first, space) {

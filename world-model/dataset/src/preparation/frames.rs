@@ -76,14 +76,14 @@ pub(super) fn write(
     }
     let results = jobs.par_iter().map(|(bag, draft, first_frame)| {
         let Some(reader) = readers.get(bag.source).and_then(Option::as_ref) else {
-            return Ok((bag.source, Broken::new(), Vec::new()));
+            return Ok((bag.source, Broken::default(), Vec::new()));
         };
         let (broken, changes) = files.write_episode(reader, &bag.topics, draft, *first_frame)?;
         progress.inc(draft.actions.len() as u64);
         Ok((bag.source, broken, changes))
     });
     let mut decoded = Decoded {
-        broken: vec![Broken::new(); readers.len()],
+        broken: vec![Broken::default(); readers.len()],
         sizes: SizeCounts::new(),
         changes: Vec::new(),
     };
@@ -180,7 +180,7 @@ impl Files {
                 changes: Changes::new(stamps.len()),
             })
             .collect();
-        let mut broken = Broken::new();
+        let mut broken = Broken::default();
         let (from_ns, to_ns) = draft.logged_ns;
         let begin_ns = topics
             .iter()
@@ -218,9 +218,12 @@ impl Files {
             if frames.is_empty() {
                 continue;
             }
-            let Ok(shown) = self.decoded(&frame, view, awaited.topic == MASK) else {
-                broken.insert((awaited.topic.to_owned(), stamp_ns));
-                continue;
+            let shown = match self.decoded(&frame, view, awaited.topic == MASK) {
+                Ok(shown) => shown,
+                Err(reason) => {
+                    broken.insert(awaited.topic, stamp_ns, || reason);
+                    continue;
+                }
             };
             self.place(awaited, (first_frame, view), frames, &shown)?;
         }
@@ -231,7 +234,11 @@ impl Files {
         for stream in &awaited {
             let missing = stream.stamps.iter().zip(&stream.is_there);
             let missing = missing.filter(|(_, is_there)| !**is_there);
-            broken.extend(missing.map(|(stamp_ns, _)| (stream.topic.to_owned(), *stamp_ns)));
+            for (stamp_ns, _) in missing {
+                broken.insert(stream.topic, *stamp_ns, || {
+                    "the message gives no picture".to_owned()
+                });
+            }
         }
         let main = awaited.into_iter().next();
         let changes = main.map_or_else(Vec::new, |main| main.changes.levels);

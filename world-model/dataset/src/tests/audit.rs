@@ -111,7 +111,7 @@ fn a_shift_of_the_actions_undoes_a_lag() {
 }
 
 #[test]
-fn stamps_of_no_use_are_refused_with_the_option_to_choose_others() {
+fn unusable_stamps_are_refused_with_the_option_to_choose() {
     let zero = Case {
         stamp_ns: |_| 0,
         ..GOOD

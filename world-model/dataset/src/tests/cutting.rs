@@ -178,7 +178,7 @@ fn frames_without_actions_are_in_no_episode_and_counted() {
     );
 }
 
-/// One message that no robot makes costs the frames around it and no more.
+/// One implausible message costs the frames around it and no more.
 #[test]
 fn an_implausible_action_is_cut_out_and_named() {
     // No number; 3 m/s at 5 Hz; and at 10 Hz what is 2 m/s at 5 Hz.
@@ -198,10 +198,7 @@ fn an_implausible_action_is_cut_out_and_named() {
         assert!(reds.len() >= 16 && !reds.contains(&10), "{value}: {reds:?}");
         assert_eq!(outcome.lengths().len(), 2);
         let left = outcome.left_out();
-        assert!(
-            left.contains("1 action: no robot makes them"),
-            "{value}: {left}"
-        );
+        assert!(left.contains("1 action: implausible"), "{value}: {left}");
     }
 }
 

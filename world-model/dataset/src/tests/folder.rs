@@ -123,8 +123,8 @@ fn a_prepared_folder_is_what_the_bags_are() {
     assert_eq!(fitted.training.action_space(), &statistics.action_space);
     assert_eq!(statistics.action_space.dimensions()[0].scale, 100.0);
     assert_eq!(statistics.names[0], "dx");
-    let told = statistics.instructions.get("stack the cubes").copied();
-    assert_eq!(told, Some(direct.training.episodes().len()));
+    let episodes = statistics.instructions.get("stack the cubes").copied();
+    assert_eq!(episodes, Some(direct.training.episodes().len()));
 
     // It is never overwritten, and options that it cannot follow are no options.
     let error = wm_dataset(&line).unwrap_err().to_string();
@@ -282,6 +282,25 @@ fn several_folders_and_bags_are_one_data_set() {
     let reds: Vec<u8> = (0..15).map(|i| training.frame(i).unwrap()[0]).collect();
     assert_eq!(reds, [0, 1, 2, 3, 0, 1, 2, 3, 4, 0, 1, 2, 3, 4, 5]);
     assert_eq!(training.frame(15), None);
+}
+
+/// A recorder that is killed while it compresses leaves a file in two forms.
+#[test]
+fn a_file_in_two_forms_is_one_bag() {
+    let dir = tempfile::tempdir().unwrap();
+    let bags = bags(dir.path(), 1);
+    let loose = dir.path().join("loose");
+    fs::create_dir(&loose).unwrap();
+    let file = bags.join("episode_0/episode_0_0.mcap");
+    for name in ["run_0.mcap", "run_0.mcap.zstd"] {
+        fs::copy(&file, loose.join(name)).unwrap();
+    }
+    let outcome = Outcome::of(&loose, DataOptions::default()).unwrap();
+    assert_eq!(outcome.lengths(), [4]);
+    let left = outcome.left_out();
+    for named in ["run_0.mcap.zstd: the same file", "run_0.mcap is read"] {
+        assert!(left.contains(named), "{named}: {left}");
+    }
 }
 
 #[test]

@@ -118,7 +118,7 @@ fn several_cameras_are_cut_one_by_one() {
 }
 
 #[test]
-fn a_view_says_what_the_models_picture_shows() {
+fn a_view_gives_the_part_that_the_model_sees() {
     let (from, to) = (size(1280, 720), size(256, 256));
     let view = |fit: Fit| fit.placement(from, to).unwrap().view(to);
     assert_eq!(view(Fit::Stretch), [0.0, 0.0, 1280.0, 720.0]);

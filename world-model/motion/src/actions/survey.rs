@@ -21,7 +21,7 @@ const LEAST_ACTIONS: usize = 5;
 /// How far a gripper's values may lie outside of closed and open, as a share of the range: measured openings do.
 const GRIPPER_SLACK: f32 = 0.1;
 
-/// Motion that is none but for rounding \[m, rad\].
+/// Rounding errors of zero motion \[m, rad\].
 const IDLE: f32 = 1e-6;
 /// Change of a state that is more than noise \[m, rad\].
 const MOVED: f32 = 2e-3;

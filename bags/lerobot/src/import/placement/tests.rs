@@ -171,3 +171,28 @@ fn a_video_of_one_episode_needs_a_frame_for_each_row() {
     );
     assert!(place(&Times(&[]), FPS, &members)[&0].is_err());
 }
+
+#[test]
+fn lengths_beyond_all_bounds_are_refused() {
+    let member = |index| Member {
+        index,
+        length: usize::MAX / 2,
+        from_s: index as f64,
+    };
+    for times in [shown(100, FPS), vec![0.0, 0.1, 0.3, 0.4]] {
+        let found = placed(&times, &[member(0), member(1), member(2)]);
+        assert_eq!(found, [None, None, None]);
+    }
+}
+
+#[test]
+fn thousands_of_episodes_at_one_place_are_refused() {
+    let member = |index| Member {
+        index,
+        length: 10,
+        from_s: 0.0,
+    };
+    let members: Vec<Member> = (0..20_000).map(member).collect();
+    let found = placed(&shown(10, FPS), &members);
+    assert!(found.iter().all(Option::is_none));
+}
