@@ -17,7 +17,7 @@ use std::{
 use crate::LeRobotError;
 use dataset::DatasetWriter;
 use episode::Episode;
-use reading::ReadBag;
+use reading::BagContent;
 use recording::{Part, Recording, Silence};
 
 /// How bags are exported.
@@ -136,7 +136,7 @@ fn write(bags: &[PathBuf], out: &Path, options: &ExportOptions) -> Result<Export
     let mut writer: Option<DatasetWriter> = None;
     let mut found = Exported::default();
     for bag in bags {
-        let read = ReadBag::read(bag, &options.cameras)?;
+        let read = BagContent::read(bag, &options.cameras)?;
         let fps = match (&writer, options.fps) {
             (Some(writer), _) => writer.fps(),
             (None, Some(fps)) => fps,

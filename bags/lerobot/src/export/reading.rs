@@ -21,9 +21,9 @@ use crate::{
     },
 };
 
-/// A bag that has been read: a recording for each span of log times without a gap and without a step of the clock.
+/// The content of a bag: a recording for each span of log times without a gap and without a step of the clock.
 #[derive(Debug)]
-pub(super) struct ReadBag {
+pub(super) struct BagContent {
     pub recordings: Vec<Recording>,
     /// Messages that no recording has, in words.
     pub dropped: Vec<String>,
@@ -113,7 +113,7 @@ struct Reading<'a> {
     dropped: BTreeMap<(String, DropReason), (u64, String)>,
 }
 
-impl ReadBag {
+impl BagContent {
     /// Reads all that is small; `cameras` are the topics to take, or none for all.
     pub fn read(bag: &Path, cameras: &[String]) -> Result<Self, LeRobotError> {
         let reader = BagReader::open(bag)?;
@@ -241,7 +241,7 @@ impl Reading<'_> {
         Ok(())
     }
 
-    fn finish(self, reader: &BagReader) -> Result<ReadBag, LeRobotError> {
+    fn finish(self, reader: &BagReader) -> Result<BagContent, LeRobotError> {
         let bag = self.bag;
         let mut all = self.spans.iter().flat_map(|span| &span.actions.values);
         let width = all.next().map_or(0, Vec::len);
@@ -297,7 +297,7 @@ impl Reading<'_> {
             let reasons = [reason].into_iter().chain(dropped.iter().cloned());
             LeRobotError::unsuited(bag, reasons.collect::<Vec<_>>().join("; "))
         })?;
-        Ok(ReadBag {
+        Ok(BagContent {
             recordings,
             dropped,
         })
