@@ -5,6 +5,7 @@ mod file_index;
 pub(crate) mod indexing;
 mod latched;
 mod messages;
+mod passes;
 pub(crate) mod payload;
 pub(crate) mod record;
 mod scan;
@@ -29,6 +30,7 @@ use crate::{
 use file_index::FileIndex;
 pub use messages::{BagMessage, Messages};
 pub(crate) use messages::{StoredMessage, StoredMessages};
+use passes::{Passes, Spans};
 use stored_file::{StoredFile, listed_file, numbered_files};
 use times::{Stretch, Times, main_part};
 
@@ -43,6 +45,8 @@ pub struct BagReader {
     /// Those of the recording itself.
     main_span: Option<(u64, u64)>,
     stretches: Vec<Stretch>,
+    unbroken: Spans,
+    doubled: Spans,
     lost: BTreeMap<String, u64>,
     custom: BTreeMap<String, String>,
     ros_distro: String,
@@ -133,7 +137,15 @@ impl BagReader {
             |(start, end), (next_start, next_end)| (start.min(next_start), end.max(next_end)),
         );
         let mut times = Times::default();
-        index.iter().for_each(|file| times.append(&file.times));
+        let mut passes = Passes::default();
+        for file in &index {
+            times.append(&file.times);
+            let channels = file.channels.values();
+            let channels = channels.filter(|channel| !channel.is_latched);
+            let channels = channels.map(|channel| (&channel.topic.name, &channel.times));
+            passes.append(&file.passes, channels);
+        }
+        let (unbroken, doubled) = passes.spans();
         let stretches = times.stretches();
         warnings.extend(BagWarning::of_times(path, &times, &stretches));
         let main = main_part(&stretches);
@@ -144,6 +156,8 @@ impl BagReader {
             span,
             main_span: main.map(|(part, _)| (part.start_ns, part.end_ns)),
             stretches,
+            unbroken,
+            doubled,
             lost,
             custom,
             ros_distro,
@@ -208,6 +222,25 @@ impl BagReader {
     pub fn gaps_ns(&self) -> impl Iterator<Item = (u64, u64)> + '_ {
         let pairs = self.stretches.iter().zip(self.stretches.iter().skip(1));
         pairs.map(|(one, next)| (one.end_ns, next.start_ns))
+    }
+
+    /// The spans of log time, first and last in ns since the epoch, in order, within which messages follow each other without
+    /// a gap of more than ten seconds, and the recorder's clock is not set back. The last message of a span and the first of
+    /// the next are no neighbours. Latched topics do not count.
+    #[must_use]
+    pub fn unbroken_ns(&self) -> &[(u64, u64)] {
+        &self.unbroken
+    }
+
+    /// Whether this log time was recorded more than once, because the recorder's clock was set back by more than ten seconds:
+    /// the true order of the messages then is unknown.
+    #[must_use]
+    pub fn is_doubled(&self, log_time_ns: u64) -> bool {
+        let begun = self
+            .doubled
+            .partition_point(|(start_ns, _)| *start_ns <= log_time_ns);
+        let last = begun.checked_sub(1).and_then(|last| self.doubled.get(last));
+        last.is_some_and(|(_, end_ns)| log_time_ns <= *end_ns)
     }
 
     /// Messages of all topics. Where a file is damaged, those that can be read.

@@ -1,7 +1,7 @@
 //! `wm-datasets`: imports data sets as bags, and exports bags as data sets. `wm bag import` and `wm bag export` call
 //! it. It is a separate program because the video codecs and parquet take long to build.
 //!
-//! Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done without some of the episodes.
+//! Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done without some of the episodes or parts of bags.
 
 mod mapping;
 
@@ -20,7 +20,7 @@ use wm_import::{Imported, Shard, import_bridge, import_droid};
 use wm_motion::actions::ActionSpace;
 use wm_progress::Progress;
 
-/// Exit code of an import without some of the episodes.
+/// Exit code of an import without some of the episodes, or of an export without some parts of the bags.
 const LEFT_OUT: u8 = 3;
 
 /// Imports data sets as bags, and exports bags as data sets.
@@ -108,7 +108,7 @@ struct Common {
 struct ToLerobot {
     /// Folder for the dataset
     output: PathBuf,
-    /// The bags. A bag is one episode, or several if /task/success separates them
+    /// The bags. A bag is one episode, or several if /task/success or gaps separate them
     #[arg(required = true)]
     bags: Vec<PathBuf>,
     /// Frames per second [default: the rate of /wm/action]
@@ -186,8 +186,8 @@ impl ImportCommand {
 }
 
 impl ToLerobot {
-    /// What was made, in words.
-    fn run(self) -> Result<String> {
+    /// Prints the result, and on standard error what differs from the bags.
+    fn run(self) -> Result<ExitCode> {
         let options = wm_lerobot::ExportOptions {
             fps: self.fps,
             robot_type: self.robot_type,
@@ -198,16 +198,24 @@ impl ToLerobot {
         let progress = Progress::open_ended("exporting", "episodes");
         let exported = wm_lerobot::export(&self.bags, &self.output, &options)?;
         drop(progress);
-        for line in &exported.resampled {
+        for line in exported.resampled.iter().chain(&exported.split) {
             eprintln!("wm-datasets: {line}");
         }
-        Ok(format!(
+        for line in &exported.left_out {
+            eprintln!("wm-datasets: left out: {line}");
+        }
+        writeln!(
+            std::io::stdout().lock(),
             "{}: {} episodes, {} frames at {} a second",
             self.output.display(),
             exported.episodes,
             exported.frames,
             exported.fps
-        ))
+        )?;
+        Ok(match exported.left_out.is_empty() {
+            true => ExitCode::SUCCESS,
+            false => ExitCode::from(LEFT_OUT),
+        })
     }
 }
 
@@ -235,10 +243,7 @@ fn report(imported: &Imported) -> Result<ExitCode> {
 fn run(command: Command) -> Result<ExitCode> {
     match command {
         Command::Import(command) => report(&command.run()?),
-        Command::Export(ExportCommand::Lerobot(command)) => {
-            writeln!(std::io::stdout().lock(), "{}", command.run()?)?;
-            Ok(ExitCode::SUCCESS)
-        }
+        Command::Export(ExportCommand::Lerobot(command)) => command.run(),
     }
 }
 

@@ -28,12 +28,17 @@ fn run(args: &[&str]) -> (i32, String, String) {
 
 /// A bag of four frames whose gripper is `gripper` in the last.
 fn bag(path: &Path, gripper: f32) {
+    bag_at(path, gripper, [0, 200, 400, 600]);
+}
+
+/// The same with frames at these times \[ms\].
+fn bag_at(path: &Path, gripper: f32, times_ms: [u64; 4]) {
     let mut writer = BagWriter::create(path, WriterOptions::default()).unwrap();
     writer
         .add_topic::<Text>("/task/instruction", QosProfile::latched())
         .unwrap();
-    for frame in 0..4u64 {
-        let stamp_ns = 1_700_000_000_000_000_000 + frame * 200_000_000;
+    for (frame, time_ms) in times_ms.into_iter().enumerate() {
+        let stamp_ns = 1_700_000_000_000_000_000 + time_ms * 1_000_000;
         let header = Header {
             stamp: wm_msgs::builtin_interfaces::Time::from_nanos(stamp_ns as i64),
             frame_id: "base_link".into(),
@@ -107,6 +112,27 @@ fn exit_code_says_whether_all_episodes_are_there() {
         assert_eq!(code, 2, "{errors}");
         assert!(errors.contains("CLOSED:OPEN"), "{errors}");
     }
+}
+
+#[test]
+fn export_without_a_part_of_a_bag_ends_with_3() {
+    let scratch = TempDir::new().unwrap();
+    let at = |name: &str| scratch.path().join(name).to_str().unwrap().to_owned();
+    bag_at(&scratch.path().join("a"), 0.0, [0, 200, 60_000, 120_000]);
+    bag_at(&scratch.path().join("b"), 0.0, [0, 200, 60_000, 60_200]);
+    let (code, printed, errors) = run(&["export", "lerobot", &at("one"), &at("a")]);
+    assert_eq!(code, 3, "{errors}");
+    assert!(printed.contains("1 episodes, 2 frames"), "{printed}");
+    assert!(errors.contains("a: split into 3 recordings"), "{errors}");
+    let left_out = "left out: ";
+    assert_eq!(errors.matches(left_out).count(), 2, "{errors}");
+    assert!(
+        errors.contains("a: 1 action(s) and 1 picture(s)"),
+        "{errors}"
+    );
+    let (code, printed, errors) = run(&["export", "lerobot", &at("two"), &at("b")]);
+    assert_eq!(code, 0, "{errors}");
+    assert!(printed.contains("2 episodes, 4 frames"), "{printed}");
 }
 
 #[test]

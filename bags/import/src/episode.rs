@@ -11,10 +11,7 @@ use wm_msgs::{
 };
 
 use crate::{
-    ActionMapping, ImportError,
-    imported::write_whole,
-    mapping::{VALUES, contradiction},
-    origin,
+    ActionMapping, ImportError, ValueSource, imported::write_whole, mapping::VALUES, origin,
 };
 
 /// Bridge V2 is controlled and recorded at 5 Hz (BridgeData V2, arXiv 2308.12952, section 3).
@@ -42,14 +39,14 @@ pub(crate) struct Recorded {
     pub actions: Vec<[f32; VALUES]>,
     /// x y z in m, roll pitch yaw in rad, gripper 0 closed to 1 open; one a frame, or none at all.
     pub states: Vec<[f32; VALUES]>,
-    /// Whether the actions were made of the states, so that a comparison says nothing.
-    pub is_of_states: bool,
+    /// How the actions were made. Of those that were made of the states, a comparison with these says nothing.
+    pub source: ValueSource,
 }
 
 impl Recorded {
     /// Adds it to a survey of Bridge V2's kinds.
     pub fn survey(&self, survey: &mut ActionSurvey) {
-        match self.is_of_states {
+        match self.source.is_of_states {
             true => survey.add(&self.actions, &[] as &[[f32; VALUES]]),
             false => survey.add(&self.actions, &self.states),
         }
@@ -154,7 +151,7 @@ impl Episode {
                 return corrupt(format!("{what} {row} is not finite: {:?}", rows.get(row)));
             }
         }
-        if let Some(reason) = contradiction(&self.recorded.alone()) {
+        if let Some(reason) = self.recorded.source.contradiction(&self.recorded.alone()) {
             return corrupt(reason);
         }
         Ok(self)
@@ -316,7 +313,7 @@ mod tests {
                     .map(|step| [step as f32 * 0.01; VALUES])
                     .collect(),
                 states: vec![[0.1, 0.2, 0.3, 0.0, 0.0, FRAC_PI_2, 1.0]; frames],
-                is_of_states: false,
+                source: ValueSource::default(),
             },
             joints: Some(Joints {
                 names: vec!["shoulder".into(), "elbow".into()],

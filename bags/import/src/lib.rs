@@ -42,6 +42,7 @@ mod jpeg;
 mod mapping;
 mod mp4_npz;
 mod origin;
+mod remedy;
 mod rlds;
 mod run;
 mod source;
@@ -55,8 +56,9 @@ use episode::Found;
 pub use error::ImportError;
 pub use imported::{Imported, Notes, write_whole};
 pub use jpeg::jpeg;
-pub use mapping::{ActionForm, ActionMapping, GripperRange, advice, contradiction, remedy};
+pub use mapping::{ActionForm, ActionMapping, GripperRange};
 pub use origin::origin;
+pub use remedy::ValueSource;
 use source::Source;
 pub use wm_bag::Shard;
 

@@ -1,11 +1,8 @@
-//! How the action values of a data set become those of Bridge V2, and what to do if they contradict their kinds.
+//! How the action values of a data set become those of Bridge V2.
 
 use std::str::FromStr;
 
-use wm_motion::{
-    actions::{ActionSpace, ActionSurvey, Cause, Contradiction, Hint, Kind},
-    motion::turn_between,
-};
+use wm_motion::{actions::ActionSpace, motion::turn_between};
 
 /// Numbers of an action and of a state: three of position, three of rotation, the gripper.
 pub(crate) const VALUES: usize = 7;
@@ -30,7 +27,12 @@ impl GripperRange {
         (value - self.closed) / (self.open - self.closed)
     }
 
-    /// The same for the values of an action, in place.
+    /// The data set's value of an opening.
+    pub(crate) fn value(self, opening: f64) -> f64 {
+        self.closed + opening * (self.open - self.closed)
+    }
+
+    /// The opening of a value of an action, in place.
     pub fn open_to(self, value: &mut f32) {
         // What the messages carry.
         *value = self.opening(f64::from(*value)) as f32;
@@ -172,69 +174,6 @@ pub(crate) fn motions(poses: &[[f64; VALUES]]) -> Vec<[f32; VALUES]> {
             [nx - x, ny - y, nz - z, droll, dpitch, dyaw, gripper].map(|value| value as f32)
         })
         .collect()
-}
-
-/// A contradiction with the option that maps the values, in words.
-#[must_use]
-pub fn remedy(found: &Contradiction) -> String {
-    let range = |closed: f32, open: f32| {
-        format!(
-            "map them with --gripper-range {closed}:{open}, or {open}:{closed} if {open} is closed"
-        )
-    };
-    let is_hand = matches!(found.kind, Kind::TranslationDelta | Kind::RotationDelta);
-    let is_angle = found.unit.starts_with("rad");
-    let option = match found.cause {
-        Cause::Gripper { closed, open } => range(closed, open),
-        Cause::Absolute if is_hand => "map them with --actions absolute".to_owned(),
-        Cause::Absolute => "describe them as joint_position in --action-space FILE".to_owned(),
-        Cause::Degrees if is_hand => "map them with --rotation-scale 0.0174533".to_owned(),
-        Cause::Degrees => "give the unit deg (or deg/s) in --action-space FILE".to_owned(),
-        Cause::Millimetres if is_hand => "map them with --translation-scale 0.001".to_owned(),
-        Cause::Millimetres => "give the unit mm (or mm/s) in --action-space FILE".to_owned(),
-        Cause::Normalised if is_hand && is_angle => {
-            "map them with --rotation-scale RAD, the angle of a value of 1, or with --actions velocity".to_owned()
-        }
-        Cause::Normalised if is_hand => {
-            "map them with --translation-scale METRES, the way of a value of 1, or with --actions velocity".to_owned()
-        }
-        Cause::Normalised | Cause::TooFar => {
-            "give the kind and the unit in --action-space FILE, or repair the data".to_owned()
-        }
-    };
-    match (found.cause, is_hand) {
-        (Cause::TooFar, true) => found.to_string(),
-        _ => format!("{found}; {option}"),
-    }
-}
-
-/// A hint with the option that maps the values, in words.
-#[must_use]
-pub fn advice(hint: &Hint) -> String {
-    match hint {
-        Hint::GripperRange { measured, .. } => format!(
-            "{hint}; if these are its ends, map them with --gripper-range {}:{}",
-            measured.low, measured.high
-        ),
-        Hint::GripperInverted { .. } | Hint::GripperOpposed => {
-            format!("{hint}; if so, map it with --gripper-range 1:0")
-        }
-        Hint::Scale { .. } => {
-            format!("{hint}; if so, map it with --actions velocity, or with --translation-scale")
-        }
-        _ => hint.to_string(),
-    }
-}
-
-/// The first contradiction of an episode or a data set with the option that maps the values; none if there is none.
-#[must_use]
-pub fn contradiction(survey: &ActionSurvey) -> Option<String> {
-    let found = survey.contradictions();
-    let first = found.first()?;
-    Some(match found.len() {
-        1 => remedy(first),
-        count => format!("{} (and {} more of its values)", remedy(first), count - 1),
-    })
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@ mod arrays;
 use std::path::PathBuf;
 
 use crate::{
-    ActionMapping, ImportError,
+    ActionMapping, ImportError, ValueSource,
     episode::{BRIDGE_PERIOD_NS, Episode, Found, Recorded, Unread, bridge_cameras},
     mapping::VALUES,
     video::Video,
@@ -79,7 +79,10 @@ fn recorded(mut actions: Vec<[f32; VALUES]>, mapping: &ActionMapping) -> Recorde
         period_ns: BRIDGE_PERIOD_NS,
         actions,
         states: Vec::new(),
-        is_of_states: false,
+        source: ValueSource {
+            gripper: mapping.gripper,
+            is_of_states: false,
+        },
     }
 }
 

@@ -19,7 +19,7 @@ use std::{
 };
 
 use crate::{
-    ActionMapping, ImportError,
+    ActionMapping, ImportError, ValueSource,
     episode::{BRIDGE_PERIOD_NS, Camera, Episode, Found, Recorded, Unread, bridge_cameras},
     mapping::VALUES,
 };
@@ -184,7 +184,10 @@ fn content(example: &Example, mapping: &ActionMapping) -> Result<Content, String
             period_ns: BRIDGE_PERIOD_NS,
             actions,
             states,
-            is_of_states: false,
+            source: ValueSource {
+                gripper: mapping.gripper,
+                is_of_states: false,
+            },
         },
         joints: None,
     })

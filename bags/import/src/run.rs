@@ -4,11 +4,7 @@ use std::path::Path;
 
 use wm_motion::actions::{ActionSpace, ActionSurvey, Cause};
 
-use crate::{
-    ImportError, ImportOptions, Imported,
-    episode::Found,
-    mapping::{advice, contradiction},
-};
+use crate::{ImportError, ImportOptions, Imported, ValueSource, episode::Found};
 
 /// Episodes that are measured before the first is imported; the same for each shard.
 const SURVEYED: usize = 256;
@@ -22,10 +18,10 @@ pub(crate) fn import<I: Iterator<Item = Found>>(
 ) -> Result<Imported, ImportError> {
     let mut imported = Imported::default();
     let most = options.episodes.unwrap_or(usize::MAX);
-    if let Some(survey) = survey(episodes()?, most, src, options)? {
+    if let Some((survey, source)) = survey(episodes()?, most, src, options)? {
         imported.ranges = Some(survey.to_string());
         for hint in survey.hints() {
-            imported.notes.of_data(advice(&hint));
+            imported.notes.of_data(source.advice(&hint));
         }
     }
     let mut first_error = None;
@@ -89,8 +85,8 @@ fn survey(
     most: usize,
     src: &Path,
     options: &ImportOptions,
-) -> Result<Option<ActionSurvey>, ImportError> {
-    let mut whole: Option<ActionSurvey> = None;
+) -> Result<Option<(ActionSurvey, ValueSource)>, ImportError> {
+    let mut whole: Option<(ActionSurvey, ValueSource)> = None;
     let mut contradicting = 0;
     let found = episodes.filter_map(Result::ok);
     for unread in found.take(most.min(SURVEYED)) {
@@ -104,16 +100,20 @@ fn survey(
         }
         let alone = recorded.alone();
         contradicting += usize::from(!alone.contradictions().is_empty());
-        let whole =
-            whole.get_or_insert_with(|| ActionSurvey::new(ActionSpace::bridge(), recorded.rate()));
+        let (whole, _) = whole.get_or_insert_with(|| {
+            let survey = ActionSurvey::new(ActionSpace::bridge(), recorded.rate());
+            (survey, recorded.source)
+        });
         recorded.survey(whole);
     }
-    let Some(whole) = whole else { return Ok(None) };
+    let Some((whole, source)) = whole else {
+        return Ok(None);
+    };
     let found = whole.contradictions();
     let is_gripper = |cause: &Cause| matches!(cause, Cause::Gripper { .. });
     let has_gripper = found.iter().any(|found| is_gripper(&found.cause));
     if (has_gripper || 2 * contradicting > whole.episodes())
-        && let Some(reason) = contradiction(&whole)
+        && let Some(reason) = source.contradiction(&whole)
     {
         return Err(ImportError::Contradiction {
             path: src.to_owned(),
@@ -122,5 +122,5 @@ fn survey(
             reason,
         });
     }
-    Ok(Some(whole))
+    Ok(Some((whole, source)))
 }

@@ -66,6 +66,14 @@ impl LeRobotError {
         }
     }
 
+    /// The reason without the bag's name.
+    pub(crate) fn reason(&self) -> String {
+        match self {
+            Self::Unsuited { reason, .. } => reason.clone(),
+            other => other.to_string(),
+        }
+    }
+
     pub(crate) fn io(file: &Path, reason: std::io::Error) -> Self {
         Self::Io {
             file: file.to_owned(),

@@ -4,6 +4,7 @@ mod dataset;
 mod episode;
 mod meta;
 mod place;
+mod reading;
 mod recording;
 mod video;
 
@@ -16,7 +17,8 @@ use std::{
 use crate::LeRobotError;
 use dataset::DatasetWriter;
 use episode::Episode;
-use recording::Recording;
+use reading::BagContent;
+use recording::{Part, Recording, Silence};
 
 /// How bags are exported.
 #[derive(Clone, Debug)]
@@ -60,6 +62,10 @@ pub struct Exported {
     pub fps: u32,
     /// What the bags' times did not allow: topic, and how many frames repeat a message or messages are left out.
     pub resampled: Vec<String>,
+    /// Bags that are split into several episodes because of gaps, or because the clock was set back, in words.
+    pub split: Vec<String>,
+    /// Parts of bags that are in no episode, and why, in words.
+    pub left_out: Vec<String>,
 }
 
 /// Writes bags as a LeRobot v3.0 dataset: one episode a bag, or several where the bag says `/task/success` several times,
@@ -68,6 +74,10 @@ pub struct Exported {
 /// The frames of an episode are `1 / fps` apart, from when every topic has a message until one has none any more; each
 /// takes the message of every topic that is nearest in time (the header's stamp; for messages without, when they were
 /// recorded).
+///
+/// No episode goes over a gap: a new one begins after ten seconds without a message, where the recorder's clock is set back,
+/// and where a camera, the actions, joints or the pose are silent for longer than ten of their periods, at least a second.
+/// What was recorded twice because the clock was set back is in no episode.
 ///
 /// # Errors
 /// A bag cannot be read, has no camera or no `/wm/action`, or another state, action or picture size than the first; a
@@ -124,29 +134,109 @@ impl Drop for Unfinished<'_> {
 
 fn write(bags: &[PathBuf], out: &Path, options: &ExportOptions) -> Result<Exported, LeRobotError> {
     let mut writer: Option<DatasetWriter> = None;
-    let mut resampled = Vec::new();
+    let mut found = Exported::default();
     for bag in bags {
-        let recording = Recording::read(bag, &options.cameras)?;
+        let read = BagContent::read(bag, &options.cameras)?;
         let fps = match (&writer, options.fps) {
             (Some(writer), _) => writer.fps(),
             (None, Some(fps)) => fps,
-            (None, None) => recording.fps()?,
+            (None, None) => Recording::fps(&read.recordings, bag)?,
         };
-        for part in recording.parts() {
-            let episode = Episode::sample(&recording, part, fps, &options.task)?;
-            resampled.extend(episode.resampled());
+        let silences: Vec<Vec<Silence>> = read.recordings.iter().map(Recording::silences).collect();
+        let parts = parts(&read.recordings, &silences);
+        let mut written = 0;
+        let mut first_error = None;
+        for (recording, part) in &parts {
+            let sampled = Episode::sample(recording, part, fps, &options.task);
+            let episode = match sampled {
+                Ok(episode) if parts.len() == 1 || episode.frames() > 1 => episode,
+                Ok(_) => {
+                    found.left_out.push(left_out(recording, part, "one frame"));
+                    continue;
+                }
+                Err(error) => {
+                    let reason = error.reason();
+                    found.left_out.push(left_out(recording, part, &reason));
+                    first_error.get_or_insert(error);
+                    continue;
+                }
+            };
+            found.resampled.extend(episode.resampled());
             let writer = match &mut writer {
                 Some(writer) => writer,
                 none => none.insert(DatasetWriter::create(
-                    out, fps, &recording, &episode, options,
+                    out, fps, recording, &episode, options,
                 )?),
             };
-            writer.write(&recording, &episode)?;
+            writer.write(recording, &episode)?;
+            written += 1;
             tracing::info!(bag = %bag.display(), frames = episode.frames(), "exported");
         }
+        if written == 0 {
+            let nothing =
+                || LeRobotError::unsuited(bag, "no two frames without a gap between them");
+            return Err(first_error.unwrap_or_else(nothing));
+        }
+        found.resampled.extend(read.dropped);
+        found.split.extend(split(bag, &read.recordings, &silences));
     }
     let writer = writer.ok_or_else(|| LeRobotError::Nothing("no bag was given".to_owned()))?;
-    let mut exported = writer.finish()?;
-    exported.resampled = resampled;
-    Ok(exported)
+    let exported = writer.finish()?;
+    Ok(Exported {
+        episodes: exported.episodes,
+        frames: exported.frames,
+        fps: exported.fps,
+        ..found
+    })
+}
+
+/// The parts of a bag's spans that hold something.
+fn parts<'a>(recordings: &'a [Recording], silences: &[Vec<Silence>]) -> Vec<(&'a Recording, Part)> {
+    let spans = recordings.iter().zip(silences);
+    let all = spans.flat_map(|(span, silences)| {
+        let parts = span.parts(silences).into_iter();
+        parts.map(move |part| (span, part))
+    });
+    let mut all: Vec<(&Recording, Part)> = all.collect();
+    if all.len() > 1 {
+        all.retain(|(span, part)| span.count(part) != (0, 0));
+    }
+    all
+}
+
+fn left_out(recording: &Recording, part: &Part, reason: &str) -> String {
+    let (actions, pictures) = recording.count(part);
+    format!(
+        "{}: {actions} action(s) and {pictures} picture(s) between two gaps: {reason}",
+        recording.bag.display()
+    )
+}
+
+/// Why a bag is split, in words.
+fn split(bag: &Path, recordings: &[Recording], silences: &[Vec<Silence>]) -> Vec<String> {
+    let seconds = |(before, after): (u64, u64)| after.saturating_sub(before) as f64 / 1e9;
+    let mut lines = Vec::new();
+    let filled = recordings
+        .iter()
+        .filter(|span| !span.actions.stamps.is_empty());
+    let spans = filled.count();
+    if spans > 1 {
+        lines.push(format!(
+            "{}: split into {spans} recordings, where it has gaps of more than 10 s or its clock is set back",
+            bag.display()
+        ));
+    }
+    let longest = |silence: &&Silence| silence.time.1 - silence.time.0;
+    let all = || silences.iter().flatten();
+    if let Some(silence) = all().max_by_key(longest) {
+        lines.push(format!(
+            "{}: split at {} gap(s) of a topic, the longest of {:.3} s on {} after the stamp {} ns",
+            bag.display(),
+            all().count(),
+            seconds(silence.time),
+            silence.topic,
+            silence.time.0
+        ));
+    }
+    lines
 }

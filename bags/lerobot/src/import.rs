@@ -10,7 +10,7 @@ mod videos;
 use std::{ops::RangeInclusive, path::Path};
 
 use wm_bag::Shard;
-use wm_import::{ActionMapping, Imported, advice, contradiction, remedy};
+use wm_import::{ActionMapping, Imported};
 use wm_motion::actions::{ActionSpace, ActionSurvey, Cause, Dimension, Kind};
 
 use crate::{
@@ -157,7 +157,7 @@ fn mapped(
         if let Some(space) = &actions.space {
             let mut survey = ActionSurvey::new(space.clone(), dataset.info.fps);
             survey.add(&episode.actions, &[] as &[Vec<f32>]);
-            if let Some(reason) = contradiction(&survey) {
+            if let Some(reason) = actions.source().contradiction(&survey) {
                 return Err(LeRobotError::corrupt(&entry.data, reason));
             }
         }
@@ -198,22 +198,23 @@ fn survey(
         return Ok(());
     }
     imported.ranges = Some(whole.to_string());
+    let source = actions.source();
     let found = whole.contradictions();
     if actions.space.is_none() {
         // Kinds by name are a guess.
         for found in &found {
-            imported.notes.of_data(remedy(found));
+            imported.notes.of_data(source.remedy(found));
         }
         let hints = whole.hints();
         hints
             .iter()
-            .for_each(|hint| imported.notes.of_data(advice(hint)));
+            .for_each(|hint| imported.notes.of_data(source.advice(hint)));
         return Ok(());
     }
     let is_gripper = |cause: &Cause| matches!(cause, Cause::Gripper { .. });
     let has_gripper = found.iter().any(|found| is_gripper(&found.cause));
     if (has_gripper || 2 * contradicting > whole.episodes())
-        && let Some(reason) = contradiction(&whole)
+        && let Some(reason) = source.contradiction(&whole)
     {
         return Err(wm_import::ImportError::Contradiction {
             path: src.to_owned(),
@@ -224,7 +225,7 @@ fn survey(
         .into());
     }
     for hint in whole.hints() {
-        imported.notes.of_data(advice(&hint));
+        imported.notes.of_data(source.advice(&hint));
     }
     Ok(())
 }

@@ -16,10 +16,21 @@ pub struct InvalidNanoseconds {
     pub nanosec: u32,
 }
 
+/// Seconds and nanoseconds as they come from a peer or a bag.
+#[derive(Deserialize)]
+struct Unchecked {
+    sec: i32,
+    nanosec: u32,
+}
+
 /// A point in time: seconds since the clock's epoch and nanoseconds onwards from there.
+///
+/// Decoding refuses a message whose `nanosec` is a second or more: it is [`InvalidNanoseconds`], and counted like any other
+/// message that cannot be decoded.
 #[derive(
     Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
 )]
+#[serde(try_from = "Unchecked")]
 pub struct Time {
     /// Whole seconds \[s\], rounded towards the past.
     pub sec: i32,
@@ -27,10 +38,11 @@ pub struct Time {
     pub nanosec: u32,
 }
 
-/// A span of time, negative ones included.
+/// A span of time, negative ones included. Decoding refuses the same as of a [`Time`].
 #[derive(
     Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
 )]
+#[serde(try_from = "Unchecked")]
 pub struct Duration {
     /// Whole seconds \[s\], rounded towards minus infinity.
     pub sec: i32,
@@ -45,6 +57,22 @@ fn split(nanos: i64) -> (i32, u32) {
         Ok(sec) => (sec, nanos.rem_euclid(NANOS) as u32),
         Err(_) if nanos < 0 => (i32::MIN, 0),
         Err(_) => (i32::MAX, 999_999_999),
+    }
+}
+
+impl TryFrom<Unchecked> for Time {
+    type Error = InvalidNanoseconds;
+
+    fn try_from(Unchecked { sec, nanosec }: Unchecked) -> Result<Self, InvalidNanoseconds> {
+        checked(sec, nanosec).map(|_| Self { sec, nanosec })
+    }
+}
+
+impl TryFrom<Unchecked> for Duration {
+    type Error = InvalidNanoseconds;
+
+    fn try_from(Unchecked { sec, nanosec }: Unchecked) -> Result<Self, InvalidNanoseconds> {
+        checked(sec, nanosec).map(|_| Self { sec, nanosec })
     }
 }
 
@@ -67,7 +95,8 @@ impl Time {
         Self { sec, nanosec }
     }
 
-    /// Nanoseconds since the epoch, of a received message.
+    /// Nanoseconds since the epoch, of a message that another node of this process may have made: such a message is not
+    /// decoded.
     ///
     /// # Errors
     /// [`InvalidNanoseconds`].
@@ -75,7 +104,7 @@ impl Time {
         checked(self.sec, self.nanosec)
     }
 
-    /// Nanoseconds since the epoch, of a time that is known to be valid.
+    /// Nanoseconds since the epoch, of a time that was decoded or made here.
     pub fn to_nanos(self) -> i64 {
         join(self.sec, self.nanosec)
     }
@@ -88,7 +117,7 @@ impl Duration {
         Self { sec, nanosec }
     }
 
-    /// The span in nanoseconds, of a received message.
+    /// The span in nanoseconds, of a message that another node of this process may have made: such a message is not decoded.
     ///
     /// # Errors
     /// [`InvalidNanoseconds`].
@@ -96,7 +125,7 @@ impl Duration {
         checked(self.sec, self.nanosec)
     }
 
-    /// The span in nanoseconds, if it is known to be valid.
+    /// The span in nanoseconds, if it was decoded or made here.
     pub fn to_nanos(self) -> i64 {
         join(self.sec, self.nanosec)
     }
@@ -118,6 +147,7 @@ message!(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{cdr, std_msgs::Header};
     use proptest::prelude::*;
 
     #[test]
@@ -163,7 +193,30 @@ mod tests {
         assert_eq!(last.checked_nanos(), Ok(5_999_999_999));
     }
 
+    #[test]
+    fn a_message_with_a_second_of_nanoseconds_is_not_decoded() {
+        for nanosec in [1_000_000_000, 1_999_999_999, u32::MAX] {
+            let header = Header {
+                stamp: Time { sec: 5, nanosec },
+                frame_id: "camera".into(),
+            };
+            let bytes = cdr::to_bytes(&header).unwrap();
+            let error = cdr::from_bytes::<Header>(&bytes).unwrap_err().to_string();
+            let expected = format!("5 s and {nanosec} ns: expected less than 1e9 ns");
+            assert!(error.contains(&expected), "{error}");
+            let bytes = cdr::to_bytes(&Duration { sec: 5, nanosec }).unwrap();
+            assert!(cdr::from_bytes::<Duration>(&bytes).is_err());
+        }
+    }
+
     proptest! {
+        #[test]
+        fn decoded_times_are_valid(sec in any::<i32>(), nanosec in any::<u32>()) {
+            let time = Time { sec, nanosec };
+            let decoded = cdr::from_bytes::<Time>(&cdr::to_bytes(&time).unwrap());
+            prop_assert_eq!(decoded.ok(), time.checked_nanos().ok().map(|_| time));
+        }
+
         #[test]
         fn nanoseconds_survive(sec in any::<i32>(), nanosec in 0u32..1_000_000_000) {
             let time = Time { sec, nanosec };

@@ -1,7 +1,8 @@
 //! The recorder node: records topics into a bag, their bytes unchanged.
 //!
 //! Topics are found as they appear ([`selection`]), each is subscribed with the quality of service that its publishers
-//! offer, and its definition comes from this suite or from the ROS packages on `AMENT_PREFIX_PATH` ([`wm_bag::definitions`]).
+//! offer, and its definition comes from this suite or from the ROS packages on `AMENT_PREFIX_PATH` ([`wm_bag::definitions`]),
+//! else from a live publisher (`lookup`).
 //! The bag is written on a separate thread, chunk by chunk: a killed recorder loses at most the open chunk. Messages
 //! that are missing from the bag are counted by topic and cause, and reported at the end (`losses`).
 //!
@@ -12,6 +13,7 @@
 //! Not here: the bag's format (`wm_bag`).
 
 pub mod definitions;
+mod lookup;
 mod losses;
 mod node;
 mod options;

@@ -123,6 +123,8 @@ pub(crate) struct Seen {
     pub(crate) id: EndpointId,
     /// Whether it is of this participant.
     pub(crate) is_own: bool,
+    /// The hash of its type, if a publisher of another participant announces it.
+    pub(crate) type_hash: Option<String>,
 }
 
 /// A middleware.

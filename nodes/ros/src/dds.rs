@@ -52,6 +52,7 @@ mod second;
 mod shared;
 #[cfg(test)]
 mod tests;
+mod type_hash;
 mod window;
 mod wire;
 mod writer;
@@ -282,31 +283,35 @@ impl Backend for Dds {
         let Some(participant) = participant.as_ref() else {
             return seen;
         };
-        let mut see = |guid: rustdds::GUID, name: &str, dds_type: &str, qos, is_writer| {
-            let id = guid.to_bytes();
-            // Where multicast reflects them, a participant discovers its own endpoints too.
-            if self.shared.is_own(&id) {
-                return;
-            }
-            if let Some((channel, name, type_name)) = ros_names(name, dds_type) {
-                seen.push(Seen {
-                    channel,
-                    name,
-                    type_name,
-                    qos,
-                    is_writer,
-                    id,
-                    is_own: false,
-                });
-            }
-        };
+        // Of a writer, its user data too.
+        let mut see =
+            |guid: rustdds::GUID, name: &str, dds_type: &str, qos, writer: Option<&[u8]>| {
+                let id = guid.to_bytes();
+                // Where multicast reflects them, a participant discovers its own endpoints too.
+                if self.shared.is_own(&id) {
+                    return;
+                }
+                if let Some((channel, name, type_name)) = ros_names(name, dds_type) {
+                    seen.push(Seen {
+                        channel,
+                        name,
+                        type_name,
+                        qos,
+                        is_writer: writer.is_some(),
+                        id,
+                        is_own: false,
+                        type_hash: writer.and_then(type_hash::announced),
+                    });
+                }
+            };
         for writer in participant.discovered_writers() {
             let (guid, topic) = (
                 writer.writer_proxy.remote_writer_guid,
                 &writer.publication_topic_data,
             );
             let qos = qos::from_dds(&topic.qos());
-            see(guid, &topic.topic_name, &topic.type_name, qos, true);
+            let user_data = Some(&writer.user_data[..]);
+            see(guid, &topic.topic_name, &topic.type_name, qos, user_data);
         }
         for reader in participant.discovered_readers() {
             let (guid, topic) = (
@@ -314,7 +319,7 @@ impl Backend for Dds {
                 &reader.subscription_topic_data,
             );
             let qos = qos::from_dds(&topic.qos());
-            see(guid, topic.topic_name(), topic.type_name(), qos, false);
+            see(guid, topic.topic_name(), topic.type_name(), qos, None);
         }
         seen
     }

@@ -2,6 +2,7 @@
 
 mod actions;
 mod builtin;
+mod description;
 mod graph;
 mod interfaces;
 mod overrides;
@@ -378,6 +379,24 @@ impl Node {
     ) -> Result<RawSubscription, Error> {
         let hears = Hears {
             latched: true,
+            ..Hears::default()
+        };
+        self.subscribe(topic, TypeName::parse_message(type_name)?, qos, hears)
+    }
+
+    /// As [`subscription_to_any`](Self::subscription_to_any), of any type, `package/msg/Type`, as CDR bytes.
+    ///
+    /// # Errors
+    /// A name that ROS does not allow, or the middleware failed.
+    pub fn raw_subscription_to_any(
+        &self,
+        topic: &str,
+        type_name: &str,
+        qos: Qos,
+    ) -> Result<RawSubscription, Error> {
+        let hears = Hears {
+            latched: true,
+            best_effort: true,
             ..Hears::default()
         };
         self.subscribe(topic, TypeName::parse_message(type_name)?, qos, hears)

@@ -29,6 +29,7 @@ mod recording;
 mod search;
 mod size;
 mod source_sizes;
+mod spans;
 mod split;
 mod statistics;
 mod store;

@@ -1,4 +1,7 @@
-use std::collections::{BTreeMap, BTreeSet};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    sync::Arc,
+};
 
 use wm_audit::{ActionTrack, Finding, JOINTS_TOPIC, POSE_TOPICS, Recorded, Stamps, StateLog};
 use wm_bag::{BagError, BagMessage, BagReader, TopicInfo};
@@ -18,6 +21,7 @@ use super::{
     cameras::{CAMERA, MASK, base, cameras},
     manifest::Thing,
     options::StampSource,
+    spans::Spans,
 };
 
 const INSTRUCTION: &str = "/task/instruction";
@@ -169,8 +173,10 @@ impl Recording {
             has_cut_topic: settings.cut_topics.iter().any(|name| has_messages(name)),
             complaints: Vec::new(),
         };
-        let mut unreadable: (u64, Option<String>) = (0, None);
+        // By topic: how many, and what is wrong with the first.
+        let mut unreadable: BTreeMap<Option<Arc<str>>, (u64, String)> = BTreeMap::new();
         let mut skipped = 0;
+        let mut spans = Spans::of(reader);
         let wanted = recording.streams.iter().map(|s| s.topic.as_str());
         let wanted = wanted.chain(settings.cut_topics.iter().map(String::as_str));
         let wanted = wanted.chain([action_topic, INSTRUCTION, SUCCESS]);
@@ -178,11 +184,19 @@ impl Recording {
         let wanted = wanted.chain(state_topics.iter().copied());
         let messages = reader.messages().only_topics(wanted);
         for message in messages {
+            let topic = message.as_ref().ok().map(|m| Arc::clone(&m.topic));
             let read = message
                 .map_err(|error| Unusable::Lacks(error.to_string()))
                 .and_then(|message| {
+                    if spans.begins(message.log_time_ns) {
+                        recording.cut();
+                    }
+                    let is_latched = [INSTRUCTION, SUCCESS, LABELS].contains(&&*message.topic);
+                    if !is_latched && spans.doubles(message.log_time_ns) {
+                        return Ok(true);
+                    }
                     if state_topics.contains(&&*message.topic) {
-                        recording.take_state(&message, settings);
+                        recording.take_state(&message, settings)?;
                     }
                     recording.take(&message, settings, space, broken)
                 });
@@ -190,17 +204,22 @@ impl Recording {
                 Ok(true) => {}
                 Ok(false) => skipped += 1,
                 Err(Unusable::Lacks(what)) => {
-                    unreadable.0 += 1;
-                    unreadable.1.get_or_insert(what);
+                    unreadable.entry(topic).or_insert((0, what)).0 += 1;
                 }
                 Err(other) => return Err(other),
             }
         }
         recording.actions.sort(space).map_err(Unusable::Differs)?;
-        if let (count, Some(first)) = unreadable {
+        for (count, first) in unreadable.into_values() {
             recording
                 .complaints
                 .push((count, Thing::Message, format!("cannot be read: {first}")));
+        }
+        if spans.doubled > 0 {
+            let what = "the recorder's clock was set back, so that their true order is unknown";
+            recording
+                .complaints
+                .push((spans.doubled, Thing::Message, what.to_owned()));
         }
         if skipped > 0 {
             let what = format!("cannot be decoded: {}", broken.reasons());
@@ -209,17 +228,26 @@ impl Recording {
         recording.finish(settings)
     }
 
-    /// Takes a message with the arm's state. What cannot be read is skipped: the audit alone needs it.
-    fn take_state(&mut self, message: &BagMessage, settings: &Settings) {
+    /// Begins an episode with the next picture.
+    fn cut(&mut self) {
+        self.cuts.push(self.place());
+    }
+
+    /// Number of the next picture of the first camera.
+    fn place(&self) -> usize {
+        self.streams.first().map_or(0, |main| main.pictures.len())
+    }
+
+    /// Takes a message with the arm's state, which the audit alone needs.
+    fn take_state(&mut self, message: &BagMessage, settings: &Settings) -> Result<(), Unusable> {
         let recorded = &mut self.recorded;
         let at_ns = |header_ns| {
             let stamps = Stamps::of_bag(message, header_ns);
             recorded.state(&message.topic, stamps);
             settings.stamps.of(stamps)
         };
-        if let Err(error) = self.state.take(message, at_ns) {
-            tracing::debug!("state skipped: {error}");
-        }
+        let taken = self.state.take(message, at_ns);
+        taken.map_err(|error| Unusable::Lacks(error.to_string()))
     }
 
     /// Takes a message; `false` for a picture that is known to be broken.
@@ -231,7 +259,7 @@ impl Recording {
         broken: &Broken,
     ) -> Result<bool, Unusable> {
         let topic = &*message.topic;
-        let place = self.streams.first().map_or(0, |main| main.pictures.len());
+        let place = self.place();
         let at = |what: String| format!("{topic} at {} ns: {what}", message.log_time_ns);
         let lacks = |error: BagError| Unusable::Lacks(at(error.to_string()));
         if settings.cut_topics.iter().any(|name| name == topic) {
@@ -308,7 +336,11 @@ impl Recording {
         }
         for stream in &self.streams {
             if stream.pictures.is_empty() {
-                let why = self.complaints.first();
+                let why = self.complaints.iter();
+                let why = why
+                    .clone()
+                    .find(|(_, _, what)| what.contains(&stream.topic))
+                    .or_else(|| why.clone().next());
                 let why = why.map_or(String::new(), |(_, _, what)| format!(" ({what})"));
                 let what = format!("no camera: no frame on {} can be used{why}", stream.topic);
                 return Err(Unusable::Lacks(what));

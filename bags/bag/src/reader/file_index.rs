@@ -5,7 +5,11 @@ use std::{
     sync::Arc,
 };
 
-use super::{stored_file::StoredFile, times::Times};
+use super::{
+    passes::{ChannelTimes, Passes},
+    stored_file::StoredFile,
+    times::Times,
+};
 use crate::{
     BagWarning, CDR, QOS_KEY, Schema, TYPE_HASH_KEY, TopicInfo,
     decoding::Decoding,
@@ -48,6 +52,7 @@ pub(super) struct Channel {
     pub topic: TopicInfo,
     pub decoding: Arc<Decoding>,
     pub is_latched: bool,
+    pub times: ChannelTimes,
 }
 
 /// A channel that is skipped.
@@ -77,6 +82,7 @@ pub(super) struct FileIndex {
     /// The first and the last log time \[ns\].
     pub span: Option<(u64, u64)>,
     pub times: Times,
+    pub passes: Passes,
     /// Compressions of the chunks, as MCAP names them.
     pub compressions: BTreeSet<String>,
     /// `mcap` or `sqlite3`.
@@ -97,6 +103,7 @@ impl FileIndex {
             segments: Vec::new(),
             span: None,
             times: Times::default(),
+            passes: Passes::default(),
             compressions: BTreeSet::new(),
             storage,
         }
@@ -124,6 +131,7 @@ impl FileIndex {
                     topic,
                     decoding,
                     is_latched,
+                    times: ChannelTimes::default(),
                 };
                 self.channels.insert(id, readable);
                 self.definitions.insert(id, with_absolute_name(channel));
@@ -187,6 +195,9 @@ impl FileIndex {
             let (start, end) = self.span.unwrap_or((log_time_ns, log_time_ns));
             self.span = Some((start.min(log_time_ns), end.max(log_time_ns)));
             self.times.push(log_time_ns);
+            if !channel.is_latched {
+                self.passes.take(&mut channel.times, log_time_ns);
+            }
         } else if let Some(skipped) = self.skipped.get_mut(&channel_id) {
             skipped.messages += 1;
         } else {

@@ -45,6 +45,14 @@ pub enum PacketError {
         /// What is wrong.
         reason: prost::DecodeError,
     },
+    /// A protobuf timestamp whose nanoseconds are negative, or a second or more.
+    #[error("{seconds} s and {nanos} ns: expected 0 to less than 1e9 ns")]
+    Timestamp {
+        /// Its seconds.
+        seconds: i64,
+        /// Its nanoseconds.
+        nanos: i32,
+    },
 }
 
 #[derive(Deserialize)]
@@ -78,18 +86,23 @@ pub(super) struct Timestamp {
     pub(super) nanos: i32,
 }
 
-impl From<ProtobufVideo> for VideoPacket {
-    fn from(video: ProtobufVideo) -> Self {
-        let time = video.timestamp.unwrap_or_default();
-        let nanoseconds = time.seconds.saturating_mul(1_000_000_000);
-        Self {
+impl TryFrom<ProtobufVideo> for VideoPacket {
+    type Error = PacketError;
+
+    fn try_from(video: ProtobufVideo) -> Result<Self, PacketError> {
+        let Timestamp { seconds, nanos } = video.timestamp.unwrap_or_default();
+        if !(0..1_000_000_000).contains(&nanos) {
+            return Err(PacketError::Timestamp { seconds, nanos });
+        }
+        let whole_ns = seconds.saturating_mul(1_000_000_000);
+        Ok(Self {
             header: Header {
-                stamp: Time::from_nanos(nanoseconds.saturating_add(i64::from(time.nanos))),
+                stamp: Time::from_nanos(whole_ns.saturating_add(i64::from(nanos))),
                 frame_id: video.frame_id,
             },
             codec: video.format,
             data: video.data,
-        }
+        })
     }
 }
 
@@ -134,7 +147,7 @@ impl VideoPacket {
                         reason,
                     }
                 })?;
-                Ok(video.into())
+                video.try_into()
             }
             _ if FOXGLOVE.contains(&type_name) => {
                 let video: CompressedVideo = cdr::from_bytes(&message.data).map_err(wrong)?;

@@ -180,6 +180,13 @@ fn packets_of_each_type_are_read() {
         data: expected.data.clone(),
         format: "h264".to_owned(),
     };
+    for nanos in [-1, 1_000_000_000] {
+        let mut malformed = protobuf.clone();
+        malformed.timestamp = Some(packet::Timestamp { seconds: 1, nanos });
+        let malformed = message("foxglove/msg/CompressedVideo", malformed.encode_to_vec());
+        let error = VideoPacket::of_bag(&malformed).unwrap_err();
+        assert!(matches!(error, PacketError::Timestamp { .. }), "{error}");
+    }
     for (type_name, data) in [
         ("foxglove_msgs/msg/CompressedVideo", foxglove.clone()),
         ("ffmpeg_image_transport_msgs/msg/FFMPEGPacket", ffmpeg),

@@ -1,7 +1,7 @@
 //! DROID's states as actions, poses and joints: the same for annotations and RLDS.
 
 use crate::{
-    ActionMapping, GripperRange,
+    ActionMapping, GripperRange, ValueSource,
     episode::{Joints, Recorded},
     mapping::{VALUES, motions},
 };
@@ -45,6 +45,9 @@ pub(crate) fn of_states(
         period_ns: (period_s * 1e9).round() as u64,
         actions: motions(&states),
         states: states.iter().map(single).collect(),
-        is_of_states: true,
+        source: ValueSource {
+            gripper: Some(gripper),
+            is_of_states: true,
+        },
     }
 }

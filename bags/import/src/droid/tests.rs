@@ -175,6 +175,11 @@ fn an_episode_with_a_jump_is_left_out_by_name() {
         reason.contains("8.json: dx: measured") && reason.contains("at most 0.5 m"),
         "{reason}"
     );
+    let remedy = "repair the states, or remove the episode";
+    assert!(
+        reason.contains(remedy) && !reason.contains("-scale"),
+        "{reason}"
+    );
     assert_eq!(
         fs::read_dir(&out).unwrap().count(),
         2,

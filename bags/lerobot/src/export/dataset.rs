@@ -429,7 +429,7 @@ impl DatasetWriter {
             episodes: self.info.total_episodes,
             frames: self.info.total_frames,
             fps: self.fps,
-            resampled: Vec::new(),
+            ..Exported::default()
         })
     }
 

@@ -32,7 +32,7 @@ pub(super) struct Picks {
 impl Episode {
     pub fn sample(
         recording: &Recording,
-        part: Part,
+        part: &Part,
         fps: u32,
         default_task: &str,
     ) -> Result<Self, LeRobotError> {
@@ -127,9 +127,7 @@ impl Episode {
 
 /// First and last stamp of a topic within a time.
 fn bound<'a, T>(stream: &'a Stream<T>, time: &Range<u64>) -> (&'a str, Option<(u64, u64)>) {
-    let begin = stream.stamps.partition_point(|stamp| *stamp < time.start);
-    let end = stream.stamps.partition_point(|stamp| *stamp < time.end);
-    let within = stream.stamps.get(begin..end).unwrap_or(&[]);
+    let within = stream.within(time);
     let bounds = within.first().copied().zip(within.last().copied());
     (&stream.topic, bounds)
 }

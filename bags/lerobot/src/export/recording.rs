@@ -1,26 +1,21 @@
 use std::{
     ops::Range,
     path::{Path, PathBuf},
-};
-
-use wm_bag::{BagMessage, BagReader};
-use wm_motion::actions::ActionSpace;
-use wm_msgs::{
-    builtin_interfaces::Time,
-    geometry_msgs::PoseStamped,
-    sensor_msgs::{CompressedImage, Image, JointState},
-    std_msgs::{Bool, Float32, String as Text},
-    wm_msgs::Action,
+    sync::Arc,
 };
 
 use crate::{
     LeRobotError,
     info::{ACTION, IMAGES},
-    topics::{
-        ACTION_TOPIC, GRIPPER_NAME, GRIPPER_TOPIC, INSTRUCTION_TOPIC, JOINTS_TOPIC, POSE_NAMES,
-        POSE_TOPIC, SUCCESS_TOPIC,
-    },
+    topics::{ACTION_TOPIC, GRIPPER_TOPIC},
 };
+
+/// A topic may be silent for so many of its periods \[1\] ...
+const MOST_PERIODS: u64 = 10;
+/// ... but in any case for the first and never for more than the second \[ns\]. The audit's bounds of a dropped frame, and
+/// the bag's of a gap.
+const SHORT_NS: u64 = 1_000_000_000;
+const LONG_NS: u64 = 10_000_000_000;
 
 /// The messages of a topic, in the order of their stamps.
 #[derive(Debug)]
@@ -32,150 +27,54 @@ pub(super) struct Stream<T> {
     pub values: Vec<T>,
 }
 
-/// What a bag holds of an episode, but for the pictures themselves.
+/// A span of a bag in which the clock runs on, but for the pictures themselves.
 #[derive(Debug)]
 pub(super) struct Recording {
     pub bag: PathBuf,
     pub actions: Stream<Vec<f32>>,
-    /// Joints, pose and gripper, those that are there.
+    /// Joints, pose and gripper, those that the bag has.
     pub states: Vec<Stream<Vec<f32>>>,
     /// Names of an action's values.
     pub action_names: Vec<String>,
     /// Names of the values of all states, one after the other.
     pub state_names: Vec<String>,
-    /// Each value is the message's number within its topic.
+    /// Each value is the message's number within its topic in the bag.
     pub cameras: Vec<Stream<u64>>,
-    /// From when on each task holds.
-    instructions: Vec<(u64, String)>,
-    successes: Vec<(u64, bool)>,
+    /// From when on each task of the bag holds.
+    pub instructions: Arc<[(u64, String)]>,
+    pub successes: Vec<(u64, bool)>,
+    /// Whether any span of the bag has a success.
+    pub has_success: bool,
 }
 
 /// An episode's part of a recording.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Part {
     /// In ns; the end is left out.
     pub time: Range<u64>,
     pub success: Option<bool>,
 }
 
-impl Recording {
-    /// Reads all that is small; `cameras` are the topics to take, or none for all.
-    pub fn read(bag: &Path, cameras: &[String]) -> Result<Self, LeRobotError> {
-        let reader = BagReader::open(bag)?;
-        let topics = camera_topics(&reader, cameras, bag)?;
-        let mut recording = Self {
-            bag: bag.to_owned(),
-            actions: Stream::new(ACTION_TOPIC),
-            states: Vec::new(),
-            action_names: Vec::new(),
-            state_names: Vec::new(),
-            cameras: topics.iter().map(|topic| Stream::new(topic)).collect(),
-            instructions: Vec::new(),
-            successes: Vec::new(),
-        };
-        let mut joints = Stream::new(JOINTS_TOPIC);
-        let mut poses = Stream::new(POSE_TOPIC);
-        let mut grippers = Stream::new(GRIPPER_TOPIC);
-        let mut joint_names: Vec<String> = Vec::new();
-        let mut numbers = vec![0u64; topics.len()];
-        let mut wanted = vec![
-            ACTION_TOPIC,
-            JOINTS_TOPIC,
-            POSE_TOPIC,
-            GRIPPER_TOPIC,
-            INSTRUCTION_TOPIC,
-            SUCCESS_TOPIC,
-        ];
-        wanted.extend(topics.iter().map(String::as_str));
-        for message in reader.messages().only_topics(wanted) {
-            let message = message?;
-            let logged = message.log_time_ns;
-            let finite = |values: Vec<f32>| match values.iter().find(|value| !value.is_finite()) {
-                None => Ok(values),
-                Some(value) => Err(LeRobotError::unsuited(
-                    bag,
-                    format!("{}: a message at {logged} ns holds {value}", message.topic),
-                )),
-            };
-            match &*message.topic {
-                ACTION_TOPIC => {
-                    let action: Action = message.decode()?;
-                    let stamp = stamp(action.header.stamp, logged);
-                    recording.actions.push(stamp, finite(action.values)?);
-                }
-                JOINTS_TOPIC => {
-                    let state: JointState = message.decode()?;
-                    if joint_names.is_empty() {
-                        joint_names.clone_from(&state.name);
-                    }
-                    if state.name != joint_names || state.position.len() != state.name.len() {
-                        return Err(LeRobotError::unsuited(
-                            bag,
-                            format!(
-                                "{JOINTS_TOPIC}: expected one position for each of {joint_names:?}, got {} of {:?}",
-                                state.position.len(),
-                                state.name
-                            ),
-                        ));
-                    }
-                    let position = state.position.iter().map(|value| *value as f32).collect();
-                    joints.push(stamp(state.header.stamp, logged), finite(position)?);
-                }
-                POSE_TOPIC => {
-                    let pose: PoseStamped = message.decode()?;
-                    let (p, q) = (pose.pose.position, pose.pose.orientation);
-                    // LeRobot's states are single.
-                    let values = [p.x, p.y, p.z, q.x, q.y, q.z, q.w].map(|value| value as f32);
-                    poses.push(stamp(pose.header.stamp, logged), finite(values.to_vec())?);
-                }
-                GRIPPER_TOPIC => {
-                    let gripper: Float32 = message.decode()?;
-                    grippers.push(logged, finite(vec![gripper.data])?);
-                }
-                INSTRUCTION_TOPIC => {
-                    let text: Text = message.decode()?;
-                    recording.instructions.push((logged, text.data));
-                }
-                SUCCESS_TOPIC => {
-                    let success: Bool = message.decode()?;
-                    recording.successes.push((logged, success.data));
-                }
-                topic => {
-                    let Some(at) = topics.iter().position(|known| known == topic) else {
-                        continue;
-                    };
-                    if let (Some(stream), Some(number)) =
-                        (recording.cameras.get_mut(at), numbers.get_mut(at))
-                    {
-                        stream.push(image_stamp(&message)?, *number);
-                        *number += 1;
-                    }
-                }
-            }
-        }
-        recording.action_names = action_names(&reader, &recording.actions.values)
-            .map_err(|reason| LeRobotError::unsuited(bag, format!("{ACTION_TOPIC}: {reason}")))?;
-        let named = [
-            (joints, joint_names),
-            (poses, POSE_NAMES.map(str::to_owned).to_vec()),
-            (grippers, vec![GRIPPER_NAME.to_owned()]),
-        ];
-        for (stream, names) in named {
-            if !stream.stamps.is_empty() {
-                recording.states.push(stream);
-                recording.state_names.extend(names);
-            }
-        }
-        recording.check()?;
-        Ok(recording)
-    }
+/// A time in which a topic is silent.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Silence {
+    pub topic: String,
+    /// Stamps of the message before and of the one after \[ns\].
+    pub time: (u64, u64),
+}
 
-    fn check(&self) -> Result<(), LeRobotError> {
-        let unsuited = |reason: String| Err(LeRobotError::unsuited(&self.bag, reason));
-        let Some(first) = self.actions.values.first() else {
+impl Recording {
+    /// Expects actions of one width and pictures in the spans of a bag.
+    ///
+    /// # Errors
+    /// In words.
+    pub fn check(spans: &[Self]) -> Result<(), String> {
+        let unsuited = |reason: String| Err(reason);
+        let actions = || spans.iter().flat_map(|span| &span.actions.values);
+        let Some(first) = actions().next() else {
             return unsuited(format!("expected messages of {ACTION_TOPIC}, got none"));
         };
-        if let Some(other) = self.actions.values.iter().find(|v| v.len() != first.len()) {
+        if let Some(other) = actions().find(|values| values.len() != first.len()) {
             return unsuited(format!(
                 "{ACTION_TOPIC}: expected {} values as in the first, got {}",
                 first.len(),
@@ -187,26 +86,29 @@ impl Recording {
                 "{ACTION_TOPIC}: expected values, got none ({ACTION})"
             ));
         }
-        if self.cameras.is_empty() {
+        let cameras = spans.first().map_or(0, |span| span.cameras.len());
+        if cameras == 0 {
             return unsuited(
                 "expected a camera, .../image_raw or .../image_raw/compressed".to_owned(),
             );
         }
-        match self.cameras.iter().find(|camera| camera.stamps.is_empty()) {
-            Some(camera) => unsuited(format!("expected pictures on {}, got none", camera.topic)),
-            None => Ok(()),
+        for number in 0..cameras {
+            let mut streams = spans.iter().filter_map(|span| span.cameras.get(number));
+            let is_empty = |stream: &Stream<u64>| stream.stamps.is_empty();
+            let Some(first) = streams.next().filter(|first| is_empty(first)) else {
+                continue;
+            };
+            if streams.all(is_empty) {
+                return unsuited(format!("expected pictures on {}, got none", first.topic));
+            }
         }
+        Ok(())
     }
 
-    /// The rate of the actions, to the nearest whole number.
-    pub fn fps(&self) -> Result<u32, LeRobotError> {
-        let stamps = &self.actions.stamps;
-        let mut periods: Vec<u64> = stamps
-            .windows(2)
-            .map(|pair| match pair {
-                [a, b] => b - a,
-                _ => 0,
-            })
+    /// The rate of the actions in the spans of a bag, to the nearest whole number.
+    pub fn fps(spans: &[Self], bag: &Path) -> Result<u32, LeRobotError> {
+        let mut periods: Vec<u64> = (spans.iter())
+            .flat_map(|span| span.actions.periods())
             .collect();
         periods.sort_unstable();
         // The mean of the middle half: neither a gap nor a clock that trembles moves it.
@@ -221,7 +123,7 @@ impl Recording {
             Ok(fps as u32)
         } else {
             Err(LeRobotError::unsuited(
-                &self.bag,
+                bag,
                 format!(
                     "{ACTION_TOPIC}: expected 1 to 1000 actions per second, got one after {period_ns} ns; give the \
                      rate with --fps"
@@ -230,8 +132,10 @@ impl Recording {
         }
     }
 
-    /// The episodes: all of it, or the parts that several messages of `/task/success` end.
-    pub fn parts(&self) -> Vec<Part> {
+    /// The episodes: all of it, or the parts that several messages of `/task/success` end, each split where a topic is
+    /// silent. Of a split part only the last piece may be a success.
+    pub fn parts(&self, silences: &[Silence]) -> Vec<Part> {
+        let unsaid = self.has_success.then_some(false);
         let mut parts = Vec::new();
         let mut from = 0;
         for (number, (at, success)) in self.successes.iter().enumerate() {
@@ -246,10 +150,49 @@ impl Recording {
         if parts.is_empty() {
             parts.push(Part {
                 time: 0..u64::MAX,
-                success: None,
+                success: unsaid,
             });
         }
-        parts
+        let mut pieces = Vec::new();
+        for part in parts {
+            let mut from = part.time.start;
+            for Silence {
+                time: (before, after),
+                ..
+            } in silences
+            {
+                if *after <= from || *before >= part.time.end {
+                    continue;
+                }
+                if *before >= from {
+                    pieces.push(Part {
+                        time: from..before + 1,
+                        success: unsaid,
+                    });
+                }
+                from = *after;
+            }
+            if from < part.time.end {
+                pieces.push(Part {
+                    time: from..part.time.end,
+                    success: part.success,
+                });
+            }
+        }
+        pieces
+    }
+
+    /// When topics are silent for so long that no message stands for the time, in order. A gripper holds what it was last
+    /// commanded: its silence is none.
+    pub fn silences(&self) -> Vec<Silence> {
+        let states = self.states.iter();
+        let states = states.filter(|stream| stream.topic != GRIPPER_TOPIC);
+        let mut all: Vec<Silence> = (self.actions.silences().into_iter())
+            .chain(states.flat_map(Stream::silences))
+            .chain(self.cameras.iter().flat_map(Stream::silences))
+            .collect();
+        all.sort_by_key(|silence| silence.time);
+        all
     }
 
     /// The task that holds at a time: the last one before, or the first of all.
@@ -265,6 +208,15 @@ impl Recording {
             .filter(|text| !text.is_empty())
     }
 
+    /// Actions and pictures with stamps in a part.
+    pub fn count(&self, part: &Part) -> (usize, usize) {
+        let pictures = self
+            .cameras
+            .iter()
+            .map(|camera| camera.within(&part.time).len());
+        (self.actions.within(&part.time).len(), pictures.sum())
+    }
+
     /// Feature of a camera: `/front/image_raw/compressed` becomes `observation.images.front`.
     pub fn feature(topic: &str) -> String {
         let name = ["/image_raw/compressed", "/image_raw", "/compressed"]
@@ -277,101 +229,113 @@ impl Recording {
     }
 }
 
-/// The names of an action's values: those of the bag's action space; numbers where it names none and has not Bridge V2's
-/// seven.
-fn action_names(reader: &BagReader, actions: &[Vec<f32>]) -> Result<Vec<String>, String> {
-    let width = actions.first().map_or(0, Vec::len);
-    let note = reader.note(ActionSpace::NOTE);
-    let space = ActionSpace::of_note(note).map_err(|error| error.to_string())?;
-    if width == space.len() {
-        let dimensions = space.dimensions().iter();
-        return Ok(dimensions.map(|dimension| dimension.name.clone()).collect());
-    }
-    if note.is_some() && width > 0 {
-        return Err(format!(
-            "actions of {width} values, expected those of {space}"
-        ));
-    }
-    Ok((0..width)
-        .map(|number| format!("action_{number}"))
-        .collect())
-}
-
 impl<T> Stream<T> {
-    fn new(topic: &str) -> Self {
-        Self {
-            topic: topic.to_owned(),
-            stamps: Vec::new(),
-            values: Vec::new(),
-        }
+    /// The stamps within a time.
+    pub fn within(&self, time: &Range<u64>) -> &[u64] {
+        let begin = self.stamps.partition_point(|stamp| *stamp < time.start);
+        let end = self.stamps.partition_point(|stamp| *stamp < time.end);
+        self.stamps.get(begin..end).unwrap_or(&[])
     }
 
-    /// Adds a message; one whose stamp is not later than the last is left out.
-    fn push(&mut self, stamp: u64, value: T) {
-        if self.stamps.last().is_none_or(|last| *last < stamp) {
-            self.stamps.push(stamp);
-            self.values.push(value);
-        } else {
-            tracing::warn!(
-                topic = self.topic,
-                stamp,
-                "message ignored: it is not later than the previous message"
-            );
-        }
+    /// The time from each message to the next \[ns\].
+    fn periods(&self) -> impl Iterator<Item = u64> + '_ {
+        let pairs = self.stamps.iter().zip(self.stamps.iter().skip(1));
+        pairs.map(|(one, next)| next - one)
+    }
+
+    fn silences(&self) -> Vec<Silence> {
+        let mut periods: Vec<u64> = self.periods().collect();
+        periods.sort_unstable();
+        let median_ns = periods.get(periods.len() / 2).copied().unwrap_or(0);
+        let longest_ns = median_ns.saturating_mul(MOST_PERIODS);
+        let longest_ns = longest_ns.clamp(SHORT_NS, LONG_NS);
+        let pairs = self.stamps.iter().zip(self.stamps.iter().skip(1));
+        pairs
+            .filter(|(one, next)| *next - *one > longest_ns)
+            .map(|(one, next)| Silence {
+                topic: self.topic.clone(),
+                time: (*one, *next),
+            })
+            .collect()
     }
 }
 
-/// The header's stamp, or when it was recorded where the header has none.
-fn stamp(header: Time, logged: u64) -> u64 {
-    match u64::try_from(header.to_nanos()) {
-        Ok(0) | Err(_) => logged,
-        Ok(stamp) => stamp,
-    }
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
 
-fn image_stamp(message: &BagMessage) -> Result<u64, LeRobotError> {
-    let header = if *message.type_name == *"sensor_msgs/msg/Image" {
-        message.decode::<Image>()?.header
-    } else {
-        message.decode::<CompressedImage>()?.header
-    };
-    Ok(stamp(header.stamp, message.log_time_ns))
-}
-
-/// The cameras that are asked for, or all; of a camera that is there raw and compressed, raw.
-fn camera_topics(
-    reader: &BagReader,
-    asked: &[String],
-    bag: &Path,
-) -> Result<Vec<String>, LeRobotError> {
-    const TYPES: [&str; 2] = ["sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"];
-    for topic in asked {
-        let info = reader.topic(topic);
-        if !info.is_some_and(|info| TYPES.contains(&&*info.type_name)) {
-            return Err(LeRobotError::unsuited(
-                bag,
-                format!(
-                    "expected pictures on {topic}, but the bag has no image topic of this name"
-                ),
-            ));
+    fn stream(topic: &str, stamps: impl IntoIterator<Item = u64>) -> Stream<Vec<f32>> {
+        let stamps: Vec<u64> = stamps.into_iter().map(|ms| ms * 1_000_000).collect();
+        Stream {
+            topic: topic.into(),
+            values: vec![vec![0.0]; stamps.len()],
+            stamps,
         }
     }
-    if !asked.is_empty() {
-        return Ok(asked.to_vec());
+
+    fn recording(actions: Stream<Vec<f32>>, gripper: Stream<Vec<f32>>) -> Recording {
+        Recording {
+            bag: PathBuf::new(),
+            actions,
+            states: vec![gripper],
+            action_names: Vec::new(),
+            state_names: Vec::new(),
+            cameras: Vec::new(),
+            instructions: Arc::new([]),
+            successes: vec![(9_000_000_000, true)],
+            has_success: true,
+        }
     }
-    let is_camera = |name: &str| {
-        !name.starts_with("/wm/")
-            && (name.ends_with("/image_raw") || name.ends_with("/image_raw/compressed"))
-    };
-    let found = reader.topics().iter().filter(|topic| {
-        let raw = topic.name.strip_suffix("/compressed");
-        let has_raw = raw
-            .and_then(|raw| reader.topic(raw))
-            .is_some_and(|raw| raw.message_count > 0);
-        topic.message_count > 0
-            && TYPES.contains(&&*topic.type_name)
-            && is_camera(&topic.name)
-            && !has_raw
-    });
-    Ok(found.map(|topic| topic.name.to_string()).collect())
+
+    #[test]
+    fn a_silent_topic_splits_and_a_silent_gripper_does_not() {
+        let steady = |from: u64, to: u64| (from..to).step_by(100);
+        let actions = stream(ACTION_TOPIC, steady(0, 2000).chain(steady(5000, 9000)));
+        let recording = recording(actions, stream(GRIPPER_TOPIC, [0, 8000]));
+        let silences = recording.silences();
+        let ms = |ms: u64| ms * 1_000_000;
+        let expected = Silence {
+            topic: ACTION_TOPIC.into(),
+            time: (ms(1900), ms(5000)),
+        };
+        assert_eq!(silences, [expected]);
+        let parts = recording.parts(&silences);
+        let times: Vec<_> = parts.iter().map(|part| part.time.clone()).collect();
+        assert_eq!(times, [0..ms(1900) + 1, ms(5000)..u64::MAX]);
+        let successes: Vec<_> = parts.iter().map(|part| part.success).collect();
+        assert_eq!(successes, [Some(false), Some(true)]);
+    }
+
+    #[test]
+    fn a_slow_topic_is_not_silent() {
+        let slow = stream(ACTION_TOPIC, (0..10).map(|number| number * 900));
+        assert_eq!(slow.silences(), []);
+        let jittery = stream(ACTION_TOPIC, [0, 400, 800, 1200, 4000, 4400, 4800]);
+        assert_eq!(jittery.silences(), []);
+    }
+
+    proptest! {
+        /// Parts neither overlap nor reach into a silence, and no message outside the silences is lost.
+        #[test]
+        fn parts_leave_out_the_silences_alone(
+            steps in prop::collection::vec(prop::sample::select(vec![100u64, 110, 5_000, 20_000]), 2..60),
+        ) {
+            let stamps: Vec<u64> = steps.iter().scan(0, |at, step| { *at += step; Some(*at) }).collect();
+            let actions = stream(ACTION_TOPIC, stamps);
+            let recording = recording(actions, stream(GRIPPER_TOPIC, []));
+            let silences = recording.silences();
+            let parts = recording.parts(&silences);
+            for pair in parts.windows(2) {
+                prop_assert!(pair[0].time.end <= pair[1].time.start);
+            }
+            for part in &parts {
+                for Silence { time: (before, after), .. } in &silences {
+                    prop_assert!(part.time.end <= before + 1 || part.time.start >= *after);
+                }
+            }
+            let kept: usize = parts.iter().map(|part| recording.count(part).0).sum();
+            prop_assert_eq!(kept, recording.actions.stamps.len());
+        }
+    }
 }

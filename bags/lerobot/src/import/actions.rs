@@ -1,6 +1,6 @@
 //! What the action values of a dataset are, and how they become those of the bags.
 
-use wm_import::{ActionForm, ActionMapping};
+use wm_import::{ActionForm, ActionMapping, ValueSource};
 use wm_motion::actions::{ActionError, ActionSpace, Kind};
 
 use crate::{LeRobotError, dataset::Dataset, info::ACTION};
@@ -70,6 +70,14 @@ impl Actions {
             mapping,
             period_s: dataset.info.fps.recip(),
         }))
+    }
+
+    /// How the values of the bags are made.
+    pub fn source(&self) -> ValueSource {
+        ValueSource {
+            gripper: self.mapping.gripper,
+            is_of_states: false,
+        }
     }
 
     /// The values of the bags for those of the dataset, in place: (T, values).

@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
 
 mod damage;
+mod gaps;
 mod made;
 mod peers;
 mod round_trip;

@@ -6,7 +6,7 @@ use thiserror::Error;
 use wm_bag::{Schema, SchemaEncoding};
 use wm_msgs::{
     Message,
-    builtin_interfaces::Time,
+    builtin_interfaces::{InvalidNanoseconds, Time},
     cdr::{self, CdrError},
     std_msgs::Header,
     tf2_msgs::TFMessage,
@@ -31,6 +31,9 @@ pub enum RestampError {
     /// Frames or markers that cannot be read, or not be written again.
     #[error(transparent)]
     Cdr(#[from] CdrError),
+    /// A stamp that is malformed.
+    #[error("malformed stamp: {0}")]
+    Malformed(#[from] InvalidNanoseconds),
     /// A time that the message cannot express.
     #[error("{0} ns is outside the range of ROS time")]
     OutOfRange(i64),
@@ -149,7 +152,11 @@ pub fn restamp(cdr: &Bytes, map: impl FnOnce(i64) -> i64) -> Result<Bytes, Resta
     } else {
         (i32::from_be_bytes(seconds), u32::from_be_bytes(nanoseconds))
     };
-    let moved_ns = map(i64::from(seconds) * 1_000_000_000 + i64::from(nanoseconds));
+    let stamp = Time {
+        sec: seconds,
+        nanosec: nanoseconds,
+    };
+    let moved_ns = map(stamp.checked_nanos()?);
     let out_of_range = |_| RestampError::OutOfRange(moved_ns);
     let seconds = i32::try_from(moved_ns.div_euclid(1_000_000_000)).map_err(out_of_range)?;
     let nanoseconds = u32::try_from(moved_ns.rem_euclid(1_000_000_000)).map_err(out_of_range)?;
@@ -289,6 +296,16 @@ mod tests {
             restamp(&plain, |_| i64::MAX),
             Err(RestampError::OutOfRange(i64::MAX))
         ));
+    }
+
+    #[test]
+    fn a_second_of_nanoseconds_is_not_moved() {
+        let malformed = Bytes::from_static(&[0, 1, 0, 0, 5, 0, 0, 0, 255, 255, 255, 255]);
+        let moved = restamp(&malformed, |stamp| stamp);
+        assert!(
+            matches!(moved, Err(RestampError::Malformed(_))),
+            "{moved:?}"
+        );
     }
 
     #[test]

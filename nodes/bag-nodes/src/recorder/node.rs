@@ -2,13 +2,15 @@
 
 mod book;
 mod command;
+mod forward;
 mod news;
 
 use super::{
+    lookup::{Lookups, UNDEFINED},
     losses::Loss,
     options::{Options, Parameters},
     selection::common_qos,
-    writer::{Entry, Queue},
+    writer::Entry,
 };
 use crate::{
     ending::Ending,
@@ -17,9 +19,9 @@ use crate::{
 use anyhow::Result;
 use book::Book;
 use command::Command;
+use forward::{Announcement, Forward};
 use news::News;
 use std::collections::BTreeMap;
-use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::{
     Arc,
@@ -28,14 +30,14 @@ use std::sync::{
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tracing::info;
-use wm_bag::{QosProfile, definitions};
+use wm_bag::{QosProfile, Schema, definitions};
 use wm_msgs::{
     builtin_interfaces::Time,
     rosbag2_interfaces::{Empty, IsPausedResponse, RecordResponse, Stop, Success},
 };
 use wm_ros::{
-    Call, Diagnostics, Durability, EndpointSet as _, Node, NodeArgs, NodeDefinition,
-    ParameterSet as _, Qos, RawSubscription, Reliability, TopicInfo,
+    Call, Durability, EndpointSet as _, Node, NodeArgs, NodeDefinition, ParameterSet as _, Qos,
+    RawSubscription, Reliability, TopicInfo,
 };
 use wm_ros::{calls::Calls, calls::answer};
 
@@ -144,6 +146,7 @@ async fn record(
     let (over, _) = watch::channel(false);
     let mut types: BTreeMap<String, String> = BTreeMap::new();
     let mut news = News::new(node.diagnostics());
+    let (lookups, mut undefined) = Lookups::new(node);
     let mut topics = JoinSet::new();
     let mut changes = node.graph_changes();
     let clock = node.clock();
@@ -169,15 +172,27 @@ async fn record(
             }
             let name: Arc<str> = topic.name.as_str().into();
             let overrides = &options.qos_overrides;
-            let subscribed =
-                subscribe(node, &topic, &name, overrides, &queue, &prefixes, &mut news);
-            let subscription = match subscribed? {
+            let subscription = match subscribe(node, &topic, overrides)? {
                 Ok(subscription) => subscription,
                 // DDS allows more than ROS, and anybody may publish.
                 Err(reason) => {
                     news.skipped(&topic, &reason);
                     continue;
                 }
+            };
+            let candidates = definitions::candidates(&topic.type_name, &prefixes);
+            let lookup = match candidates.is_empty() {
+                true => lookups.of(&topic),
+                false => None,
+            };
+            if lookup.is_none() {
+                report_definition(&topic.type_name, &candidates, &mut news);
+            }
+            let announcement = Announcement {
+                topic: Arc::clone(&name),
+                type_name: topic.type_name.clone(),
+                candidates,
+                qos: profile(topic.publishers.first()),
             };
             types.insert(topic.name.clone(), topic.type_name.clone());
             news.recorded(&topic.name);
@@ -190,7 +205,8 @@ async fn record(
                 loss,
                 diagnostics: node.diagnostics(),
             };
-            topics.spawn(forward.run(subscription, over.subscribe()));
+            let over = over.subscribe();
+            topics.spawn(forward.run(announcement, lookup, subscription, over));
         }
         news.tell();
         tokio::select! {
@@ -200,6 +216,7 @@ async fn record(
             Some(ended) = topics.join_next() => {
                 ended??;
             }
+            Some((type_name, what)) = undefined.recv() => news.undefined(&type_name, &what),
             command = calls.next() => match command {
                 Command::Stop(call) => break Some(call),
                 Command::Record(call) => answer(call, &RecordResponse {
@@ -258,49 +275,34 @@ fn obey(command: Command, is_paused: &AtomicBool) {
     }
 }
 
-/// Subscribes to a topic and announces it to the bag. The inner error says why ROS does not allow it.
+/// Subscribes to a topic. The inner error says why ROS does not allow it.
 fn subscribe(
     node: &Node,
     topic: &TopicInfo,
-    name: &Arc<str>,
     qos_overrides: &BTreeMap<String, Qos>,
-    queue: &Queue,
-    prefixes: &[PathBuf],
-    news: &mut News,
 ) -> Result<Result<RawSubscription, String>> {
     let qos = match qos_overrides.get(&topic.name) {
         Some(qos) => *qos,
         None => common_qos(&topic.publishers),
     };
-    let subscription = match node.raw_subscription(&topic.name, &topic.type_name, qos) {
-        Ok(subscription) => subscription,
+    match node.raw_subscription(&topic.name, &topic.type_name, qos) {
+        Ok(subscription) => Ok(Ok(subscription)),
         Err(wm_ros::Error::Name { kind, reason, .. }) => {
-            return Ok(Err(format!("not a valid {kind} name: {reason}")));
+            Ok(Err(format!("not a valid {kind} name: {reason}")))
         }
-        Err(error) => return Err(error.into()),
-    };
-    let candidates = definitions::candidates(&topic.type_name, prefixes);
-    match candidates
-        .first()
-        .map(|schema| schema.type_hash(&topic.type_name))
-    {
-        None => news.undefined(
-            &topic.type_name,
-            "is not on AMENT_PREFIX_PATH: it is recorded without its definition",
-        ),
-        Some(Err(error)) => news.undefined(
-            &topic.type_name,
-            &format!("is recorded without its hash: {error}"),
-        ),
+        Err(error) => Err(error.into()),
+    }
+}
+
+/// Reports a type without a definition, or without a hash.
+fn report_definition(type_name: &str, candidates: &[Schema], news: &mut News) {
+    match candidates.first().map(|schema| schema.type_hash(type_name)) {
+        None => news.undefined(type_name, UNDEFINED),
+        Some(Err(error)) => {
+            news.undefined(type_name, &format!("is recorded without its hash: {error}"))
+        }
         Some(Ok(_)) => {}
     }
-    queue.offer(Entry::Topic {
-        name: Arc::clone(name),
-        type_name: topic.type_name.clone(),
-        candidates,
-        qos: profile(topic.publishers.first()),
-    })?;
-    Ok(Ok(subscription))
 }
 
 /// What the publisher offers, as the bag keeps it.
@@ -318,53 +320,5 @@ fn profile(offered: Option<&Qos>) -> QosProfile {
             Durability::TransientLocal => wm_bag::Durability::TransientLocal,
         },
         depth: u32::try_from(qos.depth).unwrap_or(0),
-    }
-}
-
-/// What takes a topic's messages to the bag's thread.
-struct Forward {
-    topic: Arc<str>,
-    queue: Queue,
-    is_paused: Arc<AtomicBool>,
-    loss: Arc<Loss>,
-    diagnostics: Diagnostics,
-}
-
-impl Forward {
-    /// Until the shutdown, or until it is over.
-    async fn run(
-        self,
-        mut subscription: RawSubscription,
-        mut over: watch::Receiver<bool>,
-    ) -> Result<()> {
-        // after that, what still waits
-        loop {
-            let received = tokio::select! {
-                biased;
-                received = subscription.recv() => received,
-                _ = over.wait_for(|over| *over) => None,
-            };
-            let Some(received) = received.or_else(|| subscription.try_recv()) else {
-                break;
-            };
-            // no loss: it was asked for
-            if self.is_paused.load(Ordering::Relaxed) {
-                continue;
-            }
-            let entry = Entry::Message {
-                topic: Arc::clone(&self.topic),
-                log_time_ns: u64::try_from(received.received.to_nanos()).unwrap_or(0),
-                data: received.message,
-            };
-            if !self.queue.offer(entry)? {
-                self.loss.count_queues(1);
-                self.diagnostics
-                    .count_drop(&format!("{}: cache full", self.topic));
-            }
-        }
-        self.loss.count_queues(subscription.dropped());
-        self.loss.count_undecodable(subscription.undecodable());
-        self.loss.count_missing(subscription.lost());
-        Ok(())
     }
 }

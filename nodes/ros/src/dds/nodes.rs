@@ -108,6 +108,7 @@ impl Nodes {
                 is_writer,
                 id,
                 is_own: true,
+                type_hash: None,
             },
         );
         lock(&self.table).endpoints.insert(

@@ -5,7 +5,7 @@ use crate::{
     Error, Qos,
     backend::{Channel, Seen, participant_of},
 };
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// A topic of the graph with one of its types (which, in a graph that is in order, is the only one).
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -82,15 +82,22 @@ impl Node {
     /// The full name of the node of a participant, this context's included. Nodes tell of themselves by the services of
     /// their parameters; `None` where the participant has several nodes, or none that has these services.
     pub fn node_of(&self, participant: [u8; 12]) -> Option<String> {
+        let nodes = self.nodes_of(participant);
+        (nodes.len() == 1)
+            .then(|| nodes.into_iter().next())
+            .flatten()
+    }
+
+    /// The full names of the nodes of a participant that have the services of their parameters.
+    pub fn nodes_of(&self, participant: [u8; 12]) -> BTreeSet<String> {
         let seen = self.inner.backend().seen().into_iter();
-        let mut nodes = seen.filter_map(|seen| {
+        let nodes = seen.filter_map(|seen| {
             let is_server = seen.channel == Channel::Request && !seen.is_writer;
             let is_its = is_server && participant_of(&seen.id) == participant;
             let name = is_its.then(|| seen.name.strip_suffix("/get_parameters"));
             name.flatten().map(str::to_owned)
         });
-        let node = nodes.next()?;
-        nodes.all(|other| other == node).then_some(node)
+        nodes.collect()
     }
 
     /// The endpoints of topics.

@@ -98,6 +98,23 @@ impl Recorder {
             .unwrap();
     }
 
+    /// An action and a state whose stamps have a nanosec of more than a second.
+    pub fn malformed(&mut self, ms: i64) {
+        let mut header = Self::header(ms);
+        header.stamp.nanosec += 1_000_000_000;
+        let action = Action {
+            header: header.clone(),
+            values: vec![9.0; 7],
+        };
+        let at = Self::logged(ms);
+        self.writer.write("/wm/action", &action, at).unwrap();
+        let state = JointState {
+            header,
+            ..JointState::default()
+        };
+        self.writer.write("/joint_states", &state, at).unwrap();
+    }
+
     /// What the joints are and do.
     pub fn joints(&mut self, ms: i64, names: &[&str], position: Vec<f64>, velocity: Vec<f64>) {
         let state = JointState {

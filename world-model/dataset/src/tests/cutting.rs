@@ -47,6 +47,61 @@ fn a_gap_of_the_camera_begins_an_episode() {
     assert_eq!(recorded(write, options).lengths(), [20]);
 }
 
+/// The clock passes 12 of 20 s twice: these are in no episode. Where it is set back without an overlap, one begins.
+#[test]
+fn a_clock_that_is_set_back_ends_an_episode() {
+    let write = |recorder: &mut Recorder| {
+        recorder.run(0..100);
+        for frame in 100..200 {
+            recorder.frame(CAMERA, frame * 200 - 12_000, frame as u8);
+            recorder.action(frame * 200 - 12_000, 0.01);
+        }
+    };
+    let outcome = recorded(write, DataOptions::default());
+    assert_eq!(outcome.lengths(), [40, 40]);
+    let expected: Vec<u8> = (0..40).chain(160..200).collect();
+    assert_eq!(outcome.reds(), expected);
+    let left_out = outcome.left_out();
+    assert!(
+        left_out.contains("240 messages") && left_out.contains("clock was set back"),
+        "{left_out}"
+    );
+
+    let adjacent = |recorder: &mut Recorder| {
+        recorder.run(60..90);
+        for frame in 0..60 {
+            recorder.frame(CAMERA, frame * 200, frame as u8);
+            recorder.action(frame * 200, 0.01);
+        }
+    };
+    assert_eq!(
+        recorded(adjacent, DataOptions::default()).lengths(),
+        [60, 30]
+    );
+}
+
+#[test]
+fn malformed_stamps_are_counted_by_topic() {
+    let write = |recorder: &mut Recorder| {
+        recorder.run(0..5);
+        recorder.malformed(900);
+        recorder.malformed(950);
+        recorder.run(5..10);
+    };
+    let outcome = recorded(write, DataOptions::default());
+    assert_eq!(outcome.lengths(), [10]);
+    let left_out = outcome.left_out();
+    for topic in ["/wm/action", "/joint_states"] {
+        let of_topic =
+            |line: &&str| line.contains(topic) && line.contains("expected less than 1e9 ns");
+        let lines: Vec<&str> = left_out.lines().filter(of_topic).collect();
+        assert!(
+            matches!(lines[..], [line] if line.contains("2 messages")),
+            "{left_out}"
+        );
+    }
+}
+
 #[test]
 fn a_message_begins_an_episode() {
     let write = |recorder: &mut Recorder| {

@@ -302,11 +302,18 @@ impl ActionSurvey {
                     column: dimension.name.clone(),
                     begin_closed: column.begins_low,
                     episodes: column.moving,
+                    measured: column.range,
                 });
             }
         }
         if self.agreement.is_gripper_opposed() && !hints.iter().any(Hint::is_inverted) {
-            hints.push(Hint::GripperOpposed);
+            let columns = self.space.dimensions().iter().zip(&self.columns);
+            let gripper = columns
+                .into_iter()
+                .find(|(dimension, _)| dimension.kind.is_gripper());
+            hints.extend(gripper.map(|(_, column)| Hint::GripperOpposed {
+                measured: column.range,
+            }));
         }
         if self.first_zero * 5 >= self.episodes * 4 && self.episodes > 0 {
             hints.push(Hint::FirstZero {

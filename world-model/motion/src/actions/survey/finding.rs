@@ -113,9 +113,14 @@ pub enum Hint {
         begin_closed: usize,
         /// Episodes in which the gripper moves.
         episodes: usize,
+        /// What the data have.
+        measured: Range,
     },
     /// The gripper's state goes against its action.
-    GripperOpposed,
+    GripperOpposed {
+        /// What the data have.
+        measured: Range,
+    },
     /// The first action is zero.
     FirstZero {
         /// Episodes with such an action.
@@ -141,7 +146,10 @@ impl Hint {
     /// Whether it says that open and closed may be exchanged.
     #[must_use]
     pub fn is_inverted(&self) -> bool {
-        matches!(self, Self::GripperInverted { .. } | Self::GripperOpposed)
+        matches!(
+            self,
+            Self::GripperInverted { .. } | Self::GripperOpposed { .. }
+        )
     }
 }
 
@@ -156,14 +164,15 @@ impl fmt::Display for Hint {
                 column,
                 begin_closed,
                 episodes,
+                measured,
             } => write!(
                 f,
-                "{column}: {begin_closed} of {episodes} episodes begin with a closed gripper; in this data set, 0 may mean \
+                "{column}: measured {measured}; {begin_closed} of {episodes} episodes begin with a closed gripper; in this data set, 0 may mean \
                  open"
             ),
-            Self::GripperOpposed => write!(
+            Self::GripperOpposed { measured } => write!(
                 f,
-                "gripper: its state closes if its action opens; in this data set, 0 may mean open"
+                "gripper: measured {measured}; its state closes if its action opens; in this data set, 0 may mean open"
             ),
             Self::FirstZero { zero, episodes } => write!(
                 f,
