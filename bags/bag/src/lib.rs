@@ -61,7 +61,7 @@ mod warning;
 mod writer;
 
 pub use aside::{free_name, set_aside};
-pub use convert::{Converted, NewMessage, NewTopic, TopicTransform, Transform, convert};
+pub use convert::{Converted, NewMessage, NewTopic, Omission, TopicTransform, Transform, convert};
 pub use cut::{Cut, CutEnd, CutStart, cut};
 pub use error::BagError;
 pub use latched::{Latched, kept_messages, known_qos};

@@ -290,7 +290,7 @@ impl BagWriter {
                 number
             }
         };
-        self.append_to(number, topic, log_time_ns, data)
+        self.append_to(number, topic, (log_time_ns, log_time_ns), data)
     }
 
     /// Counts messages that were lost before they came here (a full queue), so that the bag says so.
@@ -398,15 +398,27 @@ impl BagWriter {
     ) -> Result<(), BagError> {
         let known = self.known_channel(topic, type_name)?;
         let number = known.ok_or_else(|| BagError::TopicName(topic.to_owned()))?;
-        self.append_to(number, topic, log_time_ns, data)
+        self.append_to(number, topic, (log_time_ns, log_time_ns), data)
     }
 
-    /// Writes to the channel of this number.
+    /// Writes to a topic that has been added, with these log and publish times, in ns.
+    pub(crate) fn append_at(
+        &mut self,
+        topic: &str,
+        times_ns: (u64, u64),
+        data: &[u8],
+    ) -> Result<(), BagError> {
+        let known = self.by_topic.get(topic).copied();
+        let number = known.ok_or_else(|| BagError::TopicName(topic.to_owned()))?;
+        self.append_to(number, topic, times_ns, data)
+    }
+
+    /// Writes to the channel of this number, with these log and publish times, in ns.
     fn append_to(
         &mut self,
         number: usize,
         topic: &str,
-        log_time_ns: u64,
+        (log_time_ns, publish_time_ns): (u64, u64),
         data: &[u8],
     ) -> Result<(), BagError> {
         if data.len() < 4 {
@@ -423,7 +435,7 @@ impl BagWriter {
             // MCAP's sequence is 32 bits wide and may wrap.
             sequence: (channel.message_count - channel.repeated + 1) as u32,
             log_time: log_time_ns,
-            publish_time: log_time_ns,
+            publish_time: publish_time_ns,
         };
         self.copy(number, header, data)
     }

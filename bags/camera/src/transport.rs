@@ -14,6 +14,19 @@ pub(crate) const FOXGLOVE: [&str; 3] = [
 /// Of ffmpeg_image_transport.
 pub(crate) const FFMPEG: &str = "ffmpeg_image_transport_msgs/msg/FFMPEGPacket";
 
+/// The last part of a topic's name by which image_transport sends JPEG or PNG.
+pub const COMPRESSED: &str = "/compressed";
+/// The last parts of the names of video topics: ffmpeg_image_transport, foxglove_compressed_video_transport, recorders.
+pub const VIDEO: [&str; 4] = ["/ffmpeg", "/foxglove", "/video", "/h264"];
+
+/// A camera's topic without its transport.
+#[must_use]
+pub fn base(topic: &str) -> &str {
+    let mut transports = VIDEO.iter().chain([&COMPRESSED]);
+    let base = transports.find_map(|transport| topic.strip_suffix(transport));
+    base.filter(|base| !base.is_empty()).unwrap_or(topic)
+}
+
 /// By what a topic sends pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Transport {
@@ -56,8 +69,9 @@ impl Transport {
         Some(match self {
             Self::Raw | Self::Compressed => return None,
             Self::Video => format!(
-                "{topic} is compressed video, which wm dataset reads from bags; for anything else, publish the camera as \
-                 sensor_msgs/CompressedImage (image_transport: compressed)"
+                "{topic} is compressed video, which wm dataset reads from bags; for anything else, make pictures of it: wm bag \
+                 convert IN OUT --video jpeg, or publish the camera as sensor_msgs/CompressedImage (image_transport: \
+                 compressed)"
             ),
             Self::Depth => {
                 format!("{topic} has distances, not colours; choose the colour camera's topic")
@@ -74,6 +88,19 @@ impl Transport {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn base_of_a_topic_is_its_name_without_the_transport() {
+        for topic in [
+            "/camera/image_raw",
+            "/camera/image_raw/compressed",
+            "/camera/image_raw/ffmpeg",
+            "/camera/image_raw/h264",
+        ] {
+            assert_eq!(base(topic), "/camera/image_raw");
+        }
+        assert_eq!(base("/video"), "/video");
+    }
 
     #[test]
     fn transport_follows_from_name_and_type() {

@@ -130,7 +130,10 @@ fn folders(beside: &Path) -> Vec<PathBuf> {
 }
 
 /// Becomes the program, which is looked for beside this one and then on the PATH.
-fn exec(program: &str, args: impl IntoIterator<Item = OsString>) -> Result<ExitCode> {
+///
+/// # Errors
+/// It is not there (the error says how to build it), or cannot be started.
+pub fn exec(program: &str, args: impl IntoIterator<Item = OsString>) -> Result<ExitCode> {
     let beside = std::env::current_exe()?;
     let Some(found) = find(program, &folders(&beside)) else {
         bail!(

@@ -20,6 +20,10 @@ pub struct VideoPacket {
     pub codec: String,
     /// Coded bytes.
     pub data: Vec<u8>,
+    /// When it was recorded, in ns since the epoch.
+    pub log_time_ns: u64,
+    /// When it was published, in ns since the epoch.
+    pub publish_time_ns: u64,
 }
 
 /// Why a message is no packet of a video.
@@ -78,17 +82,13 @@ pub(super) struct Timestamp {
     pub(super) nanos: i32,
 }
 
-impl From<ProtobufVideo> for VideoPacket {
-    fn from(video: ProtobufVideo) -> Self {
-        let time = video.timestamp.unwrap_or_default();
+impl ProtobufVideo {
+    fn header(&mut self) -> Header {
+        let time = self.timestamp.take().unwrap_or_default();
         let nanoseconds = time.seconds.saturating_mul(1_000_000_000);
-        Self {
-            header: Header {
-                stamp: Time::from_nanos(nanoseconds.saturating_add(i64::from(time.nanos))),
-                frame_id: video.frame_id,
-            },
-            codec: video.format,
-            data: video.data,
+        Header {
+            stamp: Time::from_nanos(nanoseconds.saturating_add(i64::from(time.nanos))),
+            frame_id: std::mem::take(&mut self.frame_id),
         }
     }
 }
@@ -117,42 +117,43 @@ impl VideoPacket {
             type_name: type_name.to_owned(),
             reason,
         };
-        match type_name {
+        let (header, codec, data) = match type_name {
             FFMPEG => {
                 let packet: FfmpegPacket = cdr::from_bytes(&message.data).map_err(wrong)?;
-                Ok(Self {
-                    header: packet.header,
-                    codec: packet.encoding,
-                    data: packet.data,
-                })
+                (packet.header, packet.encoding, packet.data)
             }
             // A protobuf type has a dot; CDR begins with 0, which no protobuf message does.
             _ if FOXGLOVE.contains(&type_name) && message.data.first() != Some(&0) => {
-                let video = ProtobufVideo::decode(&*message.data).map_err(|reason| {
-                    PacketError::Protobuf {
-                        type_name: type_name.to_owned(),
-                        reason,
-                    }
+                let video = ProtobufVideo::decode(&*message.data);
+                let mut video = video.map_err(|reason| PacketError::Protobuf {
+                    type_name: type_name.to_owned(),
+                    reason,
                 })?;
-                Ok(video.into())
+                (video.header(), video.format, video.data)
             }
             _ if FOXGLOVE.contains(&type_name) => {
                 let video: CompressedVideo = cdr::from_bytes(&message.data).map_err(wrong)?;
-                Ok(Self {
-                    header: Header {
-                        stamp: video.timestamp,
-                        frame_id: video.frame_id,
-                    },
-                    codec: video.format,
-                    data: video.data,
-                })
+                let header = Header {
+                    stamp: video.timestamp,
+                    frame_id: video.frame_id,
+                };
+                (header, video.format, video.data)
             }
-            _ => Err(PacketError::Bag(BagError::WrongType {
-                topic: message.topic.to_string(),
-                expected: FOXGLOVE[0].to_owned(),
-                actual: type_name.to_owned(),
-            })),
-        }
+            _ => {
+                return Err(PacketError::Bag(BagError::WrongType {
+                    topic: message.topic.to_string(),
+                    expected: FOXGLOVE[0].to_owned(),
+                    actual: type_name.to_owned(),
+                }));
+            }
+        };
+        Ok(Self {
+            header,
+            codec,
+            data,
+            log_time_ns: message.log_time_ns,
+            publish_time_ns: message.publish_time_ns,
+        })
     }
 
     /// Whether the codec is h264, by its name or that of an encoder.

@@ -15,14 +15,14 @@ use wm_msgs::{builtin_interfaces::Time, std_msgs::Header};
 use super::{packet::ProtobufVideo, *};
 
 /// A frame that needs no other comes so often.
-const GROUP: usize = 5;
+pub(super) const GROUP: usize = 5;
 
-fn level(frame: usize) -> u8 {
+pub(super) fn level(frame: usize) -> u8 {
     30 + 8 * frame as u8
 }
 
 /// Packets of grey frames.
-fn packets(frames: usize) -> Vec<VideoPacket> {
+pub(super) fn packets(frames: usize) -> Vec<VideoPacket> {
     let config = EncoderConfig::new()
         .rate_control_mode(RateControlMode::Quality)
         .bitrate(BitRate::from_bps(200_000_000))
@@ -43,6 +43,8 @@ fn packets(frames: usize) -> Vec<VideoPacket> {
             },
             codec: "h264".to_owned(),
             data: coded.to_vec(),
+            log_time_ns: 7,
+            publish_time_ns: 7,
         }
     };
     (0..frames).map(packet).collect()
@@ -75,14 +77,18 @@ fn assert_shows(shown: &[(i64, u8)], frames: impl IntoIterator<Item = usize>) {
 fn each_packet_gives_its_picture() {
     let mut stream = VideoStream::new();
     assert_shows(&shown(&mut stream, &packets(12)), 0..12);
-    assert_eq!(stream.dropped(), 0);
+    assert_eq!(stream.dropped(), Dropped::default());
 }
 
 #[test]
 fn stream_begins_with_a_keyframe() {
     let mut stream = VideoStream::new();
     assert_shows(&shown(&mut stream, &packets(12)[2..]), GROUP..12);
-    assert_eq!(stream.dropped(), 3);
+    let dropped = Dropped {
+        before_keyframe: 3,
+        ..Dropped::default()
+    };
+    assert_eq!(stream.dropped(), dropped);
 }
 
 #[test]
@@ -98,10 +104,11 @@ fn parameters_alone_have_no_picture() {
         data: [&data[..at], &[0, 0, 1, 0x06, 5, 0x80]].concat(),
         ..packets[0].clone()
     };
-    packets.insert(1, parameters);
+    packets.insert(1, parameters.clone());
+    packets.insert(0, parameters);
     let mut stream = VideoStream::new();
     assert_shows(&shown(&mut stream, &packets), 0..6);
-    assert_eq!(stream.dropped(), 0);
+    assert_eq!(stream.dropped(), Dropped::default());
 }
 
 #[test]
@@ -117,7 +124,43 @@ fn damaged_packets_are_counted_and_the_next_keyframe_is_shown() {
         .iter()
         .filter(|(stamp, grey)| grey.abs_diff(level(*stamp as usize)) > 2);
     assert_eq!(wrong.count(), 0, "{shown:?}");
-    assert_eq!(stream.dropped() + shown.len() as u64, 12);
+    let dropped = stream.dropped();
+    assert_eq!(dropped.packets() + shown.len() as u64, 12);
+    assert_eq!((dropped.damaged, dropped.gaps), (1, 0), "{dropped:?}");
+}
+
+#[test]
+fn missing_packet_is_a_gap_up_to_the_next_keyframe() {
+    let mut packets = packets(12);
+    packets.remove(GROUP + 2);
+    let mut stream = VideoStream::new();
+    let frames = (0..GROUP + 2).chain(2 * GROUP..12);
+    assert_shows(&shown(&mut stream, &packets), frames);
+    let dropped = Dropped {
+        gaps: 1,
+        dependent: 2,
+        ..Dropped::default()
+    };
+    assert_eq!(stream.dropped(), dropped);
+}
+
+#[test]
+fn packet_without_units_is_damaged() {
+    let mut packets = packets(2 * GROUP);
+    packets[GROUP - 1].data = vec![7; 90];
+    packets[2].data.clear();
+    let mut stream = VideoStream::new();
+    assert_shows(
+        &shown(&mut stream, &packets),
+        (0..2).chain(GROUP..2 * GROUP),
+    );
+    let dropped = Dropped {
+        damaged: 2,
+        gaps: 1,
+        dependent: 1,
+        ..Dropped::default()
+    };
+    assert_eq!(stream.dropped(), dropped);
 }
 
 #[test]

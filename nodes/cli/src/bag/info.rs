@@ -8,6 +8,7 @@ use std::process::ExitCode;
 use wm_audit::{Topics, audit_bag};
 use wm_bag::{BagReader, BagWarning};
 use wm_bag_nodes::ending::Ending;
+use wm_camera::transport::Transport;
 use wm_progress::Progress;
 
 /// Shows the contents of a bag.
@@ -43,6 +44,13 @@ impl InfoCommand {
         let summary = reader.summary();
         if !self.json {
             print(format_args!("{summary}\n"))?;
+            for topic in &summary.topics {
+                let transport = Transport::of(&topic.name, &topic.type_name);
+                let video = transport.filter(|transport| *transport == Transport::Video);
+                if let Some(advice) = video.and_then(|video| video.advice(&topic.name)) {
+                    print(format_args!("Note: {advice}\n"))?;
+                }
+            }
         }
         if self.audit {
             let topics = Topics {

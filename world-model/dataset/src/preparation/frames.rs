@@ -245,7 +245,10 @@ impl Files {
         place: (usize, usize),
         pictures: Vec<VideoPicture>,
     ) -> Result<(), DatasetError> {
-        for VideoPicture { header, picture } in pictures {
+        for VideoPicture {
+            header, picture, ..
+        } in pictures
+        {
             let frames = awaited.frames(header.stamp.to_nanos());
             if frames.is_empty() {
                 continue;
