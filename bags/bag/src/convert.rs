@@ -3,8 +3,8 @@ use std::{collections::BTreeMap, fmt, path::Path, sync::Arc};
 use bytes::Bytes;
 
 use crate::{
-    BagError, BagMessage, BagReader, BagSummary, BagWarning, BagWriter, Schema, TopicInfo,
-    WriterOptions, part::Part,
+    BagError, BagMessage, BagReader, BagSummary, BagWarning, BagWriter, MessageEncoding, Schema,
+    TopicInfo, WriterOptions, part::Part,
 };
 
 /// Replaces the messages of some topics while a bag is converted: packets of a video by pictures, for example.
@@ -105,7 +105,10 @@ impl fmt::Display for Converted {
             self.summary.path.display()
         )?;
         for (old, new) in &self.transformed {
-            write!(f, "\nconverted {old} to {new}")?;
+            match old == new {
+                true => write!(f, "\nconverted {old}")?,
+                false => write!(f, "\nconverted {old} to {new}")?,
+            }
         }
         for topic in &self.undefined {
             write!(
@@ -162,7 +165,7 @@ pub fn convert(
         .topics()
         .iter()
         .filter(|topic| topic.schema.text.is_empty() && !transformed.contains_key(&topic.name))
-        .filter(|topic| topic.message_count > 0)
+        .filter(|topic| topic.message_count > 0 && topic.encoding == MessageEncoding::Cdr)
         .map(|topic| topic.name.to_string())
         .collect();
 

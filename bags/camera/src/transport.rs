@@ -5,12 +5,8 @@ use wm_msgs::{
     sensor_msgs::{CompressedImage, Image},
 };
 
-/// foxglove_msgs/msg/CompressedVideo, and its protobuf type.
-pub(crate) const FOXGLOVE: [&str; 3] = [
-    "foxglove_msgs/msg/CompressedVideo",
-    "foxglove.CompressedVideo",
-    "foxglove/msg/CompressedVideo",
-];
+use crate::foxglove;
+
 /// Of ffmpeg_image_transport.
 pub(crate) const FFMPEG: &str = "ffmpeg_image_transport_msgs/msg/FFMPEGPacket";
 
@@ -30,9 +26,9 @@ pub fn base(topic: &str) -> &str {
 /// By what a topic sends pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Transport {
-    /// sensor_msgs/Image.
+    /// sensor_msgs/Image, or the same in protobuf.
     Raw,
-    /// sensor_msgs/CompressedImage with JPEG or PNG.
+    /// sensor_msgs/CompressedImage with JPEG or PNG, or the same in protobuf.
     Compressed,
     /// Compressed video, h264 mostly.
     Video,
@@ -45,11 +41,14 @@ pub enum Transport {
 impl Transport {
     /// The transport of a topic with this name and type; none if it sends no pictures.
     pub fn of(topic: &str, type_name: &str) -> Option<Self> {
-        let is_image = type_name == Image::ros_name();
-        let is_compressed = type_name == CompressedImage::ros_name();
+        let is_image = type_name == Image::ros_name() || type_name == foxglove::RAW_IMAGE;
+        let is_compressed =
+            [&*CompressedImage::ros_name(), foxglove::COMPRESSED_IMAGE].contains(&type_name);
+        let is_video = [FFMPEG, foxglove::PROTOBUF_VIDEO].contains(&type_name)
+            || foxglove::ROS_VIDEO.contains(&type_name);
         let sibling = topic.rsplit('/').next().unwrap_or_default();
         match sibling {
-            _ if type_name == FFMPEG || FOXGLOVE.contains(&type_name) => Some(Self::Video),
+            _ if is_video => Some(Self::Video),
             _ if type_name == "theora_image_transport/msg/Packet" => Some(Self::Other("Theora")),
             "compressedDepth" if is_compressed => Some(Self::Depth),
             "zstd" if is_compressed => Some(Self::Other("zstd")),
@@ -138,6 +137,12 @@ mod tests {
                 "foxglove.CompressedVideo",
                 Some(Transport::Video),
             ),
+            (
+                "/jpeg",
+                "foxglove.CompressedImage",
+                Some(Transport::Compressed),
+            ),
+            ("/raw", "foxglove.RawImage", Some(Transport::Raw)),
             ("/note", "std_msgs/msg/String", None),
         ] {
             assert_eq!(Transport::of(topic, type_name), expected, "{topic}");

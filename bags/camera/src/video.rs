@@ -13,7 +13,7 @@ use crate::{
     yuv::{Matrix, ShortPlane, YuvColours},
 };
 pub use h264::{H264Decoder, has_keyframe};
-pub use packet::{PacketError, VideoPacket};
+pub use packet::VideoPacket;
 pub use stream::{Dropped, Shown, VideoStream};
 pub use topics::VideoTopics;
 

@@ -5,7 +5,7 @@ use std::{io::Write as _, path::PathBuf, process::ExitCode};
 use anyhow::Result;
 use clap::{Args, ValueEnum};
 use wm_bag::{BagReader, Compression, Transform, WriterOptions, convert};
-use wm_camera::video::VideoTopics;
+use wm_camera::{protobuf_topics::ProtobufTopics, video::VideoTopics};
 use wm_progress::Progress;
 
 use crate::LEFT_OUT;
@@ -49,7 +49,7 @@ impl ConvertCommand {
         let progress = Progress::open_ended("converting", "messages");
         let topics = VideoTopics::of(&BagReader::open(&self.input)?, self.jpeg_quality);
         let kept = topics.kept().to_vec();
-        let mut transforms: [Box<dyn Transform>; 1] = [Box::new(topics)];
+        let mut transforms: [Box<dyn Transform>; 2] = [Box::new(topics), Box::new(ProtobufTopics)];
         let converted = convert(&self.input, &self.output, options, &mut transforms)?;
         drop(progress);
         let mut out = std::io::stdout().lock();

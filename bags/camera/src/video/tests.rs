@@ -9,10 +9,9 @@ use openh264::{
     formats::{RgbSliceU8, YUVBuffer},
 };
 use proptest::prelude::*;
-use prost::Message as _;
 use wm_msgs::{builtin_interfaces::Time, std_msgs::Header};
 
-use super::{packet::ProtobufVideo, *};
+use super::*;
 
 /// A frame that needs no other comes so often.
 pub(super) const GROUP: usize = 5;
@@ -214,19 +213,9 @@ fn packets_of_each_type_are_read() {
         bytes,
     );
     let ffmpeg = wm_msgs::cdr::to_bytes(&ffmpeg).unwrap();
-    let protobuf = ProtobufVideo {
-        timestamp: Some(packet::Timestamp {
-            seconds: i64::from(stamp.sec),
-            nanos: stamp.nanosec as i32,
-        }),
-        frame_id,
-        data: expected.data.clone(),
-        format: "h264".to_owned(),
-    };
     for (type_name, data) in [
         ("foxglove_msgs/msg/CompressedVideo", foxglove.clone()),
         ("ffmpeg_image_transport_msgs/msg/FFMPEGPacket", ffmpeg),
-        ("foxglove/msg/CompressedVideo", protobuf.encode_to_vec()),
     ] {
         let read = VideoPacket::of_bag(&message(type_name, data.clone())).unwrap();
         assert_eq!(read, expected, "{type_name}");

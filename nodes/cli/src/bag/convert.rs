@@ -6,9 +6,9 @@ use clap::{Args, ValueEnum};
 use std::ffi::OsString;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use wm_bag::{Compression, WriterOptions};
+use wm_bag::{Compression, Transform, WriterOptions};
 use wm_bag_nodes::ending::Ending;
-use wm_camera::transport::Transport;
+use wm_camera::{protobuf_topics::ProtobufTopics, transport::Transport};
 use wm_progress::Progress;
 
 /// Converts a bag.
@@ -16,7 +16,9 @@ use wm_progress::Progress;
 #[command(
     after_help = "IN may be stored as MCAP or sqlite3, with rosbag2's file or message compression (zstd), by a recorder that was\n\
     killed too. Messages, times, sequence numbers, definitions and QoS are not changed. A bag without definitions\n\
-    (sqlite3 before ROS 2 Iron) gets those of this machine where messages fit them. IN is not changed.\n\n\
+    (sqlite3 before ROS 2 Iron) gets those of this machine where messages fit them. IN is not changed.\n\
+    Pictures in protobuf (foxglove.CompressedImage, RawImage, CompressedVideo) become messages of ROS with the same\n\
+    contents; other protobuf channels are left out by name.\n\n\
     --video jpeg converts h264 topics (foxglove CompressedVideo, FFMPEGPacket) to sensor_msgs/CompressedImage with\n\
     stamps, frame_id and QoS of the packets: /camera/image_raw/ffmpeg becomes /camera/image_raw/compressed. Packets\n\
     before the first keyframe, damaged ones and those that depend on missing ones have no picture; they are counted by\n\
@@ -75,7 +77,8 @@ impl ConvertCommand {
             ..WriterOptions::default()
         };
         let progress = Progress::open_ended("converting", "messages");
-        let converted = wm_bag::convert(&self.input, &self.output, options, &mut [])?;
+        let mut transforms: [Box<dyn Transform>; 1] = [Box::new(ProtobufTopics)];
+        let converted = wm_bag::convert(&self.input, &self.output, options, &mut transforms)?;
         drop(progress);
         print(format_args!("{converted}\n"))?;
         for topic in &converted.summary.topics {

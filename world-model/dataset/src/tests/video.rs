@@ -155,6 +155,39 @@ fn video_in_another_codec_is_refused_by_name() {
     assert!(text.contains("\"h265\"") && text.contains("h264"), "{text}");
 }
 
+/// A recording of Foxglove's tools, with actions beside it.
+#[test]
+fn video_in_protobuf_is_read() {
+    const START_NS: i64 = 1_750_000_000_000_000_000;
+    let dir = tempfile::tempdir().unwrap();
+    let (bag, actions) = (dir.path().join("bag"), dir.path().join("actions"));
+    let mut writer = BagWriter::create(&actions, WriterOptions::default()).unwrap();
+    for index in 0..6 {
+        let at_ns = START_NS + index * 200_000_000;
+        let mut header = header(index);
+        header.stamp = Time::from_nanos(at_ns);
+        let values = vec![0.01, 0., 0., 0., 0., 0., 0.];
+        let action = Action { header, values };
+        writer.write("/wm/action", &action, at_ns as u64).unwrap();
+    }
+    writer.finish().unwrap();
+    std::fs::create_dir(&bag).unwrap();
+    std::fs::copy(actions.join("actions_0.mcap"), bag.join("bag_1.mcap")).unwrap();
+    let pictures = "../../bags/camera/fixtures/protobuf/pictures.mcap";
+    let pictures = Path::new(env!("CARGO_MANIFEST_DIR")).join(pictures);
+    std::fs::copy(pictures, bag.join("bag_0.mcap")).unwrap();
+    let options = DataOptions {
+        cameras: vec!["/camera/video".to_owned()],
+        ..DataOptions::default()
+    };
+    let outcome = Outcome::of(&bag, options).unwrap();
+    assert_eq!(outcome.lengths(), [5]);
+    for (frame, red) in outcome.reds().into_iter().enumerate() {
+        // Ten pictures a second, for five actions.
+        assert!(red.abs_diff(40 + 20 * frame as u8) <= 2, "{frame}: {red}");
+    }
+}
+
 #[test]
 fn depth_is_no_camera() {
     let dir = tempfile::tempdir().unwrap();
