@@ -1,9 +1,10 @@
-//! `wm-datasets`: imports data sets as bags, exports bags as data sets, and makes pictures of the video in bags.
-//! `wm bag import`, `wm bag export` and `wm bag convert --video jpeg` call it. It is a separate program because the video
+//! `wm-datasets`: imports data sets as bags, exports bags as data sets, and decodes the video in bags.
+//! `wm bag import`, `wm bag export`, `wm bag convert --video jpeg` and `wm bag info --audit` call it. It is a separate program because the video
 //! codecs and parquet take long to build.
 //!
 //! Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done without some of the episodes or messages.
 
+mod audit;
 mod convert;
 mod mapping;
 
@@ -15,6 +16,7 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
+use audit::AuditCommand;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use convert::ConvertCommand;
 use mapping::MappingOptions;
@@ -39,6 +41,9 @@ enum Command {
     /// Convert a bag, with pictures for its video topics
     #[command(hide = true)]
     Convert(ConvertCommand),
+    /// Examine a bag, its video topics too
+    #[command(hide = true)]
+    Audit(AuditCommand),
 }
 
 #[derive(Debug, Subcommand)]
@@ -246,6 +251,7 @@ fn run(command: Command) -> Result<ExitCode> {
             Ok(ExitCode::SUCCESS)
         }
         Command::Convert(command) => command.run(),
+        Command::Audit(command) => command.run(),
     }
 }
 

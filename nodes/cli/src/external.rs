@@ -122,6 +122,15 @@ fn replaced(command: clap::Command, words: &[&str], own: &clap::Command) -> clap
     }
 }
 
+/// Where a program is, if it is beside this one or on the PATH.
+///
+/// # Errors
+/// The folder of this program is unknown.
+pub fn program(name: &str) -> Result<Option<PathBuf>> {
+    let beside = std::env::current_exe()?;
+    Ok(find(name, &folders(&beside)))
+}
+
 /// Where programs are looked for: beside this one, and then on the PATH.
 fn folders(beside: &Path) -> Vec<PathBuf> {
     let path = std::env::var_os("PATH").unwrap_or_default();

@@ -318,11 +318,10 @@ impl Recording {
     }
 
     /// What is wrong with stamps and pictures.
-    pub fn findings(&self, settings: &Settings, space: &ActionSpace) -> Vec<Finding> {
-        let track = ActionTrack::new(space, self.actions.rows());
+    pub fn findings(&self, settings: &Settings, actions: &ActionTrack) -> Vec<Finding> {
         let uses_headers = settings.stamps == StampSource::Header;
         let mut findings = self.recorded.check_stamps(uses_headers);
-        findings.extend(self.recorded.check_pictures(&track));
+        findings.extend(self.recorded.check_pictures(actions));
         findings
     }
 
