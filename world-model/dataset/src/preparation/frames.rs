@@ -7,7 +7,7 @@ use std::{
 };
 
 use image::{
-    GrayImage, RgbImage,
+    DynamicImage, GrayImage, RgbImage,
     imageops::{self, FilterType},
 };
 use rayon::prelude::*;
@@ -336,11 +336,12 @@ impl Files {
 
     /// A picture of camera `view` at the size of a view.
     fn decoded(&self, frame: &CameraFrame, view: usize, is_mask: bool) -> Result<Shown, String> {
-        if let (true, CameraFrame::Compressed(mask)) = (is_mask, frame) {
-            let mask = image::load_from_memory(&mask.data).map_err(|error| error.to_string())?;
-            return Ok(Shown::Mask(place(&mask.into_luma8(), self.view, self.fit)));
-        }
         let picture = frame.decode().map_err(|error| error.to_string())?;
+        if is_mask {
+            // Grey stays what it is: the weights of the luma add up to one.
+            let mask = DynamicImage::from(picture).into_luma8();
+            return Ok(Shown::Mask(place(&mask, self.view, self.fit)));
+        }
         Ok(Shown::View(
             self.placed(&picture, view)?,
             Signature::of(&picture),
