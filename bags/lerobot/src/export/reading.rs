@@ -2,12 +2,13 @@
 
 use std::{collections::BTreeMap, fmt, path::Path, sync::Arc};
 
-use wm_bag::{BagError, BagMessage, BagReader};
+use wm_bag::{BagError, BagMessage, BagReader, TopicInfo};
+use wm_camera::{camera_frame::CameraFrame, transport::Transport};
 use wm_motion::actions::ActionSpace;
 use wm_msgs::{
     builtin_interfaces::Time,
     geometry_msgs::PoseStamped,
-    sensor_msgs::{CompressedImage, Image, JointState},
+    sensor_msgs::JointState,
     std_msgs::{Bool, Float32, String as Text},
     wm_msgs::Action,
 };
@@ -267,6 +268,7 @@ impl Reading<'_> {
             .collect();
         let instructions: Arc<[(u64, String)]> = self.instructions.into();
         let has_success = self.spans.iter().any(|span| !span.successes.is_empty());
+        let has_no_camera = self.cameras.is_empty();
         let recordings = self.spans.into_iter().map(|span| {
             let states = [span.joints, span.poses, span.grippers].into_iter();
             Recording {
@@ -294,7 +296,12 @@ impl Reading<'_> {
         });
         let dropped: Vec<String> = dropped.collect();
         Recording::check(&recordings).map_err(|reason| {
-            let reasons = [reason].into_iter().chain(dropped.iter().cloned());
+            let unread = reader.topics().iter().filter_map(advice);
+            let unread = unread.filter(|_| has_no_camera);
+            let reasons = [reason]
+                .into_iter()
+                .chain(unread)
+                .chain(dropped.iter().cloned());
             LeRobotError::unsuited(bag, reasons.collect::<Vec<_>>().join("; "))
         })?;
         Ok(BagContent {
@@ -336,12 +343,20 @@ fn stamp(header: Time, logged: u64) -> u64 {
 }
 
 fn picture_stamp(message: &BagMessage) -> Result<Time, BagError> {
-    let header = if *message.type_name == *"sensor_msgs/msg/Image" {
-        message.decode::<Image>()?.header
-    } else {
-        message.decode::<CompressedImage>()?.header
-    };
-    Ok(header.stamp)
+    Ok(CameraFrame::of_bag(message)?.header().stamp)
+}
+
+fn transport(topic: &TopicInfo) -> Option<Transport> {
+    Transport::of(&topic.name, &topic.type_name)
+}
+
+fn is_read(topic: &TopicInfo) -> bool {
+    transport(topic).is_some_and(Transport::is_read)
+}
+
+/// What to do about a topic with pictures that are not read.
+fn advice(topic: &TopicInfo) -> Option<String> {
+    transport(topic)?.advice(&topic.name)
 }
 
 /// The names of an action's values: those of the bag's action space; numbers where it names none and has not Bridge V2's
@@ -369,16 +384,13 @@ fn camera_topics(
     requested: &[String],
     bag: &Path,
 ) -> Result<Vec<String>, LeRobotError> {
-    const TYPES: [&str; 2] = ["sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"];
     for topic in requested {
         let info = reader.topic(topic);
-        if !info.is_some_and(|info| TYPES.contains(&&*info.type_name)) {
-            return Err(LeRobotError::unsuited(
-                bag,
-                format!(
-                    "expected pictures on {topic}, but the bag has no image topic of this name"
-                ),
-            ));
+        if !info.is_some_and(is_read) {
+            let why = info.and_then(advice);
+            let why = why.unwrap_or_else(|| "the bag has no image topic of this name".to_owned());
+            let what = format!("expected pictures on {topic}, but {why}");
+            return Err(LeRobotError::unsuited(bag, what));
         }
     }
     if !requested.is_empty() {
@@ -393,10 +405,7 @@ fn camera_topics(
         let has_raw = raw
             .and_then(|raw| reader.topic(raw))
             .is_some_and(|raw| raw.message_count > 0);
-        topic.message_count > 0
-            && TYPES.contains(&&*topic.type_name)
-            && is_camera(&topic.name)
-            && !has_raw
+        topic.message_count > 0 && is_read(topic) && is_camera(&topic.name) && !has_raw
     });
     Ok(found.map(|topic| topic.name.to_string()).collect())
 }
