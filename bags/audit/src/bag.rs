@@ -3,7 +3,11 @@
 use std::sync::Arc;
 
 use wm_bag::{BagMessage, BagReader, TopicInfo};
-use wm_camera::{camera_frame::CameraFrame, signature::Signature, transport::Transport};
+use wm_camera::{
+    camera_frame::CameraFrame,
+    signature::Signature,
+    transport::{Transport, base},
+};
 use wm_motion::{
     actions::ActionSpace,
     motion::{Motion, MotionSettings, Pace},
@@ -18,7 +22,6 @@ use crate::{
 
 /// The camera that actions are compared with, unless another one is named.
 const CAMERA: &str = "/camera/image_raw";
-const COMPRESSED: &str = "/compressed";
 /// The topic of the actions, unless another one is named.
 const ACTION: &str = "/wm/action";
 /// The suite's own pictures, and the simulator's masks, are no camera's.
@@ -29,6 +32,9 @@ const MOST_ACTIONS: usize = 360_000;
 const MOST_FRAMES: usize = 108_000;
 /// An episode ends at a gap of this many periods, as in a data set.
 const GAP_PERIODS: f64 = 1.75;
+
+/// Whether the pictures of video topics are judged: this build has their decoder (feature `video`).
+pub const JUDGES_VIDEO: bool = cfg!(feature = "video");
 
 /// The topics to look at; those that are not named are found in the bag.
 #[derive(Clone, Debug, Default)]
@@ -58,6 +64,9 @@ struct Reading {
     pace: Pace,
     /// The last of the frames.
     shown: Option<Signature>,
+    /// The decoders of the cameras that send video.
+    #[cfg(feature = "video")]
+    videos: video::Videos,
     /// Messages that were not understood, and the first reason, by what they are.
     unreadable: (u64, Option<String>),
     unfit: (u64, Option<String>),
@@ -72,7 +81,7 @@ pub fn audit_bag(reader: &BagReader, topics: &Topics, mut each: impl FnMut()) ->
         all.push(Finding::warning("actions", what));
         ActionSpace::bridge()
     });
-    let cameras = cameras(reader, &topics.cameras, &mut all);
+    let cameras = cameras(reader, &topics.cameras, JUDGES_VIDEO, &mut all);
     let action_topic = action_topic(reader, topics.actions.as_deref(), &mut all);
     let period_ns = (1e9 / space.rate()) as i64;
     let has = |name: &&str| {
@@ -85,6 +94,8 @@ pub fn audit_bag(reader: &BagReader, topics: &Topics, mut each: impl FnMut()) ->
     let pose = POSE_TOPICS.into_iter().find(has);
     let joints = Some(JOINTS_TOPIC).filter(has);
     let mut reading = Reading {
+        #[cfg(feature = "video")]
+        videos: video::Videos::of(reader, &cameras),
         recorded: Recorded::new(cameras.iter().map(String::as_str), &action_topic),
         cameras,
         state_topics: pose.into_iter().chain(joints).map(str::to_owned).collect(),
@@ -112,25 +123,70 @@ pub fn audit_bag(reader: &BagReader, topics: &Topics, mut each: impl FnMut()) ->
     reading.finish(all)
 }
 
-/// The cameras of a bag, the one that actions are compared with first.
-fn cameras(reader: &BagReader, named: &[String], findings: &mut Vec<Finding>) -> Vec<String> {
-    let is_camera = |topic: &&TopicInfo| {
-        topic.message_count > 0
-            && Transport::of(&topic.name, &topic.type_name).is_some_and(Transport::is_read)
-            && !NO_CAMERA.iter().any(|other| topic.name.starts_with(other))
+/// The cameras of a bag by transport: compressed, raw, video.
+fn by_transport(reader: &BagReader) -> Vec<(Transport, String)> {
+    let topics = reader.topics().iter().filter(|topic| {
+        topic.message_count > 0 && !NO_CAMERA.iter().any(|other| topic.name.starts_with(other))
+    });
+    let transports = topics.filter_map(|topic| {
+        let transport = Transport::of(&topic.name, &topic.type_name)?;
+        Some((transport, topic.name.to_string()))
+    });
+    let mut found: Vec<(Transport, String)> = transports.collect();
+    found.sort_by_key(|(transport, _)| match transport {
+        Transport::Compressed => 0,
+        Transport::Raw => 1,
+        _ => 2,
+    });
+    found
+}
+
+/// The video topics of a bag whose camera has no other topic.
+#[must_use]
+pub fn video_topics(reader: &BagReader) -> Vec<String> {
+    let found = by_transport(reader);
+    let has_stills = |camera: &str| {
+        let mut others = found.iter().filter(|(transport, _)| transport.is_read());
+        others.any(|(_, name)| base(name) == camera)
     };
-    let found = reader.topics().iter().filter(is_camera);
-    let mut found: Vec<String> = found.map(|topic| topic.name.to_string()).collect();
-    // Of a camera with both transports the compressed one.
-    let compressed: Vec<String> = found
+    let video = found
         .iter()
-        .filter_map(|name| name.strip_suffix(COMPRESSED))
-        .map(str::to_owned)
-        .collect();
-    found.retain(|name| !compressed.contains(name));
+        .filter(|(transport, name)| *transport == Transport::Video && !has_stills(base(name)));
+    video.map(|(_, name)| name.clone()).collect()
+}
+
+/// The cameras of a bag, the one that actions are compared with first.
+fn cameras(
+    reader: &BagReader,
+    named: &[String],
+    judges_video: bool,
+    findings: &mut Vec<Finding>,
+) -> Vec<String> {
+    let is_named = |name: &String| {
+        let camera = base(name);
+        named.is_empty() || named.iter().any(|named| base(named) == camera)
+    };
+    // Of a camera with several transports, which sends each picture several times, the first.
+    let mut found: Vec<String> = Vec::new();
+    for (transport, name) in by_transport(reader) {
+        let is_judged = transport.is_read() || judges_video && transport == Transport::Video;
+        if is_judged && !found.iter().any(|other| base(other) == base(&name)) {
+            found.push(name);
+        }
+    }
+    let mut unjudged = Vec::new();
+    if !judges_video {
+        unjudged = video_topics(reader);
+        unjudged.retain(is_named);
+    }
+    findings.extend(unjudged.iter().map(|name| {
+        let what = format!("not judged: {name} is compressed video, and wm has no decoder for it");
+        Finding::note("camera", what)
+            .fix("build the program that wm bag info --audit uses for it: cargo build --release -p wm_datasets")
+    }));
+    found.sort_by_key(|name| (base(name) != CAMERA, name.clone()));
     if named.is_empty() {
-        found.sort_by_key(|name| base(name) != CAMERA);
-        if found.is_empty() {
+        if found.is_empty() && unjudged.is_empty() {
             findings.push(no_camera(reader));
         }
         return found;
@@ -139,7 +195,8 @@ fn cameras(reader: &BagReader, named: &[String], findings: &mut Vec<Finding>) ->
         let of = found
             .iter()
             .find(|found| *found == name || base(found) == base(name));
-        if of.is_none() {
+        let is_unjudged = unjudged.iter().any(|other| base(other) == base(name));
+        if of.is_none() && !is_unjudged {
             let what = format!("no pictures on {name}; the bag has {}", found.join(", "));
             findings.push(Finding::error("camera", what));
         }
@@ -156,20 +213,13 @@ fn no_camera(reader: &BagReader) -> Finding {
         .filter(|topic| topic.message_count > 0);
     let mut unread = topics.filter_map(|topic| {
         let transport = Transport::of(&topic.name, &topic.type_name)?;
-        Some((transport, &topic.name, transport.advice(&topic.name)?))
+        transport.advice(&topic.name)
     });
+    let finding = Finding::error("camera", "no pictures on any topic");
     match unread.next() {
-        Some((Transport::Video, name, _)) => {
-            let what = format!("not examined: {name} is compressed video; wm dataset examines it");
-            Finding::note("camera", what)
-        }
-        Some((_, _, advice)) => Finding::error("camera", "no pictures on any topic").fix(advice),
-        None => Finding::error("camera", "no pictures on any topic"),
+        Some(advice) => finding.fix(advice),
+        None => finding,
     }
-}
-
-fn base(topic: &str) -> &str {
-    topic.strip_suffix(COMPRESSED).unwrap_or(topic)
 }
 
 fn action_topic(reader: &BagReader, named: Option<&str>, findings: &mut Vec<Finding>) -> String {
@@ -205,6 +255,10 @@ impl Reading {
         let words = |error: wm_bag::BagError| error.to_string();
         let stamps = |header_ns| Stamps::of_bag(message, header_ns);
         if let Some(camera) = self.cameras.iter().position(|name| name == topic) {
+            #[cfg(feature = "video")]
+            if self.videos.has(camera) {
+                return self.take_packet(camera, message);
+            }
             let frame = CameraFrame::of_bag(message).map_err(words)?;
             let at_ns = frame.header().stamp.to_nanos();
             let picture = frame.decode().map_err(|error| format!("{topic}: {error}"));
@@ -213,17 +267,8 @@ impl Reading {
                 .as_ref()
                 .map(Signature::size)
                 .or_else(|| frame.size());
-            let bytes = (frame.fingerprint(), size);
-            self.recorded
-                .picture(camera, (stamps(at_ns), at_ns), bytes, signature.clone());
-            let is_newer = self.frames.last().is_none_or(|last| at_ns > last.at_ns);
-            if camera == 0 && is_newer && self.frames.len() < MOST_FRAMES && self.pace.is_due(at_ns)
-            {
-                let both = self.shown.as_ref().zip(signature.as_ref());
-                let motion = both.and_then(|(before, now)| before.change(now));
-                self.frames.push(Frame { at_ns, motion });
-                self.shown = signature;
-            }
+            self.recorded.stamp(camera, stamps(at_ns));
+            self.show(camera, at_ns, (frame.fingerprint(), size), signature);
             return picture.map(|_| ());
         }
         if topic == self.action_topic {
@@ -246,7 +291,30 @@ impl Reading {
         taken.map_err(words)
     }
 
+    /// Takes a picture: when it was taken \[ns\], its fingerprint and size \[px\], and its signature if it was decoded.
+    fn show(
+        &mut self,
+        camera: usize,
+        at_ns: i64,
+        (fingerprint, size): (u64, Option<(u32, u32)>),
+        signature: Option<Signature>,
+    ) {
+        if let Some(camera) = self.recorded.cameras.get_mut(camera) {
+            let pictures = &mut camera.pictures;
+            pictures.push(at_ns, fingerprint, size, signature.clone());
+        }
+        let is_newer = self.frames.last().is_none_or(|last| at_ns > last.at_ns);
+        if camera == 0 && is_newer && self.frames.len() < MOST_FRAMES && self.pace.is_due(at_ns) {
+            let both = self.shown.as_ref().zip(signature.as_ref());
+            let motion = both.and_then(|(before, now)| before.change(now));
+            self.frames.push(Frame { at_ns, motion });
+            self.shown = signature;
+        }
+    }
+
     fn finish(mut self, mut all: Vec<Finding>) -> Audit {
+        #[cfg(feature = "video")]
+        all.extend(self.finish_videos());
         for (check, (count, first), what) in [
             ("frames", &self.unreadable, "messages cannot be read"),
             (
@@ -336,6 +404,9 @@ impl Reading {
         episodes
     }
 }
+
+#[cfg(feature = "video")]
+mod video;
 
 #[cfg(test)]
 mod tests;

@@ -34,6 +34,16 @@ impl Gaps {
         self.count += 1;
     }
 
+    /// Adds the gaps of another part of the recording.
+    pub(crate) fn append(&mut self, other: &Self) {
+        for (class, (count, sum)) in &other.classes {
+            let (own_count, own_sum) = self.classes.entry(*class).or_default();
+            *own_count += count;
+            *own_sum += sum;
+        }
+        self.count += other.count;
+    }
+
     /// The median \[s\], to within 3.5 %; `None` for fewer than two gaps.
     #[must_use]
     pub fn median_s(&self) -> Option<f64> {

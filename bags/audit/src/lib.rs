@@ -34,7 +34,7 @@ mod recorded;
 mod state;
 
 pub use audit::{Audit, BagFindings};
-pub use bag::{Topics, audit_bag};
+pub use bag::{JUDGES_VIDEO, Topics, audit_bag, video_topics};
 pub use clocks::{Clocks, Stamps, UnusableStamps};
 pub use episode::{Episode, Episodes};
 pub use finding::{Finding, Level};

@@ -140,6 +140,38 @@ impl Pictures {
             .filter(|levels| levels.is_finite())
     }
 
+    /// Adds the pictures of a later part of the recording. The two at the joint are not compared.
+    pub fn append(&mut self, later: Self) {
+        let Some(first_ns) = later.first_ns else {
+            return;
+        };
+        match self.first_ns {
+            None => self.first_ns = Some(first_ns),
+            Some(_) => self.keep(Pair {
+                at_ns: first_ns,
+                change: Change::Unknown,
+                is_still: false,
+            }),
+        }
+        for pair in later.pairs {
+            self.keep(pair);
+        }
+        self.beyond += later.beyond;
+        self.gaps.append(&later.gaps);
+        for (size, count) in later.sizes {
+            *self.sizes.entry(size).or_default() += count;
+        }
+        (self.last, self.last_ns) = (later.last, later.last_ns);
+        self.anchor = later.anchor;
+    }
+
+    fn keep(&mut self, pair: Pair) {
+        match self.pairs.len() < MOST {
+            true => self.pairs.push(pair),
+            false => self.beyond += 1,
+        }
+    }
+
     /// The number of pictures.
     #[must_use]
     pub fn count(&self) -> u64 {

@@ -55,6 +55,13 @@ impl Recorded {
         self.states.push(clocks);
     }
 
+    /// Takes the times of a message of camera `camera`.
+    pub fn stamp(&mut self, camera: usize, stamps: Stamps) {
+        if let Some(camera) = self.cameras.get_mut(camera) {
+            camera.clocks.push(stamps);
+        }
+    }
+
     /// Takes a picture of camera `camera`: its times, when it was taken \[ns\], its width and height \[px\] and, if it was
     /// decoded, its signature. Gives the mean change since the picture before, if both have a signature \[levels\].
     pub fn picture(
@@ -94,12 +101,9 @@ impl Recorded {
     /// Faults of the pictures.
     #[must_use]
     pub fn check_pictures(&self, actions: &ActionTrack) -> Vec<Finding> {
-        let activity = |from_ns, to_ns| actions.activity(from_ns, to_ns);
-        let known: Option<crate::pictures::Activity<'_>> =
-            (!actions.is_empty()).then_some(&activity);
         let cameras = self.cameras.iter();
         cameras
-            .flat_map(|camera| camera.pictures.check(known))
+            .flat_map(|camera| actions.check_pictures(&camera.pictures))
             .collect()
     }
 }
@@ -149,6 +153,14 @@ impl ActionTrack {
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.actions.is_empty()
+    }
+
+    /// What is wrong with pictures that show the robot of these actions.
+    #[must_use]
+    pub fn check_pictures(&self, pictures: &Pictures) -> Vec<Finding> {
+        let activity = |from_ns, to_ns| self.activity(from_ns, to_ns);
+        let known: Option<crate::pictures::Activity<'_>> = (!self.is_empty()).then_some(&activity);
+        pictures.check(known)
     }
 
     /// The activity from one moment to another \[ns\]: the greatest of the actions that act then.

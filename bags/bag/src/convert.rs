@@ -1,37 +1,51 @@
-use std::{collections::BTreeMap, path::Path, sync::Arc};
+use std::{collections::BTreeMap, fmt, path::Path, sync::Arc};
 
 use bytes::Bytes;
 
 use crate::{
-    BagError, BagMessage, BagReader, BagSummary, BagWarning, BagWriter, Schema, TopicInfo,
-    WriterOptions, part::Part,
+    BagError, BagMessage, BagReader, BagSummary, BagWarning, BagWriter, MessageEncoding, Schema,
+    TopicInfo, WriterOptions, part::Part,
 };
 
-/// Something that makes other messages of the messages of some topics while a bag is converted: pictures of a video, for
-/// example.
+/// Replaces the messages of some topics while a bag is converted: packets of a video by pictures, for example.
 pub trait Transform {
-    /// The transformation of this topic; none leaves it as it is.
+    /// The transformation of this topic; `None` copies its messages.
     fn of_topic(&mut self, topic: &TopicInfo) -> Option<Box<dyn TopicTransform>>;
 }
 
 /// The transformation of one topic. It may keep state from message to message.
 pub trait TopicTransform {
-    /// The topic that takes the place of the old one.
+    /// The topic that replaces the old one.
     fn topic(&self) -> NewTopic;
 
-    /// The messages that come of the next one, which are in the order of log times.
+    /// Takes the next message, in the order of log times, and gives the new messages that are ready.
     ///
     /// # Errors
-    /// Says what is wrong with the message, which is left out then.
+    /// What is wrong with the message, which is left out.
     fn convert(&mut self, message: &BagMessage) -> Result<Vec<NewMessage>, String>;
 
-    /// The messages that are still held back at the bag's end.
+    /// The new messages that are still held back at the bag's end.
     ///
     /// # Errors
-    /// Says why they are lost.
+    /// Why they are lost.
     fn finish(&mut self) -> Result<Vec<NewMessage>, String> {
         Ok(Vec::new())
     }
+
+    /// Messages that gave no new one although [`convert`](Self::convert) took them. Called after
+    /// [`finish`](Self::finish).
+    fn omissions(&self) -> Vec<Omission> {
+        Vec::new()
+    }
+}
+
+/// Messages of a topic that a transformation leaves out for one reason.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Omission {
+    /// How many.
+    pub messages: u64,
+    /// Why.
+    pub reason: String,
 }
 
 /// A topic of a converted bag.
@@ -50,8 +64,10 @@ pub struct NewTopic {
 /// A message of a converted topic.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NewMessage {
-    /// Its log time, in ns since the epoch.
+    /// When it was recorded, in ns since the epoch.
     pub log_time_ns: u64,
+    /// When it was published, in ns since the epoch.
+    pub publish_time_ns: u64,
     /// CDR with its header.
     pub data: Bytes,
 }
@@ -62,12 +78,49 @@ pub struct NewMessage {
 pub struct Converted {
     /// The new bag.
     pub summary: BagSummary,
-    /// Topics of the old bag in whose place others are, with the names of those.
+    /// Names of the transformed topics in the old and in the new bag.
     pub transformed: Vec<(String, String)>,
     /// Topics whose type has no definition in the new bag: the old one has none, and it is not known here, or does not fit.
     pub undefined: Vec<String>,
     /// What is wrong with the old bag, and what could not be transformed.
     pub warnings: Vec<BagWarning>,
+}
+
+impl Converted {
+    /// Whether messages of the old bag are missing from the new one.
+    #[must_use]
+    pub fn is_lossy(&self) -> bool {
+        self.warnings.iter().any(BagWarning::is_loss)
+    }
+}
+
+/// A line for the bag, for each transformed topic and for each warning.
+impl fmt::Display for Converted {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "wrote {} message(s) of {} topic(s) to {}",
+            self.summary.message_count,
+            self.summary.topics.len(),
+            self.summary.path.display()
+        )?;
+        for (old, new) in &self.transformed {
+            match old == new {
+                true => write!(f, "\nconverted {old}")?,
+                false => write!(f, "\nconverted {old} to {new}")?,
+            }
+        }
+        for topic in &self.undefined {
+            write!(
+                f,
+                "\nWarning: the type of {topic} has no definition in the new bag"
+            )?;
+        }
+        for warning in &self.warnings {
+            write!(f, "\nWarning: {warning}")?;
+        }
+        Ok(())
+    }
 }
 
 /// Writes the bag at `input`, of any storage that is read and compressed in any way, as an MCAP bag at `output`. Bytes, times
@@ -90,7 +143,7 @@ pub fn convert(
     for (topic, lost) in &old.lost {
         part.writer.count_lost(topic, *lost);
     }
-    let mut transformed: BTreeMap<Arc<str>, (NewTopic, Box<dyn TopicTransform>)> = BTreeMap::new();
+    let mut transformed: BTreeMap<Arc<str>, Transformed> = BTreeMap::new();
     for topic in reader.topics() {
         let found = transforms
             .iter_mut()
@@ -99,7 +152,12 @@ pub fn convert(
             let new = transform.topic();
             part.writer
                 .add_topic_raw(&new.name, &new.type_name, &new.schema, &new.qos_yaml)?;
-            transformed.insert(Arc::clone(&topic.name), (new, transform));
+            let of_topic = Transformed {
+                new,
+                transform,
+                failed: None,
+            };
+            transformed.insert(Arc::clone(&topic.name), of_topic);
         }
     }
     part.add_channels(&reader, |topic| !transformed.contains_key(topic))?;
@@ -107,7 +165,7 @@ pub fn convert(
         .topics()
         .iter()
         .filter(|topic| topic.schema.text.is_empty() && !transformed.contains_key(&topic.name))
-        .filter(|topic| topic.message_count > 0)
+        .filter(|topic| topic.message_count > 0 && topic.encoding == MessageEncoding::Cdr)
         .map(|topic| topic.name.to_string())
         .collect();
 
@@ -124,17 +182,26 @@ pub fn convert(
             Some((message, transform))
         });
         match message {
-            Some((message, (new, transform))) => {
-                let made = transform.convert(&message);
-                put(&mut part, &message.topic, new, made)?;
+            Some((message, transformed)) => {
+                let made = transformed.transform.convert(&message);
+                transformed.put(&mut part, made)?;
             }
             None => part.write(&stored, stored.header)?,
         }
     }
     let mut names: Vec<(String, String)> = Vec::new();
-    for (topic, (new, mut transform)) in transformed {
-        put(&mut part, &topic, &new, transform.finish())?;
-        names.push((topic.to_string(), new.name));
+    for (topic, mut transformed) in transformed {
+        let made = transformed.transform.finish();
+        transformed.put(&mut part, made)?;
+        let failed = transformed.failed.take();
+        let omissions = transformed.transform.omissions().into_iter();
+        part.warnings
+            .extend(omissions.chain(failed).map(|omission| BagWarning::Omitted {
+                topic: topic.to_string(),
+                messages: omission.messages,
+                reason: omission.reason,
+            }));
+        names.push((topic.to_string(), transformed.new.name));
     }
     names.sort();
     Ok(Converted {
@@ -145,29 +212,44 @@ pub fn convert(
     })
 }
 
-/// Writes what a transformation made.
-fn put(
-    part: &mut Part,
-    topic: &str,
-    new: &NewTopic,
-    made: Result<Vec<NewMessage>, String>,
-) -> Result<(), BagError> {
-    match made {
-        Ok(messages) => {
-            for message in messages {
-                let (time_ns, data) = (message.log_time_ns, &message.data);
-                part.writer
-                    .write_raw(&new.name, &new.type_name, &new.schema, time_ns, data)?;
+/// A topic while it is transformed.
+struct Transformed {
+    new: NewTopic,
+    transform: Box<dyn TopicTransform>,
+    /// Messages that the transformation refused, with the first reason.
+    failed: Option<Omission>,
+}
+
+impl Transformed {
+    /// Writes the new messages, or counts the refused one.
+    fn put(
+        &mut self,
+        part: &mut Part,
+        made: Result<Vec<NewMessage>, String>,
+    ) -> Result<(), BagError> {
+        match made {
+            Ok(messages) => {
+                for message in messages {
+                    let times = (message.log_time_ns, message.publish_time_ns);
+                    let (name, data) = (&self.new.name, &message.data);
+                    match part.writer.append_at(name, times, data) {
+                        Err(error @ BagError::LogTime { .. }) => {
+                            part.readable(Err(error))?;
+                        }
+                        written => written?,
+                    }
+                }
+            }
+            Err(reason) => {
+                let first = Omission {
+                    messages: 0,
+                    reason,
+                };
+                self.failed.get_or_insert(first).messages += 1;
             }
         }
-        Err(reason) => {
-            let warning = BagWarning::MessageSkipped(format!("{topic}: {reason}"));
-            if !part.warnings.contains(&warning) {
-                part.warnings.push(warning);
-            }
-        }
+        Ok(())
     }
-    Ok(())
 }
 
 #[cfg(test)]
@@ -210,6 +292,7 @@ mod tests {
                 .map_err(|_| format!("{text:?} is not a number"))?;
             let number = NewMessage {
                 log_time_ns: message.log_time_ns,
+                publish_time_ns: message.publish_time_ns,
                 data: cdr::to_bytes(&Float32 { data }).unwrap().into(),
             };
             Ok(self.held.replace(number).into_iter().collect())
@@ -225,7 +308,7 @@ mod tests {
         let scratch = tempfile::tempdir().unwrap();
         let (old, new) = (scratch.path().join("old"), scratch.path().join("new"));
         let mut writer = BagWriter::create(&old, WriterOptions::default()).unwrap();
-        for (time, text) in (1..).zip(["1.5", "none", "2.5"]) {
+        for (time, text) in (1..).zip(["1.5", "none", "2.5", "null"]) {
             let text = Text { data: text.into() };
             writer.write("/number/text", &text, time).unwrap();
             writer.write("/text", &text, time).unwrap();
@@ -240,11 +323,15 @@ mod tests {
             converted.transformed,
             [("/number/text".to_owned(), "/number".to_owned())]
         );
-        let skipped = converted.warnings[0].to_string();
-        assert!(
-            skipped.contains("/number/text") && skipped.contains("\"none\""),
-            "{skipped}"
+        assert_eq!(
+            converted.warnings,
+            [BagWarning::Omitted {
+                topic: "/number/text".into(),
+                messages: 2,
+                reason: "\"none\" is not a number".into(),
+            }]
         );
+        assert!(converted.is_lossy());
         let reader = BagReader::open(&new).unwrap();
         let numbers: Vec<(u64, f32)> = reader
             .messages()
@@ -258,7 +345,7 @@ mod tests {
             })
             .collect();
         assert_eq!(numbers, [(1, 1.5), (3, 2.5)]);
-        assert_eq!(reader.topic("/text").unwrap().message_count, 3);
+        assert_eq!(reader.topic("/text").unwrap().message_count, 4);
         let summary = reader.summary();
         assert_eq!(
             (summary.lost["/text"], summary.notes["operator"].as_str()),

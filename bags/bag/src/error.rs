@@ -237,6 +237,16 @@ pub enum BagError {
         /// What the codec met.
         reason: CdrError,
     },
+    /// A message in protobuf that is not of its type.
+    #[error("topic {topic}: expected {type_name} in protobuf: {reason}")]
+    Protobuf {
+        /// The topic.
+        topic: String,
+        /// The type.
+        type_name: String,
+        /// What is wrong.
+        reason: String,
+    },
     /// A message whose definition in the bag does not fit the type that was requested.
     #[error("topic {topic}: the bag's definition of {type_name} does not fit: {reason}")]
     Definition {

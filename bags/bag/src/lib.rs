@@ -34,7 +34,8 @@
 //! - Any bytes in a file give messages or an error, never a panic; every length is held against a named limit.
 //!
 //! - A message is decoded by the definition that the bag carries, its fields by their names.
-//! - A channel that cannot be read is left out by name, and the others are read.
+//! - A channel that cannot be read is left out by name, and the others are read. Pictures in protobuf
+//!   ([`PROTOBUF_TYPES`]) are read as bytes.
 //!
 //! # What it does not do
 //! Attachments; writing sqlite3, or with the file and message compression of rosbag2 (both are read). No ROS and no clock:
@@ -45,6 +46,7 @@ mod convert;
 mod cut;
 mod decoding;
 pub mod definitions;
+mod encoding;
 mod error;
 mod latched;
 mod metadata;
@@ -61,8 +63,9 @@ mod warning;
 mod writer;
 
 pub use aside::{free_name, set_aside};
-pub use convert::{Converted, NewMessage, NewTopic, TopicTransform, Transform, convert};
+pub use convert::{Converted, NewMessage, NewTopic, Omission, TopicTransform, Transform, convert};
 pub use cut::{Cut, CutEnd, CutStart, cut};
+pub use encoding::{MessageEncoding, PROTOBUF_TYPES};
 pub use error::BagError;
 pub use latched::{Latched, kept_messages, known_qos};
 pub use qos::{Durability, QosProfile, Reliability};
@@ -78,9 +81,6 @@ pub use topic::TopicInfo;
 pub use topic_filter::TopicFilter;
 pub use warning::BagWarning;
 pub use writer::{BagWriter, Compression, StoragePreset, WriterOptions};
-
-/// The only encoding of messages in a ROS 2 bag that this crate reads and writes, as MCAP and rosbag2 name it.
-pub(crate) const CDR: &str = "cdr";
 
 /// Keys of a channel's metadata in the file, as `rosbag2_storage_mcap` writes them.
 pub(crate) const QOS_KEY: &str = "offered_qos_profiles";

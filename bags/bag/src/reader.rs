@@ -22,7 +22,7 @@ use std::{
 };
 
 use crate::{
-    BagError, BagSummary, BagWarning, CDR, TopicInfo, TopicSummary,
+    BagError, BagSummary, BagWarning, TopicInfo, TopicSummary,
     metadata::Metadata,
     writer::{LOST_PREFIX, REPEATED_PREFIX},
 };
@@ -60,7 +60,8 @@ impl BagReader {
     /// No such path, not a bag, empty, another storage or compression, or no room for a decompressed file. Not an error, but
     /// named in [`warnings`](Self::warnings): a truncated or partly damaged file, a damaged `metadata.yaml`, a file that it
     /// lists and that is missing while others are there, and channels that cannot be read (another encoding than CDR, no
-    /// type, a second type on a topic).
+    /// type, a second type on a topic; of protobuf, other types than
+    /// [`PROTOBUF_TYPES`](crate::PROTOBUF_TYPES)).
     pub fn open(path: impl AsRef<Path>) -> Result<Self, BagError> {
         let path = path.as_ref();
         let found = fs::metadata(path).map_err(|source| BagError::io(path, source))?;
@@ -293,7 +294,7 @@ impl BagReader {
                 .map(|topic| TopicSummary {
                     name: topic.name.to_string(),
                     type_name: topic.type_name.to_string(),
-                    serialization_format: CDR.to_owned(),
+                    serialization_format: topic.encoding.as_str().to_owned(),
                     message_count: topic.message_count,
                 })
                 .collect(),

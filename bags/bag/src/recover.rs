@@ -13,7 +13,7 @@ use std::{
 use mcap::records::{Record, op};
 
 use crate::{
-    BagError, BagSummary, BagWarning, BagWriter, CDR, WriterOptions,
+    BagError, BagSummary, BagWarning, BagWriter, MessageEncoding, WriterOptions,
     metadata::Metadata,
     reader::{
         check_storage,
@@ -183,7 +183,8 @@ impl<'a> Copier<'a> {
                 continue;
             };
             let topic = channel.topic.clone();
-            if channel.message_encoding != CDR {
+            let name = channel.schema.as_ref().map(|schema| schema.name.as_str());
+            if MessageEncoding::of_channel(&channel.message_encoding, name).is_err() {
                 skipped.insert(id, topic);
                 continue;
             }

@@ -55,7 +55,7 @@ pub struct TopicSummary {
     pub name: String,
     /// The type, as `package/msg/Type`.
     pub type_name: String,
-    /// Encoding of the messages: `cdr`.
+    /// Encoding of the messages: `cdr` or `protobuf`.
     pub serialization_format: String,
     /// Messages of this topic.
     pub message_count: u64,

@@ -1,15 +1,17 @@
 use std::sync::Arc;
 
-use crate::{Durability, QosProfile, Schema, known_qos};
+use crate::{Durability, MessageEncoding, QosProfile, Schema, known_qos};
 
 /// A topic of a bag.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TopicInfo {
     /// The full name, for example `/camera/image_raw`.
     pub name: Arc<str>,
-    /// The type, as `package/msg/Type`.
+    /// The type, as `package/msg/Type`; of protobuf as `package.Type`.
     pub type_name: Arc<str>,
-    /// The type's definition.
+    /// How the messages are encoded.
+    pub encoding: MessageEncoding,
+    /// The type's definition; without a text for protobuf.
     pub schema: Arc<Schema>,
     /// `offered_qos_profiles` as the recorder wrote it (YAML); empty when it wrote none.
     pub qos_yaml: Arc<str>,

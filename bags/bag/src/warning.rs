@@ -144,6 +144,15 @@ pub enum BagWarning {
     },
     /// A message is left out of a copy of the bag.
     MessageSkipped(String),
+    /// Messages of a topic are left out of a converted bag.
+    Omitted {
+        /// The topic in the old bag.
+        topic: String,
+        /// How many.
+        messages: u64,
+        /// Why.
+        reason: String,
+    },
     /// A file that `metadata.yaml` lists is missing.
     MissingFile {
         /// The bag.
@@ -213,6 +222,7 @@ impl BagWarning {
                 | Self::MoreSkipped { .. }
                 | Self::CompressedEnd { .. }
                 | Self::MessageSkipped(_)
+                | Self::Omitted { .. }
                 | Self::MissingFile { .. }
         )
     }
@@ -437,6 +447,11 @@ impl fmt::Display for BagWarning {
                 file.display()
             ),
             Self::MessageSkipped(reason) => write!(f, "a message is left out: {reason}"),
+            Self::Omitted {
+                topic,
+                messages,
+                reason,
+            } => write!(f, "{topic}: {messages} message(s) are left out: {reason}"),
             Self::MissingFile { dir, file } => write!(
                 f,
                 "{}: metadata.yaml lists {}, which does not exist; the other files are read",

@@ -14,8 +14,8 @@ use mcap::records::MessageHeader;
 use wm_msgs::{Message, cdr};
 
 use crate::{
-    BagError, BagSummary, CDR, Durability, Latched, QOS_KEY, QosProfile, Schema, TYPE_HASH_KEY,
-    TopicSummary, known_qos,
+    BagError, BagSummary, Durability, Latched, MessageEncoding, QOS_KEY, QosProfile, Schema,
+    TYPE_HASH_KEY, TopicSummary, known_qos,
     metadata::{
         FileInformation, Metadata, Nanoseconds, SinceEpoch, TopicMetadata, TopicWithMessageCount,
     },
@@ -181,7 +181,7 @@ impl BagWriter {
             id: 0,
             topic: topic.to_owned(),
             schema: Some(Arc::new(schema)),
-            message_encoding: CDR.to_owned(),
+            message_encoding: MessageEncoding::Cdr.as_str().to_owned(),
             metadata: BTreeMap::from([
                 (QOS_KEY.to_owned(), qos_yaml.to_owned()),
                 (TYPE_HASH_KEY.to_owned(), type_hash),
@@ -206,7 +206,11 @@ impl BagWriter {
             path: self.dir.clone(),
             topic: definition.topic.clone(),
         })?;
-        let type_name = canonical_type_name(name)?;
+        let is_protobuf = definition.message_encoding == MessageEncoding::Protobuf.as_str();
+        let type_name = match is_protobuf {
+            true => name.to_owned(),
+            false => canonical_type_name(name)?,
+        };
         self.known_channel(&definition.topic, &type_name)?;
         self.file.add(&definition)?;
         let number = self.channels.len();
@@ -290,7 +294,7 @@ impl BagWriter {
                 number
             }
         };
-        self.append_to(number, topic, log_time_ns, data)
+        self.append_to(number, topic, (log_time_ns, log_time_ns), data)
     }
 
     /// Counts messages that were lost before they came here (a full queue), so that the bag says so.
@@ -346,7 +350,7 @@ impl BagWriter {
         let summaries = topics.values().map(|topic| TopicSummary {
             name: topic.topic_metadata.name.clone(),
             type_name: topic.topic_metadata.type_name.clone(),
-            serialization_format: CDR.to_owned(),
+            serialization_format: topic.topic_metadata.serialization_format.clone(),
             message_count: topic.message_count - repeated(&topic.topic_metadata.name),
         });
         let summaries = summaries.collect();
@@ -377,7 +381,8 @@ impl BagWriter {
         let Some((number, known)) = number.and_then(|n| Some((n, self.channels.get(n)?))) else {
             return Ok(None);
         };
-        if known.type_name != type_name && known.type_name != canonical_type_name(type_name)? {
+        let is_same = |name: String| known.type_name == name;
+        if known.type_name != type_name && !canonical_type_name(type_name).is_ok_and(is_same) {
             return Err(BagError::TypeConflict {
                 path: self.dir.clone(),
                 topic: topic.to_owned(),
@@ -398,15 +403,27 @@ impl BagWriter {
     ) -> Result<(), BagError> {
         let known = self.known_channel(topic, type_name)?;
         let number = known.ok_or_else(|| BagError::TopicName(topic.to_owned()))?;
-        self.append_to(number, topic, log_time_ns, data)
+        self.append_to(number, topic, (log_time_ns, log_time_ns), data)
     }
 
-    /// Writes to the channel of this number.
+    /// Writes to a topic that has been added, with these log and publish times, in ns.
+    pub(crate) fn append_at(
+        &mut self,
+        topic: &str,
+        times_ns: (u64, u64),
+        data: &[u8],
+    ) -> Result<(), BagError> {
+        let known = self.by_topic.get(topic).copied();
+        let number = known.ok_or_else(|| BagError::TopicName(topic.to_owned()))?;
+        self.append_to(number, topic, times_ns, data)
+    }
+
+    /// Writes to the channel of this number, with these log and publish times, in ns.
     fn append_to(
         &mut self,
         number: usize,
         topic: &str,
-        log_time_ns: u64,
+        (log_time_ns, publish_time_ns): (u64, u64),
         data: &[u8],
     ) -> Result<(), BagError> {
         if data.len() < 4 {
@@ -423,7 +440,7 @@ impl BagWriter {
             // MCAP's sequence is 32 bits wide and may wrap.
             sequence: (channel.message_count - channel.repeated + 1) as u32,
             log_time: log_time_ns,
-            publish_time: log_time_ns,
+            publish_time: publish_time_ns,
         };
         self.copy(number, header, data)
     }
@@ -520,7 +537,7 @@ fn topic_with_count(channel: &Channel) -> TopicWithMessageCount {
         topic_metadata: TopicMetadata {
             name: channel.definition.topic.clone(),
             type_name: channel.type_name.clone(),
-            serialization_format: CDR.to_owned(),
+            serialization_format: channel.definition.message_encoding.clone(),
             // Text that is no YAML stays text, the form of older versions.
             offered_qos_profiles: serde_yaml_ng::from_str(&qos_yaml)
                 .unwrap_or_else(|_| qos_yaml.into()),

@@ -13,7 +13,10 @@ use wm_msgs::{
     std_msgs::Header,
 };
 
-use crate::image_message::{ImageError, decode_compressed, decode_image};
+use crate::{
+    foxglove,
+    image_message::{ImageError, decode_compressed, decode_image},
+};
 
 /// A frame by either transport.
 #[derive(Clone, Debug)]
@@ -25,15 +28,17 @@ pub enum CameraFrame {
 }
 
 impl CameraFrame {
-    /// The frame that a bag's message holds: compressed if its type says so, else raw.
+    /// The frame that a bag's message holds: compressed if its type says so, else raw. The types of ROS, and those of
+    /// Foxglove in protobuf.
     ///
     /// # Errors
     /// Bytes that are no message of an image type, by name.
     pub fn of_bag(message: &BagMessage) -> Result<Self, BagError> {
-        if message.type_name.as_ref() == CompressedImage::ros_name() {
-            message.decode().map(Self::Compressed)
-        } else {
-            message.decode().map(Self::Raw)
+        match &*message.type_name {
+            foxglove::COMPRESSED_IMAGE => foxglove::compressed_image(message).map(Self::Compressed),
+            foxglove::RAW_IMAGE => foxglove::raw_image(message).map(Self::Raw),
+            name if name == CompressedImage::ros_name() => message.decode().map(Self::Compressed),
+            _ => message.decode().map(Self::Raw),
         }
     }
 

@@ -2,12 +2,10 @@
 
 use thiserror::Error;
 use wm_bag::{BagError, BagMessage, BagReader, TopicInfo};
-use wm_msgs::{
-    Message as _,
-    sensor_msgs::{CompressedImage, Image},
-};
+use wm_msgs::sensor_msgs::CompressedImage;
 
 use crate::{
+    camera_frame::CameraFrame,
     image_message::{ImageError, decode_image, encode_jpeg},
     transport::Transport,
 };
@@ -82,7 +80,7 @@ pub fn camera_topic(reader: &BagReader, wanted: &str) -> Result<String, GoalErro
     cameras.sort_by_key(|topic| {
         (
             topic.name.contains("mask"),
-            *topic.type_name != CompressedImage::ros_name(),
+            Transport::of(&topic.name, &topic.type_name) != Some(Transport::Compressed),
             topic.name.clone(),
         )
     });
@@ -139,10 +137,10 @@ pub fn last_frame(reader: &BagReader, topic: &str) -> Result<CompressedImage, Go
 }
 
 fn compressed(topic: &str, message: &BagMessage) -> Result<CompressedImage, GoalError> {
-    if message.type_name.as_ref() == CompressedImage::ros_name() {
-        return Ok(message.decode()?);
-    }
-    let image: Image = message.decode()?;
+    let image = match CameraFrame::of_bag(message)? {
+        CameraFrame::Compressed(image) => return Ok(image),
+        CameraFrame::Raw(image) => image,
+    };
     let wrong = |source| GoalError::Image {
         topic: topic.to_owned(),
         source,

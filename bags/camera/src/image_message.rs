@@ -136,6 +136,17 @@ pub fn decode_compressed(image: &CompressedImage) -> Result<RgbImage, ImageError
     }
 }
 
+/// The bytes of a JPEG or PNG as RGB, with the checks of [`decode_compressed`].
+///
+/// # Errors
+/// As [`decode_compressed`].
+pub fn decode_picture(data: Vec<u8>) -> Result<RgbImage, ImageError> {
+    decode_compressed(&CompressedImage {
+        data,
+        ..CompressedImage::default()
+    })
+}
+
 /// Format, columns and rows of a compressed image message that is a complete picture, and that [`decode_compressed`]
 /// decodes. A JPEG is not decoded for it, which takes a fraction of the time.
 ///

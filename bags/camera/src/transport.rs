@@ -5,21 +5,30 @@ use wm_msgs::{
     sensor_msgs::{CompressedImage, Image},
 };
 
-/// foxglove_msgs/msg/CompressedVideo, and its protobuf type.
-pub(crate) const FOXGLOVE: [&str; 3] = [
-    "foxglove_msgs/msg/CompressedVideo",
-    "foxglove.CompressedVideo",
-    "foxglove/msg/CompressedVideo",
-];
+use crate::foxglove;
+
 /// Of ffmpeg_image_transport.
 pub(crate) const FFMPEG: &str = "ffmpeg_image_transport_msgs/msg/FFMPEGPacket";
+
+/// The last part of a topic's name by which image_transport sends JPEG or PNG.
+pub const COMPRESSED: &str = "/compressed";
+/// The last parts of the names of video topics: ffmpeg_image_transport, foxglove_compressed_video_transport, recorders.
+pub const VIDEO: [&str; 4] = ["/ffmpeg", "/foxglove", "/video", "/h264"];
+
+/// A camera's topic without its transport.
+#[must_use]
+pub fn base(topic: &str) -> &str {
+    let mut transports = VIDEO.iter().chain([&COMPRESSED]);
+    let base = transports.find_map(|transport| topic.strip_suffix(transport));
+    base.filter(|base| !base.is_empty()).unwrap_or(topic)
+}
 
 /// By what a topic sends pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Transport {
-    /// sensor_msgs/Image.
+    /// sensor_msgs/Image, or the same in protobuf.
     Raw,
-    /// sensor_msgs/CompressedImage with JPEG or PNG.
+    /// sensor_msgs/CompressedImage with JPEG or PNG, or the same in protobuf.
     Compressed,
     /// Compressed video, h264 mostly.
     Video,
@@ -32,11 +41,14 @@ pub enum Transport {
 impl Transport {
     /// The transport of a topic with this name and type; none if it sends no pictures.
     pub fn of(topic: &str, type_name: &str) -> Option<Self> {
-        let is_image = type_name == Image::ros_name();
-        let is_compressed = type_name == CompressedImage::ros_name();
+        let is_image = type_name == Image::ros_name() || type_name == foxglove::RAW_IMAGE;
+        let is_compressed =
+            [&*CompressedImage::ros_name(), foxglove::COMPRESSED_IMAGE].contains(&type_name);
+        let is_video = [FFMPEG, foxglove::PROTOBUF_VIDEO].contains(&type_name)
+            || foxglove::ROS_VIDEO.contains(&type_name);
         let sibling = topic.rsplit('/').next().unwrap_or_default();
         match sibling {
-            _ if type_name == FFMPEG || FOXGLOVE.contains(&type_name) => Some(Self::Video),
+            _ if is_video => Some(Self::Video),
             _ if type_name == "theora_image_transport/msg/Packet" => Some(Self::Other("Theora")),
             "compressedDepth" if is_compressed => Some(Self::Depth),
             "zstd" if is_compressed => Some(Self::Other("zstd")),
@@ -56,8 +68,9 @@ impl Transport {
         Some(match self {
             Self::Raw | Self::Compressed => return None,
             Self::Video => format!(
-                "{topic} is compressed video, which wm dataset reads from bags; for anything else, publish the camera as \
-                 sensor_msgs/CompressedImage (image_transport: compressed)"
+                "{topic} is compressed video, which wm dataset reads from bags; for anything else, make pictures of it: wm bag \
+                 convert IN OUT --video jpeg, or publish the camera as sensor_msgs/CompressedImage (image_transport: \
+                 compressed)"
             ),
             Self::Depth => {
                 format!("{topic} has distances, not colours; choose the colour camera's topic")
@@ -74,6 +87,19 @@ impl Transport {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn base_of_a_topic_is_its_name_without_the_transport() {
+        for topic in [
+            "/camera/image_raw",
+            "/camera/image_raw/compressed",
+            "/camera/image_raw/ffmpeg",
+            "/camera/image_raw/h264",
+        ] {
+            assert_eq!(base(topic), "/camera/image_raw");
+        }
+        assert_eq!(base("/video"), "/video");
+    }
 
     #[test]
     fn transport_follows_from_name_and_type() {
@@ -111,6 +137,12 @@ mod tests {
                 "foxglove.CompressedVideo",
                 Some(Transport::Video),
             ),
+            (
+                "/jpeg",
+                "foxglove.CompressedImage",
+                Some(Transport::Compressed),
+            ),
+            ("/raw", "foxglove.RawImage", Some(Transport::Raw)),
             ("/note", "std_msgs/msg/String", None),
         ] {
             assert_eq!(Transport::of(topic, type_name), expected, "{topic}");

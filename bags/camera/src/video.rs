@@ -4,6 +4,7 @@
 mod h264;
 mod packet;
 mod stream;
+mod topics;
 
 use thiserror::Error;
 
@@ -12,8 +13,9 @@ use crate::{
     yuv::{Matrix, ShortPlane, YuvColours},
 };
 pub use h264::{H264Decoder, has_keyframe};
-pub use packet::{PacketError, VideoPacket};
-pub use stream::{Shown, VideoStream};
+pub use packet::VideoPacket;
+pub use stream::{Dropped, Shown, VideoStream};
+pub use topics::VideoTopics;
 
 /// Why a video has no picture.
 #[derive(Debug, Error)]
@@ -36,6 +38,9 @@ pub enum VideoError {
         /// Rows.
         height: usize,
     },
+    /// A picture depends on another one whose packet did not come.
+    #[error("packets are missing: a picture depends on one that did not come")]
+    Missing,
     /// The decoder failed.
     #[error("h264: {0}")]
     Decoder(String),

@@ -1,8 +1,11 @@
-//! `wm-datasets`: imports data sets as bags, and exports bags as data sets. `wm bag import` and `wm bag export` call
-//! it. It is a separate program because the video codecs and parquet take long to build.
+//! `wm-datasets`: imports data sets as bags, exports bags as data sets, and decodes the video in bags.
+//! `wm bag import`, `wm bag export`, `wm bag convert --video jpeg` and `wm bag info --audit` call it. It is a separate program because the video
+//! codecs and parquet take long to build.
 //!
-//! Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done without some of the episodes.
+//! Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done without some of the episodes or messages.
 
+mod audit;
+mod convert;
 mod mapping;
 
 use std::{
@@ -13,14 +16,16 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
+use audit::AuditCommand;
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use convert::ConvertCommand;
 use mapping::MappingOptions;
 use tracing_subscriber::EnvFilter;
 use wm_import::{Imported, Shard, import_bridge, import_droid};
 use wm_motion::actions::ActionSpace;
 use wm_progress::Progress;
 
-/// Exit code of an import without some of the episodes.
+/// Exit code if some of the episodes or messages are left out.
 const LEFT_OUT: u8 = 3;
 
 /// Imports data sets as bags, and exports bags as data sets.
@@ -33,6 +38,12 @@ enum Command {
     /// Convert bags to a data set
     #[command(subcommand)]
     Export(ExportCommand),
+    /// Convert a bag, with pictures for its video topics
+    #[command(hide = true)]
+    Convert(ConvertCommand),
+    /// Examine a bag, its video topics too
+    #[command(hide = true)]
+    Audit(AuditCommand),
 }
 
 #[derive(Debug, Subcommand)]
@@ -239,6 +250,8 @@ fn run(command: Command) -> Result<ExitCode> {
             writeln!(std::io::stdout().lock(), "{}", command.run()?)?;
             Ok(ExitCode::SUCCESS)
         }
+        Command::Convert(command) => command.run(),
+        Command::Audit(command) => command.run(),
     }
 }
 

@@ -27,7 +27,7 @@ pub enum BagCommand {
     Recover(recover::RecoverCommand),
     /// Write part of a bag, selected by time and topics
     Cut(cut::CutCommand),
-    /// Convert a bag to MCAP: sqlite3, compressed files, compressed messages
+    /// Convert a bag to MCAP: sqlite3, compressed files and messages; video to pictures (runs wm-datasets)
     Convert(convert::ConvertCommand),
     /// Convert a data set to bags: Bridge V2, DROID, LeRobot (runs wm-datasets)
     #[command(disable_help_flag = true, disable_version_flag = true)]

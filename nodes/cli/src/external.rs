@@ -122,6 +122,15 @@ fn replaced(command: clap::Command, words: &[&str], own: &clap::Command) -> clap
     }
 }
 
+/// Where a program is, if it is beside this one or on the PATH.
+///
+/// # Errors
+/// The folder of this program is unknown.
+pub fn program(name: &str) -> Result<Option<PathBuf>> {
+    let beside = std::env::current_exe()?;
+    Ok(find(name, &folders(&beside)))
+}
+
 /// Where programs are looked for: beside this one, and then on the PATH.
 fn folders(beside: &Path) -> Vec<PathBuf> {
     let path = std::env::var_os("PATH").unwrap_or_default();
@@ -130,7 +139,10 @@ fn folders(beside: &Path) -> Vec<PathBuf> {
 }
 
 /// Becomes the program, which is looked for beside this one and then on the PATH.
-fn exec(program: &str, args: impl IntoIterator<Item = OsString>) -> Result<ExitCode> {
+///
+/// # Errors
+/// It is not there (the error says how to build it), or cannot be started.
+pub fn exec(program: &str, args: impl IntoIterator<Item = OsString>) -> Result<ExitCode> {
     let beside = std::env::current_exe()?;
     let Some(found) = find(program, &folders(&beside)) else {
         bail!(

@@ -1,21 +1,10 @@
 use wm_bag::{BagReader, TopicInfo};
-use wm_camera::transport::Transport;
+use wm_camera::transport::{COMPRESSED, Transport, VIDEO, base};
 
 /// The camera of a robot that has one.
 pub(super) const CAMERA: &str = "/camera/image_raw";
 /// The masks of its pictures, which the simulator writes.
 pub(super) const MASK: &str = "/camera/mask/compressed";
-const COMPRESSED: &str = "/compressed";
-/// The last parts of the names of video topics: ffmpeg_image_transport, foxglove_compressed_video_transport, recorders.
-const VIDEO: [&str; 4] = ["/ffmpeg", "/foxglove", "/video", "/h264"];
-
-/// A camera's topic without its transport, so that bags are alike whose cameras differ in nothing else.
-pub(super) fn base(topic: &str) -> &str {
-    let mut transports = VIDEO.iter().chain([&COMPRESSED]);
-    let base = transports.find_map(|transport| topic.strip_suffix(transport));
-    base.unwrap_or(topic)
-}
-
 /// The topics of the cameras that are asked for; of the usual one, or the only one, where none is.
 ///
 /// Of a camera with several transports, which sends each frame several times, the compressed one is taken, then the raw

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 use sha2::{Digest as _, Sha256};
-use wm_audit::{Audit, Episode, Episodes};
+use wm_audit::{ActionTrack, Audit, Episode, Episodes};
 use wm_model::Fit;
 
 use super::{
@@ -24,6 +24,7 @@ use super::{
     store::{Folder, NewFolder},
 };
 use bags::Survey;
+use frames::Decoded;
 pub(super) use frames::shrink;
 
 /// What is to be prepared, and how.
@@ -44,6 +45,10 @@ pub(super) struct Planned {
     /// Topics of its pictures: cameras, then masks.
     pub topics: Vec<String>,
     pub episodes: Vec<Draft>,
+    /// What the robot does, for the audit.
+    pub actions: ActionTrack,
+    /// Index of its findings in the plan.
+    pub findings: usize,
 }
 
 impl Preparation {
@@ -125,7 +130,7 @@ impl Preparation {
             let found = frames::write(&plan.bags, &survey.readers, &manifest, &folder)?;
             manifest.source_sizes = source_sizes(&found.sizes, &manifest.cameras);
             if found.broken.iter().all(Broken::is_empty) {
-                folder.write_audit(&audit(&plan, &manifest, &found.changes))?;
+                folder.write_audit(&audit(&plan, &manifest, &found))?;
                 folder.write_actions(&actions)?;
                 folder.write_statistics(&statistics(&manifest, &actions)?)?;
                 return folder.finish(&manifest);
@@ -217,10 +222,10 @@ pub(super) fn identity(source: &Source, begin_ns: i64) -> String {
 }
 
 /// The audit of each bag, and of all episodes together.
-fn audit(plan: &bags::Plan, manifest: &Manifest, changes: &[Vec<Option<f32>>]) -> Audit {
+fn audit(plan: &bags::Plan, manifest: &Manifest, decoded: &Decoded) -> Audit {
     let space = &plan.space;
     let drafts = plan.bags.iter().flat_map(|bag| &bag.episodes);
-    let listed = drafts.zip(&manifest.episodes).zip(changes);
+    let listed = drafts.zip(&manifest.episodes).zip(&decoded.changes);
     let episodes = listed.map(|((draft, listed), changes)| {
         let mut episode = Episode::new(listed.name.as_str(), space.len());
         let states = draft.states.iter().map(Some).chain(std::iter::repeat(None));
@@ -235,7 +240,17 @@ fn audit(plan: &bags::Plan, manifest: &Manifest, changes: &[Vec<Option<f32>>]) -
         space,
         period_s: 1.0 / space.rate(),
     });
-    Audit::new(&plan.findings, all)
+    let mut findings = plan.findings.clone();
+    for bag in &plan.bags {
+        let pictures = decoded.videos.get(bag.source).into_iter().flatten();
+        let found = pictures.flat_map(|pictures| bag.actions.check_pictures(pictures));
+        // Missing frames were found by the packets' stamps.
+        let found = found.filter(|finding| finding.check != "dropped");
+        if let Some(of_bag) = findings.get_mut(bag.findings) {
+            of_bag.findings.extend(found);
+        }
+    }
+    Audit::new(&findings, all)
 }
 
 fn statistics(manifest: &Manifest, actions: &[Vec<f32>]) -> Result<DataStatistics, DatasetError> {

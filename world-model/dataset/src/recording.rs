@@ -2,6 +2,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use wm_audit::{ActionTrack, Finding, JOINTS_TOPIC, POSE_TOPICS, Recorded, Stamps, StateLog};
 use wm_bag::{BagError, BagMessage, BagReader, TopicInfo};
+use wm_camera::transport::base;
 use wm_motion::actions::ActionSpace;
 use wm_msgs::{
     Message as _,
@@ -15,7 +16,7 @@ use super::{
     Settings,
     action_log::ActionLog,
     camera_message::CameraMessage,
-    cameras::{CAMERA, MASK, base, cameras},
+    cameras::{CAMERA, MASK, cameras},
     manifest::Thing,
     options::StampSource,
 };
@@ -367,11 +368,10 @@ impl Recording {
     }
 
     /// Faults of stamps and pictures.
-    pub fn findings(&self, settings: &Settings, space: &ActionSpace) -> Vec<Finding> {
-        let track = ActionTrack::new(space, self.actions.rows());
+    pub fn findings(&self, settings: &Settings, actions: &ActionTrack) -> Vec<Finding> {
         let uses_headers = settings.stamps == StampSource::Header;
         let mut findings = self.recorded.check_stamps(uses_headers);
-        findings.extend(self.recorded.check_pictures(&track));
+        findings.extend(self.recorded.check_pictures(actions));
         findings
     }
 

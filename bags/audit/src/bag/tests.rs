@@ -142,7 +142,7 @@ fn cameras_of(topics: &[&str]) -> (Vec<String>, Vec<Finding>) {
     }
     writer.finish().unwrap();
     let mut findings = Vec::new();
-    let cameras = cameras(&BagReader::open(&bag).unwrap(), &[], &mut findings);
+    let cameras = cameras(&BagReader::open(&bag).unwrap(), &[], false, &mut findings);
     (cameras, findings)
 }
 
@@ -156,6 +156,38 @@ fn topics_of_other_codecs_are_no_cameras() {
     assert!(found.is_empty());
     assert_eq!(findings[0].level, Level::Error);
     assert!(findings[0].fix.as_deref().unwrap().contains("zstd"));
+}
+
+#[test]
+fn video_is_named_where_it_cannot_be_judged() {
+    let dir = TempDir::new().unwrap();
+    let bag = dir.path().join("bag");
+    let mut writer = BagWriter::create(&bag, WriterOptions::default()).unwrap();
+    let schema = wm_bag::Schema::ros2msg("uint8[] data");
+    for topic in ["/front/ffmpeg", "/wrist/image_raw/h264"] {
+        let name = "foxglove_msgs/msg/CompressedVideo";
+        writer
+            .write_raw(topic, name, &schema, 1, &[0, 1, 0, 0])
+            .unwrap();
+    }
+    let image = CompressedImage::default();
+    writer
+        .write("/wrist/image_raw/compressed", &image, 1)
+        .unwrap();
+    writer.finish().unwrap();
+    let reader = BagReader::open(&bag).unwrap();
+    assert_eq!(video_topics(&reader), ["/front/ffmpeg"]);
+    for named in [vec![], vec!["/front/ffmpeg".to_owned()]] {
+        let mut findings = Vec::new();
+        let found = cameras(&reader, &named, false, &mut findings);
+        assert_eq!(found.len(), 1 - named.len());
+        let [finding] = findings.as_slice() else {
+            panic!("{findings:?}");
+        };
+        assert_eq!(finding.level, Level::Note);
+        let expected = "not judged: /front/ffmpeg is compressed video";
+        assert!(finding.what.contains(expected), "{finding:?}");
+    }
 }
 
 #[test]

@@ -190,3 +190,18 @@ fn a_long_recording_is_examined_up_to_a_limit() {
     let found = long.check(None);
     assert!(found[0].what.contains("9 more were not"), "{found:?}");
 }
+
+#[test]
+fn parts_of_a_recording_are_examined_together() {
+    let shown_twice = |from: u64| pictures((from..from + 20).map(|k| (k / 2, k)));
+    let mut both = shown_twice(0);
+    both.append(shown_twice(20));
+    assert_eq!(both.count(), 40);
+    let found = both.check(Some(&acting));
+    assert_eq!(&*found[0].check, "repeats", "{found:?}");
+    let mut none = Pictures::new("/camera");
+    none.append(Pictures::new("/camera"));
+    assert_eq!(none.count(), 0);
+    none.append(shown_twice(0));
+    assert_eq!(none.count(), 20);
+}

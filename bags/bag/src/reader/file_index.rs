@@ -7,9 +7,8 @@ use std::{
 
 use super::{stored_file::StoredFile, times::Times};
 use crate::{
-    BagWarning, CDR, QOS_KEY, Schema, TYPE_HASH_KEY, TopicInfo,
-    decoding::Decoding,
-    schema::{absolute, canonical_type_name},
+    BagWarning, MessageEncoding, QOS_KEY, Schema, TYPE_HASH_KEY, TopicInfo, decoding::Decoding,
+    schema::absolute,
 };
 
 /// A part of a file that is read in one go.
@@ -151,28 +150,28 @@ impl FileIndex {
 
     /// The channel's topic, or why its messages cannot be read.
     fn readable(&mut self, channel: &mcap::Channel<'static>) -> Result<TopicInfo, String> {
-        let encoding = &channel.message_encoding;
-        if encoding != CDR {
-            return Err(format!("its messages are {encoding:?}, expected \"cdr\""));
-        }
-        let Some(schema) = &channel.schema else {
-            return Err("it has no schema, so that its type is unknown".to_owned());
-        };
-        let type_name = canonical_type_name(&schema.name).map_err(|_| {
-            let found = &schema.name;
-            format!("its type is {found:?}, expected package/msg/Type")
-        })?;
+        let schema = channel.schema.as_ref();
+        let name = schema.map(|schema| schema.name.as_str());
+        let (encoding, type_name) = MessageEncoding::of_channel(&channel.message_encoding, name)?;
+        let (id, schema_encoding, data) = schema.map_or((0, "", &[][..]), |schema| {
+            (schema.id, schema.encoding.as_str(), &*schema.data)
+        });
         // One copy of a definition, however many channels have it.
-        let shared = self.schemas.entry(schema.id).or_insert_with(|| {
+        let shared = self.schemas.entry(id).or_insert_with(|| {
+            let text = match encoding {
+                MessageEncoding::Cdr => String::from_utf8_lossy(data).into_owned(),
+                MessageEncoding::Protobuf => String::new(),
+            };
             Arc::new(Schema {
-                encoding: schema.encoding.as_str().into(),
-                text: String::from_utf8_lossy(&schema.data).into_owned(),
+                encoding: schema_encoding.into(),
+                text,
             })
         });
         let text = |key| channel.metadata.get(key).map_or("", String::as_str).into();
         Ok(TopicInfo {
             name: absolute(&channel.topic).into(),
             type_name: type_name.into(),
+            encoding,
             schema: Arc::clone(shared),
             qos_yaml: text(QOS_KEY),
             type_hash: text(TYPE_HASH_KEY),

@@ -17,22 +17,24 @@ use super::{
     record::parse,
     sqlite::Rows,
 };
-use crate::{BagError, Latched, Schema, decoding::Decoding};
+use crate::{BagError, Latched, MessageEncoding, Schema, decoding::Decoding};
 
 /// A message of a bag.
 #[derive(Clone, Debug)]
 pub struct BagMessage {
     /// The topic's full name.
     pub topic: Arc<str>,
-    /// The type, as `package/msg/Type`.
+    /// The type, as `package/msg/Type`; of protobuf as `package.Type`.
     pub type_name: Arc<str>,
+    /// How `data` is encoded.
+    pub encoding: MessageEncoding,
     /// The type's definition, as the bag carries it.
     pub schema: Arc<Schema>,
     /// When it was recorded, in ns since the epoch.
     pub log_time_ns: u64,
     /// When it was published, in ns since the epoch; many recorders repeat the log time.
     pub publish_time_ns: u64,
-    /// CDR with its 4-byte header, as it was recorded; decompressed, if rosbag2 compressed it.
+    /// CDR with its 4-byte header, or protobuf, as it was recorded; decompressed, if rosbag2 compressed it.
     pub data: Bytes,
     decoding: Arc<Decoding>,
 }
@@ -55,6 +57,7 @@ impl BagMessage {
         Self {
             topic: Arc::clone(&channel.topic.name),
             type_name: Arc::clone(&channel.topic.type_name),
+            encoding: channel.topic.encoding,
             schema: Arc::clone(&channel.topic.schema),
             log_time_ns: header.log_time,
             publish_time_ns: header.publish_time,

@@ -4,9 +4,9 @@ use std::{collections::BTreeMap, sync::Arc};
 
 use super::file_index::FileIndex;
 use crate::{
-    BagWarning, CDR, QosProfile, Schema, TopicInfo,
+    BagWarning, MessageEncoding, QosProfile, Schema, TopicInfo,
     metadata::{Metadata, TopicMetadata},
-    schema::{absolute, canonical_type_name},
+    schema::absolute,
     writer::REPEATED_PREFIX,
 };
 
@@ -130,11 +130,8 @@ fn silent_topic(
     qos_yaml: Arc<str>,
     type_hash: Arc<str>,
 ) -> Result<TopicInfo, String> {
-    let encoding = &listed.serialization_format;
-    if encoding != CDR {
-        return Err(format!("its messages are {encoding:?}, expected \"cdr\""));
-    }
-    let type_name = canonical_type_name(&listed.type_name).map_err(|error| error.to_string())?;
+    let (encoding, type_name) =
+        MessageEncoding::of_channel(&listed.serialization_format, Some(&listed.type_name))?;
     let schema = Arc::new(Schema {
         encoding: "".into(),
         text: String::new(),
@@ -142,6 +139,7 @@ fn silent_topic(
     Ok(TopicInfo {
         name,
         type_name: type_name.into(),
+        encoding,
         schema,
         qos_yaml,
         type_hash,

@@ -99,7 +99,7 @@ impl fmt::Display for Losses {
         if self.messages > 0 {
             write!(
                 f,
-                "\nlost: {} message(s) whose channel is unknown, has no type or is not CDR, or whose time is out of \
+                "\nlost: {} message(s) whose channel is unknown, has no type or another encoding than CDR, or whose time is out of \
                  rosbag2's range",
                 self.messages
             )?;

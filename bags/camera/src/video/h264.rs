@@ -20,6 +20,9 @@ use crate::yuv::{Plane, YuvColours, YuvTable};
 /// NAL units begin with this; a longer form has another 0 before it.
 const START_CODE: [u8; 3] = [0, 0, 1];
 
+/// `dsRefLost` of OpenH264's `codec_app_def.h`, a flag of error codes.
+const REFERENCE_LOST: i64 = 0x02;
+
 /// Decodes h264 of 8 bits a sample, 4:2:0.
 pub struct H264Decoder {
     decoder: Decoder,
@@ -70,7 +73,10 @@ impl H264Decoder {
         }
         let options = DecodeOptions::new().flush_after_decode(Flush::NoFlush);
         let picture = self.decoder.decode_with_options(units, options);
-        let picture = picture.map_err(|error| VideoError::Decoder(error.to_string()))?;
+        let picture = picture.map_err(|error| match error.native_code() & REFERENCE_LOST {
+            0 => VideoError::Decoder(error.to_string()),
+            _ => VideoError::Missing,
+        })?;
         picture
             .iter()
             .map(|picture| rgb(&self.table, picture))

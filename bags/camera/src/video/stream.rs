@@ -7,30 +7,64 @@ use wm_msgs::std_msgs::Header;
 
 use super::{
     ColourTags, H264Decoder, VideoError, VideoPacket,
-    h264::{has_keyframe, has_picture},
+    h264::{has_keyframe, has_picture, nal_units},
 };
 
 /// Pictures that a decoder holds back at most (H.264, A.3.1), and as many again: with more, pictures are missing.
 const MOST_WAITING: usize = 32;
 
-/// A picture with the header of its packet.
+/// A picture with the header and the times of its packet.
 #[derive(Clone, Debug)]
 pub struct Shown {
     /// Capture time and optical frame.
     pub header: Header,
+    /// When the packet was recorded, in ns since the epoch.
+    pub log_time_ns: u64,
+    /// When the packet was published, in ns since the epoch.
+    pub publish_time_ns: u64,
     /// The pixels.
     pub picture: RgbImage,
+}
+
+/// Packets without a picture, by cause.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Dropped {
+    /// Packets before the first keyframe.
+    pub before_keyframe: u64,
+    /// Packets that cannot be decoded by themselves.
+    pub damaged: u64,
+    /// Places where packets are missing.
+    pub gaps: u64,
+    /// Packets between a damaged or missing one and the next keyframe.
+    pub dependent: u64,
+}
+
+impl Dropped {
+    /// The number of packets without a picture.
+    #[must_use]
+    pub fn packets(&self) -> u64 {
+        self.before_keyframe + self.damaged + self.dependent
+    }
+}
+
+/// Header and times of a packet.
+#[derive(Clone, Debug)]
+struct Waiting {
+    header: Header,
+    log_time_ns: u64,
+    publish_time_ns: u64,
 }
 
 /// Decodes the packets of a topic, in their order. It begins with the first keyframe; after damage, with the next one.
 #[derive(Debug, Default)]
 pub struct VideoStream {
-    /// None before a keyframe.
+    /// `None` before a keyframe.
     decoder: Option<H264Decoder>,
-    /// Headers of packets whose pictures the decoder still has. Pictures come in the order in which they are shown, which
-    /// is that of their stamps.
-    waiting: VecDeque<Header>,
-    dropped: u64,
+    has_begun: bool,
+    /// The packets whose pictures the decoder still has. Pictures come in the order in which they are shown, which is that
+    /// of their stamps.
+    waiting: VecDeque<Waiting>,
+    dropped: Dropped,
 }
 
 impl VideoStream {
@@ -49,23 +83,38 @@ impl VideoStream {
         if !packet.is_h264() {
             return Err(VideoError::Codec(packet.codec.chars().take(64).collect()));
         }
+        if nal_units(&packet.data).next().is_none() {
+            self.dropped.damaged += 1;
+            return Ok(Vec::new());
+        }
+        // Some encoders send their parameters alone.
+        let is_picture = has_picture(&packet.data);
         if self.decoder.is_none() {
             if !has_keyframe(&packet.data) {
-                self.dropped += 1;
+                let count = match self.has_begun {
+                    true => &mut self.dropped.dependent,
+                    false => &mut self.dropped.before_keyframe,
+                };
+                *count += u64::from(is_picture);
                 return Ok(Vec::new());
             }
             self.decoder = Some(H264Decoder::new(ColourTags::default())?);
+            self.has_begun = true;
         }
         let Some(decoder) = &mut self.decoder else {
             return Ok(Vec::new());
         };
-        // Some encoders send their parameters alone.
-        if has_picture(&packet.data) {
+        if is_picture {
             let stamp = |header: &Header| header.stamp.to_nanos();
             let place = self
                 .waiting
-                .partition_point(|other| stamp(other) <= stamp(&packet.header));
-            self.waiting.insert(place, packet.header.clone());
+                .partition_point(|other| stamp(&other.header) <= stamp(&packet.header));
+            let waiting = Waiting {
+                header: packet.header.clone(),
+                log_time_ns: packet.log_time_ns,
+                publish_time_ns: packet.publish_time_ns,
+            };
+            self.waiting.insert(place, waiting);
         }
         match decoder.feed(&packet.data) {
             Ok(pictures) => {
@@ -76,7 +125,17 @@ impl VideoStream {
                 Ok(shown)
             }
             Err(error @ VideoError::Layout(_)) => Err(error),
+            Err(VideoError::Missing) => {
+                self.dropped.gaps += 1;
+                // This packet may be whole.
+                if is_picture && self.waiting.pop_back().is_some() {
+                    self.dropped.dependent += 1;
+                }
+                self.restart();
+                Ok(Vec::new())
+            }
             Err(_) => {
+                self.dropped.damaged += u64::from(!is_picture);
                 self.restart();
                 Ok(Vec::new())
             }
@@ -92,14 +151,15 @@ impl VideoStream {
         shown
     }
 
-    /// Packets without a picture: those before a keyframe, and damaged ones.
+    /// Packets without a picture so far.
     #[must_use]
-    pub fn dropped(&self) -> u64 {
+    pub fn dropped(&self) -> Dropped {
         self.dropped
     }
 
+    /// Waits for the next keyframe; pictures that the decoder still has are lost.
     fn restart(&mut self) {
-        self.dropped += self.waiting.len() as u64;
+        self.dropped.damaged += self.waiting.len() as u64;
         self.waiting.clear();
         self.decoder = None;
     }
@@ -107,8 +167,17 @@ impl VideoStream {
     fn shown(&mut self, pictures: Vec<RgbImage>) -> Vec<Shown> {
         let waiting = &mut self.waiting;
         let shown = pictures.into_iter().map_while(|picture| {
-            let header = waiting.pop_front()?;
-            Some(Shown { header, picture })
+            let Waiting {
+                header,
+                log_time_ns,
+                publish_time_ns,
+            } = waiting.pop_front()?;
+            Some(Shown {
+                header,
+                log_time_ns,
+                publish_time_ns,
+                picture,
+            })
         });
         shown.collect()
     }

@@ -9,20 +9,19 @@ use openh264::{
     formats::{RgbSliceU8, YUVBuffer},
 };
 use proptest::prelude::*;
-use prost::Message as _;
 use wm_msgs::{builtin_interfaces::Time, std_msgs::Header};
 
-use super::{packet::ProtobufVideo, *};
+use super::*;
 
 /// A frame that needs no other comes so often.
-const GROUP: usize = 5;
+pub(super) const GROUP: usize = 5;
 
-fn level(frame: usize) -> u8 {
+pub(super) fn level(frame: usize) -> u8 {
     30 + 8 * frame as u8
 }
 
 /// Packets of grey frames.
-fn packets(frames: usize) -> Vec<VideoPacket> {
+pub(super) fn packets(frames: usize) -> Vec<VideoPacket> {
     let config = EncoderConfig::new()
         .rate_control_mode(RateControlMode::Quality)
         .bitrate(BitRate::from_bps(200_000_000))
@@ -43,6 +42,8 @@ fn packets(frames: usize) -> Vec<VideoPacket> {
             },
             codec: "h264".to_owned(),
             data: coded.to_vec(),
+            log_time_ns: 7,
+            publish_time_ns: 7,
         }
     };
     (0..frames).map(packet).collect()
@@ -75,14 +76,18 @@ fn assert_shows(shown: &[(i64, u8)], frames: impl IntoIterator<Item = usize>) {
 fn each_packet_gives_its_picture() {
     let mut stream = VideoStream::new();
     assert_shows(&shown(&mut stream, &packets(12)), 0..12);
-    assert_eq!(stream.dropped(), 0);
+    assert_eq!(stream.dropped(), Dropped::default());
 }
 
 #[test]
 fn stream_begins_with_a_keyframe() {
     let mut stream = VideoStream::new();
     assert_shows(&shown(&mut stream, &packets(12)[2..]), GROUP..12);
-    assert_eq!(stream.dropped(), 3);
+    let dropped = Dropped {
+        before_keyframe: 3,
+        ..Dropped::default()
+    };
+    assert_eq!(stream.dropped(), dropped);
 }
 
 #[test]
@@ -98,10 +103,11 @@ fn parameters_alone_have_no_picture() {
         data: [&data[..at], &[0, 0, 1, 0x06, 5, 0x80]].concat(),
         ..packets[0].clone()
     };
-    packets.insert(1, parameters);
+    packets.insert(1, parameters.clone());
+    packets.insert(0, parameters);
     let mut stream = VideoStream::new();
     assert_shows(&shown(&mut stream, &packets), 0..6);
-    assert_eq!(stream.dropped(), 0);
+    assert_eq!(stream.dropped(), Dropped::default());
 }
 
 #[test]
@@ -117,7 +123,43 @@ fn damaged_packets_are_counted_and_the_next_keyframe_is_shown() {
         .iter()
         .filter(|(stamp, grey)| grey.abs_diff(level(*stamp as usize)) > 2);
     assert_eq!(wrong.count(), 0, "{shown:?}");
-    assert_eq!(stream.dropped() + shown.len() as u64, 12);
+    let dropped = stream.dropped();
+    assert_eq!(dropped.packets() + shown.len() as u64, 12);
+    assert_eq!((dropped.damaged, dropped.gaps), (1, 0), "{dropped:?}");
+}
+
+#[test]
+fn missing_packet_is_a_gap_up_to_the_next_keyframe() {
+    let mut packets = packets(12);
+    packets.remove(GROUP + 2);
+    let mut stream = VideoStream::new();
+    let frames = (0..GROUP + 2).chain(2 * GROUP..12);
+    assert_shows(&shown(&mut stream, &packets), frames);
+    let dropped = Dropped {
+        gaps: 1,
+        dependent: 2,
+        ..Dropped::default()
+    };
+    assert_eq!(stream.dropped(), dropped);
+}
+
+#[test]
+fn packet_without_units_is_damaged() {
+    let mut packets = packets(2 * GROUP);
+    packets[GROUP - 1].data = vec![7; 90];
+    packets[2].data.clear();
+    let mut stream = VideoStream::new();
+    assert_shows(
+        &shown(&mut stream, &packets),
+        (0..2).chain(GROUP..2 * GROUP),
+    );
+    let dropped = Dropped {
+        damaged: 2,
+        gaps: 1,
+        dependent: 1,
+        ..Dropped::default()
+    };
+    assert_eq!(stream.dropped(), dropped);
 }
 
 #[test]
@@ -171,19 +213,9 @@ fn packets_of_each_type_are_read() {
         bytes,
     );
     let ffmpeg = wm_msgs::cdr::to_bytes(&ffmpeg).unwrap();
-    let protobuf = ProtobufVideo {
-        timestamp: Some(packet::Timestamp {
-            seconds: i64::from(stamp.sec),
-            nanos: stamp.nanosec as i32,
-        }),
-        frame_id,
-        data: expected.data.clone(),
-        format: "h264".to_owned(),
-    };
     for (type_name, data) in [
         ("foxglove_msgs/msg/CompressedVideo", foxglove.clone()),
         ("ffmpeg_image_transport_msgs/msg/FFMPEGPacket", ffmpeg),
-        ("foxglove/msg/CompressedVideo", protobuf.encode_to_vec()),
     ] {
         let read = VideoPacket::of_bag(&message(type_name, data.clone())).unwrap();
         assert_eq!(read, expected, "{type_name}");

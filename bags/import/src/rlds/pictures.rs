@@ -1,6 +1,8 @@
 //! The pictures of a camera in an example.
 
-use image::{ImageFormat, RgbImage};
+use image::RgbImage;
+use wm_camera::{format::Format, image_message::decode_compressed};
+use wm_msgs::sensor_msgs::CompressedImage;
 
 use crate::jpeg;
 
@@ -11,19 +13,24 @@ pub(super) struct Pictures {
 }
 
 impl Pictures {
+    /// Decodes every picture, as the nodes decode those of cameras.
+    ///
+    /// # Errors
+    /// The step of a picture that is incomplete, damaged, or of an unsupported format.
     pub fn read(images: &[Vec<u8>], quality: u8) -> Result<Self, String> {
         let mut frames = Vec::with_capacity(images.len());
         let mut is_flat = true;
         for (step, bytes) in images.iter().enumerate() {
-            let wrong = |error: image::ImageError| format!("step {step}: {error}");
-            let format = image::guess_format(bytes).map_err(wrong)?;
-            let decoded = image::load_from_memory_with_format(bytes, format)
-                .map_err(wrong)?
-                .into_rgb8();
+            let at_step = |error: String| format!("step {step}: {error}");
+            let image = CompressedImage {
+                data: bytes.clone(),
+                ..CompressedImage::default()
+            };
+            let decoded = decode_compressed(&image).map_err(|error| at_step(error.to_string()))?;
             is_flat &= has_one_colour(&decoded);
-            frames.push(match format {
-                ImageFormat::Jpeg => bytes.clone(),
-                _ => jpeg(&decoded, quality).map_err(wrong)?,
+            frames.push(match Format::of(&image) {
+                Ok(Format::Jpeg) => image.data,
+                _ => jpeg(&decoded, quality).map_err(|error| at_step(error.to_string()))?,
             });
         }
         Ok(Self { frames, is_flat })

@@ -127,6 +127,28 @@ fn an_example_becomes_an_episode() {
 }
 
 #[test]
+fn incomplete_picture_is_an_error_that_names_its_step() {
+    let jpeg = image_of(ImageFormat::Jpeg, true);
+    let png = image_of(ImageFormat::Png, true);
+    let depth = image::ImageBuffer::<image::Luma<u16>, _>::from_pixel(8, 8, image::Luma([900]));
+    let mut grey = std::io::Cursor::new(Vec::new());
+    depth.write_to(&mut grey, ImageFormat::Png).unwrap();
+    let cut = |bytes: &[u8]| bytes[..bytes.len() - 20].to_vec();
+    for (bytes, expected) in [
+        (cut(&jpeg), "incomplete"),
+        (cut(&png), "png"),
+        (grey.into_inner(), "depth"),
+        (b"GIF89a".to_vec(), "GIF"),
+    ] {
+        let error = Pictures::read(&[jpeg.clone(), bytes], 95).err().unwrap();
+        assert!(
+            error.starts_with("step 1: ") && error.contains(expected),
+            "{error}"
+        );
+    }
+}
+
+#[test]
 fn the_masked_crc_is_that_of_tensorflow() {
     // CRC-32C of "123456789" is 0xe3069283 (RFC 3720, appendix B.4 gives the polynomial; the value is the standard check).
     assert_eq!(masked(0xe306_9283), tfrecord::masked_crc(b"123456789"));

@@ -3,12 +3,13 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use wm_bag::{BagMessage, BagReader};
+use wm_bag::{BagMessage, BagReader, TopicInfo};
+use wm_camera::{camera_frame::CameraFrame, transport::Transport};
 use wm_motion::actions::ActionSpace;
 use wm_msgs::{
     builtin_interfaces::Time,
     geometry_msgs::PoseStamped,
-    sensor_msgs::{CompressedImage, Image, JointState},
+    sensor_msgs::JointState,
     std_msgs::{Bool, Float32, String as Text},
     wm_msgs::Action,
 };
@@ -45,6 +46,8 @@ pub(super) struct Recording {
     pub state_names: Vec<String>,
     /// Each value is the message's number within its topic.
     pub cameras: Vec<Stream<u64>>,
+    /// What to do about topics with pictures that are not read.
+    unread: String,
     /// From when on each task holds.
     instructions: Vec<(u64, String)>,
     successes: Vec<(u64, bool)>,
@@ -63,6 +66,7 @@ impl Recording {
     pub fn read(bag: &Path, cameras: &[String]) -> Result<Self, LeRobotError> {
         let reader = BagReader::open(bag)?;
         let topics = camera_topics(&reader, cameras, bag)?;
+        let unread = reader.topics().iter().filter_map(advice);
         let mut recording = Self {
             bag: bag.to_owned(),
             actions: Stream::new(ACTION_TOPIC),
@@ -70,6 +74,7 @@ impl Recording {
             action_names: Vec::new(),
             state_names: Vec::new(),
             cameras: topics.iter().map(|topic| Stream::new(topic)).collect(),
+            unread: unread.map(|advice| format!("; {advice}")).collect(),
             instructions: Vec::new(),
             successes: Vec::new(),
         };
@@ -188,9 +193,10 @@ impl Recording {
             ));
         }
         if self.cameras.is_empty() {
-            return unsuited(
-                "expected a camera, .../image_raw or .../image_raw/compressed".to_owned(),
-            );
+            return unsuited(format!(
+                "expected a camera, .../image_raw or .../image_raw/compressed{}",
+                self.unread
+            ));
         }
         match self.cameras.iter().find(|camera| camera.stamps.is_empty()) {
             Some(camera) => unsuited(format!("expected pictures on {}, got none", camera.topic)),
@@ -330,12 +336,21 @@ fn stamp(header: Time, logged: u64) -> u64 {
 }
 
 fn image_stamp(message: &BagMessage) -> Result<u64, LeRobotError> {
-    let header = if *message.type_name == *"sensor_msgs/msg/Image" {
-        message.decode::<Image>()?.header
-    } else {
-        message.decode::<CompressedImage>()?.header
-    };
-    Ok(stamp(header.stamp, message.log_time_ns))
+    let frame = CameraFrame::of_bag(message)?;
+    Ok(stamp(frame.header().stamp, message.log_time_ns))
+}
+
+fn transport(topic: &TopicInfo) -> Option<Transport> {
+    Transport::of(&topic.name, &topic.type_name)
+}
+
+fn is_read(topic: &TopicInfo) -> bool {
+    transport(topic).is_some_and(Transport::is_read)
+}
+
+/// What to do about a topic with pictures that are not read.
+fn advice(topic: &TopicInfo) -> Option<String> {
+    transport(topic)?.advice(&topic.name)
 }
 
 /// The cameras that are asked for, or all; of a camera that is there raw and compressed, raw.
@@ -344,16 +359,13 @@ fn camera_topics(
     asked: &[String],
     bag: &Path,
 ) -> Result<Vec<String>, LeRobotError> {
-    const TYPES: [&str; 2] = ["sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"];
     for topic in asked {
         let info = reader.topic(topic);
-        if !info.is_some_and(|info| TYPES.contains(&&*info.type_name)) {
-            return Err(LeRobotError::unsuited(
-                bag,
-                format!(
-                    "expected pictures on {topic}, but the bag has no image topic of this name"
-                ),
-            ));
+        if !info.is_some_and(is_read) {
+            let why = info.and_then(advice);
+            let why = why.unwrap_or_else(|| "the bag has no image topic of this name".to_owned());
+            let what = format!("expected pictures on {topic}, but {why}");
+            return Err(LeRobotError::unsuited(bag, what));
         }
     }
     if !asked.is_empty() {
@@ -368,10 +380,7 @@ fn camera_topics(
         let has_raw = raw
             .and_then(|raw| reader.topic(raw))
             .is_some_and(|raw| raw.message_count > 0);
-        topic.message_count > 0
-            && TYPES.contains(&&*topic.type_name)
-            && is_camera(&topic.name)
-            && !has_raw
+        topic.message_count > 0 && is_read(topic) && is_camera(&topic.name) && !has_raw
     });
     Ok(found.map(|topic| topic.name.to_string()).collect())
 }

@@ -6,7 +6,8 @@ use std::{
     path::{Component, Path},
 };
 
-use image::ImageFormat;
+use wm_camera::{format::Format, image_message::check_compressed};
+use wm_msgs::sensor_msgs::CompressedImage;
 
 use super::{timing::Timing, videos::Videos};
 use crate::{
@@ -234,18 +235,19 @@ fn file_within(root: &Path, path: &Path) -> Result<Vec<u8>, String> {
     Ok(bytes)
 }
 
-/// The format that all pictures of a camera are in.
+/// The format that all pictures of a camera are in, all of them complete.
 fn picture_format(frames: &[Vec<u8>]) -> Result<&'static str, String> {
     let mut found = None;
     for (number, bytes) in frames.iter().enumerate() {
-        let format = match image::guess_format(bytes) {
-            Ok(ImageFormat::Jpeg) => "jpeg",
-            Ok(ImageFormat::Png) => "png",
-            other => {
-                return Err(format!(
-                    "frame {number}: expected JPEG or PNG, got {other:?}"
-                ));
-            }
+        let image = CompressedImage {
+            data: bytes.clone(),
+            ..CompressedImage::default()
+        };
+        let checked = check_compressed(&image);
+        let (format, _) = checked.map_err(|error| format!("frame {number}: {error}"))?;
+        let format = match format {
+            Format::Jpeg => "jpeg",
+            Format::Png => "png",
         };
         if *found.get_or_insert(format) != format {
             return Err(format!(
@@ -275,6 +277,29 @@ fn namespace(feature: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn incomplete_picture_is_an_error_that_names_its_frame() {
+        let coded = |format| {
+            let mut bytes = std::io::Cursor::new(Vec::new());
+            let picture =
+                image::RgbImage::from_fn(16, 16, |x, y| image::Rgb([x as u8 * 9, y as u8, 3]));
+            picture.write_to(&mut bytes, format).unwrap();
+            bytes.into_inner()
+        };
+        let (png, jpeg) = (
+            coded(image::ImageFormat::Png),
+            coded(image::ImageFormat::Jpeg),
+        );
+        for (whole, name) in [(&png, "png"), (&jpeg, "jpeg")] {
+            assert_eq!(picture_format(std::slice::from_ref(whole)), Ok(name));
+            let cut = whole[..whole.len() - 40].to_vec();
+            let error = picture_format(&[whole.clone(), cut]).unwrap_err();
+            assert!(error.starts_with("frame 1: "), "{error}");
+        }
+        let error = picture_format(&[png, jpeg]).unwrap_err();
+        assert!(error.contains("another format"), "{error}");
+    }
 
     #[test]
     fn cameras_get_names_that_ros_allows() {

@@ -319,6 +319,27 @@ fn a_live_recording_is_sampled_at_one_rate() {
     }
 }
 
+/// A bag with an action, and a camera that sends video.
+fn write_video(bag: &Path) {
+    let mut writer = BagWriter::create(bag, WriterOptions::default()).unwrap();
+    let schema = wm_bag::Schema::ros2msg("uint8[] data");
+    let (topic, name) = (
+        "/camera/image_raw/ffmpeg",
+        "foxglove_msgs/msg/CompressedVideo",
+    );
+    writer
+        .write_raw(topic, name, &schema, 1, &[0, 1, 0, 0])
+        .unwrap();
+    for at in [1_000_000_000, 2_000_000_000] {
+        let action = Action {
+            values: vec![0.1],
+            ..Action::default()
+        };
+        writer.write("/wm/action", &action, at).unwrap();
+    }
+    writer.finish().unwrap();
+}
+
 #[test]
 fn bags_that_do_not_fit_are_named() {
     let scratch = TempDir::new().unwrap();
@@ -335,6 +356,7 @@ fn bags_that_do_not_fit_are_named() {
         .unwrap()
         .finish()
         .unwrap();
+    write_video(&at("video"));
     let error = |names: &[&str], options: &ExportOptions| {
         let bags: Vec<PathBuf> = names.iter().map(|name| at(name)).collect();
         let folder = TempDir::new().unwrap();
@@ -370,6 +392,13 @@ fn bags_that_do_not_fit_are_named() {
             [
                 "good: expected pictures on /wm/action",
                 "no image topic of this name",
+            ],
+        ),
+        (
+            error(&["video"], &plain),
+            [
+                "video: expected a camera",
+                "/camera/image_raw/ffmpeg is compressed video",
             ],
         ),
         (error(&["absent"], &plain), ["absent", "no such file"]),

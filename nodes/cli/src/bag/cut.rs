@@ -10,8 +10,9 @@ use clap::Args;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
-use wm_bag::{BagWarning, CutEnd, CutStart};
+use wm_bag::{BagWarning, CutEnd, CutStart, TopicSummary};
 use wm_bag_nodes::ending::Ending;
+use wm_camera::transport::Transport;
 use wm_progress::Progress;
 
 /// Cuts a bag.
@@ -78,6 +79,16 @@ impl CutCommand {
         for topic in &part.latched {
             print(format_args!(
                 "kept the last message before the start: {topic}\n"
+            ))?;
+        }
+        let is_video = |topic: &&TopicSummary| {
+            Transport::of(&topic.name, &topic.type_name) == Some(Transport::Video)
+        };
+        let videos = part.summary.topics.iter().filter(is_video);
+        for topic in videos.filter(|_| start != CutStart::Beginning) {
+            let name = &topic.name;
+            print(format_args!(
+                "Note: {name} is compressed video: its packets up to the first keyframe after the start have no picture\n"
             ))?;
         }
         for warning in &part.warnings {

@@ -1,21 +1,26 @@
 //! `wm bag info`.
 
-use crate::output::print;
-use anyhow::Result;
+use crate::{external, output::print};
+use anyhow::{Context as _, Result, ensure};
 use clap::Args;
-use std::path::PathBuf;
-use std::process::ExitCode;
-use wm_audit::{Topics, audit_bag};
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitCode};
+use wm_audit::{JUDGES_VIDEO, Topics, audit_bag, video_topics};
 use wm_bag::{BagReader, BagWarning};
 use wm_bag_nodes::ending::Ending;
+use wm_camera::transport::Transport;
 use wm_progress::Progress;
+
+/// The program that decodes video.
+const DECODER: &str = "wm-datasets";
 
 /// Shows the contents of a bag.
 #[derive(Args, Debug)]
 #[command(
     after_help = "--audit decodes every picture: it reports repeated and frozen frames with the true rate of the camera, missing\n\
     frames, stamps that cannot be used, the lag between pictures, actions and state, actions against the change of the\n\
-    state, idle time, outliers and sizes that change. Each finding says what to do (docs/bags.md).\n\n\
+    state, idle time, outliers and sizes that change. Each finding says what to do (docs/bags.md). Pictures of h264\n\
+    topics are judged by the program wm-datasets; without it, these topics are named.\n\n\
     Exit codes: 0 done, also with findings; 1 failed; 2 wrong usage; 3 the bag has lost messages."
 )]
 pub struct InfoCommand {
@@ -43,8 +48,19 @@ impl InfoCommand {
         let summary = reader.summary();
         if !self.json {
             print(format_args!("{summary}\n"))?;
+            for topic in &summary.topics {
+                let transport = Transport::of(&topic.name, &topic.type_name);
+                let video = transport.filter(|transport| *transport == Transport::Video);
+                if let Some(advice) = video.and_then(|video| video.advice(&topic.name)) {
+                    print(format_args!("Note: {advice}\n"))?;
+                }
+            }
         }
-        if self.audit {
+        let has_undecoded = !JUDGES_VIDEO && !video_topics(&reader).is_empty();
+        let other = external::program(DECODER)?.filter(|_| self.audit && has_undecoded);
+        if let Some(program) = other {
+            self.audit_by(&program)?;
+        } else if self.audit {
             let topics = Topics {
                 cameras: self.cameras,
                 actions: self.action,
@@ -59,5 +75,24 @@ impl InfoCommand {
         }
         let is_lost = summary.warnings.iter().any(BagWarning::is_loss);
         Ok(Ending::lost_if(is_lost).into())
+    }
+
+    /// Runs the program that has a video decoder, which prints the audit.
+    fn audit_by(&self, program: &Path) -> Result<()> {
+        let mut command = Command::new(program);
+        command.arg("audit");
+        for camera in &self.cameras {
+            command.args(["--camera", camera]);
+        }
+        if let Some(action) = &self.action {
+            command.args(["--action", action]);
+        }
+        if self.json {
+            command.arg("--json");
+        }
+        let status = command.arg("--").arg(&self.bag).status();
+        let status = status.with_context(|| format!("starting {}", program.display()))?;
+        ensure!(status.success(), "{} failed: {status}", program.display());
+        Ok(())
     }
 }

@@ -1,7 +1,7 @@
 use std::path::Path;
 
 use rayon::prelude::*;
-use wm_audit::{BagFindings, Finding};
+use wm_audit::{ActionTrack, BagFindings, Finding};
 use wm_bag::BagReader;
 use wm_motion::actions::ActionSpace;
 use wm_progress::Progress;
@@ -43,6 +43,7 @@ struct Contents {
     episodes: Vec<Draft>,
     omissions: Vec<Omission>,
     findings: Vec<Finding>,
+    actions: ActionTrack,
     /// Sizes of the first camera's pictures, width and height \[px\].
     sizes: Vec<(u32, u32)>,
 }
@@ -170,6 +171,8 @@ impl Survey {
                 source: index,
                 topics: contents.topics,
                 episodes: contents.episodes,
+                actions: contents.actions,
+                findings: plan.findings.len() - 1,
             });
         }
         if plan.bags.is_empty() {
@@ -245,8 +248,10 @@ fn contents(
     }
     let camera = recording.recorded.cameras.first();
     let sizes = camera.map(|camera| camera.pictures.sizes().keys().copied().collect());
+    let actions = ActionTrack::new(space, recording.actions.rows());
     Ok(Contents {
-        findings: recording.findings(settings, space),
+        findings: recording.findings(settings, &actions),
+        actions,
         sizes: sizes.unwrap_or_default(),
         cameras: recording.cameras(),
         topics: recording.streams.iter().map(|s| s.topic.clone()).collect(),

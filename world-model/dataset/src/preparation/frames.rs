@@ -1,16 +1,17 @@
 use std::{
     fs::File,
+    hash::{DefaultHasher, Hasher as _},
     os::unix::fs::FileExt as _,
     path::PathBuf,
     sync::{Mutex, PoisonError},
 };
 
 use image::{
-    GrayImage, RgbImage,
+    DynamicImage, GrayImage, RgbImage,
     imageops::{self, FilterType},
 };
 use rayon::prelude::*;
-use wm_audit::Stamps;
+use wm_audit::{Pictures, Stamps};
 use wm_bag::BagReader;
 use wm_camera::{
     camera_frame::CameraFrame,
@@ -40,6 +41,16 @@ pub(super) struct Decoded {
     pub sizes: SizeCounts,
     /// For each episode: how much each picture of the first camera differs from the one before \[levels\], if that is known.
     pub changes: Vec<Vec<Option<f32>>>,
+    /// The pictures of each source's video topics, for the audit. Those of other topics are compared before, by their bytes.
+    pub videos: Vec<Vec<Pictures>>,
+}
+
+/// The result of decoding an episode.
+#[derive(Default)]
+struct DecodedEpisode {
+    broken: Broken,
+    changes: Vec<Option<f32>>,
+    videos: Vec<Pictures>,
 }
 
 /// Decodes the frames of all episodes into the folder's files.
@@ -76,22 +87,31 @@ pub(super) fn write(
     }
     let results = jobs.par_iter().map(|(bag, draft, first_frame)| {
         let Some(reader) = readers.get(bag.source).and_then(Option::as_ref) else {
-            return Ok((bag.source, Broken::default(), Vec::new()));
+            return Ok((bag.source, DecodedEpisode::default()));
         };
-        let (broken, changes) = files.write_episode(reader, &bag.topics, draft, *first_frame)?;
+        let episode = files.write_episode(reader, &bag.topics, draft, *first_frame)?;
         progress.inc(draft.actions.len() as u64);
-        Ok((bag.source, broken, changes))
+        Ok((bag.source, episode))
     });
     let mut decoded = Decoded {
         broken: vec![Broken::default(); readers.len()],
         sizes: SizeCounts::new(),
         changes: Vec::new(),
+        videos: vec![Vec::new(); readers.len()],
     };
-    for (source, broken, changes) in results.collect::<Result<Vec<_>, DatasetError>>()? {
+    for (source, episode) in results.collect::<Result<Vec<_>, DatasetError>>()? {
         if let Some(all) = decoded.broken.get_mut(source) {
-            all.extend(broken);
+            all.extend(episode.broken);
         }
-        decoded.changes.push(changes);
+        decoded.changes.push(episode.changes);
+        if let Some(videos) = decoded.videos.get_mut(source) {
+            for pictures in episode.videos {
+                match videos.iter_mut().find(|all| all.topic == pictures.topic) {
+                    Some(all) => all.append(pictures),
+                    None => videos.push(pictures),
+                }
+            }
+        }
     }
     drop(progress);
     let sizes = files.sizes.into_inner();
@@ -119,6 +139,8 @@ struct Awaited<'a> {
     is_there: Vec<bool>,
     /// The decoder, if the stream is a video.
     video: VideoStream,
+    /// The pictures of a video, for the audit.
+    shown: Pictures,
     changes: Changes,
 }
 
@@ -168,7 +190,7 @@ impl Files {
         topics: &[String],
         draft: &Draft,
         first_frame: usize,
-    ) -> Result<(Broken, Vec<Option<f32>>), DatasetError> {
+    ) -> Result<DecodedEpisode, DatasetError> {
         let mut awaited: Vec<Awaited<'_>> = topics
             .iter()
             .zip(&draft.stamps)
@@ -177,6 +199,7 @@ impl Files {
                 stamps,
                 is_there: vec![false; stamps.len()],
                 video: VideoStream::new(),
+                shown: Pictures::new(topic),
                 changes: Changes::new(stamps.len()),
             })
             .collect();
@@ -240,9 +263,19 @@ impl Files {
                 });
             }
         }
-        let main = awaited.into_iter().next();
-        let changes = main.map_or_else(Vec::new, |main| main.changes.levels);
-        Ok((broken, changes))
+        let mut episode = DecodedEpisode {
+            broken,
+            ..DecodedEpisode::default()
+        };
+        for (view, stream) in awaited.into_iter().enumerate() {
+            if view == 0 {
+                episode.changes = stream.changes.levels;
+            }
+            if stream.shown.count() > 0 {
+                episode.videos.push(stream.shown);
+            }
+        }
+        Ok(episode)
     }
 
     /// Writes the pictures of a video that the episode waits for.
@@ -252,13 +285,26 @@ impl Files {
         place: (usize, usize),
         pictures: Vec<VideoPicture>,
     ) -> Result<(), DatasetError> {
-        for VideoPicture { header, picture } in pictures {
-            let frames = awaited.frames(header.stamp.to_nanos());
+        for VideoPicture {
+            header, picture, ..
+        } in pictures
+        {
+            let stamp_ns = header.stamp.to_nanos();
+            let span = awaited.stamps.first().zip(awaited.stamps.last());
+            if !span.is_some_and(|(first, last)| (*first..=*last).contains(&stamp_ns)) {
+                continue;
+            }
+            let signature = Signature::of(&picture);
+            let size = Some(picture.dimensions());
+            let bytes = fingerprint(&picture);
+            let of_audit = Some(signature.clone());
+            awaited.shown.push(stamp_ns, bytes, size, of_audit);
+            let frames = awaited.frames(stamp_ns);
             if frames.is_empty() {
                 continue;
             }
             if let Ok(view) = self.placed(&picture, place.1) {
-                let shown = Shown::View(view, Signature::of(&picture));
+                let shown = Shown::View(view, signature);
                 self.place(awaited, place, frames, &shown)?;
             }
         }
@@ -297,11 +343,12 @@ impl Files {
 
     /// A picture of camera `view` at the size of a view.
     fn decoded(&self, frame: &CameraFrame, view: usize, is_mask: bool) -> Result<Shown, String> {
-        if let (true, CameraFrame::Compressed(mask)) = (is_mask, frame) {
-            let mask = image::load_from_memory(&mask.data).map_err(|error| error.to_string())?;
-            return Ok(Shown::Mask(place(&mask.into_luma8(), self.view, self.fit)));
-        }
         let picture = frame.decode().map_err(|error| error.to_string())?;
+        if is_mask {
+            // Grey stays what it is: the weights of the luma add up to one.
+            let mask = DynamicImage::from(picture).into_luma8();
+            return Ok(Shown::Mask(place(&mask, self.view, self.fit)));
+        }
         Ok(Shown::View(
             self.placed(&picture, view)?,
             Signature::of(&picture),
@@ -333,6 +380,13 @@ impl Files {
             }
         }
     }
+}
+
+/// A number that pictures share if their pixels are the same.
+fn fingerprint(picture: &RgbImage) -> u64 {
+    let mut hasher = DefaultHasher::new();
+    hasher.write(picture.as_raw());
+    hasher.finish()
 }
 
 enum Shown {

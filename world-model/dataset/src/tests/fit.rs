@@ -185,3 +185,25 @@ fn masks_are_placed_as_their_pictures() {
         .collect();
     assert_eq!(mask(Fit::Pad), padded);
 }
+
+#[test]
+fn incomplete_mask_is_left_out() {
+    let dir = tempfile::tempdir().unwrap();
+    let bag = dir.path().join("bag");
+    let mut recorder = Recorder::new(&bag);
+    let mut jpeg = std::io::Cursor::new(Vec::new());
+    let mask = GrayImage::from_fn(64, 32, |x, y| Luma([(x * y % 7) as u8]));
+    mask.write_to(&mut jpeg, image::ImageFormat::Jpeg).unwrap();
+    let whole = jpeg.into_inner();
+    for ms in (0..2000).step_by(200) {
+        recorder.picture(CAMERA, ms, png(picture(64, 32).into()));
+        let length = whole.len() - if ms == 800 { 80 } else { 0 };
+        recorder.picture(MASK, ms, whole[..length].to_vec());
+        recorder.action(ms, 0.01);
+    }
+    recorder.finish();
+    let manifest = read_manifest(&prepared(dir.path(), "data", &bag, &[])).unwrap();
+    let left_out: Vec<String> = manifest.left_out.iter().map(ToString::to_string).collect();
+    let is_named = |line: &String| line.contains("cannot be decoded");
+    assert!(left_out.iter().any(is_named), "{left_out:?}");
+}

@@ -39,11 +39,17 @@ fn write_video(bag: &Path, frames: usize, skipped: usize, format: &str) {
 }
 
 /// The same, with other stamps than those of the recording.
-fn write_stamped(
+fn write_stamped(bag: &Path, frames: (usize, usize), format: &str, stamp: fn(Time) -> Time) {
+    write_shown(bag, frames, format, stamp, |frame| frame);
+}
+
+/// The same, whose frame `k` shows the grey of frame `shown(k)`.
+fn write_shown(
     bag: &Path,
     (frames, skipped): (usize, usize),
     format: &str,
     stamp: fn(Time) -> Time,
+    shown: fn(usize) -> usize,
 ) {
     let config = EncoderConfig::new()
         .rate_control_mode(RateControlMode::Quality)
@@ -55,7 +61,7 @@ fn write_stamped(
     let mut writer = BagWriter::create(bag, WriterOptions::default()).unwrap();
     let schema = Schema::ros2msg(DEFINITION);
     for frame in 0..frames {
-        let rgb = RgbImage::from_pixel(32, 32, Rgb([level(frame); 3]));
+        let rgb = RgbImage::from_pixel(32, 32, Rgb([level(shown(frame)); 3]));
         let source = RgbSliceU8::new(rgb.as_raw(), (32, 32));
         let coded = encoder
             .encode(&YUVBuffer::from_rgb8_source(source))
@@ -146,6 +152,24 @@ fn unstamped_video_is_read_by_the_time_of_recording() {
 }
 
 #[test]
+fn repeated_and_frozen_pictures_of_a_video_are_found() {
+    let dir = tempfile::tempdir().unwrap();
+    for (name, shown) in [
+        ("whole", (|frame| frame) as fn(usize) -> usize),
+        ("repeats", |frame| frame / 2 * 2),
+        ("frozen", |_| 3),
+    ] {
+        let bag = dir.path().join(name);
+        write_shown(&bag, (36, 0), "h264", |stamp| stamp, shown);
+        let audit = Outcome::of(&bag, DataOptions::default()).unwrap().audit;
+        let found: Vec<&str> = audit.faults().map(|finding| &*finding.check).collect();
+        for check in ["repeats", "frozen"] {
+            assert_eq!(found.contains(&check), check == name, "{name}: {audit}");
+        }
+    }
+}
+
+#[test]
 fn video_in_another_codec_is_refused_by_name() {
     let dir = tempfile::tempdir().unwrap();
     let bag = dir.path().join("bag");
@@ -153,6 +177,42 @@ fn video_in_another_codec_is_refused_by_name() {
     let error = Dataset::open(&bag, &dir.path().join("cache"), (16, 16)).unwrap_err();
     let text = error.to_string();
     assert!(text.contains("\"h265\"") && text.contains("h264"), "{text}");
+}
+
+/// A recording of Foxglove's tools, with actions beside it.
+#[test]
+fn video_in_protobuf_is_read() {
+    const START_NS: i64 = 1_750_000_000_000_000_000;
+    let dir = tempfile::tempdir().unwrap();
+    let (bag, actions) = (dir.path().join("bag"), dir.path().join("actions"));
+    let mut writer = BagWriter::create(&actions, WriterOptions::default()).unwrap();
+    for index in 0..6 {
+        let at_ns = START_NS + index * 200_000_000;
+        let mut header = header(index);
+        header.stamp = Time::from_nanos(at_ns);
+        let values = vec![0.01, 0., 0., 0., 0., 0., 0.];
+        let action = Action { header, values };
+        writer.write("/wm/action", &action, at_ns as u64).unwrap();
+    }
+    writer.finish().unwrap();
+    std::fs::create_dir(&bag).unwrap();
+    std::fs::copy(actions.join("actions_0.mcap"), bag.join("bag_1.mcap")).unwrap();
+    let pictures = "../../bags/camera/fixtures/protobuf/pictures.mcap";
+    let pictures = Path::new(env!("CARGO_MANIFEST_DIR")).join(pictures);
+    std::fs::copy(pictures, bag.join("bag_0.mcap")).unwrap();
+    // One bag of the two files; its pictures stay in protobuf.
+    let joined = dir.path().join("joined");
+    wm_bag::convert(&bag, &joined, WriterOptions::default(), &mut []).unwrap();
+    let options = DataOptions {
+        cameras: vec!["/camera/video".to_owned()],
+        ..DataOptions::default()
+    };
+    let outcome = Outcome::of(&joined, options).unwrap();
+    assert_eq!(outcome.lengths(), [5]);
+    for (frame, red) in outcome.reds().into_iter().enumerate() {
+        // Ten pictures a second, for five actions.
+        assert!(red.abs_diff(40 + 20 * frame as u8) <= 2, "{frame}: {red}");
+    }
 }
 
 #[test]

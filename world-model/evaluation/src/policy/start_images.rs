@@ -9,6 +9,7 @@ use std::{
 use anyhow::{Context as _, Result, ensure};
 use image::RgbImage;
 use sha2::{Digest as _, Sha256};
+use wm_camera::image_message::decode_picture;
 use wm_model::Framing;
 
 /// Ends of names of pictures.
@@ -81,12 +82,14 @@ impl StartImages {
     /// That of an episode, as the episode's frames were prepared.
     ///
     /// # Errors
-    /// If it is no picture.
+    /// If it is no picture, or an incomplete one.
     pub(super) fn picture(&self, episode: &str, framing: Framing) -> Result<RgbImage> {
         let path = self.paths.get(episode);
         let path = path.with_context(|| format!("no first frame of {episode}"))?;
-        let picture = image::open(path).with_context(|| path.display().to_string())?;
-        Ok(framing.apply(&picture.to_rgb8())?)
+        let named = || path.display().to_string();
+        let bytes = fs::read(path).with_context(named)?;
+        let picture = decode_picture(bytes).with_context(named)?;
+        Ok(framing.apply(&picture)?)
     }
 }
 
@@ -115,6 +118,11 @@ mod tests {
         // 6x4 becomes 12x8, between bars of two columns.
         let columns = [0, 2, 14].map(|x| picture.get_pixel(x, 0).0[0]);
         assert_eq!(columns, [0, 10, 0]);
+        let whole = fs::read(dir.path().join("bag_1.png")).unwrap();
+        fs::write(dir.path().join("cut.png"), &whole[..whole.len() - 20]).unwrap();
+        let cut = StartImages::open(dir.path()).unwrap();
+        assert!(cut.picture("cut", framing).is_err());
+        fs::remove_file(dir.path().join("cut.png")).unwrap();
         let error = found.picture("bag_2", framing).unwrap_err().to_string();
         assert!(error.contains("bag_2"), "{error}");
         save("bag_1.png", 11);

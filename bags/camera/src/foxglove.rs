@@ -1,0 +1,227 @@
+//! Pictures in Foxglove's types (<https://docs.foxglove.dev/docs/sdk/schemas>): in protobuf, and CompressedVideo in CDR too.
+
+use serde::{Deserialize, Serialize};
+use wm_bag::{BagError, BagMessage, MessageEncoding, Schema};
+use wm_msgs::{Message as _, builtin_interfaces::Time, cdr, sensor_msgs, std_msgs::Header};
+
+/// The protobuf type that becomes sensor_msgs/CompressedImage.
+pub const COMPRESSED_IMAGE: &str = "foxglove.CompressedImage";
+/// The protobuf type that becomes sensor_msgs/Image.
+pub const RAW_IMAGE: &str = "foxglove.RawImage";
+/// The protobuf type that becomes [`CompressedVideo`].
+pub const PROTOBUF_VIDEO: &str = "foxglove.CompressedVideo";
+/// The ROS types with the fields of [`CompressedVideo`]; foxglove_msgs has the first.
+pub const ROS_VIDEO: [&str; 2] = [
+    "foxglove_msgs/msg/CompressedVideo",
+    "foxglove/msg/CompressedVideo",
+];
+
+/// foxglove_msgs/CompressedVideo.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct CompressedVideo {
+    /// Capture time.
+    pub timestamp: Time,
+    /// Optical frame.
+    pub frame_id: String,
+    /// Coded bytes.
+    #[serde(with = "serde_bytes")]
+    pub data: Vec<u8>,
+    /// The codec.
+    pub format: String,
+}
+
+impl CompressedVideo {
+    /// The definition of foxglove_msgs.
+    #[must_use]
+    pub fn schema() -> Schema {
+        Schema::ros2msg(format!(
+            "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format\n{}\nMSG: \
+             builtin_interfaces/Time\n{}",
+            "=".repeat(80),
+            Time::DEFINITION
+        ))
+    }
+
+    /// The packet that a bag's message holds, in either encoding.
+    ///
+    /// # Errors
+    /// The type is another one, or the bytes are not of it.
+    pub fn of_bag(message: &BagMessage) -> Result<Self, BagError> {
+        let type_name = &*message.type_name;
+        match message.encoding {
+            MessageEncoding::Protobuf => protobuf::<Video>(message)?.into_ros(message),
+            MessageEncoding::Cdr if ROS_VIDEO.contains(&type_name) => {
+                cdr::from_bytes(&message.data).map_err(|reason| BagError::Cdr {
+                    topic: message.topic.to_string(),
+                    reason,
+                })
+            }
+            MessageEncoding::Cdr => Err(wrong_type(message, ROS_VIDEO[0])),
+        }
+    }
+}
+
+/// The picture of a [`COMPRESSED_IMAGE`].
+///
+/// # Errors
+/// The type is another one, or the bytes are not of it.
+pub fn compressed_image(message: &BagMessage) -> Result<sensor_msgs::CompressedImage, BagError> {
+    protobuf::<CompressedImage>(message)?.into_ros(message)
+}
+
+/// The picture of a [`RAW_IMAGE`].
+///
+/// # Errors
+/// The type is another one, or the bytes are not of it.
+pub fn raw_image(message: &BagMessage) -> Result<sensor_msgs::Image, BagError> {
+    protobuf::<RawImage>(message)?.into_ros(message)
+}
+
+/// A protobuf type and the ROS type with the same contents.
+trait Foxglove: prost::Message + Default {
+    const NAME: &str;
+    type Ros;
+
+    fn into_ros(self, message: &BagMessage) -> Result<Self::Ros, BagError>;
+}
+
+/// google.protobuf.Timestamp.
+#[derive(Clone, Copy, PartialEq, prost::Message)]
+struct Timestamp {
+    #[prost(int64, tag = "1")]
+    seconds: i64,
+    #[prost(int32, tag = "2")]
+    nanos: i32,
+}
+
+#[derive(Clone, PartialEq, prost::Message)]
+struct CompressedImage {
+    #[prost(message, optional, tag = "1")]
+    timestamp: Option<Timestamp>,
+    #[prost(bytes = "vec", tag = "2")]
+    data: Vec<u8>,
+    #[prost(string, tag = "3")]
+    format: String,
+    #[prost(string, tag = "4")]
+    frame_id: String,
+}
+
+#[derive(Clone, PartialEq, prost::Message)]
+struct RawImage {
+    #[prost(message, optional, tag = "1")]
+    timestamp: Option<Timestamp>,
+    #[prost(fixed32, tag = "2")]
+    width: u32,
+    #[prost(fixed32, tag = "3")]
+    height: u32,
+    #[prost(string, tag = "4")]
+    encoding: String,
+    #[prost(fixed32, tag = "5")]
+    step: u32,
+    #[prost(bytes = "vec", tag = "6")]
+    data: Vec<u8>,
+    #[prost(string, tag = "7")]
+    frame_id: String,
+}
+
+#[derive(Clone, PartialEq, prost::Message)]
+struct Video {
+    #[prost(message, optional, tag = "1")]
+    timestamp: Option<Timestamp>,
+    #[prost(string, tag = "2")]
+    frame_id: String,
+    #[prost(bytes = "vec", tag = "3")]
+    data: Vec<u8>,
+    #[prost(string, tag = "4")]
+    format: String,
+}
+
+impl Foxglove for CompressedImage {
+    const NAME: &str = COMPRESSED_IMAGE;
+    type Ros = sensor_msgs::CompressedImage;
+
+    fn into_ros(self, message: &BagMessage) -> Result<Self::Ros, BagError> {
+        Ok(Self::Ros {
+            header: Header {
+                stamp: time(message, self.timestamp)?,
+                frame_id: self.frame_id,
+            },
+            format: self.format,
+            data: self.data,
+        })
+    }
+}
+
+impl Foxglove for RawImage {
+    const NAME: &str = RAW_IMAGE;
+    type Ros = sensor_msgs::Image;
+
+    fn into_ros(self, message: &BagMessage) -> Result<Self::Ros, BagError> {
+        Ok(Self::Ros {
+            header: Header {
+                stamp: time(message, self.timestamp)?,
+                frame_id: self.frame_id,
+            },
+            height: self.height,
+            width: self.width,
+            encoding: self.encoding,
+            // The type's definition has little-endian pixels alone.
+            is_bigendian: 0,
+            step: self.step,
+            data: self.data,
+        })
+    }
+}
+
+impl Foxglove for Video {
+    const NAME: &str = PROTOBUF_VIDEO;
+    type Ros = CompressedVideo;
+
+    fn into_ros(self, message: &BagMessage) -> Result<Self::Ros, BagError> {
+        Ok(Self::Ros {
+            timestamp: time(message, self.timestamp)?,
+            frame_id: self.frame_id,
+            data: self.data,
+            format: self.format,
+        })
+    }
+}
+
+fn protobuf<M: Foxglove>(message: &BagMessage) -> Result<M, BagError> {
+    if message.encoding != MessageEncoding::Protobuf || *message.type_name != *M::NAME {
+        return Err(wrong_type(message, M::NAME));
+    }
+    M::decode(&*message.data).map_err(|error| malformed(message, &error))
+}
+
+/// A time; a message without one has 0, as in ROS.
+fn time(message: &BagMessage, timestamp: Option<Timestamp>) -> Result<Time, BagError> {
+    let Some(Timestamp { seconds, nanos }) = timestamp else {
+        return Ok(Time::default());
+    };
+    let sec = i32::try_from(seconds).ok();
+    let nanosec = u32::try_from(nanos).ok();
+    let nanosec = nanosec.filter(|nanosec| *nanosec < 1_000_000_000);
+    let time = sec.zip(nanosec).map(|(sec, nanosec)| Time { sec, nanosec });
+    let wrong = format!("a time of {seconds} s and {nanos} ns");
+    time.ok_or_else(|| malformed(message, &wrong))
+}
+
+fn malformed(message: &BagMessage, reason: &dyn std::fmt::Display) -> BagError {
+    BagError::Protobuf {
+        topic: message.topic.to_string(),
+        type_name: message.type_name.to_string(),
+        reason: reason.to_string(),
+    }
+}
+
+fn wrong_type(message: &BagMessage, expected: &str) -> BagError {
+    BagError::WrongType {
+        topic: message.topic.to_string(),
+        expected: expected.to_owned(),
+        actual: message.type_name.to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests;
