@@ -104,6 +104,7 @@ impl VideoStream {
         let Some(decoder) = &mut self.decoder else {
             return Ok(Vec::new());
         };
+        let mut own_place = None;
         if is_picture {
             let stamp = |header: &Header| header.stamp.to_nanos();
             let place = self
@@ -115,6 +116,7 @@ impl VideoStream {
                 publish_time_ns: packet.publish_time_ns,
             };
             self.waiting.insert(place, waiting);
+            own_place = Some(place);
         }
         match decoder.feed(&packet.data) {
             Ok(pictures) => {
@@ -125,19 +127,18 @@ impl VideoStream {
                 Ok(shown)
             }
             Err(error @ VideoError::Layout(_)) => Err(error),
-            Err(VideoError::Missing) => {
-                self.dropped.gaps += 1;
-                // This packet may be whole.
-                if is_picture && self.waiting.pop_back().is_some() {
-                    self.dropped.dependent += 1;
+            Err(error) => {
+                match error {
+                    VideoError::Missing => {
+                        self.dropped.gaps += 1;
+                        self.dropped.dependent += u64::from(is_picture);
+                    }
+                    _ => self.dropped.damaged += 1,
                 }
-                self.restart();
-                Ok(Vec::new())
-            }
-            Err(_) => {
-                self.dropped.damaged += u64::from(!is_picture);
-                self.restart();
-                Ok(Vec::new())
+                if let Some(place) = own_place {
+                    self.waiting.remove(place);
+                }
+                Ok(self.finish_before_damage())
             }
         }
     }
@@ -147,6 +148,19 @@ impl VideoStream {
         let left = self.decoder.as_mut().map(H264Decoder::finish);
         let pictures = left.and_then(Result::ok).unwrap_or_default();
         let shown = self.shown(pictures);
+        self.restart();
+        shown
+    }
+
+    /// Gives the pictures before a damaged packet, which the decoder may hold back; the next packet begins anew.
+    fn finish_before_damage(&mut self) -> Vec<Shown> {
+        let left = self.decoder.as_mut().map(H264Decoder::finish);
+        let pictures = left.and_then(Result::ok).unwrap_or_default();
+        // With any other number it is unknown which picture is of which packet.
+        let shown = match pictures.len() == self.waiting.len() {
+            true => self.shown(pictures),
+            false => Vec::new(),
+        };
         self.restart();
         shown
     }
