@@ -109,7 +109,7 @@ async fn run(arguments: Arguments) -> ExitCode {
         let wait = Duration::from_millis(rng.random_range(100..1_000));
         let mut round = Round::new(kind, begin.elapsed());
         // A process that was stopped and goes on ends a moment later.
-        round.deaths = suite.revive();
+        round.deaths = revive(&mut suite, &watch);
         let ready = tokio::time::timeout(READY, async {
             world.begin(seed).await;
             while watch.speed() < MOVING {
@@ -122,7 +122,7 @@ async fn run(arguments: Arguments) -> ExitCode {
             tokio::time::sleep(wait).await;
             inject(kind, &middle, &watch, &world, &mut suite, &mut round).await;
         }
-        round.deaths.extend(suite.revive());
+        round.deaths.extend(revive(&mut suite, &watch));
         println!("{round}");
         report.add(round, begin.elapsed(), &watch, suite.resident());
         let next = round_begin + Duration::from_secs(arguments.every);
@@ -133,6 +133,13 @@ async fn run(arguments: Arguments) -> ExitCode {
     drop((world, watch, middle));
     arm.end();
     ExitCode::from(u8::from(!is_good))
+}
+
+/// Starts those again that have ended; gives their names.
+fn revive(suite: &mut Suite, watch: &Watch) -> Vec<&'static str> {
+    let dead = suite.revive();
+    dead.iter().for_each(|node| watch.restarted(node));
+    dead
 }
 
 /// A fault, what the arm does in it, and its end.

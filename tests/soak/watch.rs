@@ -135,6 +135,16 @@ impl Watch {
         }
     }
 
+    /// A process was started again: its counters begin at 0.
+    pub fn restarted(&self, node: &str) {
+        let name = format!("wm/{node}");
+        for ((of, _), total) in &mut *self.drops.borrow_mut() {
+            if *of == name {
+                total.last = 0;
+            }
+        }
+    }
+
     /// How fast the arm is commanded to be now \[m/s\].
     pub fn speed(&self) -> f64 {
         let twists = self.twists.borrow();
