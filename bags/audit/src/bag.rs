@@ -1,6 +1,6 @@
 //! The audit of one bag: every picture is decoded, and none is kept.
 
-use std::sync::Arc;
+use std::{collections::BTreeMap, sync::Arc};
 
 use wm_bag::{BagMessage, BagReader, TopicInfo};
 use wm_camera::{
@@ -67,8 +67,8 @@ struct Reading {
     /// The decoders of the cameras that send video.
     #[cfg(feature = "video")]
     videos: video::Videos,
-    /// Messages that were not understood, and the first reason, by what they are.
-    unreadable: (u64, Option<String>),
+    /// Messages that cannot be read, by topic: how many, and the reason for the first.
+    unreadable: BTreeMap<Option<Arc<str>>, (u64, String)>,
     unfit: (u64, Option<String>),
 }
 
@@ -107,16 +107,16 @@ pub fn audit_bag(reader: &BagReader, topics: &Topics, mut each: impl FnMut()) ->
         // The gap of the camera is not known yet: frames may be a quarter of a period early.
         pace: Pace::new(period_ns, period_ns / 2),
         shown: None,
-        unreadable: (0, None),
+        unreadable: BTreeMap::new(),
         unfit: (0, None),
     };
     let wanted = reading.cameras.iter().chain(&reading.state_topics);
     let wanted: Vec<String> = wanted.chain([&reading.action_topic]).cloned().collect();
     for message in reader.messages().only_topics(wanted) {
+        let topic = message.as_ref().ok().map(|m| Arc::clone(&m.topic));
         let taken = message.map_err(|error| error.to_string());
         if let Err(reason) = taken.and_then(|message| reading.take(&message)) {
-            reading.unreadable.0 += 1;
-            reading.unreadable.1.get_or_insert(reason);
+            reading.unreadable.entry(topic).or_insert((0, reason)).0 += 1;
         }
         each();
     }
@@ -315,20 +315,19 @@ impl Reading {
     fn finish(mut self, mut all: Vec<Finding>) -> Audit {
         #[cfg(feature = "video")]
         all.extend(self.finish_videos());
-        for (check, (count, first), what) in [
-            ("frames", &self.unreadable, "messages cannot be read"),
-            (
-                "actions",
-                &self.unfit,
-                "actions do not fit their action space",
-            ),
-        ] {
-            if let Some(first) = first {
-                all.push(
-                    Finding::warning(check, format!("{count} {what}, the first: {first}"))
-                        .figure("messages", *count as f64),
-                );
-            }
+        let mut warn = |check, count: u64, what: String| {
+            all.push(Finding::warning(check, what).figure("messages", count as f64));
+        };
+        for (topic, (count, first)) in &self.unreadable {
+            let of = topic
+                .as_ref()
+                .map_or(String::new(), |topic| format!(" of {topic}"));
+            let what = format!("{count} messages{of} cannot be read, the first: {first}");
+            warn("frames", *count, what);
+        }
+        if let (count, Some(first)) = &self.unfit {
+            let what = format!("{count} actions do not fit their action space, the first: {first}");
+            warn("actions", *count, what);
         }
         self.actions.sort_by_key(|(at_ns, _)| *at_ns);
         let rows = self

@@ -93,11 +93,13 @@ fn absent(heard: &Heard, wanted: Option<&str>) -> Finding {
 }
 
 fn silent(name: &str, camera: &Camera) -> Finding {
-    let undecodable = camera.streams().any(|stream| stream.undecodable > 0);
+    let undecodable = camera
+        .streams()
+        .find_map(|stream| stream.first_undecodable.as_ref());
     let finding = match undecodable {
-        true => Finding::error(CHECK, format!("{name}: what comes is not of the type that the topic announces"))
-            .fix("build driver and message packages from the same release of ROS"),
-        false => Finding::error(CHECK, format!("{name} has a publisher, but nothing comes"))
+        Some(reason) => Finding::error(CHECK, format!("{name}: no message can be decoded as the type of the topic: {reason}"))
+            .fix("build driver and message packages from the same release of ROS; stamps have a nanosec below 1000000000"),
+        None => Finding::error(CHECK, format!("{name} has a publisher, but nothing comes"))
             .fix("look whether the driver waits for its device (ros2 topic hz TOPIC on its machine); where raw pictures are lost, raise the receive buffers (see buffers) or publish /compressed"),
     };
     finding.because("without frames nothing is predicted")

@@ -21,6 +21,8 @@ pub struct Stream {
     pub lost: u64,
     /// Messages that are not of the type.
     pub undecodable: u64,
+    /// What is wrong with the first of these.
+    pub first_undecodable: Option<String>,
     /// Frames of the headers.
     pub frame_ids: BTreeSet<String>,
     /// The largest message \[byte\].

@@ -284,13 +284,18 @@ impl Taken {
         self.stream.largest = self.stream.largest.max(bytes.len());
         let at = received.at.saturating_duration_since(began);
         let received_ns = received.received.to_nanos();
-        let Ok(Content {
+        let content = self.content(bytes, received_ns, (at, span));
+        let Content {
             header,
             fingerprint,
-        }) = self.content(bytes, received_ns, (at, span))
-        else {
-            self.stream.undecodable += 1;
-            return;
+        } = match content {
+            Ok(content) => content,
+            Err(error) => {
+                self.stream.undecodable += 1;
+                let first = &mut self.stream.first_undecodable;
+                first.get_or_insert_with(|| error.to_string());
+                return;
+            }
         };
         if let Some(header) = &header
             && self.stream.frame_ids.len() < MOST_KEPT

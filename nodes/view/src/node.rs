@@ -57,6 +57,10 @@ pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition {
 
 /// Best effort, which matches every publisher and which none waits for; room for the rollouts that come at once.
 const BURST: Qos = Qos::best_effort(64);
+/// Of a topic that is latched: a message that is lost would be missing until the next one, which may never come.
+const LATCHED: Qos = Qos::reliable(1);
+/// Of frames that do not move: several messages of several publishers.
+const STATIC: Qos = Qos::reliable(64);
 /// Of a camera: the newest few.
 const NEWEST: Qos = Qos::sensor_data();
 
@@ -134,13 +138,13 @@ wm_ros::endpoints! {
         /// Where it is, and where the arm is.
         transforms: Subscription<TFMessage> = "/tf", qos(BURST);
         /// The same, of what does not move.
-        static_transforms: Subscription<TFMessage> = "/tf_static", qos(BURST), made(Node::subscription_catching_up);
+        static_transforms: Subscription<TFMessage> = "/tf_static", qos(STATIC), made(Node::subscription_to_any);
         /// Predicted latents, of which only the stamps and steps are used.
         predicted: Subscription<Prediction> = "predicted", qos(BURST);
         /// Predicted pictures.
         pictures: PictureSubscription = "predicted/image", qos(BURST);
         /// How a camera picture becomes one of their size and aspect.
-        fit: Subscription<Text> = "predicted/fit", qos(Qos::reliable(1)), made(Node::subscription_catching_up);
+        fit: Subscription<Text> = "predicted/fit", qos(LATCHED), made(Node::subscription_to_any);
         /// Errors of the predictions.
         errors: Subscription<PredictionError> = "prediction_error", qos(BURST);
         /// Actions that the robot takes.
@@ -148,9 +152,9 @@ wm_ros::endpoints! {
         /// Actions that a policy will take next.
         chunks: Subscription<ActionChunk> = "action_chunk", qos(NEWEST);
         /// The goal's picture.
-        goal_pictures: PictureSubscription = "goal/image", qos(Qos::best_effort(1)), made(PictureSubscription::catching_up);
+        goal_pictures: PictureSubscription = "goal/image", qos(LATCHED), made(PictureSubscription::of_latched);
         /// Goals of other kinds.
-        goals: Subscription<Goal> = "goal", qos(Qos::best_effort(1)), made(Node::subscription_catching_up);
+        goals: Subscription<Goal> = "goal", qos(LATCHED), made(Node::subscription_to_any);
         /// Plans.
         plans: Subscription<Plan> = "plan", qos(NEWEST);
         /// Where a plan leads.
@@ -164,7 +168,7 @@ wm_ros::endpoints! {
         /// The same in pictures.
         candidate_pictures: PictureSubscription = "candidates/image", qos(NEWEST);
         /// What the executor does.
-        executor: Subscription<ExecutorStatus> = "executor/status", qos(Qos::best_effort(1)), made(Node::subscription_catching_up);
+        executor: Subscription<ExecutorStatus> = "executor/status", qos(LATCHED), made(Node::subscription_to_any);
         /// The state of the nodes.
         diagnostics: Subscription<DiagnosticArray> = "/diagnostics", qos(BURST);
         /// The log.
@@ -493,7 +497,25 @@ impl Inputs {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use wm_ros::Reliability;
     use wm_sim::render::{Camera, IMAGE_SIZE};
+
+    #[test]
+    fn latched_topics_are_received_reliably() {
+        let specs = Inputs::specs();
+        for latched in [
+            "/tf_static",
+            "predicted/fit",
+            "goal",
+            "goal/image",
+            "goal/image/compressed",
+            "executor/status",
+        ] {
+            let spec = specs.iter().find(|spec| spec.name == latched).unwrap();
+            let qos = spec.qos.unwrap();
+            assert_eq!(qos.reliability, Reliability::Reliable, "{latched}");
+        }
+    }
 
     /// A change of 1 cm at the middle of the bundled camera's view, on each axis.
     #[test]

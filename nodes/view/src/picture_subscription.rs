@@ -15,8 +15,8 @@ pub struct PictureSubscription {
     qos: Qos,
     compressed: Subscription<CompressedImage>,
     raw: Option<Subscription<Image>>,
-    /// What holds until something else is said, as a goal does: what was latched comes too.
-    is_catching_up: bool,
+    /// Publishers latch it, as a goal.
+    is_latched: bool,
 }
 
 /// How many publish a topic, by its absolute name.
@@ -40,18 +40,19 @@ impl PictureSubscription {
         Self::made(node, topic, qos, false)
     }
 
-    /// As [`new`](Self::new), and what was latched before comes too.
+    /// As [`new`](Self::new), of a topic that publishers latch: what was published before comes too, and publishers of any
+    /// quality of service are connected.
     ///
     /// # Errors
     /// The graph refuses.
-    pub fn catching_up(node: &Node, topic: &str, qos: Qos) -> Result<Self, Error> {
+    pub fn of_latched(node: &Node, topic: &str, qos: Qos) -> Result<Self, Error> {
         Self::made(node, topic, qos, true)
     }
 
-    fn made(node: &Node, topic: &str, qos: Qos, is_catching_up: bool) -> Result<Self, Error> {
+    fn made(node: &Node, topic: &str, qos: Qos, is_latched: bool) -> Result<Self, Error> {
         let sibling = node.resolve_sibling(topic, "compressed")?;
-        let compressed = match is_catching_up {
-            true => node.subscription_catching_up(&sibling, qos)?,
+        let compressed = match is_latched {
+            true => node.subscription_to_any(&sibling, qos)?,
             false => node.subscription(&sibling, qos)?,
         };
         Ok(Self {
@@ -60,7 +61,7 @@ impl PictureSubscription {
             qos,
             compressed,
             raw: None,
-            is_catching_up,
+            is_latched,
         })
     }
 
@@ -82,8 +83,8 @@ impl PictureSubscription {
                 "{} is published raw alone: its images are encoded here",
                 self.topic
             );
-            let raw = match self.is_catching_up {
-                true => self.node.subscription_catching_up(&self.topic, self.qos)?,
+            let raw = match self.is_latched {
+                true => self.node.subscription_to_any(&self.topic, self.qos)?,
                 false => self.node.subscription(&self.topic, self.qos)?,
             };
             self.raw = Some(raw);

@@ -299,7 +299,7 @@ fn report_definition(type_name: &str, candidates: &[Schema], news: &mut News) {
     match candidates.first().map(|schema| schema.type_hash(type_name)) {
         None => news.undefined(type_name, UNDEFINED),
         Some(Err(error)) => {
-            news.undefined(type_name, &format!("is recorded without its hash: {error}"))
+            news.undefined(type_name, &format!("is recorded without its hash: {error}"));
         }
         Some(Ok(_)) => {}
     }

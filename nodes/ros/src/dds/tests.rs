@@ -122,7 +122,9 @@ async fn a_subscription_that_panics_is_a_failure_of_the_participant() {
             if let Some(error) = dds.failure() {
                 return error.to_string();
             }
-            tokio::task::yield_now().await;
+            // Each look asserts liveliness: without a pause they fill the queue of rustdds 0.15.1's discovery, which waits for
+            // the lock of whoever fills it.
+            tokio::time::sleep(std::time::Duration::from_millis(10)).await;
         }
     };
     let failed = tokio::time::timeout(std::time::Duration::from_secs(20), failed).await;

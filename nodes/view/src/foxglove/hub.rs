@@ -22,6 +22,8 @@ use wm_ros::{Node, Qos};
 
 /// Best effort, so that no publisher waits for a viewer; room for what comes at once.
 const QOS: Qos = Qos::best_effort(64);
+/// Of a topic that a publisher latches: a message that is lost would be missing until the next one.
+const LATCHED: Qos = Qos::reliable(64);
 /// Largest message that is sent \[byte\]: a raw image of 4K has 25 MB.
 pub const MAX_MESSAGE: usize = 64 << 20;
 /// Channels in one message: a definition has some kilobytes.
@@ -272,7 +274,11 @@ impl Drop for Guest {
 /// Subscribes to a channel in DDS, and forwards what comes until it is aborted.
 async fn run(node: Node, feed: Arc<Feed>) {
     let channel = feed.channel();
-    let subscribed = node.raw_subscription_catching_up(&channel.topic, &channel.type_name, QOS);
+    let (topic, type_name) = (&channel.topic, &channel.type_name);
+    let subscribed = match channel.latches() {
+        true => node.raw_subscription_to_any(topic, type_name, LATCHED),
+        false => node.raw_subscription_catching_up(topic, type_name, QOS),
+    };
     let mut subscription = match subscribed {
         Ok(subscription) => subscription,
         // DDS allows names that ROS does not, and anybody may publish.

@@ -19,6 +19,11 @@ const MOST: f32 = 8.0;
 const OF_MEDIAN: f32 = 1.4826;
 
 /// Mean brightness of the cells of a picture \[grey level\], row-major.
+///
+/// `wm_camera::signature` measures cells too, for the audit of recordings. The two stay apart, because the decisions depend on
+/// the cells: here at most 32x32 of every nth pixel, since each frame of a live camera is measured, compared cell by cell with
+/// the noise of so many pixels; there at most 32x24 of all pixels, compared by their mean. With the cells of the other, the
+/// limits of either would no longer hold.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Grid {
     columns: usize,
