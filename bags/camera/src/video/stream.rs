@@ -13,14 +13,15 @@ use super::{
 /// Pictures that a decoder holds back at most (H.264, A.3.1), and as many again: with more, pictures are missing.
 const MOST_WAITING: usize = 32;
 
-/// A picture with the header and the times of its packet.
+/// A picture with the header of its packet.
 #[derive(Clone, Debug)]
 pub struct Shown {
     /// Capture time and optical frame.
     pub header: Header,
-    /// When the packet was recorded, in ns since the epoch.
+    /// When it was recorded, in ns since the epoch: the time of its packet. If packets come in another order than pictures
+    /// (B frames), pictures take the times in their own order, so that they do not go back.
     pub log_time_ns: u64,
-    /// When the packet was published, in ns since the epoch.
+    /// When it was published, in ns since the epoch, likewise.
     pub publish_time_ns: u64,
     /// The pixels.
     pub picture: RgbImage,
@@ -47,23 +48,17 @@ impl Dropped {
     }
 }
 
-/// Header and times of a packet.
-#[derive(Clone, Debug)]
-struct Waiting {
-    header: Header,
-    log_time_ns: u64,
-    publish_time_ns: u64,
-}
-
 /// Decodes the packets of a topic, in their order. It begins with the first keyframe; after damage, with the next one.
 #[derive(Debug, Default)]
 pub struct VideoStream {
     /// `None` before a keyframe.
     decoder: Option<H264Decoder>,
     has_begun: bool,
-    /// The packets whose pictures the decoder still has. Pictures come in the order in which they are shown, which is that
-    /// of their stamps.
-    waiting: VecDeque<Waiting>,
+    /// The headers of the packets whose pictures the decoder still has. Pictures come in the order in which they are shown,
+    /// which is that of their stamps.
+    waiting: VecDeque<Header>,
+    /// Log and publish times of these packets, as they came.
+    times_ns: VecDeque<(u64, u64)>,
     dropped: Dropped,
 }
 
@@ -109,13 +104,10 @@ impl VideoStream {
             let stamp = |header: &Header| header.stamp.to_nanos();
             let place = self
                 .waiting
-                .partition_point(|other| stamp(&other.header) <= stamp(&packet.header));
-            let waiting = Waiting {
-                header: packet.header.clone(),
-                log_time_ns: packet.log_time_ns,
-                publish_time_ns: packet.publish_time_ns,
-            };
-            self.waiting.insert(place, waiting);
+                .partition_point(|other| stamp(other) <= stamp(&packet.header));
+            self.waiting.insert(place, packet.header.clone());
+            self.times_ns
+                .push_back((packet.log_time_ns, packet.publish_time_ns));
             own_place = Some(place);
         }
         match decoder.feed(&packet.data) {
@@ -137,6 +129,7 @@ impl VideoStream {
                 }
                 if let Some(place) = own_place {
                     self.waiting.remove(place);
+                    self.times_ns.pop_back();
                 }
                 Ok(self.finish_before_damage())
             }
@@ -175,19 +168,16 @@ impl VideoStream {
     fn restart(&mut self) {
         self.dropped.damaged += self.waiting.len() as u64;
         self.waiting.clear();
+        self.times_ns.clear();
         self.decoder = None;
     }
 
     fn shown(&mut self, pictures: Vec<RgbImage>) -> Vec<Shown> {
-        let waiting = &mut self.waiting;
+        let (waiting, times_ns) = (&mut self.waiting, &mut self.times_ns);
         let shown = pictures.into_iter().map_while(|picture| {
-            let Waiting {
-                header,
-                log_time_ns,
-                publish_time_ns,
-            } = waiting.pop_front()?;
+            let (log_time_ns, publish_time_ns) = times_ns.pop_front()?;
             Some(Shown {
-                header,
+                header: waiting.pop_front()?,
                 log_time_ns,
                 publish_time_ns,
                 picture,

@@ -43,7 +43,10 @@ fn write(bag: &Path, topic: &str, type_name: &str, packets: &[(usize, VideoPacke
     writer.finish().unwrap();
 }
 
-fn numbered(frames: usize) -> Vec<(usize, VideoPacket)> {
+/// Packets with their numbers, by which they are recorded.
+type Numbered = Vec<(usize, VideoPacket)>;
+
+fn numbered(frames: usize) -> Numbered {
     packets(frames).into_iter().enumerate().collect()
 }
 
@@ -220,7 +223,7 @@ const FRAMES: usize = 30;
 const PICTURE: usize = (SIDE * SIDE * 3) as usize;
 
 /// Packets of ffmpeg with a keyframe every ten, and the pictures that it decodes from them; `None` without ffmpeg.
-fn coded_by_ffmpeg() -> Option<(Vec<(usize, VideoPacket)>, Vec<u8>)> {
+fn coded_by_ffmpeg(b_frames: &str) -> Option<(Numbered, Vec<u8>)> {
     let raw: Vec<u8> = (0..FRAMES as u32)
         .flat_map(|frame| {
             let pixel = move |x: u32, y: u32| {
@@ -239,12 +242,18 @@ fn coded_by_ffmpeg() -> Option<(Vec<(usize, VideoPacket)>, Vec<u8>)> {
     let encode = [
         &rgb[..],
         &[
-            "-r", "10", "-i", "-", "-c:v", "libx264", "-g", "10", "-bf", "0",
+            "-r", "10", "-i", "-", "-c:v", "libx264", "-g", "10", "-bf", b_frames,
         ],
         &["-pix_fmt", "yuv420p", "-bsf:v", "h264_metadata=aud=insert"],
-        &["-f", "h264", "-"],
-    ];
-    let coded = ffmpeg(&encode.concat(), &raw)?;
+    ]
+    .concat();
+    let as_format = |format| ffmpeg(&[&encode, &["-f", format, "-"][..]].concat(), &raw);
+    let coded = as_format("h264")?;
+    // Lines of stream, decoding time, presentation time, and more.
+    let lines = String::from_utf8(as_format("framecrc")?).unwrap();
+    let lines = lines.lines().filter(|line| !line.starts_with('#'));
+    let shown_at = lines.map(|line| line.split(',').nth(2).unwrap().trim().parse::<i64>());
+    let shown_at: Vec<i64> = shown_at.map(Result::unwrap).collect();
     let decode = [
         "-f", "h264", "-i", "-", "-f", "rawvideo", "-pix_fmt", "rgb24", "-",
     ];
@@ -261,7 +270,7 @@ fn coded_by_ffmpeg() -> Option<(Vec<(usize, VideoPacket)>, Vec<u8>)> {
         .map(|(frame, (start, end))| {
             let mut packet = super::super::tests::packets(1).remove(0);
             packet.header.stamp =
-                wm_msgs::builtin_interfaces::Time::from_nanos(frame as i64 * 100_000_000);
+                wm_msgs::builtin_interfaces::Time::from_nanos(shown_at[frame] * 100_000_000);
             packet.data = coded[*start..end].to_vec();
             (frame, packet)
         })
@@ -271,12 +280,18 @@ fn coded_by_ffmpeg() -> Option<(Vec<(usize, VideoPacket)>, Vec<u8>)> {
 
 #[test]
 fn pictures_are_those_that_ffmpeg_decodes() {
-    let Some((packets, expected)) = coded_by_ffmpeg() else {
-        eprintln!("skipped: ffmpeg with libx264 is not installed");
-        return;
-    };
+    for b_frames in ["0", "2"] {
+        let Some((packets, expected)) = coded_by_ffmpeg(b_frames) else {
+            eprintln!("skipped: ffmpeg with libx264 is not installed");
+            return;
+        };
+        assert_pictures_of_ffmpeg(&packets, &expected);
+    }
+}
+
+fn assert_pictures_of_ffmpeg(packets: &[(usize, VideoPacket)], expected: &[u8]) {
     let folder = tempfile::tempdir().unwrap();
-    write(&folder.path().join("old"), TOPIC, FFMPEG, &packets);
+    write(&folder.path().join("old"), TOPIC, FFMPEG, packets);
     let made = converted(folder.path());
     assert!(!made.is_lossy(), "{made}");
     let reader = BagReader::open(folder.path().join("new")).unwrap();
@@ -300,7 +315,7 @@ fn pictures_are_those_that_ffmpeg_decodes() {
 /// The decoder holds a picture of this encoder back until the next packet.
 #[test]
 fn pictures_before_a_gap_are_kept() {
-    let Some((mut packets, _)) = coded_by_ffmpeg() else {
+    let Some((mut packets, _)) = coded_by_ffmpeg("0") else {
         eprintln!("skipped: ffmpeg with libx264 is not installed");
         return;
     };
