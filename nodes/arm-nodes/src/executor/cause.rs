@@ -10,7 +10,7 @@ use thiserror::Error;
 pub enum Hold {
     /// The node's clock stands still.
     #[error(
-        "/clock has not advanced for more than {timeout_s} s (clock_timeout), but use_sim_time is set"
+        "/clock has not advanced for {timeout_s} s (clock_timeout, or less with a short max_age), but use_sim_time is set"
     )]
     ClockStopped {
         /// The parameter, or less with a short max_age \[s\].

@@ -9,6 +9,8 @@ pub struct Moment {
     pub at: Instant,
     /// By the node's clock, the clock of stamps \[ns\].
     pub stamp_ns: i64,
+    /// By how much the node's clock may be late: the step of a simulated one \[ns\].
+    pub late_ns: i64,
     /// By the monotonic clock, which never stops.
     pub real: Instant,
 }
@@ -19,6 +21,7 @@ impl Moment {
         Self {
             at,
             stamp_ns,
+            late_ns: 0,
             real: at,
         }
     }

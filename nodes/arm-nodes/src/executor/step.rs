@@ -203,6 +203,11 @@ impl ExecutorStep {
         }
     }
 
+    /// Takes the present for the watchdog of the clock, between two commands.
+    pub fn see_clock(&mut self, now: Moment) {
+        self.settings.clock.see(now);
+    }
+
     /// No velocity along any axis.
     fn still(&self) -> Rates {
         Rates::zero(self.settings.layout.axes())
