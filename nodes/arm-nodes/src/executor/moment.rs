@@ -26,6 +26,15 @@ impl Moment {
         }
     }
 
+    /// Age of a measurement of this stamp at its reception, by the node's clock. One without a stamp is of the present.
+    pub(super) fn age_of(&self, stamp_ns: i64) -> Duration {
+        let age_ns = match stamp_ns {
+            0 => 0,
+            stamp_ns => self.stamp_ns.saturating_sub(stamp_ns),
+        };
+        Duration::from_nanos(u64::try_from(age_ns).unwrap_or(0))
+    }
+
     /// Time from `self` to `now`, by `at` or by the node's clock: the longer one.
     pub(super) fn age(&self, now: Self) -> Duration {
         let by_stamp_ns = now.stamp_ns.saturating_sub(self.stamp_ns);

@@ -164,8 +164,8 @@ pub async fn body(node: Node) -> Result<()> {
                     let taken = executor.step.camera(&received.message, beat.of(&received));
                     executor.drop_malformed(taken);
                 }
-                Some(received) = poses.recv() => executor.pose(&received.message, beat.of(&received).at),
-                Some(received) = next(&mut joints) => executor.joints(&received.message, beat.of(&received).at),
+                Some(received) = poses.recv() => executor.pose(&received.message, beat.of(&received)),
+                Some(received) = next(&mut joints) => executor.joints(&received.message, beat.of(&received)),
                 is_due = beat.tick() => {
                     if !is_due {
                         executor.step.see_clock(beat.now());
@@ -470,14 +470,14 @@ impl Executor {
         self.report_lateness();
     }
 
-    fn pose(&mut self, pose: &PoseStamped, at: Instant) {
-        if let Err(problem) = self.step.pose(pose, at) {
+    fn pose(&mut self, pose: &PoseStamped, received: Moment) {
+        if let Err(problem) = self.step.pose(pose, received) {
             self.complaints.left_out(problem.reason(), &problem);
         }
     }
 
-    fn joints(&mut self, joints: &JointState, at: Instant) {
-        if let Err(problem) = self.step.joints(joints, at) {
+    fn joints(&mut self, joints: &JointState, received: Moment) {
+        if let Err(problem) = self.step.joints(joints, received) {
             self.complaints.left_out(problem.reason(), &problem);
         }
     }

@@ -103,7 +103,8 @@ wm_ros::parameters! {
         workspace_max: Vec<f64> = Vec::<f64>::new();
         /// No motion may leave the box, or a joint its limits, within this time [s].
         workspace_lookahead: Duration = 0.3, in 0.001..=10.0;
-        /// With a box: the arm stops when ee_pose has been silent for this long [s]. With joints: when joint_states has.
+        /// With a box: the arm stops when ee_pose has been silent for this long, or its stamps are older [s]. With joints: likewise
+        /// of joint_states. Without a stamp, the reception counts.
         pose_timeout: Duration = 0.2, in 0.001..=60.0;
         /// Move only while the topic deadman says true.
         require_deadman: bool = false;
