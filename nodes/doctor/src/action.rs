@@ -1,6 +1,6 @@
 //! The robot's actions.
 
-use crate::{Actions, Finding, Heard, ModelFacts, heard::DEFAULT_ACTION};
+use crate::{Actions, Finding, Heard, ModelFacts, camera, heard::DEFAULT_ACTION};
 use std::time::Duration;
 use wm_model_nodes::cadence::hertz;
 use wm_ros::{Reliability, logging::of_others};
@@ -34,7 +34,13 @@ pub(crate) fn check(
                 .fix(format!("publish it reliable, or -p qos_overrides.{shown}.subscription.reliability:=best_effort on predictor, planner and evaluator")),
         );
     }
-    if stream.timeline.is_empty() {
+    if let Some(finding) = camera::bad_times(&shown, stream) {
+        findings.push(Finding {
+            check: CHECK.into(),
+            ..finding
+        });
+    }
+    if stream.timeline.is_empty() && stream.bad_times == 0 {
         findings.push(
             Finding::note(CHECK, format!("{shown} has a publisher, and nothing came"))
                 .because(
@@ -42,6 +48,8 @@ pub(crate) fn check(
                 )
                 .fix("move the arm and look again"),
         );
+    }
+    if stream.timeline.is_empty() {
         return findings;
     }
     let rate = match stream.timeline.period_s() {
@@ -176,6 +184,19 @@ mod tests {
         let heard = heard(Qos::reliable(10), 5, vec![0.0; 7]);
         let found = check(&heard, None, None, Some(&facts()));
         assert_eq!(found, [Finding::ok(CHECK, "/wm/action: 7 values, 10 Hz")]);
+    }
+
+    #[test]
+    fn actions_with_invalid_times_are_an_error() {
+        let mut invalid = heard(Qos::reliable(10), 5, vec![0.0; 7]);
+        for actions in invalid.actions.values_mut() {
+            actions.stream.bad_times = 3;
+        }
+        assert_eq!(levels(&invalid), [Level::Error, Level::Ok]);
+        for actions in invalid.actions.values_mut() {
+            actions.stream.timeline = regular(0, 100, 5);
+        }
+        assert_eq!(levels(&invalid), [Level::Error]);
     }
 
     #[test]

@@ -93,6 +93,9 @@ fn absent(heard: &Heard, wanted: Option<&str>) -> Finding {
 }
 
 fn silent(name: &str, camera: &Camera) -> Finding {
+    if let Some(finding) = camera.streams().find_map(|stream| bad_times(name, stream)) {
+        return finding;
+    }
     let undecodable = camera.streams().any(|stream| stream.undecodable > 0);
     let finding = match undecodable {
         true => Finding::error(CHECK, format!("{name}: what comes is not of the type that the topic announces"))
@@ -197,6 +200,19 @@ fn repeats_of(name: &str, stream: &Stream) -> Option<Finding> {
     })
 }
 
+/// Times that no node accepts.
+pub(crate) fn bad_times(name: &str, stream: &Stream) -> Option<Finding> {
+    let count = stream.bad_times;
+    let finding = || {
+        let what =
+            format!("{name}: {count} messages have a time with nanosec of 1000000000 or more");
+        Finding::error(CHECK, what)
+            .because("the nodes drop such messages")
+            .fix("have the publisher carry whole seconds over to sec")
+    };
+    (count > 0).then(finding)
+}
+
 /// What is wrong with the stamps.
 pub(crate) fn stamps(name: &str, stream: &Stream, has_clock: bool) -> Vec<Finding> {
     let timeline = &stream.timeline;
@@ -214,7 +230,7 @@ pub(crate) fn stamps(name: &str, stream: &Stream, has_clock: bool) -> Vec<Findin
             .fix("have the driver stamp each message with the time of its capture"),
         ];
     }
-    let mut findings = Vec::new();
+    let mut findings: Vec<_> = bad_times(name, stream).into_iter().collect();
     let Some(delay_s) = timeline.delay_s() else {
         return findings;
     };
@@ -370,6 +386,25 @@ mod tests {
         let findings = check(&heard, None);
         assert_eq!(findings.len(), 2, "{findings:?}");
         assert!(format!("{findings:?}").contains("/camera/ffmpeg is compressed video"));
+    }
+
+    #[test]
+    fn invalid_times_are_an_error_of_the_driver() {
+        let some = Stream {
+            bad_times: 3,
+            ..stream(30, 200, 12)
+        };
+        let all = Stream {
+            bad_times: 3,
+            ..stream(0, 200, 12)
+        };
+        for stream in [some, all] {
+            let worst = worst(stream);
+            assert!(
+                worst.contains("3 messages have a time with nanosec"),
+                "{worst}"
+            );
+        }
     }
 
     #[test]

@@ -21,6 +21,8 @@ pub struct Stream {
     pub lost: u64,
     /// Messages that are not of the type.
     pub undecodable: u64,
+    /// Messages of the type that have a time with a second of nanoseconds or more.
+    pub bad_times: u64,
     /// Frames of the headers.
     pub frame_ids: BTreeSet<String>,
     /// The largest message \[byte\].

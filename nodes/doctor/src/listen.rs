@@ -248,6 +248,11 @@ fn is_own(topic: &str) -> bool {
     own.is_some_and(|name| OWN_PICTURES.contains(&name))
 }
 
+/// Whether a message is of its type, but has an invalid time. The decoder passes the error on as text alone.
+fn is_bad_time(error: &cdr::CdrError) -> bool {
+    error.to_string().contains("expected less than 1e9 ns")
+}
+
 /// Takes what comes until `span` is over.
 async fn take(
     kind: Kind,
@@ -284,13 +289,19 @@ impl Taken {
         self.stream.largest = self.stream.largest.max(bytes.len());
         let at = received.at.saturating_duration_since(began);
         let received_ns = received.received.to_nanos();
-        let Ok(Content {
+        let Content {
             header,
             fingerprint,
-        }) = self.content(bytes, received_ns, (at, span))
-        else {
-            self.stream.undecodable += 1;
-            return;
+        } = match self.content(bytes, received_ns, (at, span)) {
+            Ok(content) => content,
+            Err(error) if is_bad_time(&error) => {
+                self.stream.bad_times += 1;
+                return;
+            }
+            Err(_) => {
+                self.stream.undecodable += 1;
+                return;
+            }
         };
         if let Some(header) = &header
             && self.stream.frame_ids.len() < MOST_KEPT
@@ -471,6 +482,17 @@ mod tests {
             adapter_source("geometry_msgs/msg/TwistStamped"),
             Some("twist")
         );
+    }
+
+    #[test]
+    fn invalid_times_are_told_apart_from_other_types() {
+        let mut action = Action::default();
+        action.header.stamp.nanosec = 1_000_000_000;
+        let bytes = cdr::to_bytes(&action).unwrap();
+        assert!(is_bad_time(&cdr::from_bytes::<Action>(&bytes).unwrap_err()));
+        let bytes = cdr::to_bytes(&Action::default()).unwrap();
+        let cut = bytes.get(..bytes.len() - 1).unwrap();
+        assert!(!is_bad_time(&cdr::from_bytes::<Action>(cut).unwrap_err()));
     }
 
     #[test]

@@ -63,6 +63,7 @@ impl Report {
                 "delay_s": stream.timeline.delay_s(),
                 "lost": stream.lost,
                 "undecodable": stream.undecodable,
+                "bad_times": stream.bad_times,
                 "frame_ids": stream.frame_ids,
                 "largest_bytes": stream.largest,
             })
