@@ -2,14 +2,14 @@
 
 use crate::{Finding, gaps::Gaps};
 use std::collections::BTreeMap;
-use wm_camera::signature::Signature;
+use wm_camera::{recent_pictures::RecentPictures, signature::Signature};
 
 /// Pictures that are remembered of a camera: an hour at 30 Hz, 1.3 MB.
 const MOST: usize = 108_000;
 /// Mean change below which a picture shows the same as another, but for noise \[levels\]. Of 48,000 real frames
 /// with the arm in motion, none stayed below it for more than 0.9 s.
 const STILL: f32 = 0.3;
-/// A picture that changed by less than this share of the changes around it repeats the one before. Of 25,000 real frames
+/// A picture that changed by less than this share of the changes around it repeats an earlier one. Of 25,000 real frames
 /// in motion 0.7 % do, at most 1.5 % of one camera's.
 const REPEAT_SHARE: f32 = 0.08;
 /// Change around it that is motion and no noise \[levels\].
@@ -39,7 +39,7 @@ const MISSING: f64 = 0.08;
 enum Change {
     /// The bytes differ; the pictures were not compared.
     Unknown,
-    /// The bytes are the same.
+    /// The bytes are those of one of the last few pictures.
     Equal,
     /// Mean absolute difference \[levels\].
     Levels(f32),
@@ -77,6 +77,7 @@ pub struct Pictures {
     gaps: Gaps,
     sizes: BTreeMap<(u32, u32), u64>,
     last: Option<(u64, Option<Signature>)>,
+    recent: RecentPictures,
     last_ns: i64,
     /// The first picture of a standstill.
     anchor: Option<Signature>,
@@ -96,7 +97,8 @@ impl Pictures {
     }
 
     /// Takes the next picture: when it was taken \[ns\], a fingerprint of its bytes, its width and height \[px\] and, if
-    /// it was decoded, its signature. Gives the mean change since the picture before, if both were decoded \[levels\].
+    /// it was decoded, its signature. Gives the mean change since the picture before, if both were decoded or are the same
+    /// \[levels\].
     pub fn push(
         &mut self,
         at_ns: i64,
@@ -107,13 +109,18 @@ impl Pictures {
         if let Some(size) = size {
             *self.sizes.entry(size).or_default() += 1;
         }
-        let change = self.last.as_ref().map(|(before, shown)| {
+        let is_new = self.recent.insert(fingerprint);
+        let levels = self.last.as_ref().and_then(|(before, shown)| {
             if *before == fingerprint {
-                return Change::Equal;
+                return Some(0.0);
             }
-            let both = shown.as_ref().zip(signature.as_ref());
-            let levels = both.and_then(|(before, now)| before.change(now));
-            levels.map_or(Change::Unknown, Change::Levels)
+            let (before, now) = shown.as_ref().zip(signature.as_ref())?;
+            before.change(now)
+        });
+        let change = self.last.as_ref().map(|_| match (is_new, levels) {
+            (false, _) => Change::Equal,
+            (true, Some(levels)) => Change::Levels(levels),
+            (true, None) => Change::Unknown,
         });
         let of_anchor = self.anchor.as_ref().zip(signature.as_ref());
         let of_anchor = of_anchor.and_then(|(anchor, now)| anchor.change(now));
@@ -135,9 +142,7 @@ impl Pictures {
             }
         }
         self.last_ns = at_ns;
-        change
-            .map(Change::levels)
-            .filter(|levels| levels.is_finite())
+        levels
     }
 
     /// Adds the pictures of a later part of the recording. The two at the joint are not compared.
@@ -162,6 +167,7 @@ impl Pictures {
             *self.sizes.entry(size).or_default() += count;
         }
         (self.last, self.last_ns) = (later.last, later.last_ns);
+        self.recent = later.recent;
         self.anchor = later.anchor;
     }
 
@@ -337,7 +343,7 @@ impl Pictures {
         let rate = 1.0 / period_s;
         let true_rate = rate * (1.0 - share);
         let what = format!(
-            "{}: {:.0} % of the pictures repeat the one before: {rate:.1} Hz come, {true_rate:.1} Hz differ",
+            "{}: {:.0} % of the pictures repeat an earlier one: {rate:.1} Hz come, {true_rate:.1} Hz differ",
             self.topic,
             share * 100.0
         );

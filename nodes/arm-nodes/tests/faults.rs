@@ -194,6 +194,21 @@ async fn a_clock_that_stops_stops_the_arm_within_max_age() {
 }
 
 #[tokio::test(flavor = "current_thread")]
+async fn a_max_age_too_short_to_stop_in_is_refused() {
+    let here = context(7);
+    let executor = |words: &str| {
+        let node = node(&here, "executor", &with(words));
+        tokio::time::timeout(PATIENCE, executor::body(node))
+    };
+    let refused = executor("-p use_sim_time:=true -p max_age:=0.29").await;
+    let text = refused.expect("it starts").unwrap_err().to_string();
+    let expected =
+        "max_age is 0.29 s and stop_within is 0.2 s: expected max_age to be at least 0.300 s";
+    assert!(text.contains(expected), "{text}");
+    here.close();
+}
+
+#[tokio::test(flavor = "current_thread")]
 async fn a_frozen_camera_stops_the_arm_until_newer_frames_come() {
     run(
         2,

@@ -57,7 +57,8 @@ use camera_clock::CameraClock;
 use frames::Frames;
 use held_back::HeldBack;
 use rhythm::Rhythm;
-use stamp::{AHEAD_NS, ANNOUNCED_NS, seconds_of, stamp_of};
+use stamp::{ANNOUNCED_NS, seconds_of, stamp_of};
+use wm_wire::stamp::AHEAD_NS;
 
 /// A policy answers a frame before it has passed the encoder, and may be slow, but not by this much \[ns\]: its clock is
 /// not the frames'.

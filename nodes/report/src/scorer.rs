@@ -137,8 +137,15 @@ impl Scorer {
 
     /// A prediction that arrived at `arrived_ns` (the clock of the stamps).
     pub fn prediction(&mut self, prediction: &Prediction, arrived_ns: i64) {
-        let period_ns = prediction.step_period.to_nanos();
-        if prediction.step == 0 || prediction.step > STEP_LIMIT || period_ns <= 0 {
+        // A message of a node of this process was not decoded.
+        let period_ns = prediction.step_period.checked_nanos().unwrap_or(0);
+        let times = [
+            prediction.header.stamp,
+            prediction.observed_stamp,
+            prediction.ready_stamp,
+        ];
+        let is_invalid = times.iter().any(|time| time.checked_nanos().is_err());
+        if prediction.step == 0 || prediction.step > STEP_LIMIT || period_ns <= 0 || is_invalid {
             *self
                 .drops
                 .entry(("report".to_owned(), "bad_prediction".to_owned()))

@@ -15,6 +15,7 @@ use std::{
 };
 use wm_model::Fit;
 use wm_msgs::{
+    builtin_interfaces::Time,
     diagnostic_msgs::DiagnosticArray,
     std_msgs::String as Text,
     visualization_msgs::MarkerArray,
@@ -242,16 +243,19 @@ impl State {
     /// A predicted step.
     ///
     /// # Errors
-    /// Its step or period is out of bounds.
+    /// Its step or period is out of bounds, or a time is invalid.
     pub fn prediction(&mut self, prediction: &Prediction, now_ns: i64) -> Result<(), Left> {
         self.heard(Topic::Predicted, now_ns);
-        let period_ns = prediction.step_period.to_nanos();
+        // A message of a node of this process was not decoded.
+        let nanos = |stamp: Time| stamp.checked_nanos().map_err(|_| Left::BadPrediction);
+        let period_ns = prediction.step_period.checked_nanos().unwrap_or(0);
         if prediction.step == 0 || prediction.step > STEP_LIMIT || period_ns <= 0 {
             return Err(Left::BadPrediction);
         }
+        nanos(prediction.ready_stamp)?;
         self.pairings.predicted(Awaited {
-            stamp_ns: prediction.header.stamp.to_nanos(),
-            observed_ns: prediction.observed_stamp.to_nanos(),
+            stamp_ns: nanos(prediction.header.stamp)?,
+            observed_ns: nanos(prediction.observed_stamp)?,
             step: prediction.step,
             period_ns,
             arrived_ns: now_ns,
@@ -373,7 +377,7 @@ impl State {
 pub(crate) mod tests {
     use super::*;
     use crate::picture::tests::{header, picture};
-    use wm_msgs::builtin_interfaces::{Duration, Time};
+    use wm_msgs::builtin_interfaces::Duration;
 
     pub const STEP_NS: i64 = 400_000_000;
 
@@ -437,6 +441,20 @@ pub(crate) mod tests {
             },
             Prediction {
                 step_period: Duration::from_nanos(-1),
+                ..prediction(0, 1)
+            },
+            Prediction {
+                step_period: Duration {
+                    sec: 0,
+                    nanosec: 1_000_000_000,
+                },
+                ..prediction(0, 1)
+            },
+            Prediction {
+                observed_stamp: Time {
+                    sec: 1,
+                    nanosec: 1_000_000_000,
+                },
                 ..prediction(0, 1)
             },
         ] {

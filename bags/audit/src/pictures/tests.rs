@@ -97,6 +97,47 @@ fn repeats_are_found_by_bytes_alone() {
     assert!((found[0].figures["repeated_share"] - 0.5).abs() < 0.05);
 }
 
+/// A driver that has stopped publishes its last four buffers in turn.
+#[test]
+fn old_buffers_in_turn_are_repeats_or_a_freeze() {
+    // For 2 of every 4 s.
+    let in_turn = |k: u64| {
+        if k % 40 < 20 {
+            k
+        } else {
+            k / 40 * 40 + 16 + k % 4
+        }
+    };
+    let found = pictures((0..160).map(|k| (in_turn(k), 0))).check(Some(&acting));
+    let repeated: Vec<_> = found.iter().map(|f| &*f.check).collect();
+    assert!(repeated.contains(&"frozen"), "{found:?}");
+    // For 0.8 s of every 2 s: no standstill is long enough, and pictures are not decoded.
+    let in_turn = |k: u64| {
+        if k % 20 < 12 {
+            k
+        } else {
+            k / 20 * 20 + 8 + k % 4
+        }
+    };
+    let mut bytes = Pictures::new("/camera");
+    for index in 0..160 {
+        bytes.push(index as i64 * 100_000_000, in_turn(index), None, None);
+    }
+    let found = bytes.check(None);
+    assert_eq!(&*found[0].check, "repeats", "{found:?}");
+    let share = found[0].figures["repeated_share"];
+    assert!((share - 0.4).abs() < 0.05, "{found:?}");
+    // The change from each picture to the next stays known.
+    let mut turning = pictures((0..40).map(|k| (k, 0)));
+    let change = turning.push(4_000_000_000, 36_000, None, Some(shown(36, 0)));
+    assert!(change.unwrap() > 0.5, "{change:?}");
+    // From the last motion on, until the end.
+    let stopped = pictures((0..120).map(|k| (if k < 40 { k } else { 36 + k % 4 }, 0)));
+    let found = stopped.check(Some(&acting));
+    let frozen_s = found[0].figures["frozen_s"];
+    assert!((frozen_s - 8.0).abs() < 0.3, "{found:?}");
+}
+
 #[test]
 fn a_frozen_camera_is_an_error_and_with_noise_too() {
     for noise in [0, 1] {

@@ -69,7 +69,13 @@ impl Beat {
             Source::Real(_) => real,
             Source::Clock { passed, .. } => passed.go_to(stamp_ns, real),
         };
-        Moment { at, stamp_ns, real }
+        let late_ns = self.clock.step_ns();
+        Moment {
+            at,
+            stamp_ns,
+            late_ns,
+            real,
+        }
     }
 
     /// When a message came.
@@ -81,16 +87,18 @@ impl Beat {
                 Source::Clock { passed, .. } => passed.before(stamp_ns),
             },
             stamp_ns,
+            late_ns: self.clock.step_ns(),
             real: received.at,
         }
     }
 
-    /// Waits for the next beat, for the clock to jump back, or, while it stands still, for a period of real time. Missed
-    /// beats are skipped.
-    pub(super) async fn tick(&mut self) {
+    /// Waits for the next beat, for the clock to jump back, or for a period of real time. Missed beats are skipped. False: no
+    /// command is due, and only the watchdog of the clock needs the present.
+    pub(super) async fn tick(&mut self) -> bool {
         match &mut self.source {
             Source::Real(interval) => {
                 interval.tick().await;
+                true
             }
             Source::Clock {
                 jumps,
@@ -100,23 +108,21 @@ impl Beat {
                 period,
                 timeout,
             } => {
-                loop {
-                    let due = passed.silent_at(*timeout, *period);
-                    tokio::select! {
-                        () = self.clock.sleep_until(Time::from_nanos(*next_ns)) => break,
-                        _ = jumps.changed() => break,
-                        () = tokio::time::sleep_until(due.into()) => {
-                            let now_ns = self.clock.now().to_nanos();
-                            if passed.go_on(now_ns, *timeout, Instant::now()) {
-                                return;
-                            }
-                        }
+                let due = passed.due_at(*timeout, *period);
+                tokio::select! {
+                    () = self.clock.sleep_until(Time::from_nanos(*next_ns)) => {}
+                    _ = jumps.changed() => {}
+                    () = tokio::time::sleep_until(due.into()) => {
+                        let now_ns = self.clock.now().to_nanos();
+                        return passed.go_on(now_ns, *timeout, *period, Instant::now());
                     }
                 }
+                passed.looked = Instant::now();
                 let now_ns = self.clock.now().to_nanos();
                 let is_on_time = (0..*period_ns).contains(&now_ns.saturating_sub(*next_ns));
                 let last_ns = if is_on_time { *next_ns } else { now_ns };
                 *next_ns = last_ns.saturating_add(*period_ns);
+                true
             }
         }
     }
@@ -131,6 +137,8 @@ struct Passed {
     since: Instant,
     /// Whether the clock stands still.
     is_silent: bool,
+    /// When the clock was last looked at for the watchdog.
+    looked: Instant,
 }
 
 impl Passed {
@@ -141,6 +149,7 @@ impl Passed {
             stamp_ns: 0,
             since: now,
             is_silent: false,
+            looked: now,
         }
     }
 
@@ -162,14 +171,20 @@ impl Passed {
         self.since + if self.is_silent { period } else { timeout }
     }
 
-    /// Time goes on by itself, unless the clock has advanced meanwhile; whether it did.
-    fn go_on(&mut self, stamp_ns: i64, timeout: Duration, real: Instant) -> bool {
-        let is_first = !self.is_silent;
-        let since = self.since;
-        self.go_to(stamp_ns, real);
-        if self.since != since {
+    /// When to look at the clock again. Without a look in each period, one that stops between two beats would seem to
+    /// advance `timeout` later.
+    fn due_at(&self, timeout: Duration, period: Duration) -> Instant {
+        (self.looked + period).min(self.silent_at(timeout, period))
+    }
+
+    /// Looks at the clock. If it stands still and it is time, time goes on by itself; whether it did.
+    fn go_on(&mut self, stamp_ns: i64, timeout: Duration, period: Duration, real: Instant) -> bool {
+        self.looked = real;
+        if stamp_ns > self.stamp_ns || real < self.silent_at(timeout, period) {
             return false;
         }
+        let (is_first, since) = (!self.is_silent, self.since);
+        self.go_to(stamp_ns, real);
         let passed = real.saturating_duration_since(since);
         self.at += match is_first {
             // No command was sent meanwhile.
@@ -222,15 +237,35 @@ mod tests {
         let mut due = passed.silent_at(timeout, period);
         assert_eq!(due, real + timeout);
         for count in 0..4 {
-            assert!(passed.go_on(1_700 * SECOND_NS, timeout, due));
+            assert!(passed.go_on(1_700 * SECOND_NS, timeout, period, due));
             assert_eq!(passed.at, at + count * period);
             due = passed.silent_at(timeout, period);
         }
         // It advances again.
         let at = passed.go_to(1_701 * SECOND_NS, due);
         assert_eq!(passed.silent_at(timeout, period), due + timeout);
-        assert!(!passed.go_on(1_702 * SECOND_NS, timeout, due + timeout));
+        assert!(!passed.go_on(1_702 * SECOND_NS, timeout, period, due + timeout));
+        passed.go_to(1_702 * SECOND_NS, due + timeout);
         assert_eq!(passed.at, at + Duration::from_secs(1));
         assert!(!passed.is_silent);
+    }
+
+    #[test]
+    fn a_clock_that_stops_between_two_beats_is_noticed_in_a_period() {
+        let (timeout, period) = (Duration::from_secs(1), Duration::from_millis(50));
+        let mut passed = Passed::new();
+        let mut real = passed.looked;
+        passed.go_to(1_700 * SECOND_NS, real);
+        // It advances by less than a period, and stops.
+        let stopped_ns = 1_700 * SECOND_NS + 30_000_000;
+        let begin = real;
+        loop {
+            real = passed.due_at(timeout, period);
+            if passed.go_on(stopped_ns, timeout, period, real) {
+                break;
+            }
+            passed.go_to(stopped_ns, real);
+        }
+        assert_eq!(real, begin + period + timeout);
     }
 }

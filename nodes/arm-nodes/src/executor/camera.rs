@@ -73,8 +73,8 @@ impl Camera {
     /// [`Refusal::FrozenFrame`].
     pub(super) fn expect_seen(&self, offer: &Offer) -> Result<(), Refusal> {
         match self.thawed_ns {
-            Some(thawed_ns) if offer.seen_ns < thawed_ns => Err(Refusal::FrozenFrame {
-                before_s: thawed_ns.saturating_sub(offer.seen_ns) as f64 / 1e9,
+            Some(thawed_ns) if offer.seen_ns() < thawed_ns => Err(Refusal::FrozenFrame {
+                before_s: thawed_ns.saturating_sub(offer.seen_ns()) as f64 / 1e9,
             }),
             _ => Ok(()),
         }

@@ -10,7 +10,7 @@ use thiserror::Error;
 pub enum Hold {
     /// The node's clock stands still.
     #[error(
-        "/clock has not advanced for more than {timeout_s} s (clock_timeout), but use_sim_time is set"
+        "/clock has not advanced for {timeout_s} s (clock_timeout, or less with a short max_age), but use_sim_time is set"
     )]
     ClockStopped {
         /// The parameter, or less with a short max_age \[s\].
@@ -59,6 +59,17 @@ pub enum Hold {
         /// The parameter \[s\].
         timeout_s: f64,
     },
+    /// A joint was measured too long ago, by its stamp.
+    #[error(
+        "joint_states with {name} comes with stamps more than {timeout_s} s behind this node's clock (pose_timeout): \
+         synchronise the clocks of the machines, or have the driver stamp when it measures"
+    )]
+    JointsOld {
+        /// The joint.
+        name: String,
+        /// The parameter \[s\].
+        timeout_s: f64,
+    },
     /// The arm does not follow its commands.
     #[error(
         "joint {axis} is {by:.3} from its commanded position; at most {most} is allowed (max_joint_error)"
@@ -71,7 +82,16 @@ pub enum Hold {
         /// The parameter \[rad or m\].
         most: f64,
     },
-    /// The pose of the end effector is old.
+    /// The pose of the end effector is old, by its stamp.
+    #[error(
+        "ee_pose comes with stamps more than {timeout_s} s behind this node's clock (pose_timeout): synchronise the clocks \
+         of the machines, or have the driver stamp when it measures"
+    )]
+    PoseOld {
+        /// The parameter \[s\].
+        timeout_s: f64,
+    },
+    /// The pose of the end effector no longer comes.
     #[error("no message on ee_pose for more than {timeout_s} s (pose_timeout)")]
     PoseSilent {
         /// The parameter \[s\].
@@ -89,6 +109,8 @@ impl Hold {
             Self::NoDeadman | Self::DeadmanReleased | Self::DeadmanSilent { .. } => "deadman",
             Self::NoPose | Self::PoseSilent { .. } => "no_pose",
             Self::NoJoints { .. } | Self::JointsSilent { .. } => "no_joints",
+            Self::PoseOld { .. } => "old_pose",
+            Self::JointsOld { .. } => "old_joints",
             Self::Apart { .. } => "not_following",
         }
     }

@@ -26,6 +26,19 @@ impl ClockWatch {
         }
     }
 
+    /// How long a clock may stand still, at most `longest`, so that the arm is at rest within `max_age` of the clock's stop.
+    /// The watchdog sees that up to a command period late, and the arm then takes `stop_within`.
+    pub(super) fn timeout_for(
+        longest: Duration,
+        max_age: Duration,
+        stop_within: Duration,
+        period: Duration,
+    ) -> Duration {
+        let left = max_age.saturating_sub(stop_within).saturating_sub(period);
+        // A shorter one would hold the arm between two commands of a clock that advances.
+        longest.min(left.max(period))
+    }
+
     /// Takes the present. A clock that goes to and fro does not advance.
     pub(super) fn see(&mut self, now: Moment) {
         if self
@@ -62,7 +75,7 @@ impl ClockWatch {
             .newest
             .map(|(_, since)| now.real.saturating_duration_since(since));
         match silent {
-            Some(silent) if silent > self.timeout => Err(Hold::ClockStopped {
+            Some(silent) if silent >= self.timeout => Err(Hold::ClockStopped {
                 timeout_s: self.timeout.as_secs_f64(),
             }),
             _ => Ok(()),
@@ -80,12 +93,12 @@ mod tests {
         let mut watch = ClockWatch::new(timeout);
         let now = |ms: u64, stamp_ns| Moment::real(begin + Duration::from_millis(ms), stamp_ns);
         assert_eq!(watch.check(now(5_000, 0)), Ok(()));
-        for (ms, stamp_ns) in [(0, 70), (500, 40), (1_000, 70)] {
+        for (ms, stamp_ns) in [(0, 70), (500, 40), (999, 70)] {
             watch.see(now(ms, stamp_ns));
             assert_eq!(watch.check(now(ms, stamp_ns)), Ok(()));
         }
-        watch.see(now(1_001, 50));
-        assert!(watch.check(now(1_001, 50)).is_err());
+        watch.see(now(1_000, 50));
+        assert!(watch.check(now(1_000, 50)).is_err());
         watch.see(now(1_100, 71));
         assert_eq!(watch.check(now(1_100, 71)), Ok(()));
     }

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use thiserror::Error;
 use wm_msgs::sensor_msgs::JointState;
 
-use super::{Hold, Rates, Refusal, refusal::stamp_of};
+use super::{Hold, Moment, Rates, Refusal, refusal::stamp_of};
 
 /// Stamps that go back by less belong to messages that overtook each other; by more, the clock was set \[ns\].
 const JUMP_NS: i64 = 100_000_000;
@@ -53,6 +53,8 @@ struct Measurement {
     place: f64,
     /// Time of reception.
     at: Instant,
+    /// Age then, by its stamp.
+    age: Duration,
     /// Of the message; 0 if it has none \[ns\].
     stamp_ns: i64,
 }
@@ -105,11 +107,11 @@ impl Joints {
         &self.limits
     }
 
-    /// Takes positions of some or all of them, received at `at`.
+    /// Takes positions of some or all of them.
     ///
     /// # Errors
     /// [`JointError`]: the message is dropped, and the earlier positions stay until their timeout.
-    pub fn measure(&mut self, joints: &JointState, at: Instant) -> Result<(), JointError> {
+    pub fn measure(&mut self, joints: &JointState, received: Moment) -> Result<(), JointError> {
         let stamp_ns = stamp_of("joint_states", joints.header.stamp)?;
         let mut found = Vec::new();
         for (index, (name, known)) in self.names.iter().zip(&self.measured).enumerate() {
@@ -136,7 +138,8 @@ impl Joints {
             if let Some(known) = self.measured.get_mut(index) {
                 *known = Some(Measurement {
                     place,
-                    at,
+                    at: received.at,
+                    age: received.age_of(stamp_ns),
                     stamp_ns,
                 });
             }
@@ -165,11 +168,13 @@ impl Joints {
             let Some(known) = known else {
                 return Err(Hold::NoJoints { name: name.clone() });
             };
-            if now.saturating_duration_since(known.at) > self.timeout {
-                return Err(Hold::JointsSilent {
-                    name: name.clone(),
-                    timeout_s: self.timeout.as_secs_f64(),
-                });
+            let (name, timeout_s) = (name.clone(), self.timeout.as_secs_f64());
+            let silent = now.saturating_duration_since(known.at);
+            if silent > self.timeout {
+                return Err(Hold::JointsSilent { name, timeout_s });
+            }
+            if silent.saturating_add(known.age) > self.timeout {
+                return Err(Hold::JointsOld { name, timeout_s });
             }
         }
         Ok(())
@@ -253,33 +258,53 @@ mod tests {
     fn parts_are_merged_by_name_and_the_oldest_counts() {
         let now = Instant::now();
         let half = SECOND / 2;
+        let at = |at| Moment::real(at, 0);
         let mut joints = joints();
         let missing = |name: &str| Err(Hold::NoJoints { name: name.into() });
         assert_eq!(joints.check(now), missing("a"));
-        joints.measure(&state(&["b"], &[5.0]), now).unwrap();
+        joints.measure(&state(&["b"], &[5.0]), at(now)).unwrap();
         assert_eq!((joints.places(), joints.check(now)), (None, missing("a")));
         joints
-            .measure(&state(&["c", "a"], &[0.0, 0.5]), now + half)
+            .measure(&state(&["c", "a"], &[0.0, 0.5]), at(now + half))
             .unwrap();
         assert_eq!(joints.places().unwrap().as_slice(), [0.5, 5.0]);
         assert_eq!(joints.check(now + SECOND), Ok(()));
         // The other part goes on, this one does not.
         joints
-            .measure(&state(&["a"], &[0.6]), now + SECOND)
+            .measure(&state(&["a"], &[0.6]), at(now + SECOND))
             .unwrap();
         let silent = joints.check(now + SECOND + half).unwrap_err();
         assert!(
             matches!(&silent, Hold::JointsSilent { name, .. } if name == "b"),
             "{silent}"
         );
-        let bad = joints.measure(&state(&["a", "b"], &[0.1, f64::NAN]), now);
+        let bad = joints.measure(&state(&["a", "b"], &[0.1, f64::NAN]), at(now));
         assert!(bad.unwrap_err().to_string().contains("b at NaN"));
         assert_eq!(joints.places().unwrap().as_slice(), [0.6, 5.0]);
     }
 
     #[test]
+    fn joints_of_an_old_stamp_are_old() {
+        let now = Moment::real(Instant::now(), 100_000_000_000);
+        let mut joints = joints();
+        let mut check = |stamp_ns: i64, after: Duration| {
+            let mut state = state(&["a", "b"], &[0.0, 0.0]);
+            state.header.stamp = Time::from_nanos(stamp_ns);
+            joints.measure(&state, now).unwrap();
+            joints.check(now.at + after).map_err(|hold| hold.reason())
+        };
+        assert_eq!(check(99_500_000_000, SECOND / 2), Ok(()));
+        assert_eq!(check(99_500_000_000, SECOND), Err("old_joints"));
+        assert_eq!(check(98_900_000_000, Duration::ZERO), Err("old_joints"));
+        // Of another clock, and without a stamp.
+        assert_eq!(check(5_000_000_000, Duration::ZERO), Err("old_joints"));
+        assert_eq!(check(0, SECOND), Ok(()));
+        assert_eq!(check(0, 2 * SECOND), Err("no_joints"));
+    }
+
+    #[test]
     fn joints_that_were_overtaken_are_dropped() {
-        let now = Instant::now();
+        let now = Moment::real(Instant::now(), 0);
         let mut joints = joints();
         let mut measure = |ms: i64, place| {
             let mut state = state(&["a", "b"], &[place, 0.0]);
@@ -298,7 +323,10 @@ mod tests {
     fn near_a_limit_a_joint_slows_down_and_the_way_back_is_free() {
         let mut joints = joints();
         joints
-            .measure(&state(&["a", "b"], &[0.9, 0.0]), Instant::now())
+            .measure(
+                &state(&["a", "b"], &[0.9, 0.0]),
+                Moment::real(Instant::now(), 0),
+            )
             .unwrap();
         let (left, is_cut) = joints.cut(Rates::of([0.5, 0.5]));
         assert!(is_cut && (left.as_slice()[0] - 0.1).abs() < 1e-12);
@@ -311,7 +339,10 @@ mod tests {
     fn an_arm_that_does_not_follow_is_noticed() {
         let mut joints = joints();
         joints
-            .measure(&state(&["a", "b"], &[0.0, 0.0]), Instant::now())
+            .measure(
+                &state(&["a", "b"], &[0.0, 0.0]),
+                Moment::real(Instant::now(), 0),
+            )
             .unwrap();
         joints.go(Rates::of([0.5, 0.0]), 0.1);
         assert_eq!(joints.check_following(), Ok(()));

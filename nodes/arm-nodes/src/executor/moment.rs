@@ -9,6 +9,8 @@ pub struct Moment {
     pub at: Instant,
     /// By the node's clock, the clock of stamps \[ns\].
     pub stamp_ns: i64,
+    /// By how much the node's clock may be late: the step of a simulated one \[ns\].
+    pub late_ns: i64,
     /// By the monotonic clock, which never stops.
     pub real: Instant,
 }
@@ -19,8 +21,18 @@ impl Moment {
         Self {
             at,
             stamp_ns,
+            late_ns: 0,
             real: at,
         }
+    }
+
+    /// Age of a measurement of this stamp at its reception, by the node's clock. One without a stamp is of the present.
+    pub(super) fn age_of(&self, stamp_ns: i64) -> Duration {
+        let age_ns = match stamp_ns {
+            0 => 0,
+            stamp_ns => self.stamp_ns.saturating_sub(stamp_ns),
+        };
+        Duration::from_nanos(u64::try_from(age_ns).unwrap_or(0))
     }
 
     /// Time from `self` to `now`, by `at` or by the node's clock: the longer one.

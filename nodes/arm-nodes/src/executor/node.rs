@@ -66,7 +66,7 @@ fn run(args: &NodeArgs) -> Result<ExitCode> {
 pub async fn body(node: Node) -> Result<()> {
     let parameters = Parameters::declare(&node)?;
     node.seal_parameters()?;
-    let settings = parameters.settings()?;
+    let settings = parameters.settings(node.clock().is_simulated())?;
     let Endpoints {
         mut chunks,
         mut plans,
@@ -101,7 +101,7 @@ pub async fn body(node: Node) -> Result<()> {
     let mut beat = Beat::new(
         parameters.is_clocked,
         settings.period,
-        parameters.clock_timeout(),
+        parameters.clock_timeout(settings.period),
         node.clock(),
     );
     let is_deadman_required = settings.deadman.is_some();
@@ -164,9 +164,13 @@ pub async fn body(node: Node) -> Result<()> {
                     let taken = executor.step.camera(&received.message, beat.of(&received));
                     executor.drop_malformed(taken);
                 }
-                Some(received) = poses.recv() => executor.pose(&received.message, beat.of(&received).at),
-                Some(received) = next(&mut joints) => executor.joints(&received.message, beat.of(&received).at),
-                () = beat.tick() => {
+                Some(received) = poses.recv() => executor.pose(&received.message, beat.of(&received)),
+                Some(received) = next(&mut joints) => executor.joints(&received.message, beat.of(&received)),
+                is_due = beat.tick() => {
+                    if !is_due {
+                        executor.step.see_clock(beat.now());
+                        continue;
+                    }
                     executor.expect_readable(emergency.undecodable());
                     if is_ending {
                         // A call may have armed it meanwhile.
@@ -466,14 +470,14 @@ impl Executor {
         self.report_lateness();
     }
 
-    fn pose(&mut self, pose: &PoseStamped, at: Instant) {
-        if let Err(problem) = self.step.pose(pose, at) {
+    fn pose(&mut self, pose: &PoseStamped, received: Moment) {
+        if let Err(problem) = self.step.pose(pose, received) {
             self.complaints.left_out(problem.reason(), &problem);
         }
     }
 
-    fn joints(&mut self, joints: &JointState, at: Instant) {
-        if let Err(problem) = self.step.joints(joints, at) {
+    fn joints(&mut self, joints: &JointState, received: Moment) {
+        if let Err(problem) = self.step.joints(joints, received) {
             self.complaints.left_out(problem.reason(), &problem);
         }
     }

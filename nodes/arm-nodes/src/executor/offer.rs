@@ -1,8 +1,9 @@
 //! What is offered for execution.
 
 use wm_msgs::wm_msgs::{Action, ActionChunk, Plan};
+use wm_wire::stamp::AHEAD_NS;
 
-use super::{Refusal, refusal::stamp_of};
+use super::{Moment, Refusal, refusal::stamp_of};
 
 /// Who offers actions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,8 +42,8 @@ pub struct Offer {
     pub stamp_ns: i64,
     /// Which offer is newer: of a chunk its stamp; of a plan the stamp of the frame that it was made from \[ns\].
     pub made_ns: i64,
-    /// Capture time of the frame that it responds to; of a chunk without one, its stamp \[ns\].
-    pub seen_ns: i64,
+    /// Capture time of the frame that it responds to; a chunk may have none \[ns\].
+    pub capture_ns: Option<i64>,
     /// When its first action begins, by the node's clock \[ns\].
     pub begin_ns: i64,
     /// How long each action takes \[ns\].
@@ -62,16 +63,13 @@ impl Offer {
     /// [`Refusal::Stamp`]: a time is malformed.
     pub fn of_chunk(chunk: &ActionChunk) -> Result<Self, Refusal> {
         let stamp_ns = stamp_of("the chunk", chunk.header.stamp)?;
-        let seen_ns = match stamp_of("timing.capture", chunk.timing.capture)? {
-            // The policy does not name its frame.
-            0 => stamp_ns,
-            capture_ns => capture_ns,
-        };
+        let capture_ns = stamp_of("timing.capture", chunk.timing.capture)?;
         Ok(Self {
             source: Source::Chunk,
             stamp_ns,
             made_ns: stamp_ns,
-            seen_ns,
+            // With zero, the policy does not name its frame.
+            capture_ns: Some(capture_ns).filter(|capture_ns| *capture_ns != 0),
             begin_ns: stamp_ns,
             period_ns: Refusal::expect_span("period", chunk.period)?,
             frame_id: chunk.header.frame_id.clone(),
@@ -95,13 +93,39 @@ impl Offer {
             source: Source::Plan,
             stamp_ns,
             made_ns,
-            seen_ns: made_ns,
+            capture_ns: Some(made_ns),
             begin_ns: stamp_ns,
             period_ns: Refusal::expect_span("period", plan.period)?,
             frame_id: first.frame_id.clone(),
             epoch: Some(plan.epoch),
             actions: checked_values(&plan.actions)?,
         })
+    }
+
+    /// Capture time of the frame that it responds to, or its stamp \[ns\].
+    pub fn seen_ns(&self) -> i64 {
+        self.capture_ns.unwrap_or(self.stamp_ns)
+    }
+
+    /// That its frame is no frame of the future, by a clock that may be late.
+    ///
+    /// # Errors
+    /// [`Refusal::Future`].
+    pub(super) fn expect_captured(&self, now: Moment) -> Result<(), Refusal> {
+        let now_ns = now.stamp_ns.saturating_add(now.late_ns);
+        match self.capture_ns {
+            Some(capture_ns) if capture_ns > now_ns.saturating_add(AHEAD_NS) => {
+                Err(Refusal::Future {
+                    what: match self.source {
+                        Source::Chunk => "timing.capture",
+                        Source::Plan => "the plan's frame",
+                    },
+                    ahead_s: capture_ns.saturating_sub(now_ns) as f64 / 1e9,
+                    most_s: AHEAD_NS as f64 / 1e9,
+                })
+            }
+            _ => Ok(()),
+        }
     }
 
     /// When its last action is over \[ns\].

@@ -47,7 +47,7 @@ wm_ros::parameters! {
         /// begin reception, its stamp may not be older either.
         max_age: Duration = 2.0, in 0.01..=60.0;
         /// With use_sim_time: the arm stops when /clock has not advanced for this long of real time [s]; earlier with a
-        /// short max_age, so that the arm stands still within it.
+        /// short max_age, so that the arm stands still within it; max_age is at least stop_within + 2 / rate.
         clock_timeout: Duration = 1.5, in 0.05..=60.0;
         /// The arm stops when camera_state has been silent for this long, once the encoder has published it [s]. Without
         /// an encoder nothing is waited for.
@@ -103,7 +103,8 @@ wm_ros::parameters! {
         workspace_max: Vec<f64> = Vec::<f64>::new();
         /// No motion may leave the box, or a joint its limits, within this time [s].
         workspace_lookahead: Duration = 0.3, in 0.001..=10.0;
-        /// With a box: the arm stops when ee_pose has been silent for this long [s]. With joints: when joint_states has.
+        /// With a box: the arm stops when ee_pose has been silent for this long, or its stamps are older [s]. With joints: likewise
+        /// of joint_states. Without a stamp, the reception counts.
         pose_timeout: Duration = 0.2, in 0.001..=60.0;
         /// Move only while the topic deadman says true.
         require_deadman: bool = false;
@@ -136,7 +137,7 @@ impl Parameters {
     ///
     /// # Errors
     /// Names those that contradict each other, or the file that cannot be read.
-    pub(super) fn settings(&self) -> Result<Settings> {
+    pub(super) fn settings(&self, is_simulated: bool) -> Result<Settings> {
         let space = action_space(&self.action_space)?;
         let moves_joints = self.command_type == "joint_trajectory";
         let layout = match moves_joints {
@@ -156,6 +157,15 @@ impl Parameters {
             stop_s <= self.stop_within.as_secs_f64() + ROUNDING_S,
             "from the greatest velocities the arm takes {stop_s:.3} s to stop (max_*_velocity / max_*_acceleration + 1 / \
              rate), but stop_within is {} s: raise it or the accelerations, or lower the velocities",
+            self.stop_within.as_secs_f64()
+        );
+        let least_s = self.stop_within.as_secs_f64() + 2.0 * period.as_secs_f64();
+        ensure!(
+            !is_simulated || self.max_age.as_secs_f64() + ROUNDING_S >= least_s,
+            "max_age is {} s and stop_within is {} s: expected max_age to be at least {least_s:.3} s (stop_within + 2 / rate), \
+             since with use_sim_time the arm has to stand still within max_age once /clock stops; raise max_age, or lower \
+             stop_within",
+            self.max_age.as_secs_f64(),
             self.stop_within.as_secs_f64()
         );
         ensure!(
@@ -196,7 +206,7 @@ impl Parameters {
             deadman: self
                 .require_deadman
                 .then(|| Deadman::new(self.deadman_timeout)),
-            clock: ClockWatch::new(self.clock_timeout()),
+            clock: ClockWatch::new(self.clock_timeout(period)),
             camera: Camera::new(self.camera_timeout),
             emergency: EmergencyStop::new(self.require_emergency_stop),
             veto: VetoSettings {
@@ -210,10 +220,9 @@ impl Parameters {
         })
     }
 
-    /// How long /clock may stand still: the arm then takes `stop_within` to stop.
-    pub(super) fn clock_timeout(&self) -> Duration {
-        let left = self.max_age.saturating_sub(self.stop_within);
-        self.clock_timeout.min(left.max(self.max_age / 2))
+    /// How long /clock may stand still.
+    pub(super) fn clock_timeout(&self, period: Duration) -> Duration {
+        ClockWatch::timeout_for(self.clock_timeout, self.max_age, self.stop_within, period)
     }
 
     fn joint_limits(&self, joints: usize) -> Result<Limits> {

@@ -124,6 +124,19 @@ pub enum Refusal {
         /// What came \[ns\].
         nanosec: u32,
     },
+    /// It was made from a frame of a time that has not come.
+    #[error(
+        "{what} is stamped {ahead_s:.2} s ahead of this node's clock, at most {most_s:.1} s are accepted: synchronise the \
+         clocks of the machines, or set use_sim_time on all nodes of a replay"
+    )]
+    Future {
+        /// `timing.capture`, or the plan's frame.
+        what: &'static str,
+        /// How far it is ahead \[s\].
+        ahead_s: f64,
+        /// How far it may be ahead \[s\].
+        most_s: f64,
+    },
     /// It was made from a frame that the camera took before it ran again.
     #[error(
         "it was made from a frame {before_s:.2} s older than the first one after the camera's freeze"
@@ -239,7 +252,7 @@ impl Refusal {
             Self::Period { .. } => "period",
             Self::Frame { .. } => "wrong_frame",
             Self::Epoch { .. } => "old_epoch",
-            Self::Stamp { .. } => "bad_stamp",
+            Self::Stamp { .. } | Self::Future { .. } => "bad_stamp",
             Self::FrozenFrame { .. } => "frozen_frame",
             Self::Stale { .. } => "stale",
             Self::Late { .. } | Self::Behind { .. } => "late",

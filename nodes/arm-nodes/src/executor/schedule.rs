@@ -272,7 +272,7 @@ mod tests {
             source: Source::Chunk,
             stamp_ns: stamp_ms * MS,
             made_ns: stamp_ms * MS,
-            seen_ns: stamp_ms * MS,
+            capture_ns: None,
             begin_ns: stamp_ms * MS,
             period_ns: period_ms * MS,
             frame_id: String::new(),

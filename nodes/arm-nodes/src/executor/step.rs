@@ -171,13 +171,13 @@ impl ExecutorStep {
         &self.frame_id
     }
 
-    /// Takes the pose of the end effector, received at `at`.
+    /// Takes the pose of the end effector.
     ///
     /// # Errors
     /// [`PoseError`]: it is dropped.
-    pub fn pose(&mut self, pose: &PoseStamped, at: Instant) -> Result<(), PoseError> {
+    pub fn pose(&mut self, pose: &PoseStamped, received: Moment) -> Result<(), PoseError> {
         let Header { stamp, frame_id } = &pose.header;
-        stamp_of("ee_pose", *stamp)?;
+        let stamp_ns = stamp_of("ee_pose", *stamp)?;
         let expected = &self.settings.base_frame;
         if !expected.is_empty() && expected != frame_id {
             return Err(PoseError::Frame {
@@ -187,20 +187,26 @@ impl ExecutorStep {
         }
         let pose = pose::of_pose(&pose.pose)?;
         if let Some(workspace) = &mut self.settings.workspace {
-            workspace.measure(pose.translation.vector.into(), at);
+            let age = received.age_of(stamp_ns);
+            workspace.measure(pose.translation.vector.into(), received.at, age);
         }
         Ok(())
     }
 
-    /// Takes positions of joints, received at `at`.
+    /// Takes positions of joints.
     ///
     /// # Errors
     /// [`JointError`]: it is dropped.
-    pub fn joints(&mut self, joints: &JointState, at: Instant) -> Result<(), JointError> {
+    pub fn joints(&mut self, joints: &JointState, received: Moment) -> Result<(), JointError> {
         match &mut self.settings.joints {
-            Some(known) => known.measure(joints, at),
+            Some(known) => known.measure(joints, received),
             None => Ok(()),
         }
+    }
+
+    /// Takes the present for the watchdog of the clock, between two commands.
+    pub fn see_clock(&mut self, now: Moment) {
+        self.settings.clock.see(now);
     }
 
     /// No velocity along any axis.

@@ -39,6 +39,17 @@ impl PoseError {
     }
 }
 
+/// A measured position of the end effector.
+#[derive(Clone, Copy, Debug)]
+struct Measurement {
+    /// \[m\]
+    position: Axes,
+    /// Time of reception.
+    at: Instant,
+    /// Age then, by its stamp.
+    age: Duration,
+}
+
 /// The box that the end effector has to stay in, and where it is.
 #[derive(Clone, Debug)]
 pub struct Workspace {
@@ -46,7 +57,7 @@ pub struct Workspace {
     most: Axes,
     lookahead: Duration,
     timeout: Duration,
-    measured: Option<(Axes, Instant)>,
+    measured: Option<Measurement>,
 }
 
 impl Workspace {
@@ -67,19 +78,22 @@ impl Workspace {
         (self.least, self.most)
     }
 
-    /// Where the end effector is, finite numbers \[m\], and when that came.
-    pub fn measure(&mut self, position: [f64; 3], at: Instant) {
-        self.measured = Some((position, at));
+    /// Takes a position of the end effector, finite numbers \[m\], that was received at `at` and was of this `age` then.
+    pub fn measure(&mut self, position: [f64; 3], at: Instant, age: Duration) {
+        self.measured = Some(Measurement { position, at, age });
     }
 
     /// Where the end effector is, and for how long that has been known.
     fn position(&self, now: Instant) -> Result<(Axes, Duration), Hold> {
-        let (position, at) = self.measured.ok_or(Hold::NoPose)?;
-        let age = now.saturating_duration_since(at);
+        let Measurement { position, at, age } = self.measured.ok_or(Hold::NoPose)?;
+        let timeout_s = self.timeout.as_secs_f64();
+        let silent = now.saturating_duration_since(at);
+        if silent > self.timeout {
+            return Err(Hold::PoseSilent { timeout_s });
+        }
+        let age = silent.saturating_add(age);
         if age > self.timeout {
-            return Err(Hold::PoseSilent {
-                timeout_s: self.timeout.as_secs_f64(),
-            });
+            return Err(Hold::PoseOld { timeout_s });
         }
         Ok((position, age))
     }
@@ -128,7 +142,7 @@ mod tests {
         let mut workspace = Workspace::new([0.0; 3], [1.0; 3], second, second);
         assert_eq!(workspace.cut([1.0; 3], now), Err(Hold::NoPose));
         // Inside near the upper side, at a side, and outside.
-        workspace.measure([0.9, 0.0, 1.5], now);
+        workspace.measure([0.9, 0.0, 1.5], now, Duration::ZERO);
         let (left, is_cut) = workspace.cut([0.5, -0.5, 0.5], now).unwrap();
         assert!((left[0] - 0.1).abs() < 1e-12, "{left:?}");
         assert_eq!((left[1], left[2]), (0.0, 0.0));
@@ -140,5 +154,11 @@ mod tests {
         assert!((left[0] - 0.05).abs() < 1e-12, "{left:?}");
         let held = workspace.cut([0.5; 3], now + 2 * second);
         assert_eq!(held, Err(Hold::PoseSilent { timeout_s: 1.0 }));
+        // By its stamp, it is older than by its reception.
+        workspace.measure([0.9, 0.0, 0.0], now, second / 2);
+        let (left, _) = workspace.cut([0.5, 0.0, 0.0], now + second / 2).unwrap();
+        assert!((left[0] - 0.05).abs() < 1e-12, "{left:?}");
+        let held = workspace.check(now + second);
+        assert_eq!(held, Err(Hold::PoseOld { timeout_s: 1.0 }));
     }
 }

@@ -4,7 +4,7 @@ use wm_camera::recent_pictures::RecentPictures;
 
 use super::{repeats::JUMP_NS, stillness::Rates};
 
-/// A gap this long between two frames is a pause: pictures of before and after are not compared \[ns\].
+/// A gap this long between two frames is a pause: the rates of before and after differ \[ns\].
 const PAUSE_NS: i64 = 10_000_000_000;
 
 /// A frame compared with the last ones.
@@ -41,10 +41,14 @@ pub(crate) struct Repetition {
 impl Repetition {
     /// Takes a frame of the stamp `stamp_ns` whose picture has this fingerprint.
     pub fn frame(&mut self, stamp_ns: i64, fingerprint: u64) -> Repeat {
-        let is_pause =
-            |newest_ns: i64| !(-JUMP_NS..=PAUSE_NS).contains(&stamp_ns.saturating_sub(newest_ns));
-        if self.newest_ns.is_some_and(is_pause) {
+        let gap_ns = self
+            .newest_ns
+            .map_or(0, |newest_ns| stamp_ns.saturating_sub(newest_ns));
+        if gap_ns < -JUMP_NS {
             self.restart();
+        } else if gap_ns > PAUSE_NS {
+            // The pictures stay: after a pause, a driver may publish its old buffers.
+            self.rates = Rates::default();
         }
         // A frame that was overtaken counts as of the newest stamp.
         let stamp_ns = self
@@ -107,11 +111,28 @@ mod tests {
     }
 
     #[test]
-    fn a_pause_and_a_step_back_begin_anew() {
+    fn old_pictures_after_a_pause_are_repeated() {
         let mut repetition = Repetition::default();
-        repetition.frame(0, 7);
-        assert!(repetition.frame(1_000_000_000, 7).is_repeated);
-        assert!(!repetition.frame(60_000_000_000, 7).is_repeated);
+        for index in 0..60 {
+            repetition.frame(index * PERIOD, index as u64);
+        }
+        let begin_ns = 59 * PERIOD + 60_000_000_000;
+        for index in 0..8 {
+            let repeat = repetition.frame(begin_ns + index * PERIOD, 56 + index as u64 % 4);
+            assert!(repeat.is_repeated, "{index}: {repeat:?}");
+            assert_eq!(repeat.since_new_ns, 60_000_000_000 + index * PERIOD);
+        }
+        // The rates are those since the pause.
+        let repeat = repetition.frame(begin_ns + 8 * PERIOD, 60);
+        assert_eq!((repeat.is_repeated, repeat.since_new_ns), (false, 0));
+        assert!(repeat.rate.is_none_or(|rate| rate > 20.0), "{repeat:?}");
+    }
+
+    #[test]
+    fn a_step_back_begins_anew() {
+        let mut repetition = Repetition::default();
+        repetition.frame(60_000_000_000, 7);
+        assert!(repetition.frame(61_000_000_000, 7).is_repeated);
         assert!(!repetition.frame(5_000_000_000, 7).is_repeated);
     }
 }

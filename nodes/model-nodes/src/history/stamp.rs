@@ -2,10 +2,10 @@
 
 use wm_msgs::{builtin_interfaces::Time, wm_msgs::ActionChunk};
 
+use wm_wire::stamp::AHEAD_NS;
+
 use super::{HistoryError, Reception};
 
-/// A frame or an action that is stamped further ahead is matched with those of another moment \[ns\].
-pub(super) const AHEAD_NS: i64 = 100_000_000;
 /// A policy may announce actions; further ahead it is of another clock \[ns\].
 pub(super) const ANNOUNCED_NS: i64 = 10_000_000_000;
 

@@ -70,6 +70,24 @@ fn a_prediction_without_a_period_is_counted_and_harms_nothing() {
 }
 
 #[test]
+fn a_prediction_with_an_invalid_time_is_counted() {
+    let changes: [fn(&mut Prediction); 4] = [
+        |prediction| prediction.header.stamp.nanosec = 1_000_000_000,
+        |prediction| prediction.observed_stamp.nanosec = u32::MAX,
+        |prediction| prediction.ready_stamp.nanosec = 1_000_000_000,
+        |prediction| prediction.step_period.nanosec = 1_000_000_000,
+    ];
+    let mut scorer = Scorer::default();
+    for change in changes {
+        let mut invalid = prediction(STEP_NS, 1, STEP_NS);
+        change(&mut invalid);
+        scorer.prediction(&invalid, STEP_NS);
+    }
+    assert_eq!(scorer.drop_count(), 4);
+    assert!(scorer.steps.is_empty());
+}
+
+#[test]
 fn pictures_are_compared_with_the_frame_of_their_moment_and_the_baseline_with_it_too() {
     let mut scorer = Scorer::default();
     run(&mut scorer, 10, 2);

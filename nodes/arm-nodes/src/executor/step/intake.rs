@@ -63,6 +63,7 @@ impl ExecutorStep {
         if now.stamp_ns == 0 {
             return Err(Refusal::NoClock);
         }
+        offer.expect_captured(now)?;
         // Without measured joints no motion is allowed, and its beginning is not known.
         if let Some(joints) = &settings.joints {
             joints.check(now.at)?;

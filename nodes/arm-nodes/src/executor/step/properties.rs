@@ -145,7 +145,7 @@ proptest! {
                     let mut pose = PoseStamped::default();
                     let [x, y, z] = position.velocity().linear;
                     pose.pose.position = wm_msgs::geometry_msgs::Point { x, y, z };
-                    bench.step.pose(&pose, bench.at(ms).at).unwrap();
+                    bench.step.pose(&pose, bench.at(ms)).unwrap();
                     wait = *silence.next().unwrap();
                 }
                 wait -= 1;

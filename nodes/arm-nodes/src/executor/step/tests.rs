@@ -502,13 +502,47 @@ fn with_a_box_and_no_pose_it_stops() {
     assert_eq!(bench.refused(0, &chunk(0, 0.02, 20)).0, "no_pose");
     let mut wrong = pose(0.0);
     wrong.header.frame_id = "camera".into();
-    let refused = bench.step.pose(&wrong, bench.start).unwrap_err();
+    let refused = bench.step.pose(&wrong, bench.at(0)).unwrap_err();
     assert!(matches!(refused, PoseError::Frame { .. }));
-    bench.step.pose(&pose(0.0), bench.at(210).at).unwrap();
+    bench.step.pose(&pose(0.0), bench.at(210)).unwrap();
     bench.set_going();
     bench.expect_stop(450);
     assert!(
         bench.reason().contains("pose_timeout"),
+        "{}",
+        bench.reason()
+    );
+}
+
+#[test]
+fn fresh_messages_with_old_poses_do_not_move_the_arm() {
+    let mut bench = Bench::armed(in_a_box());
+    // `pose_timeout` is 0.2 s; the last one is of a clock that began with the driver.
+    for stamp_ns in [START - 201 * MS, START - 3_600_000 * MS, 5_000 * MS] {
+        let mut old = pose(0.0);
+        old.header.stamp = Time::from_nanos(stamp_ns);
+        bench.step.pose(&old, bench.at(0)).unwrap();
+        let (reason, text) = bench.refused(0, &chunk(0, 0.02, 20));
+        assert_eq!(reason, "old_pose", "{text}");
+    }
+    // While it moves, the robot's measurements begin to come late.
+    let mut last = 0.0;
+    for ms in (0..1_000).step_by(50) {
+        let late_ms = if ms < 400 { 20 } else { 250 };
+        let mut pose = pose(0.0);
+        pose.header.stamp = Time::from_nanos(START + (ms - late_ms) * MS);
+        bench.step.pose(&pose, bench.at(ms)).unwrap();
+        if ms == 0 {
+            bench.offer(0, &chunk(0, 0.02, 20)).unwrap();
+        }
+        last = sent(bench.tick(ms)).unwrap_or(0.0);
+        assert!(ms != 350 || last > 0.09, "{last}");
+        assert!(ms < 600 || last == 0.0, "{last} at {ms} ms");
+    }
+    assert_eq!(last, 0.0);
+    assert_eq!(bench.step.status().hold, Some("old_pose"));
+    assert!(
+        bench.reason().contains("behind this node's clock"),
         "{}",
         bench.reason()
     );
@@ -520,7 +554,7 @@ fn the_arm_stays_in_its_box() {
     let mut x = 0.95;
     for tick in 0..60 {
         let ms = tick * PERIOD_MS;
-        bench.step.pose(&pose(x), bench.at(ms).at).unwrap();
+        bench.step.pose(&pose(x), bench.at(ms)).unwrap();
         if tick % 10 == 0 {
             bench.offer(ms, &chunk(ms, 0.05, 10)).unwrap();
         }
@@ -531,6 +565,6 @@ fn the_arm_stays_in_its_box() {
     assert!(bench.reason().contains("ends at x"), "{}", bench.reason());
     // Back is free.
     bench.offer(3000, &chunk(3000, -0.02, 10)).unwrap();
-    bench.step.pose(&pose(x), bench.at(3000).at).unwrap();
+    bench.step.pose(&pose(x), bench.at(3000)).unwrap();
     assert!(bench.run(3000, 3100).unwrap() < -0.09);
 }

@@ -1,6 +1,7 @@
 use super::*;
 use proptest::prelude::*;
 use std::{collections::BTreeMap, convert::Infallible};
+use wm_msgs::cdr;
 
 /// Results are numbers, and so is who waits for them.
 type Numbers = Goals<u32, u32>;
@@ -41,6 +42,23 @@ fn accepted(number: u8, now: Instant) -> Numbers {
         goals.accept(id(each), stamp(each.into()), now).unwrap();
     }
     goals
+}
+
+/// Its nanoseconds are those of no stamp, which would cancel all goals.
+#[test]
+fn a_request_to_cancel_with_an_invalid_time_is_not_decoded() {
+    for (sec, nanosec) in [(-1, 1_000_000_000), (5, 1_000_000_000), (5, u32::MAX)] {
+        let goal_info = GoalInfo {
+            goal_id: UUID::default(),
+            stamp: Time { sec, nanosec },
+        };
+        let bytes = cdr::to_bytes(&CancelGoalRequest { goal_info }).unwrap();
+        let error = cdr::from_bytes::<CancelGoalRequest>(&bytes).unwrap_err();
+        assert!(
+            error.to_string().contains("expected less than 1e9 ns"),
+            "{error}"
+        );
+    }
 }
 
 #[test]

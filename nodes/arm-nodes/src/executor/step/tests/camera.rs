@@ -43,6 +43,48 @@ fn a_frozen_camera_stops_the_arm_with_its_reason() {
 }
 
 #[test]
+fn offers_from_frames_of_the_future_are_refused() {
+    let mut bench = Bench::armed(settings());
+    let now = bench.at(0);
+    let capture = |ms: i64| Time::from_nanos(START + ms * MS);
+    // Both begin later, as they may.
+    let chunk_of = |capture_ms: i64| {
+        let mut chunk = chunk(1_200, 0.02, 4);
+        chunk.timing.capture = capture(capture_ms);
+        chunk
+    };
+    let plan_of = |made_ms: i64| {
+        let mut plan = plan(1_200, 1);
+        plan.header.stamp = capture(made_ms);
+        plan
+    };
+    // The second one has the stamp of the chunk itself.
+    for ahead_ms in [101, 1_200, 3_600_000] {
+        let lead = format!("{:.2} s ahead of this node's clock", ahead_ms as f64 / 1e3);
+        let (reason, text) = bench.refused(0, &chunk_of(ahead_ms));
+        assert_eq!(reason, "bad_stamp");
+        assert!(
+            text.contains(&format!("timing.capture is stamped {lead}")),
+            "{text}"
+        );
+        let refusal = bench.step.plan(&plan_of(ahead_ms), now, now).unwrap_err();
+        assert_eq!(refusal.reason(), "bad_stamp");
+        assert!(refusal.to_string().contains(&lead), "{refusal}");
+    }
+    assert_eq!(bench.step.status().counts.refused, 6);
+    assert_eq!(bench.offer(0, &chunk_of(100)), Ok(Taken::Accepted));
+    let taken = bench.step.plan(&plan_of(100), now, now);
+    assert!(!matches!(taken, Err(Refusal::Future { .. })), "{taken:?}");
+    // A simulated clock that advances by 0.2 s at a time may be as late.
+    let now = Moment {
+        late_ns: 200 * MS,
+        ..now
+    };
+    assert!(bench.step.chunk(&chunk_of(300), now, now).is_ok());
+    assert!(bench.step.chunk(&chunk_of(301), now, now).is_err());
+}
+
+#[test]
 fn after_a_freeze_only_offers_from_newer_frames_move_the_arm() {
     let mut bench = Bench::armed(settings());
     bench.frame(0, true);

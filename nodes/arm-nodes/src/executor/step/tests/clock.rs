@@ -35,6 +35,42 @@ fn a_stopped_clock_stops_the_arm_within_max_age() {
     assert_eq!(bench.step.status().hold, Some("clock_stopped"));
 }
 
+#[test]
+fn a_stopped_clock_stops_a_fast_arm_within_a_short_max_age() {
+    for max_age_ms in [300, 350, 399, 600] {
+        let mut settings = settings();
+        settings.max_age = Duration::from_millis(max_age_ms);
+        let timeout = ClockWatch::timeout_for(
+            Duration::from_millis(1_500),
+            settings.max_age,
+            settings.stop_within,
+            settings.period,
+        );
+        settings.clock = ClockWatch::new(timeout);
+        let mut bench = Bench::armed(settings);
+        // At the greatest velocity.
+        for ms in (0..=400).step_by(50) {
+            bench.offer(ms, &chunk(ms, 0.05, 20)).unwrap();
+            bench.tick(ms);
+        }
+        let mut last_ms = 400;
+        for ms in (450..3_000).step_by(50) {
+            // It stops 1 ms after the last command.
+            let now = stopped(&bench, ms, 401);
+            // A policy without a clock of its own goes on.
+            bench.step.chunk(&chunk(401, 0.05, 20), now, now).ok();
+            if sent(bench.step.tick(now).output).unwrap_or(0.0) != 0.0 {
+                last_ms = ms;
+            }
+        }
+        // A command holds for a period.
+        let moved_ms = last_ms + PERIOD_MS - 401;
+        assert!(moved_ms > 50, "{moved_ms} ms");
+        assert!(moved_ms.unsigned_abs() <= max_age_ms, "{moved_ms} ms");
+        assert!(bench.reason().contains("/clock"), "{}", bench.reason());
+    }
+}
+
 /// Neither the offer that is executed nor the next one outlives its age.
 #[test]
 fn a_chunk_ahead_of_a_stopped_clock_soon_ends() {

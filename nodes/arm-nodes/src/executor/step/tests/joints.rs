@@ -83,8 +83,11 @@ impl Arm {
     }
 
     fn measure(&mut self, ms: i64) {
-        let at = self.bench.at(ms).at;
-        self.bench.step.joints(&state(&self.places), at).unwrap();
+        let received = self.bench.at(ms);
+        self.bench
+            .step
+            .joints(&state(&self.places), received)
+            .unwrap();
     }
 
     /// A command period: whether anything was sent, and that it keeps to the limits.

@@ -63,7 +63,7 @@ fn a_malformed_stamp_is_refused_wherever_it_is() {
 #[test]
 fn a_pose_without_an_orientation_is_dropped() {
     let mut bench = Bench::armed(in_a_box());
-    let now = bench.at(0).at;
+    let now = bench.at(0);
     let mut refused = |change: &dyn Fn(&mut PoseStamped)| {
         let mut pose = pose(0.0);
         change(&mut pose);
