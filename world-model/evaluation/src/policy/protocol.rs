@@ -211,7 +211,7 @@ mod tests {
         }
 
         #[test]
-        fn what_was_sent_arrives(values in prop::collection::vec(prop::array::uniform7(-0.9_f32..0.9), 1..5)) {
+        fn what_was_sent_arrives(values in prop::collection::vec(prop::array::uniform7(-0.4_f32..0.4), 1..5)) {
             let line = serde_json::json!({"actions": values}).to_string();
             let values: Vec<Vec<f32>> = values.iter().map(|v| v.to_vec()).collect();
             prop_assert_eq!(parse(&line).unwrap(), values);
