@@ -16,9 +16,18 @@ pub struct InvalidNanoseconds {
     pub nanosec: u32,
 }
 
-/// Seconds and nanoseconds as they come from a peer or a bag.
+/// A time as it comes from a peer or a bag. serde names it as the message.
 #[derive(Deserialize)]
-struct Unchecked {
+#[serde(rename = "Time")]
+struct UncheckedTime {
+    sec: i32,
+    nanosec: u32,
+}
+
+/// A span as it comes from a peer or a bag.
+#[derive(Deserialize)]
+#[serde(rename = "Duration")]
+struct UncheckedDuration {
     sec: i32,
     nanosec: u32,
 }
@@ -30,7 +39,7 @@ struct Unchecked {
 #[derive(
     Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
 )]
-#[serde(try_from = "Unchecked")]
+#[serde(try_from = "UncheckedTime")]
 pub struct Time {
     /// Whole seconds \[s\], rounded towards the past.
     pub sec: i32,
@@ -42,7 +51,7 @@ pub struct Time {
 #[derive(
     Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
 )]
-#[serde(try_from = "Unchecked")]
+#[serde(try_from = "UncheckedDuration")]
 pub struct Duration {
     /// Whole seconds \[s\], rounded towards minus infinity.
     pub sec: i32,
@@ -60,18 +69,20 @@ fn split(nanos: i64) -> (i32, u32) {
     }
 }
 
-impl TryFrom<Unchecked> for Time {
+impl TryFrom<UncheckedTime> for Time {
     type Error = InvalidNanoseconds;
 
-    fn try_from(Unchecked { sec, nanosec }: Unchecked) -> Result<Self, InvalidNanoseconds> {
+    fn try_from(UncheckedTime { sec, nanosec }: UncheckedTime) -> Result<Self, InvalidNanoseconds> {
         checked(sec, nanosec).map(|_| Self { sec, nanosec })
     }
 }
 
-impl TryFrom<Unchecked> for Duration {
+impl TryFrom<UncheckedDuration> for Duration {
     type Error = InvalidNanoseconds;
 
-    fn try_from(Unchecked { sec, nanosec }: Unchecked) -> Result<Self, InvalidNanoseconds> {
+    fn try_from(
+        UncheckedDuration { sec, nanosec }: UncheckedDuration,
+    ) -> Result<Self, InvalidNanoseconds> {
         checked(sec, nanosec).map(|_| Self { sec, nanosec })
     }
 }
