@@ -241,7 +241,7 @@ pub fn preferred_form(path: &Path) -> Option<PathBuf> {
     paths.find(|path| path.is_file())
 }
 
-/// Endings of a bag's files. Of several files with one stem, the first in this order is read.
+/// Endings of a bag's files. If several files share a stem, the first in this order is read.
 const ENDINGS: [&str; 6] = [
     ".mcap",
     ".mcap.zstd",

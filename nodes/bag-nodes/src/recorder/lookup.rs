@@ -10,7 +10,7 @@ use wm_bag::Schema;
 use wm_msgs::{IndividualType, TypeDescription};
 use wm_ros::{Node, TopicInfo};
 
-/// What is said of a type whose definition is found nowhere.
+/// The text for a type without a definition.
 pub(super) const UNDEFINED: &str =
     "is not on AMENT_PREFIX_PATH: it is recorded without its definition";
 /// For all publishers of a topic together.

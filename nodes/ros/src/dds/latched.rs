@@ -55,7 +55,7 @@ impl Latest {
     /// than one that was.
     pub(super) fn supersedes(&mut self, writer: EndpointId, time: Timestamp) -> bool {
         let publisher = (peer_of(&writer), time.to_ticks() & MASK);
-        if self.0.len() >= MOST {
+        if self.0.len() >= MOST && !self.0.contains_key(&publisher) {
             self.0.pop_first();
         }
         let (last, latest) = self.0.entry(publisher).or_insert((writer, time));
@@ -115,6 +115,22 @@ mod tests {
         assert!(!latest.supersedes(writer(1), one.next(at(8))));
         assert!(!latest.supersedes(writer(9), other.next(at(2))));
         assert!(!latest.supersedes(writer(1), one.next(at(9))));
+    }
+
+    #[test]
+    fn publishers_are_forgotten_only_for_new_ones() {
+        let mut latest = Latest::default();
+        let stamp = |number: u64, second: u64| Timestamp::from_ticks((second * SECOND) | number);
+        for number in 0..MOST as u64 {
+            assert!(!latest.supersedes(writer(1), stamp(number, 5)));
+        }
+        for second in 6..9 {
+            assert!(!latest.supersedes(writer(1), stamp(0, second)));
+        }
+        assert!(latest.supersedes(writer(2), stamp(0, 8)));
+        assert!(latest.supersedes(writer(2), stamp(1, 5)));
+        assert!(!latest.supersedes(writer(1), stamp(MOST as u64, 5)));
+        assert_eq!(latest.0.len(), MOST);
     }
 
     proptest! {
