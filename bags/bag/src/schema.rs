@@ -1,4 +1,4 @@
-use std::borrow::Cow;
+use std::{borrow::Cow, sync::Arc};
 
 use wm_msgs::{DescriptionError, Message, TypeDescription, TypeHash, idl_definitions};
 
@@ -208,6 +208,20 @@ pub(crate) fn absolute(topic: &str) -> Cow<'_, str> {
     match topic.starts_with('/') {
         true => Cow::Borrowed(topic),
         false => Cow::Owned(format!("/{topic}")),
+    }
+}
+
+/// The channel with the slash that belongs before its topic's name.
+pub(crate) fn with_absolute_name(
+    channel: &Arc<mcap::Channel<'static>>,
+) -> Arc<mcap::Channel<'static>> {
+    match absolute(&channel.topic) {
+        Cow::Borrowed(_) => Arc::clone(channel),
+        Cow::Owned(topic) => {
+            let mut channel = mcap::Channel::clone(channel);
+            channel.topic = topic;
+            Arc::new(channel)
+        }
     }
 }
 

@@ -20,7 +20,7 @@ use crate::{
         FileInformation, Metadata, Nanoseconds, SinceEpoch, TopicMetadata, TopicWithMessageCount,
     },
     reader::times::{Times, main_part},
-    schema::canonical_type_name,
+    schema::{canonical_type_name, with_absolute_name},
     type_schema,
 };
 use file::{BagFile, WrittenFile};
@@ -198,6 +198,7 @@ impl BagWriter {
         &mut self,
         definition: Arc<mcap::Channel<'static>>,
     ) -> Result<usize, BagError> {
+        let definition = with_absolute_name(&definition);
         let name = definition
             .schema
             .as_ref()

@@ -1,5 +1,4 @@
 use std::{
-    borrow::Cow,
     collections::{BTreeMap, BTreeSet, HashMap},
     path::Path,
     sync::Arc,
@@ -11,8 +10,9 @@ use super::{
     times::Times,
 };
 use crate::{
-    BagWarning, MessageEncoding, QOS_KEY, Schema, TYPE_HASH_KEY, TopicInfo, decoding::Decoding,
-    schema::absolute,
+    BagWarning, MessageEncoding, QOS_KEY, Schema, TYPE_HASH_KEY, TopicInfo,
+    decoding::Decoding,
+    schema::{absolute, with_absolute_name},
 };
 
 /// A part of a file that is read in one go.
@@ -229,17 +229,5 @@ impl FileIndex {
                 reason: "the file does not define it".to_owned(),
             });
         skipped.chain(undefined).chain(fields)
-    }
-}
-
-/// The channel with the slash that belongs before its topic's name.
-fn with_absolute_name(channel: &Arc<mcap::Channel<'static>>) -> Arc<mcap::Channel<'static>> {
-    match absolute(&channel.topic) {
-        Cow::Borrowed(_) => Arc::clone(channel),
-        Cow::Owned(topic) => {
-            let mut channel = mcap::Channel::clone(channel);
-            channel.topic = topic;
-            Arc::new(channel)
-        }
     }
 }
