@@ -3,7 +3,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
 
-#[path = "../../../bags/import/tests/shared_data/folder.rs"]
+#[path = "../../../learning/import/tests/shared_data/folder.rs"]
 mod folder;
 
 use wm_dataset::{Data, DataOptions};
