@@ -182,7 +182,7 @@ fn cameras(
     findings.extend(unjudged.iter().map(|name| {
         let what = format!("not judged: {name} is compressed video, and wm has no decoder for it");
         Finding::note("camera", what)
-            .fix("build the program that wm bag info --audit uses for it: cargo build --release -p wm_datasets")
+            .fix("build the program that wm bag info --audit uses for it: cargo build --release -p wm_import")
     }));
     found.sort_by_key(|name| (base(name) != CAMERA, name.clone()));
     if named.is_empty() {

@@ -16,7 +16,7 @@
 //! about 2 MB.
 //!
 //! Thresholds are constants beside their checks. Each was measured on real data without a fault (Bridge V2, DROID, a Dobot
-//! CR5, a Unitree G1: 32,000 frames) and on each fault; `bags/datasets/tests/audit_shared_data.rs` repeats that.
+//! CR5, a Unitree G1: 32,000 frames) and on each fault; `learning/import/tests/audit_shared_data.rs` repeats that.
 
 mod audit;
 mod bag;

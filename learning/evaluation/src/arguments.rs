@@ -9,7 +9,7 @@ use std::{
 use anyhow::{Context as _, Result, ensure};
 use clap::Args;
 use wm_dataset::HeldOutArgs;
-use wm_findings::Suite;
+use wm_metrics::findings::Suite;
 use wm_zoo::ModelFolder;
 
 use crate::{

@@ -4,7 +4,7 @@ use std::{fs, path::Path};
 
 use anyhow::{Context as _, Result, ensure};
 use sha2::{Digest as _, Sha256};
-use wm_findings::{CardAbout, ModelFindings, model_card};
+use wm_metrics::findings::{CardAbout, ModelFindings, model_card};
 
 /// The name of the file in a model's folder.
 pub const FILE: &str = "MODEL.md";

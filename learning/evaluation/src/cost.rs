@@ -6,7 +6,7 @@ use std::time::Instant;
 use anyhow::Result;
 use candle_core::{DType, Device, Tensor};
 use serde::{Deserialize, Serialize};
-use wm_findings::{Better, Metric, Section, Suite, TextTable};
+use wm_metrics::findings::{Better, Metric, Section, Suite, TextTable};
 use wm_model::sampler::Rollout;
 use wm_zoo::cost;
 

@@ -1,6 +1,6 @@
 //! From the values of units to figures with intervals.
 
-use wm_findings::{Better, Metric};
+use wm_metrics::findings::{Better, Metric};
 use wm_metrics::statistics::{Bootstrap, Estimate, bootstrap_mean, replicates};
 
 use crate::Settings;

@@ -5,7 +5,7 @@
 //! what was measured: of the units alone, without the model. So units are spread over threads, processes and machines, kept
 //! in [`records`], and merged ([`run`]).
 //!
-//! Not here: what the findings look like (`wm_findings`), the figures' formulas (`wm_metrics`).
+//! Not here: what the findings look like and the figures' formulas (`wm_metrics`).
 
 mod accuracy;
 mod action_correlation;
@@ -19,7 +19,9 @@ pub mod fidelity;
 mod figure;
 mod figures;
 mod imagined;
+pub mod judges;
 mod merge;
+pub mod onnx;
 mod output;
 pub mod perception;
 mod picture_strip;

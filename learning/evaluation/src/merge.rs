@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, ensure};
 use clap::Args;
-use wm_findings::ModelFindings;
+use wm_metrics::findings::ModelFindings;
 
 use crate::{OutputArgs, policy::with_borda, records, run};
 
@@ -101,11 +101,12 @@ mod tests {
 
     /// Of the model `name`, which came at this place of the command line.
     fn heading(name: &str, position: usize) -> Heading {
-        let mut header = wm_findings::Header::of(name, &format!("hash of {name}"), "space");
+        let mut header =
+            wm_metrics::findings::Header::of(name, &format!("hash of {name}"), "space");
         header.settings = serde_json::to_value(Settings::of(Protocol::Quick, 0)).unwrap();
         Heading {
             position,
-            absent: [(wm_findings::Suite::Control, "too short".to_owned())].into(),
+            absent: [(wm_metrics::findings::Suite::Control, "too short".to_owned())].into(),
             header,
             units: std::collections::BTreeMap::new(),
         }

@@ -8,7 +8,9 @@ use std::{
 
 use anyhow::{Context as _, Result, bail, ensure};
 use clap::Args;
-use wm_findings::{Better, CardAbout, Comparison, ModelFindings, Verdict, compare_with_first};
+use wm_metrics::findings::{
+    Better, CardAbout, Comparison, ModelFindings, Verdict, compare_with_first,
+};
 
 use crate::{
     card::{self, Written},
@@ -41,13 +43,13 @@ impl OutputArgs {
     /// # Errors
     /// If a file cannot be written, or the findings cannot be compared.
     pub fn write(&self, findings: &[ModelFindings]) -> Result<()> {
-        let json = wm_findings::json(findings)?;
-        let csv = wm_findings::csv(findings);
+        let json = wm_metrics::findings::json(findings)?;
+        let csv = wm_metrics::findings::csv(findings);
         let mut files = vec![(self.json.clone(), &json), (self.csv.clone(), &csv)];
         let html;
         if let Some(folder) = &self.report {
             fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
-            html = wm_findings::html(&title(findings), findings)?;
+            html = wm_metrics::findings::html(&title(findings), findings)?;
             files.push((Some(folder.join("figures.json")), &json));
             files.push((Some(folder.join("figures.csv")), &csv));
             files.push((Some(folder.join("report.html")), &html));

@@ -28,11 +28,11 @@ mod vectors;
 
 use std::collections::BTreeMap;
 
+use crate::onnx::{Depth, Digest, Features, Flow, Network, Networks, Role, Scores, Tracks};
 use anyhow::{Context as _, Result};
 use image::RgbImage;
 use serde_json::{Map, Value};
 use wm_metrics::{Table, motion::feature_consistency};
-use wm_networks::{Depth, Digest, Features, Flow, Network, Networks, Role, Scores, Tracks};
 
 pub use arguments::PerceptionArgs;
 pub use episode::{EpisodePerception, Of, Values};

@@ -13,7 +13,7 @@ use std::{
 
 use anyhow::{Context as _, Result, bail, ensure};
 use serde::{Deserialize, Serialize};
-use wm_findings::{Header, Suite};
+use wm_metrics::findings::{Header, Suite};
 
 use crate::{
     control::WindowControl, cost::ModelCost, fidelity::EpisodeFidelity, policy::Imagined,

@@ -7,8 +7,8 @@ use std::{
 
 use anyhow::Result;
 use rayon::prelude::*;
-use wm_findings::{Header, ModelFindings, Section, Suite};
-use wm_progress::Progress;
+use wm_metrics::findings::{Header, ModelFindings, Section, Suite};
+use wm_program::progress::Progress;
 
 use crate::{
     Settings, Shard, Subject,

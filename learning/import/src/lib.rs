@@ -32,13 +32,16 @@
 //! An episode is read whole before its bag is begun, and a bag appears when it is whole. An episode that cannot be read, or
 //! whose actions no arm makes, is left out by name ([`Imported::skipped`]); the others are imported.
 //!
-//! Not here: LeRobot datasets (`wm_lerobot`, which parquet makes heavy).
+//! LeRobot data sets have a module of their own, `lerobot`, behind the feature `lerobot`: parquet and the video codecs
+//! make it heavy.
 
 mod droid;
 mod episode;
 mod error;
 mod imported;
 mod jpeg;
+#[cfg(feature = "lerobot")]
+pub mod lerobot;
 mod mapping;
 mod mp4_npz;
 mod origin;

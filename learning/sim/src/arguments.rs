@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use anyhow::Context;
 use wm_bag::Shard;
-use wm_progress::Progress;
+use wm_program::progress::Progress;
 
 use crate::dataset::generate_bags;
 use crate::episode::EpisodeOptions;

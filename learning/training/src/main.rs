@@ -10,7 +10,7 @@ use wm_dataset::DatasetArgs;
 use wm_evaluation::{
     CalibrateArgs, ClosedLoopArgs, ImaginedArgs, MergeArgs, Protocol, Settings, SuiteArgs,
 };
-use wm_findings::Suite;
+use wm_metrics::findings::Suite;
 use wm_sim::SimArgs;
 use wm_training::{
     adapter::TrainAdapterArgs,
@@ -200,10 +200,10 @@ fn with_task(arguments: impl Iterator<Item = OsString>) -> Vec<OsString> {
 }
 
 fn main() -> ExitCode {
-    if wm_command_line::tell_if_asked::<Command>() {
+    if wm_program::command_line::tell_if_asked::<Command>() {
         return ExitCode::SUCCESS;
     }
-    wm_process::prepare();
+    wm_program::process::prepare();
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("warn"));
     tracing_subscriber::fmt()
         .with_env_filter(filter)

@@ -10,7 +10,7 @@ use wm_evaluation::{
     policy::{PolicyArgs, Setup},
     records, run,
 };
-use wm_findings::{CardAbout, Header, ModelFindings, Suite};
+use wm_metrics::findings::{CardAbout, Header, ModelFindings, Suite};
 use wm_zoo::ModelFolder;
 
 use crate::arguments::RunArgs;

@@ -12,7 +12,7 @@ use memmap2::Mmap;
 use rayon::prelude::*;
 use wm_bag::Shard;
 use wm_model::{Encoder, LatentSpace};
-use wm_progress::Progress;
+use wm_program::progress::Progress;
 
 use super::part::Part;
 use crate::{Folder, short};

@@ -4,7 +4,7 @@ use rayon::prelude::*;
 use wm_audit::{ActionTrack, BagFindings, Finding};
 use wm_bag::BagReader;
 use wm_motion::actions::ActionSpace;
-use wm_progress::Progress;
+use wm_program::progress::Progress;
 
 use super::Planned;
 use crate::{

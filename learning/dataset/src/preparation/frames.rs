@@ -20,7 +20,7 @@ use wm_camera::{
 };
 use wm_model::{Fit, Framing, Part, PictureSize, Placement};
 use wm_msgs::builtin_interfaces::Time;
-use wm_progress::Progress;
+use wm_program::progress::Progress;
 
 use super::Planned;
 use crate::{

@@ -8,7 +8,7 @@ use nalgebra::Vector3;
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use std::num::NonZeroUsize;
-use wm_findings::PlanTime;
+use wm_metrics::findings::PlanTime;
 use wm_planner::{
     Arrival, Coordinate, Dynamics, PlannedActions, PlannerChoice, Problem, Range, SearchSpace,
     TransitionDynamics, Waypoint, Weights, one_a_step,

@@ -4,7 +4,7 @@ use std::fmt;
 
 use anyhow::Result;
 use serde::Serialize;
-use wm_findings::{ClosedLoop, Episode};
+use wm_metrics::findings::{ClosedLoop, Episode};
 
 use super::{settings::ClosedLoopSettings, trial::Trial};
 

@@ -2,7 +2,7 @@
 
 use anyhow::{Context as _, Result, ensure};
 use rayon::prelude::*;
-use wm_progress::Progress;
+use wm_program::progress::Progress;
 
 /// Which episodes.
 #[derive(Clone, Copy, Debug)]

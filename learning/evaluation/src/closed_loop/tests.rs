@@ -93,7 +93,7 @@ fn findings_count_successes_and_slow_plans() {
         success,
         steps: 4,
         distance_m: 0.01,
-        plans: vec![wm_findings::PlanTime { ms, candidates: 10 }],
+        plans: vec![wm_metrics::findings::PlanTime { ms, candidates: 10 }],
     };
     let about = About {
         task: "reach".into(),

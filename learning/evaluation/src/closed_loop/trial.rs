@@ -1,7 +1,7 @@
 //! One episode in closed loop.
 
 use anyhow::Result;
-use wm_findings::PlanTime;
+use wm_metrics::findings::PlanTime;
 use wm_sim::{Environment, GoalKind, Variety};
 
 use super::{actor::Actor, controller::Controller, model::Model, settings::ClosedLoopSettings};

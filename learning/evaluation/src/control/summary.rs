@@ -1,5 +1,5 @@
-use wm_findings::{Better, Curve, Section, Series, Suite, TextTable};
 use wm_metrics::correlation::spearman;
+use wm_metrics::findings::{Better, Curve, Section, Series, Suite, TextTable};
 
 use super::{Recovered, Response, Start, WindowControl, recovered::Search};
 use crate::{

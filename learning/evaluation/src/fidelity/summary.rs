@@ -1,4 +1,4 @@
-use wm_findings::{Better, Curve, Picture, Section, Series, Suite};
+use wm_metrics::findings::{Better, Curve, Picture, Section, Series, Suite};
 
 use super::{EpisodeFidelity, Similarity, StepFidelity};
 use crate::{Settings, figures::mean_over_units, perception};

@@ -1,7 +1,7 @@
+use crate::onnx::Depth;
 use anyhow::Result;
 use image::RgbImage;
 use wm_metrics::{MetricError, depth::abs_rel_median_scaled};
-use wm_networks::Depth;
 
 use super::{RolloutPictures, Values};
 

@@ -1,6 +1,6 @@
+use crate::onnx::Role;
 use serde::{Deserialize, Serialize};
-use wm_findings::Better;
-use wm_networks::Role;
+use wm_metrics::findings::Better;
 
 /// A figure of one rollout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]

@@ -1,5 +1,5 @@
+use crate::onnx::Role;
 use serde::{Deserialize, Serialize};
-use wm_networks::Role;
 
 /// Features that two sets of frames, or of clips, are compared in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]

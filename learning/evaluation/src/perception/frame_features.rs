@@ -1,6 +1,6 @@
+use crate::onnx::{ClipFeatures, Features, Network, Networks, Role};
 use anyhow::Result;
 use image::RgbImage;
-use wm_networks::{ClipFeatures, Features, Network, Networks, Role};
 
 /// A network that gives features of the frames of a video, or of its clips.
 #[derive(Debug)]

@@ -1,10 +1,10 @@
 use std::path::{Path, PathBuf};
 
+use crate::onnx::{Digest, Distance};
 use anyhow::{Context as _, Result};
 use image::RgbImage;
 use serde_json::{Map, Value};
 use wm_model::image::preprocess;
-use wm_networks::{Digest, Distance};
 use wm_zoo::lpips::Lpips;
 
 /// Endings of the files of `--lpips`, in the order in which they are looked for.

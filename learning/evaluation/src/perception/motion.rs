@@ -1,3 +1,4 @@
+use crate::onnx::Flow as FlowNetwork;
 use anyhow::Result;
 use image::RgbImage;
 use wm_metrics::{
@@ -7,7 +8,6 @@ use wm_metrics::{
         forward_backward_error, mean_flow, soft_dynamic_degree,
     },
 };
-use wm_networks::Flow as FlowNetwork;
 
 use super::{EpisodeFigure, EpisodePerception, Values};
 

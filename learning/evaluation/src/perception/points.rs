@@ -1,7 +1,7 @@
+use crate::onnx::{Query, Tracks};
 use anyhow::Result;
 use image::RgbImage;
 use wm_metrics::{MetricError, motion::point_coverage};
-use wm_networks::{Query, Tracks};
 
 use super::RolloutPictures;
 

@@ -2,8 +2,8 @@ mod distances;
 
 use std::collections::BTreeMap;
 
-use wm_findings::{Better, Curve, Section, Series};
-use wm_networks::Role;
+use crate::onnx::Role;
+use wm_metrics::findings::{Better, Curve, Section, Series};
 
 use super::{EpisodeFigure, EpisodePerception, FeatureSpace, Values};
 use crate::{Settings, figures::mean_over_units};

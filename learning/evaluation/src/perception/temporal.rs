@@ -1,10 +1,10 @@
+use crate::onnx::Flow as FlowNetwork;
 use anyhow::Result;
 use image::{DynamicImage, RgbImage};
 use wm_metrics::{
     MetricError,
     motion::{Flow, temporal_lpips, warp},
 };
-use wm_networks::Flow as FlowNetwork;
 
 use super::{RolloutPictures, Values, learned_distance::LearnedDistance, motion::between};
 

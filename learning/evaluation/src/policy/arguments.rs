@@ -33,7 +33,7 @@ pub struct PolicyArgs {
     /// distract.
     #[arg(long, value_name = "DIR")]
     pub start_images: Option<PathBuf>,
-    /// Vision-language models that judge the imagined episodes (YAML, as world-model/judge/judges.yaml). Their answers are
+    /// Vision-language models that judge the imagined episodes (YAML, as learning/evaluation/judges.yaml). Their answers are
     /// kept beside the records.
     #[arg(long, value_name = "FILE")]
     pub judges: Option<PathBuf>,

@@ -1,6 +1,6 @@
 //! Ranks of models by their judges.
 
-use wm_findings::{ModelFindings, Suite, TextTable};
+use wm_metrics::findings::{ModelFindings, Suite, TextTable};
 use wm_metrics::ranking::{Ties, borda, ranks};
 
 /// What the names of success rates by judge begin with.
@@ -76,7 +76,7 @@ pub(crate) fn with_borda(mut findings: Vec<ModelFindings>) -> Vec<ModelFindings>
 mod tests {
     #![allow(clippy::unwrap_used)]
 
-    use wm_findings::{Better, Header, Metric, Section};
+    use wm_metrics::findings::{Better, Header, Metric, Section};
 
     use super::*;
 

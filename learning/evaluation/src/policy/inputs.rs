@@ -1,5 +1,5 @@
+use crate::judges::FrameChoice;
 use serde::{Deserialize, Serialize};
-use wm_judge::FrameChoice;
 
 /// Imagined episodes of a policy.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -7,9 +7,9 @@ use std::{
     sync::{Arc, Mutex},
 };
 
+use crate::judges::{Panel, PanelSettings, Prompts, Record, Rollout};
 use anyhow::{Context as _, Result, anyhow};
 use serde::{Deserialize, Serialize};
-use wm_judge::{Panel, PanelSettings, Prompts, Record, Rollout};
 
 use crate::Shard;
 

@@ -2,9 +2,9 @@
 
 use std::{fs, path::Path, sync::Arc, time::Duration};
 
+use crate::judges::{PanelSettings, Prompts, Tasks, tasks::BRIDGE_V2_YAML};
 use anyhow::{Context as _, Result, ensure};
 use sha2::{Digest as _, Sha256};
-use wm_judge::{PanelSettings, Prompts, Tasks, tasks::BRIDGE_V2_YAML};
 
 use super::{
     JudgeInputs, PolicyArgs, PolicyInputs,

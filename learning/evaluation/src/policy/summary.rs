@@ -4,7 +4,7 @@ mod agreement;
 mod rates;
 mod tables;
 
-use wm_findings::{Picture, Section, Suite};
+use wm_metrics::findings::{Picture, Section, Suite};
 
 use super::{Condition, Imagined};
 use crate::Settings;
@@ -57,7 +57,7 @@ fn say_absent(section: &mut Section, trials: &[&Imagined], settings: &Settings) 
         0 => {
             section.absent(
                 "consensus_success",
-                "no judges: --judges FILE asks two vision-language models (world-model/judge/judges.yaml)",
+                "no judges: --judges FILE asks two vision-language models (learning/evaluation/judges.yaml)",
             );
             section.absent(
                 "interaction_quality",

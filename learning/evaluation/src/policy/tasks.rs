@@ -2,9 +2,9 @@
 
 use std::collections::BTreeMap;
 
+use crate::judges::Tasks;
 use anyhow::{Result, ensure};
 use wm_dataset::Episode;
-use wm_judge::Tasks;
 
 use super::{Condition, Setup};
 use crate::{Subject, spread};
@@ -118,7 +118,7 @@ fn task(index: usize, episode: &Episode, name: String, setup: &Setup) -> Option<
 }
 
 /// Recordings write the same words in other cases.
-fn known<'a>(tasks: &'a Tasks, instruction: &str) -> Option<&'a wm_judge::tasks::Task> {
+fn known<'a>(tasks: &'a Tasks, instruction: &str) -> Option<&'a crate::judges::tasks::Task> {
     let lower = instruction.to_lowercase();
     let mut tasks = tasks.tasks().iter();
     tasks.find(|task| task.instruction.trim().to_lowercase() == lower)

@@ -12,7 +12,7 @@ use wm_dataset::{
     DataOptions, HeldOutArgs,
     testing::{Recorder, write_reds},
 };
-use wm_findings::{Section, Suite};
+use wm_metrics::findings::{Section, Suite};
 
 use super::{PolicyArgs, Setup, Trials, arguments::BuiltIn, *};
 use crate::{CONTEXT, Protocol, ReaderArgs, Settings, Shard, Subject, records, run};

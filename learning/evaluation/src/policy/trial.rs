@@ -2,11 +2,11 @@
 
 use std::path::Path;
 
+use crate::judges::Rollout;
 use anyhow::{Context as _, Result};
 use candle_core::{Device, Tensor};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
-use wm_judge::Rollout;
 
 use super::{
     Condition, Setup, Verdicts,

@@ -1,4 +1,4 @@
-use wm_findings::{Section, Suite};
+use wm_metrics::findings::{Section, Suite};
 
 use super::Representation;
 use crate::Settings;

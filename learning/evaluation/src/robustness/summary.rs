@@ -1,4 +1,4 @@
-use wm_findings::{Better, Curve, Section, Series, Suite, TextTable};
+use wm_metrics::findings::{Better, Curve, Section, Series, Suite, TextTable};
 
 use super::{Change, UnderChange, WindowRobustness};
 use crate::{

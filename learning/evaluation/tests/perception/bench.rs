@@ -8,7 +8,7 @@ use std::{
 use clap::Parser;
 use serde_json::Value;
 use wm_evaluation::SuiteArgs;
-use wm_findings::Suite;
+use wm_metrics::findings::Suite;
 use wm_sim::{EpisodeOptions, generate_bags};
 
 #[derive(Parser)]

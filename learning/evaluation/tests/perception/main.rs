@@ -9,7 +9,7 @@ mod onnx;
 use std::fs;
 
 use clap::Parser as _;
-use wm_findings::Suite;
+use wm_metrics::findings::Suite;
 
 use bench::{Bench, Eval, METRICS, alexnet, value, why};
 
@@ -91,8 +91,7 @@ fn a_file_that_cannot_be_used_is_refused_by_name() {
 fn a_build_without_onnx_says_how_to_build_with_it() {
     let bench = Bench::new();
     let file = bench.path("networks.yaml");
-    let network =
-        std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../networks/fixtures/score.onnx");
+    let network = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/score.onnx");
     let text = format!(
         "musiq: {{file: {}, input: {{resize: none, range: [0, 1]}}, score_range: [0, 100]}}",
         network.display()

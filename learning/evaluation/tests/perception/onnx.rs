@@ -1,4 +1,4 @@
-//! With the small networks of `wm_networks`' fixtures.
+//! With the small networks of the fixtures.
 
 use std::{
     fs,
@@ -16,7 +16,7 @@ struct Merge {
     arguments: MergeArgs,
 }
 
-/// A network of `wm_networks`' fixtures for every role.
+/// A network of the fixtures for every role.
 const ALL: &str = "
 lpips: { file: FIXTURES/distance.onnx, input: { resize: bilinear, antialias: true, size: [12, 16], range: [-1, 1] }, batch: 4 }
 fid:
@@ -46,7 +46,7 @@ tracks: { file: FIXTURES/tracks.onnx, input: { resize: bilinear, antialias: true
 ";
 
 fn networks(bench: &Bench, text: &str) -> PathBuf {
-    let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("../networks/fixtures");
+    let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures");
     let file = bench.path("networks.yaml");
     fs::write(
         &file,

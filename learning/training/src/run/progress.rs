@@ -5,7 +5,7 @@ const MEASURED_STEPS: u64 = 4;
 
 /// The progress of a run.
 pub(super) struct Progress {
-    told: wm_progress::Progress,
+    told: wm_program::progress::Progress,
     steps: u64,
     done: u64,
     /// When it began, and the steps since.
@@ -14,7 +14,7 @@ pub(super) struct Progress {
 
 impl Progress {
     pub(super) fn new(steps: u64, done: u64) -> Self {
-        let told = wm_progress::Progress::of("training", "steps", steps);
+        let told = wm_program::progress::Progress::of("training", "steps", steps);
         told.resume_at(done);
         Self {
             told,

@@ -1,4 +1,4 @@
-use wm_findings::{Better, Metric, Section};
+use wm_metrics::findings::{Better, Metric, Section};
 use wm_metrics::{
     MetricError, Table,
     distributions::{

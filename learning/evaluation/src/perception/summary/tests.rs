@@ -1,4 +1,4 @@
-use wm_findings::Suite;
+use wm_metrics::findings::Suite;
 
 use super::*;
 use crate::{

@@ -1,7 +1,7 @@
 //! How far judges agree, and which two the consensus is of.
 
-use wm_findings::{Better, Metric, Section, TextTable};
 use wm_metrics::classification::{closest_raters, cohen_kappa};
+use wm_metrics::findings::{Better, Metric, Section, TextTable};
 
 use super::{
     mean,

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use wm_findings::{Better, Metric, Section};
+use wm_metrics::findings::{Better, Metric, Section};
 use wm_metrics::{
     ranking::SUCCESS_THRESHOLD,
     statistics::{bootstrap_clustered_mean, standard_error_of_share, wilson},

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use wm_findings::{Section, TextTable};
+use wm_metrics::findings::{Section, TextTable};
 
 use super::{mean, rates::Score};
 use crate::policy::{Condition, Imagined};

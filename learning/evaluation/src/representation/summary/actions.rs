@@ -1,6 +1,6 @@
 //! What the inverse dynamics models tell.
 
-use wm_findings::{Better, Section, TextTable};
+use wm_metrics::findings::{Better, Section, TextTable};
 
 use super::super::{Told, ToldActions};
 use crate::{Settings, action_correlation::correlation, figures::figure_of_units};

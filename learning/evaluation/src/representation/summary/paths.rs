@@ -1,6 +1,6 @@
 //! Paths of told actions.
 
-use wm_findings::{Better, Metric, Section, Trajectories};
+use wm_metrics::findings::{Better, Metric, Section, Trajectories};
 use wm_metrics::{
     Table,
     correlation::{CanonicalCorrelation, Regularisation},

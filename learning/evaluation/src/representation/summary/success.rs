@@ -1,7 +1,7 @@
 //! What the success probes say.
 
-use wm_findings::{Better, Metric, Section, TextTable};
 use wm_metrics::classification::{Confusion, roc_auc};
+use wm_metrics::findings::{Better, Metric, Section, TextTable};
 
 use super::super::{Answers, Judged};
 use crate::{Settings, figures::figure_of_units};
