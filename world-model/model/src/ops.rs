@@ -22,6 +22,7 @@ mod input_range;
 mod int8_panels;
 mod kernel;
 mod layer_norm;
+pub mod layers;
 pub(crate) mod linear;
 mod packed_linear;
 mod panel_product;
