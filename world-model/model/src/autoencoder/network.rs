@@ -4,7 +4,7 @@ use candle_core::{Device, Tensor};
 use rand::Rng;
 use sha2::{Digest, Sha256};
 
-use crate::ops::layers::{Conv, GroupNorm, Kernels, Layers, Tape, Tensors};
+use crate::ops::conv_layers::{Conv, ConvLayers, GroupNorm, Kernels, Tape, Tensors};
 use crate::ops::{ConvShape, GridSize};
 use crate::weights::{Precision, WeightsBuilder, hash_tensor_header};
 use crate::{Result, Weights};
@@ -161,7 +161,7 @@ impl Network {
     }
 
     /// What it computes of `x`.
-    fn forward<L: Layers>(&self, layers: &mut L, mut x: L::Value) -> Result<L::Value> {
+    fn forward<L: ConvLayers>(&self, layers: &mut L, mut x: L::Value) -> Result<L::Value> {
         for layer in &self.layers {
             x = match layer {
                 Layer::Conv(conv) => layers.conv(conv, &x, None)?,

@@ -1,7 +1,7 @@
 use rand::Rng;
 
 use super::*;
-use crate::ops::layers::{ConvGradients, Tape};
+use crate::ops::conv_layers::{ConvGradients, Tape};
 use crate::{Fit, PictureSize};
 
 fn config() -> AutoencoderConfig {

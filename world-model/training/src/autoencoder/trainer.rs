@@ -17,7 +17,7 @@ use wm_model::{
     autoencoder::{Network, Normalisation, clamp, clamp_slope},
     ops::{
         GridSize,
-        layers::{ConvGradients, Tape},
+        conv_layers::{ConvGradients, Tape},
     },
 };
 

@@ -3,7 +3,7 @@
 use std::cell::RefCell;
 use std::rc::Rc;
 
-use super::{Conv, GroupNorm, Layers};
+use super::{Conv, ConvLayers, GroupNorm};
 use crate::Result;
 use crate::ops::{Activation, GridSize, group_norm};
 
@@ -38,7 +38,7 @@ impl Drop for Activations {
     }
 }
 
-impl Layers for Kernels {
+impl ConvLayers for Kernels {
     type Value = Activations;
 
     fn conv(

@@ -1,6 +1,6 @@
 //! The operations that networks are made of, whatever computes them.
 //!
-//! A network is written once, over [`Layers`]. [`Kernels`] computes it on kernels of the CPU, [`Tensors`] by candle's
+//! A network is written once, over [`ConvLayers`]. [`Kernels`] computes it on kernels of the CPU, [`Tensors`] by candle's
 //! operations on any device, and [`Tape`] on the same kernels, with gradients by the weights and the input.
 
 mod conv;
@@ -17,7 +17,7 @@ pub(crate) use tensors::Tensors;
 use crate::Result;
 
 /// What computes the operations of a network.
-pub(crate) trait Layers {
+pub(crate) trait ConvLayers {
     /// A batch of activations.
     type Value;
 

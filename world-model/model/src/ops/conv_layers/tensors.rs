@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use candle_core::{Device, Tensor};
 
-use super::{Conv, GroupNorm, Layers};
+use super::{Conv, ConvLayers, GroupNorm};
 use crate::{Error, Result};
 
 /// The weights of a network on a device, by their names in checkpoints. Activations are (image, channel, row, column).
@@ -44,7 +44,7 @@ impl Tensors {
     }
 }
 
-impl Layers for &Tensors {
+impl ConvLayers for &Tensors {
     type Value = Tensor;
 
     fn conv(&mut self, conv: &Conv, x: &Tensor, residual: Option<&Tensor>) -> Result<Tensor> {

@@ -1,6 +1,6 @@
 //! Networks on kernels of the CPU, with their gradients.
 
-use super::{Conv, GroupNorm, Layers};
+use super::{Conv, ConvLayers, GroupNorm};
 use crate::ops::buffer::Buffer;
 use crate::ops::{GridSize, conv2d_input_gradient, conv2d_weight_gradient};
 use crate::{Error, Result};
@@ -131,7 +131,7 @@ impl Tape {
 }
 
 /// Values are numbers in the record.
-impl Layers for Tape {
+impl ConvLayers for Tape {
     type Value = usize;
 
     fn conv(&mut self, conv: &Conv, x: &usize, residual: Option<&usize>) -> Result<usize> {
