@@ -11,6 +11,7 @@ use crate::findings::{AbsentFigure, Metric, Section, Suite};
 pub struct ModelFindings {
     /// Data and settings of the evaluation.
     pub header: Header,
+    /// Sections in the order of [`Suite::ALL`].
     pub sections: Vec<Section>,
 }
 

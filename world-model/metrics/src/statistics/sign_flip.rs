@@ -50,6 +50,7 @@ pub enum Method {
     },
 }
 
+/// Result of [`sign_flip_test`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SignFlipTest {
     /// Mean of the differences.
