@@ -1,4 +1,4 @@
-//! Actions to come, as chunks announce them.
+//! Announced actions, in chunks.
 
 use std::{collections::VecDeque, sync::Arc};
 
@@ -7,12 +7,12 @@ use crate::actions::{ActionError, ActionSpace};
 
 /// Most actions of a chunk.
 pub const MAX_CHUNK: usize = 1024;
-/// Least and greatest time from one action of a chunk to the next \[ns\].
+/// Least and greatest time between actions of a chunk \[ns\].
 const PERIODS_NS: std::ops::RangeInclusive<i64> = 1_000_000..=60_000_000_000;
-/// Most pieces that are kept of all chunks.
-const MOST: usize = 4 * MAX_CHUNK;
+/// Most pieces kept of all chunks.
+const MAX_PIECES: usize = 4 * MAX_CHUNK;
 
-/// Actions to come: the first from `stamp_ns` on, each for `period_ns`.
+/// Announced actions: the first starts at `stamp_ns`, each takes `period_ns`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Chunk {
     stamp_ns: i64,
@@ -24,8 +24,8 @@ impl Chunk {
     /// A chunk of actions of `space`.
     ///
     /// # Errors
-    /// [`ActionError::Chunk`] where it says nothing about what or when, and those of [`ActionSpace::check`] for the
-    /// first action at fault.
+    /// [`ActionError::Chunk`] for an invalid count or period, and those of [`ActionSpace::check`] for the first invalid
+    /// action.
     pub fn new(
         space: &ActionSpace,
         stamp_ns: i64,
@@ -46,14 +46,14 @@ impl Chunk {
         })
     }
 
-    /// When the first action begins.
+    /// Start of the first action.
     pub fn stamp_ns(&self) -> i64 {
         self.stamp_ns
     }
 
-    /// When the last action is over.
+    /// End of the last action.
     pub fn end_ns(&self) -> i64 {
-        // At most MAX_CHUNK actions of a minute.
+        // At most MAX_CHUNK actions of a minute each: no overflow.
         self.stamp_ns
             .saturating_add(self.period_ns * self.actions.len() as i64)
     }
@@ -72,21 +72,21 @@ impl Chunk {
     }
 }
 
-/// How a chunk joins the one before where both speak of the same times (the `aggregate_fn` of LeRobot's asynchronous
-/// inference, <https://huggingface.co/docs/lerobot/async>).
+/// How a chunk joins earlier ones for the same times (the `aggregate_fn` of LeRobot's asynchronous inference,
+/// <https://huggingface.co/docs/lerobot/async>).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ChunkMerging {
-    /// The newer one replaces the older one.
+    /// The newer chunk replaces the older one.
     #[default]
     Latest,
-    /// 0.3 of the older one and 0.7 of the newer one.
+    /// 0.3 of the older chunk and 0.7 of the newer one.
     Weighted,
     /// The mean of both.
     Average,
 }
 
 impl ChunkMerging {
-    /// By its name in a parameter: `latest`, `weighted` or `average`.
+    /// By parameter value: `latest`, `weighted` or `average`.
     pub fn parse(name: &str) -> Option<Self> {
         match name {
             "latest" => Some(Self::Latest),
@@ -96,7 +96,7 @@ impl ChunkMerging {
         }
     }
 
-    /// The weight of the newer chunk.
+    /// Weight of the newer chunk.
     fn weight(self) -> f32 {
         match self {
             Self::Latest => 1.0,
@@ -106,16 +106,16 @@ impl ChunkMerging {
     }
 }
 
-/// What chunks have announced, in order and without overlap.
+/// The announced actions of all chunks, in order and without overlap.
 #[derive(Clone, Debug)]
-pub(super) struct Announced {
+pub(super) struct ChunkTimeline {
     pieces: VecDeque<Piece>,
     stamp_ns: Option<i64>,
     merging: ChunkMerging,
     keep_ns: i64,
 }
 
-impl Announced {
+impl ChunkTimeline {
     pub fn new(keep_ns: i64) -> Self {
         Self {
             pieces: VecDeque::new(),
@@ -147,7 +147,7 @@ impl Announced {
         }
         self.pieces.extend(newer);
         let oldest_ns = begin_ns.saturating_sub(self.keep_ns);
-        while self.pieces.len() > MOST
+        while self.pieces.len() > MAX_PIECES
             || self
                 .pieces
                 .front()
@@ -158,7 +158,7 @@ impl Announced {
         self.stamp_ns = Some(begin_ns);
     }
 
-    /// Blends each piece with what is announced for its middle: stamps jitter.
+    /// Blends each piece with the announced one at its middle, since stamps jitter.
     fn blend(&self, newer: &mut [Piece], space: &ActionSpace) {
         let weight = self.merging.weight();
         if weight == 1.0 {
@@ -186,7 +186,7 @@ impl Announced {
         }
     }
 
-    /// Where a piece begins, at most `slack_ns` from `stamp_ns`.
+    /// Start of the nearest piece, at most `slack_ns` from `stamp_ns`.
     pub fn start_near(&self, stamp_ns: i64, slack_ns: i64) -> Option<i64> {
         let starts = self.pieces.iter().map(|piece| piece.start_ns);
         let distance = |start_ns: &i64| start_ns.saturating_sub(stamp_ns).saturating_abs();
@@ -195,7 +195,7 @@ impl Announced {
             .filter(|start_ns| distance(start_ns) <= slack_ns)
     }
 
-    /// What was announced for the time before a moment.
+    /// Announced pieces up to a time.
     pub fn before(&self, stamp_ns: i64) -> Vec<Piece> {
         let earlier = self.pieces.iter().filter(|piece| piece.start_ns < stamp_ns);
         earlier
@@ -206,7 +206,7 @@ impl Announced {
             .collect()
     }
 
-    /// What is announced for the time from a moment on.
+    /// Announced pieces from a time on.
     pub fn after(&self, stamp_ns: i64) -> Vec<Piece> {
         let later = self.pieces.iter().filter(|piece| piece.end_ns > stamp_ns);
         later
@@ -222,7 +222,7 @@ impl Announced {
         if begin_ns.saturating_sub(stamp_ns).saturating_abs() > margin_ns {
             self.clear();
         } else {
-            // Of the newest chunk; those before are of the time that is over.
+            // Pieces of earlier chunks lie in the past.
             self.pieces.retain(|piece| piece.start_ns >= begin_ns);
         }
     }

@@ -1,20 +1,20 @@
-//! An action space in a bag's metadata.
+//! The action space in a bag's metadata.
 
 use super::{ActionError, ActionSpace};
 
 impl ActionSpace {
-    /// The key of a bag's `custom_data` (in `metadata.yaml`) with the bag's action space.
+    /// Key of the action space in a bag's `custom_data` (`metadata.yaml`).
     pub const NOTE: &str = "action_space";
 
-    /// As JSON, as `model.json` has it.
+    /// As JSON, in the format of `model.json`.
     ///
     /// # Errors
-    /// [`ActionError::Space`] where it cannot be written.
+    /// [`ActionError::Space`] if serialisation fails.
     pub fn to_note(&self) -> Result<String, ActionError> {
         serde_json::to_string(self).map_err(|error| ActionError::Space(error.to_string()))
     }
 
-    /// The action space of a bag: that in its metadata, else Bridge V2's, as for all bags before the entry existed.
+    /// The action space of a bag: its metadata entry; Bridge V2 if missing, since bags older than the entry used it.
     ///
     /// # Errors
     /// [`ActionError::Space`] if the entry does not describe an action space.
@@ -33,7 +33,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_note_gives_the_space_back() {
+    fn note_round_trips() {
         let space = ActionSpace::bridge();
         let note = space.to_note().unwrap();
         assert_eq!(ActionSpace::of_note(Some(&note)).unwrap(), space);

@@ -6,7 +6,7 @@ use crate::findings::{
     number::{Digits, probability},
 };
 
-/// A table for each model but the first; `labels` are those of all models.
+/// A table for each model except the first; `labels` has all models.
 pub(super) fn comparisons(markup: &mut Markup, comparisons: &[Comparison], labels: &[String]) {
     let Some((baseline, others)) = labels.split_first() else {
         return;
@@ -27,12 +27,11 @@ pub(super) fn comparisons(markup: &mut Markup, comparisons: &[Comparison], label
                 format!("Is any model better than {baseline}?")
             };
             markup.leaf("h2", &[("id", "comparison-heading")], &heading);
-            let about = "Differences over the units that both models were measured on, with 95 % paired bootstrap intervals; \
-                         p is that of a one-sided sign-flip test that the model is better; of figures that are no means over \
-                         units, as ratios and correlations, that of the bootstrap (≈). A figure counts as better or worse if \
-                         the interval does not hold 0 and the test in that direction gives p of at most 0.025, which fewer \
-                         than six pairs never do. Of forty figures in which \
-                         models do not differ, about one will by chance count as better, and one as worse.";
+            let about = "Differences over the units that both models were measured on, with 95 % paired bootstrap intervals. p is \
+                             from a one-sided sign-flip test that the model is better, or from the bootstrap for figures that are not \
+                             means over units. A model is better or worse if the interval excludes 0 and the test in that direction \
+                             gives p of at most 0.025, which needs at least six pairs. Among forty figures without a real \
+                             difference, about one appears better and one worse by chance.";
             markup.leaf("p", &[("class", "about")], about);
             for (number, (comparison, label)) in comparisons.iter().zip(others).enumerate() {
                 markup.element("h3", &[], |markup| {
@@ -47,7 +46,7 @@ pub(super) fn comparisons(markup: &mut Markup, comparisons: &[Comparison], label
     );
 }
 
-/// How many of each verdict.
+/// Number of each verdict.
 fn tally(markup: &mut Markup, comparison: &Comparison) {
     markup.element("ul", &[("class", "tally")], |markup| {
         for verdict in [
@@ -106,7 +105,7 @@ fn table(markup: &mut Markup, comparison: &Comparison, label: &str) {
     });
 }
 
-/// In the order of the suites, as the rest of the report.
+/// Position by suite, as in the rest of the report.
 fn place(metric: &str) -> Option<usize> {
     let suite = metric.split('.').next();
     Suite::ALL.iter().position(|one| Some(one.name()) == suite)

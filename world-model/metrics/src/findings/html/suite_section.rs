@@ -1,9 +1,9 @@
-//! A suite: its question, its figures, and all that it shows of them.
+//! A suite's section: its question, figures and other content.
 
 use std::collections::BTreeMap;
 
 use super::{
-    Named,
+    LabelledModel,
     chart::{Line, chart},
     figures::{figures, name},
     markup::Markup,
@@ -12,17 +12,16 @@ use super::{
 };
 use crate::findings::{Curve, Section, Series, Suite, TextTable, Trajectories};
 
-/// The colour of what is no model's.
+/// Colour of lines that belong to no model.
 const COMMON: usize = 7;
 
-/// Columns of a table that may stand beside another.
+/// Most columns of a table beside another table.
 const NARROW: usize = 6;
 
-/// Something of a suite, and which model's.
-type Of<'a, T> = (Named<'a>, &'a T);
+/// A part of a suite with its model.
+type Of<'a, T> = (LabelledModel<'a>, &'a T);
 
-/// The section of a suite.
-pub(super) fn suite(markup: &mut Markup, suite: Suite, models: &[Named<'_>]) {
+pub(super) fn suite(markup: &mut Markup, suite: Suite, models: &[LabelledModel<'_>]) {
     let heading = format!("{suite}-heading");
     let attributes = [("id", suite.name()), ("aria-labelledby", heading.as_str())];
     markup.element("section", &attributes, |markup| {
@@ -79,9 +78,9 @@ pub(super) fn suite(markup: &mut Markup, suite: Suite, models: &[Named<'_>]) {
     });
 }
 
-/// Parts of all models, in their order.
+/// Parts of all models, in order.
 fn all<'a, T>(
-    models: &[Named<'a>],
+    models: &[LabelledModel<'a>],
     suite: Suite,
     part: impl Fn(&'a Section) -> &'a Vec<T>,
 ) -> Vec<Of<'a, T>> {
@@ -95,9 +94,11 @@ fn all<'a, T>(
     all
 }
 
-/// The same of several models once, in the order in which it first came.
-fn shared<'a, T: PartialEq>(all: impl Iterator<Item = (Named<'a>, T)>) -> Vec<(T, Vec<Named<'a>>)> {
-    let mut shared: Vec<(T, Vec<Named<'a>>)> = Vec::new();
+/// Groups equal parts of several models, in order of appearance.
+fn shared<'a, T: PartialEq>(
+    all: impl Iterator<Item = (LabelledModel<'a>, T)>,
+) -> Vec<(T, Vec<LabelledModel<'a>>)> {
+    let mut shared: Vec<(T, Vec<LabelledModel<'a>>)> = Vec::new();
     for (model, one) in all {
         match shared.iter_mut().find(|(other, _)| *other == one) {
             Some((_, of)) => of.push(model),
@@ -107,8 +108,8 @@ fn shared<'a, T: PartialEq>(all: impl Iterator<Item = (Named<'a>, T)>) -> Vec<(T
     shared
 }
 
-/// Whose something is, where it is not everyone's.
-fn owners(markup: &mut Markup, of: &[Named<'_>], models: usize) {
+/// The models of a part, unless it belongs to all.
+fn owners(markup: &mut Markup, of: &[LabelledModel<'_>], models: usize) {
     if of.len() < models {
         for model in of {
             labelled(markup, *model);
@@ -116,7 +117,7 @@ fn owners(markup: &mut Markup, of: &[Named<'_>], models: usize) {
     }
 }
 
-fn labelled(markup: &mut Markup, model: Named<'_>) {
+fn labelled(markup: &mut Markup, model: LabelledModel<'_>) {
     markup.element("span", &[("class", "model")], |markup| {
         swatch(markup, model.number);
         markup.text(model.label);
@@ -124,7 +125,7 @@ fn labelled(markup: &mut Markup, model: Named<'_>) {
     markup.text(" ");
 }
 
-/// Curves of the same title are drawn into one.
+/// Draws curves of the same title in one chart.
 fn curves(markup: &mut Markup, all: &[Of<'_, Curve>], models: usize) {
     let mut charts: Vec<Vec<Of<'_, Curve>>> = Vec::new();
     for (model, curve) in all {
@@ -149,7 +150,7 @@ fn curves(markup: &mut Markup, all: &[Of<'_, Curve>], models: usize) {
                 continue;
             };
             let mut lines = Vec::new();
-            // What all models have, as that of repeating the last frame, is no model's.
+            // A line of all models, such as repeating the last frame, belongs to none.
             let common = |series: &Series| {
                 models > 1
                     && curves.len() == models
@@ -172,7 +173,7 @@ fn curves(markup: &mut Markup, all: &[Of<'_, Curve>], models: usize) {
                         }
                         continue;
                     }
-                    // Of several models, a colour each, and dashes for their lines.
+                    // Several models have a colour each, and dashes by line.
                     let (name, colour, dash) = if models == 1 {
                         (series.name.clone(), number, number / 8)
                     } else if curve.series.iter().filter(|one| !common(one)).count() == 1 {
@@ -191,14 +192,14 @@ fn curves(markup: &mut Markup, all: &[Of<'_, Curve>], models: usize) {
                     });
                 }
             }
-            // Last in the legend.
+            // Common lines come last in the legend.
             lines.sort_by_key(|line| line.common);
             chart(markup, &first.title, &first.x, &first.y, &lines);
         }
     });
 }
 
-/// Those of the same title at the same scale, beside each other.
+/// Draws paths of the same title side by side at the same scale.
 fn trajectories(markup: &mut Markup, all: &[Of<'_, Trajectories>], models: usize) {
     if all.is_empty() {
         return;
@@ -233,8 +234,8 @@ fn tables(markup: &mut Markup, all: &[Of<'_, TextTable>], models: usize) {
     });
 }
 
-/// A table, and whose it is.
-fn table(markup: &mut Markup, table: &TextTable, of: &[Named<'_>]) {
+/// A table and its models.
+fn table(markup: &mut Markup, table: &TextTable, of: &[LabelledModel<'_>]) {
     let class = if table.header.len() > NARROW {
         "wide"
     } else {
@@ -277,7 +278,7 @@ fn cells(markup: &mut Markup, table: &TextTable, row: &[String]) {
     }
 }
 
-/// Columns of numbers stand to the right.
+/// Aligns columns of numbers right.
 fn side(table: &TextTable, column: usize) -> &'static str {
     let mut cells = table.rows.iter().filter_map(|row| row.get(column));
     let numbers =
@@ -289,8 +290,8 @@ fn side(table: &TextTable, column: usize) -> &'static str {
     }
 }
 
-fn absent(markup: &mut Markup, suite: Suite, models: &[Named<'_>]) {
-    let mut reasons: BTreeMap<String, Vec<(String, Vec<Named<'_>>)>> = BTreeMap::new();
+fn absent(markup: &mut Markup, suite: Suite, models: &[LabelledModel<'_>]) {
+    let mut reasons: BTreeMap<String, Vec<(String, Vec<LabelledModel<'_>>)>> = BTreeMap::new();
     for model in models {
         for (metric, why) in model.findings.absent_of(suite) {
             let reasons = reasons.entry(metric.to_owned()).or_default();

@@ -1,21 +1,21 @@
-//! Actions that were taken, each until the next one.
+//! Executed actions, each until the next one.
 
 use std::{collections::BTreeMap, sync::Arc};
 
 use super::{MotionSettings, piece::Piece};
 
-/// Most actions that are kept, whatever their stamps.
-const MOST: usize = 8192;
-/// Gaps that the period of the newest action is estimated from.
-const RECENT: usize = 9;
+/// Most actions kept.
+const MAX_ACTIONS: usize = 8192;
+/// Gaps from which the duration of the newest action is estimated.
+const RECENT_GAPS: usize = 9;
 
 #[derive(Clone, Debug)]
-pub(super) struct Taken {
+pub(super) struct ExecutedActions {
     actions: BTreeMap<i64, Arc<[f32]>>,
     settings: MotionSettings,
 }
 
-impl Taken {
+impl ExecutedActions {
     pub fn new(settings: MotionSettings) -> Self {
         Self {
             actions: BTreeMap::new(),
@@ -36,7 +36,7 @@ impl Taken {
         let Some(newest_ns) = self.newest_ns() else {
             return;
         };
-        // The last one before that time stays too: it reaches into it.
+        // The last action before that time stays: it reaches into the kept time.
         let oldest_ns = newest_ns.saturating_sub(self.settings.keep_ns);
         let is_past = |actions: &BTreeMap<i64, _>| {
             actions
@@ -44,7 +44,7 @@ impl Taken {
                 .nth(1)
                 .is_some_and(|second| *second <= oldest_ns)
         };
-        while self.actions.len() > MOST || is_past(&self.actions) {
+        while self.actions.len() > MAX_ACTIONS || is_past(&self.actions) {
             self.actions.pop_first();
         }
     }
@@ -69,9 +69,15 @@ impl Taken {
         pieces
     }
 
-    /// How long the newest action takes: the median of the last gaps, since stamps jitter and messages get lost.
+    /// Duration of the newest action: the median of the last gaps, since stamps jitter and messages are lost.
     fn newest_span_ns(&self) -> i64 {
-        let stamps: Vec<i64> = self.actions.keys().rev().take(RECENT).copied().collect();
+        let stamps: Vec<i64> = self
+            .actions
+            .keys()
+            .rev()
+            .take(RECENT_GAPS)
+            .copied()
+            .collect();
         let mut gaps: Vec<i64> = stamps
             .iter()
             .zip(stamps.iter().skip(1))
