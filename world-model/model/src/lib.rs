@@ -6,12 +6,12 @@
 //! This crate is a library of numbers in, numbers out. It knows no ROS, no DDS and no clock, and it
 //! does not train: training lives in `wm_training`.
 
+mod compute;
 mod decoder;
 mod encoder;
 mod error;
 mod framing;
 mod latent_space;
-mod place;
 mod world_model;
 
 pub mod autoencoder;
@@ -23,13 +23,11 @@ pub mod transition;
 pub mod weights;
 
 pub use autoencoder::{Autoencoder, AutoencoderConfig};
+pub use compute::{Compute, Kernels, NumberFormat};
 pub use decoder::Decoder;
 pub use encoder::Encoder;
 pub use error::{Error, Result};
 pub use framing::{BARS, Fit, Framing, Part, PictureSize, Placement};
 pub use latent_space::LatentSpace;
-pub use place::Place;
 pub use weights::Weights;
-#[cfg(feature = "cuda")]
-pub use wm_cuda::load as load_cuda;
 pub use world_model::WorldModel;

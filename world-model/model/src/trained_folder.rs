@@ -7,8 +7,8 @@
 use std::path::PathBuf;
 
 use crate::{
-    Autoencoder, Error, LatentSpace, PictureSize, Place, Result, Weights, WorldModel,
-    ops::PackedFormat,
+    Autoencoder, Compute, Error, LatentSpace, NumberFormat, PictureSize, Result, Weights,
+    WorldModel,
     transition::{ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition},
 };
 use wm_motion::actions::ActionEncoding;
@@ -152,16 +152,9 @@ impl TrainedFolder {
     /// Loads the transition model, and checks that it belongs to the autoencoder beside it.
     ///
     /// # Errors
-    /// As [`Self::autoencoder`]; and when the model was trained in another latent space.
-    pub fn world_model(&self) -> Result<WorldModel> {
-        self.world_model_on(&Place::default())
-    }
-
-    /// As [`Self::world_model`], for another place than the CPU's kernels.
-    ///
-    /// # Errors
-    /// As [`Self::world_model`]; and when the device has no memory for it.
-    pub fn world_model_on(&self, place: &Place) -> Result<WorldModel> {
+    /// As [`Self::autoencoder`]; when the model was trained in another latent space; and when the device cannot be used or
+    /// has no memory for it.
+    pub fn world_model(&self, compute: &Compute) -> Result<WorldModel> {
         let weights = self.transition()?;
         let space = self.autoencoder()?.space().clone();
         let trained_on: LatentSpace = weights.json(LATENT_SPACE_KEY)?;
@@ -176,8 +169,8 @@ impl TrainedFolder {
         let encoding: ActionEncoding = weights.json(ACTIONS_KEY)?;
         let hash = weights.identity(&[CONFIG_KEY, ACTIONS_KEY, LATENT_SPACE_KEY])?;
         let file = weights.file().to_owned();
-        let model = Transition::from_weights_on(weights, place)?;
-        let model = place.load(model, PackedFormat::F32)?;
+        let model = Transition::from_weights_on(weights, compute)?;
+        let model = compute.load(model, NumberFormat::F32)?;
         let config = model.config();
         let disagrees = |key: &str, reason: String| Error::Metadata {
             file: file.clone(),
@@ -221,7 +214,7 @@ mod tests {
     fn the_embedded_default_is_whole_small_and_of_one_latent_space() {
         let folder = TrainedFolder::named(EMBEDDED);
         let autoencoder = folder.autoencoder().unwrap();
-        let model = folder.world_model().unwrap();
+        let model = folder.world_model(&Compute::default()).unwrap();
         assert_eq!(&model.space, autoencoder.space());
         assert_eq!(model.hash.len(), 64);
         let config = model.transition.config();
@@ -262,7 +255,7 @@ mod tests {
             .unwrap();
         std::fs::write(folder.path().join(TRANSITION_FILE), EMBEDDED_TRANSITION).unwrap();
         let error = TrainedFolder::Folder(folder.path().to_owned())
-            .world_model()
+            .world_model(&Compute::default())
             .unwrap_err();
         assert!(error.to_string().contains("latent space"), "{error}");
     }

@@ -21,10 +21,11 @@ const AUTOENCODER: &str = "autoencoder.safetensors";
 /// If `out` holds another encoder, or a file cannot be read or written.
 pub fn carry_encoder(encoder: &str, out: &Path) -> Result<()> {
     let source = ModelFolder::open(encoder)?;
-    let trained = match &source {
-        ModelFolder::Trained(trained) => trained,
-        ModelFolder::Described(_) if is_same(Path::new(encoder), out) => return Ok(()),
-        ModelFolder::Described(_) => return describe(encoder, &source.space()?, out),
+    let Some(trained) = source.trained() else {
+        return match is_same(Path::new(encoder), out) {
+            true => Ok(()),
+            false => describe(encoder, &source.space()?, out),
+        };
     };
     std::fs::create_dir_all(out).with_context(|| out.display().to_string())?;
     let own = trained.autoencoder()?;

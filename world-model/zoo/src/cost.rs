@@ -19,12 +19,13 @@ mod transition;
 mod vit;
 
 use serde::Serialize;
+use wm_model::Kernels;
 
 use crate::loader::Requested;
 use crate::svae::SvaeConfig;
 use crate::vae::{CosmosConfig, PixelDecoderConfig, SdVaeConfig, VaVaeConfig};
 use crate::vit::{SiglipVisionConfig, VjepaConfig, WebDinoConfig};
-use crate::{Engine, Error, Loader, Result};
+use crate::{Error, Loader, Result};
 
 pub use adapter::adapter;
 pub use autoencoder::{
@@ -200,7 +201,7 @@ fn count<M>(
     load: impl FnOnce(&Loader<'_>) -> Result<M>,
     operations: impl Fn(&Requested) -> usize,
 ) -> Result<Cost> {
-    let loader = Loader::skeleton(Engine::Candle);
+    let loader = Loader::skeleton(Kernels::Candle);
     load(&loader)?;
     Ok(Cost {
         parameters: loader.parameters(),

@@ -200,13 +200,13 @@ fn relu6(x: &Tensor) -> Result<Tensor> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Engine;
     use candle_core::Device;
+    use wm_model::Kernels;
 
     #[test]
     fn every_feature_is_a_sixteenth_of_the_picture() {
         for block in 8..=10 {
-            let loader = Loader::skeleton(Engine::Cpu);
+            let loader = Loader::skeleton(Kernels::Cpu);
             let config = EfficientNetLite0Config { block };
             let model = EfficientNetLite0::load(&config, &loader).unwrap();
             assert_eq!(model.blocks.len(), block + 1);
@@ -218,7 +218,7 @@ mod tests {
     #[test]
     fn another_block_is_refused() {
         let config = EfficientNetLite0Config { block: 11 };
-        let loader = Loader::skeleton(Engine::Cpu);
+        let loader = Loader::skeleton(Kernels::Cpu);
         let message = EfficientNetLite0::load(&config, &loader).unwrap_err();
         assert!(message.to_string().contains("11"), "{message}");
     }

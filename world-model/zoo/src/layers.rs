@@ -26,10 +26,9 @@ pub use rms_norm::rms_norm;
 pub use upsample::upsample_nearest_2x;
 
 use candle_core::{DType, Tensor};
-
-use crate::Engine;
+use wm_model::Kernels;
 
 /// Whether the kernels of [`wm_model::ops`] are to compute `x`, and can.
-pub(crate) fn takes_kernels(engine: Engine, x: &Tensor) -> bool {
-    engine == Engine::Cpu && x.dtype() == DType::F32 && x.device().is_cpu()
+pub(crate) fn takes_kernels(kernels: Kernels, x: &Tensor) -> bool {
+    kernels == Kernels::Cpu && x.dtype() == DType::F32 && x.device().is_cpu()
 }

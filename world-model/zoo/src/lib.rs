@@ -12,16 +12,17 @@
 //! | The transition model (DiT) | [`wm_model::transition`], configured by [`kinds`] |
 //!
 //! A [`Checkpoint`] is an open file of tensors, a [`Loader`] hands them to a model by their published names and tells
-//! of everything that does not fit, and a [`Compute`] says what computes, and where. [`kinds`] runs any of the models on
+//! of everything that does not fit, for the device, number format and kernels of a [`Compute`](wm_model::Compute). [`kinds`] runs any of the models on
 //! a file of tensors, [`cost`] counts parameters and operations.
 //!
 //! ```
-//! use wm_zoo::{Engine, Loader};
+//! use wm_model::Kernels;
+//! use wm_zoo::Loader;
 //! use wm_zoo::vae::{PixelDecoder, PixelDecoderConfig};
 //!
 //! # fn main() -> wm_zoo::Result<()> {
 //! // Without weights: what a model would ask of a checkpoint.
-//! let loader = Loader::skeleton(Engine::Cpu);
+//! let loader = Loader::skeleton(Kernels::Cpu);
 //! PixelDecoder::load(&PixelDecoderConfig::paper(), &loader)?;
 //! assert_eq!((loader.parameters() as f64 / 1e6).round(), 177.0);
 //! # Ok(())
@@ -34,17 +35,12 @@
 
 mod error;
 mod model_folder;
-mod placed_model;
-mod placement;
-mod precision;
 mod sizes;
 mod unfinished;
 
 pub mod calibration;
 pub mod checkpoint;
-pub mod compute;
 pub mod cost;
-pub mod device;
 pub mod folder;
 pub mod kinds;
 pub mod layers;
@@ -62,15 +58,9 @@ pub mod vit;
 
 pub use calibration::Calibration;
 pub use checkpoint::Checkpoint;
-pub use compute::Compute;
-pub use device::DeviceName;
 pub use error::{Error, Misshapen, Result};
 pub use loader::{Loader, Supply};
 pub use model_folder::{ModelFolder, TransitionTensors};
 pub use packed_cache::PackedCache;
-pub use placed_model::PlacedModel;
-pub use placement::Placement;
-pub use precision::Precision;
 pub use unfinished::Unfinished;
-pub use wm_model::ops::Engine;
 pub use wm_model::trained_folder::{IDM_FILE, PROBE_FILE};

@@ -6,14 +6,14 @@ use std::fmt::{self, Display};
 use std::rc::Rc;
 
 use candle_core::{DType, Device, Tensor};
-use wm_model::Weights;
-use wm_model::ops::{PackedFormat, PackedLinear};
+use wm_model::ops::PackedLinear;
 use wm_model::transition::PackedSource;
+use wm_model::{Compute, Kernels, NumberFormat, Weights};
 
 use crate::calibration::{InputRanges, RangeRecorder};
 use crate::layers::{Conv2d, ConvSpec, GroupNorm, LayerNorm, Linear};
 use crate::packed_cache::{PackedCache, Session};
-use crate::{Checkpoint, Compute, Engine, Error, Misshapen, Precision, Result};
+use crate::{Checkpoint, Error, Misshapen, Result};
 
 /// Gives tensors by name and shape, below one place in the checkpoint's tree of names.
 ///
@@ -21,7 +21,7 @@ use crate::{Checkpoint, Compute, Engine, Error, Misshapen, Precision, Result};
 /// noted there and zeros are given in its place, so that [`Loader::finish`] can tell of everything at once: call it
 /// before the model is used.
 ///
-/// On the CPU a loader for bf16 gives the rounded values as f32, which the engine packs as bf16 again where that halves
+/// On the CPU a loader for bf16 gives the rounded values as f32, which the kernels pack as bf16 again where that halves
 /// the memory that is read; sums and activations are f32. Vectors (biases, scales, statistics) are not rounded there:
 /// they are a hundredth of the values, and each is off in all places of an output alike. On other devices it gives bf16
 /// tensors.
@@ -33,9 +33,9 @@ pub struct Loader<'a> {
     source: Source<'a>,
     /// Where in the tree, with a dot at the end; empty at the root.
     prefix: String,
-    engine: Engine,
+    kernels: Kernels,
     /// Format that values are rounded to.
-    precision: Precision,
+    format: NumberFormat,
     device: Device,
     /// Whether values are read from `source`, or only names and shapes.
     reads: bool,
@@ -133,7 +133,7 @@ impl PackedSource for Loader<'_> {
         name: &str,
         shape: (usize, usize),
         is_biased: bool,
-        format: PackedFormat,
+        format: NumberFormat,
     ) -> wm_model::Result<PackedLinear> {
         Ok(self.packed_linear(name, shape, is_biased, format)?)
     }
@@ -142,28 +142,23 @@ impl PackedSource for Loader<'_> {
         Ok(self.values(name, shape)?)
     }
 
-    fn format(&self) -> PackedFormat {
+    fn format(&self) -> NumberFormat {
         self.matrix_format()
     }
 }
 
 impl<'a> Loader<'a> {
-    /// Gives `source`'s tensors, on the CPU, rounded to `precision`.
+    /// Gives `source`'s tensors on the device of `compute`, rounded to its number format.
     ///
     /// # Errors
-    /// If the engine does not compute in that precision.
-    pub fn new(source: &'a Checkpoint, engine: Engine, precision: Precision) -> Result<Self> {
-        Ok(Self::on(source, &Compute::on_cpu(engine, precision)?))
-    }
-
-    /// Gives `source`'s tensors on the device of `compute`, rounded to its precision.
-    pub fn on(source: &'a Checkpoint, compute: &Compute) -> Self {
+    /// If the device cannot be opened.
+    pub fn new(source: &'a Checkpoint, compute: &Compute) -> Result<Self> {
         let loader = Self {
             source: Source::Checkpoint(source),
             prefix: String::new(),
-            engine: compute.engine(),
-            precision: compute.precision(),
-            device: compute.device().clone(),
+            kernels: compute.kernels(),
+            format: compute.format(),
+            device: compute.device()?.clone(),
             reads: true,
             is_sensitive: false,
             session: None,
@@ -171,17 +166,17 @@ impl<'a> Loader<'a> {
             recorder: None,
             account: Rc::default(),
         };
-        match PackedCache::of_process() {
+        Ok(match PackedCache::of_process() {
             Some(cache) => loader.cached(cache),
             None => loader,
-        }
+        })
     }
 
     /// The same, with packed weights from `cache`, and kept there.
     pub(crate) fn cached(self, cache: PackedCache) -> Self {
         let session = match self.source {
-            Source::Checkpoint(source) if self.engine == Engine::Cpu && self.device.is_cpu() => {
-                Session::new(cache, source, self.precision)
+            Source::Checkpoint(source) if self.kernels == Kernels::Cpu && self.device.is_cpu() => {
+                Session::new(cache, source, self.format)
             }
             _ => None,
         };
@@ -191,7 +186,7 @@ impl<'a> Loader<'a> {
         }
     }
 
-    /// The same, whose Linears are quantised with what is known of their inputs: of use in [`Precision::Int8`].
+    /// The same, whose Linears are quantised with what is known of their inputs: of use in [`NumberFormat::Int8`].
     pub(crate) fn with_ranges(self, ranges: &'a InputRanges) -> Self {
         if let Some(session) = &self.session {
             session.borrow_mut().distinguish(ranges);
@@ -215,17 +210,17 @@ impl<'a> Loader<'a> {
     pub fn survey(source: &'a Checkpoint) -> Self {
         Self {
             source: Source::Checkpoint(source),
-            ..Self::skeleton(Engine::Candle)
+            ..Self::skeleton(Kernels::Candle)
         }
     }
 
     /// A loader without a checkpoint. Every tensor that is asked for is one zero, repeated, which takes no memory.
-    pub fn skeleton(engine: Engine) -> Loader<'static> {
+    pub fn skeleton(kernels: Kernels) -> Loader<'static> {
         Loader {
             source: Source::Nothing,
             prefix: String::new(),
-            engine,
-            precision: Precision::F32,
+            kernels,
+            format: NumberFormat::F32,
             device: Device::Cpu,
             reads: false,
             is_sensitive: false,
@@ -236,13 +231,13 @@ impl<'a> Loader<'a> {
         }
     }
 
-    /// Gives what `supply` has for each name, on the CPU, in f32. Plain operations ([`Engine::Candle`]) propagate
+    /// Gives what `supply` has for each name, on the CPU, in f32. Plain operations ([`Kernels::Candle`]) propagate
     /// gradients to it. Names are those of the published checkpoints.
-    pub fn supplied(supply: &'a dyn Supply, engine: Engine) -> Self {
+    pub fn supplied(supply: &'a dyn Supply, kernels: Kernels) -> Self {
         Self {
             source: Source::Supply(supply),
             reads: true,
-            ..Self::skeleton(engine)
+            ..Self::skeleton(kernels)
         }
     }
 
@@ -257,12 +252,12 @@ impl<'a> Loader<'a> {
     /// The same place, for tensors that are to keep the values of the checkpoint: given as f32, not rounded.
     pub fn unrounded(&self) -> Self {
         Self {
-            precision: Precision::F32,
+            format: NumberFormat::F32,
             ..self.clone()
         }
     }
 
-    /// The same place, for [sensitive](PackedFormat::sensitive) Linears.
+    /// The same place, for [sensitive](NumberFormat::sensitive) Linears.
     pub fn sensitive(&self) -> Self {
         Self {
             is_sensitive: true,
@@ -271,8 +266,8 @@ impl<'a> Loader<'a> {
     }
 
     /// What is to compute the model.
-    pub fn engine(&self) -> Engine {
-        self.engine
+    pub fn kernels(&self) -> Kernels {
+        self.kernels
     }
 
     /// The format of the tensors that it gives, and that layers take and give.
@@ -280,21 +275,20 @@ impl<'a> Loader<'a> {
         if self.device.is_cpu() {
             DType::F32
         } else {
-            self.precision.dtype()
+            self.format.dtype()
         }
     }
 
     /// What weights that it gives as tensors are to be packed in.
-    pub(crate) fn format(&self) -> PackedFormat {
-        self.precision.packed().sensitive()
+    pub(crate) fn format(&self) -> NumberFormat {
+        self.format.sensitive()
     }
 
     /// What matrices that it gives as Linears are packed in.
-    fn matrix_format(&self) -> PackedFormat {
-        let format = self.precision.packed();
+    fn matrix_format(&self) -> NumberFormat {
         match self.is_sensitive {
-            true => format.sensitive(),
-            false => format,
+            true => self.format.sensitive(),
+            false => self.format,
         }
     }
 
@@ -337,7 +331,7 @@ impl<'a> Loader<'a> {
         match source.shape(&path) {
             Some(found) if found == shape && !self.reads => self.zeros(shape),
             Some(found) if found == shape => {
-                let tensor = source.tensor(&path, self.precision_of(shape))?;
+                let tensor = source.tensor(&path, self.dtype_of(shape))?;
                 Ok(tensor.to_device(&self.device)?.to_dtype(self.dtype())?)
             }
             Some(found) => {
@@ -381,7 +375,12 @@ impl<'a> Loader<'a> {
         }
         let weight = self.tensor(&weight, &weight_shape)?;
         let bias = is_biased.then(|| self.tensor(&format!("{name}.bias"), &[shape.0]));
-        Linear::new(weight, bias.transpose()?, self.engine, self.matrix_format())
+        Linear::new(
+            weight,
+            bias.transpose()?,
+            self.kernels,
+            self.matrix_format(),
+        )
     }
 
     /// The Linear `name`, packed in `format`: `name.weight` of `shape` and, if `is_biased`, `name.bias`.
@@ -390,7 +389,7 @@ impl<'a> Loader<'a> {
         name: &str,
         shape: (usize, usize),
         is_biased: bool,
-        format: PackedFormat,
+        format: NumberFormat,
     ) -> Result<PackedLinear> {
         let (weight, weight_shape) = (format!("{name}.weight"), [shape.0, shape.1]);
         if let Some(source) = self.packs(&weight, &weight_shape) {
@@ -407,7 +406,7 @@ impl<'a> Loader<'a> {
         let Source::Checkpoint(source) = self.source else {
             return None;
         };
-        let is_packed = self.reads && self.engine == Engine::Cpu && self.device.is_cpu();
+        let is_packed = self.reads && self.kernels == Kernels::Cpu && self.device.is_cpu();
         let fits = source.shape(&self.path(name)) == Some(shape);
         (is_packed && fits).then_some(source)
     }
@@ -419,7 +418,7 @@ impl<'a> Loader<'a> {
         name: &str,
         shape: (usize, usize),
         is_biased: bool,
-        format: PackedFormat,
+        format: NumberFormat,
     ) -> Result<PackedLinear> {
         let weight = self.path(&format!("{name}.weight"));
         self.account.borrow_mut().note(&weight, &[shape.0, shape.1]);
@@ -439,7 +438,7 @@ impl<'a> Loader<'a> {
         weight: &str,
         shape: (usize, usize),
         bias: Option<&[f32]>,
-        format: PackedFormat,
+        format: NumberFormat,
     ) -> Result<PackedLinear> {
         let mut session = self.session.as_ref().map(|session| session.borrow_mut());
         if let Some(session) = &mut session
@@ -448,9 +447,9 @@ impl<'a> Loader<'a> {
             return Ok(packed);
         }
         let smoothing = self.ranges.and_then(|ranges| ranges.smoothing(weight));
-        let is_rounded = self.precision == Precision::Bf16;
+        let is_rounded = self.format == NumberFormat::Bf16;
         let packed = source.with_values(weight, is_rounded, |values| match smoothing {
-            Some(smoothing) if format == PackedFormat::Int8 => {
+            Some(smoothing) if format == NumberFormat::Int8 => {
                 PackedLinear::quantised(values, bias, shape, Some(smoothing))
             }
             _ => PackedLinear::new(values, bias, shape, format),
@@ -474,7 +473,7 @@ impl<'a> Loader<'a> {
     pub fn layer_norm(&self, name: &str, width: usize, eps: f64) -> Result<LayerNorm> {
         let scale = self.tensor(&format!("{name}.weight"), &[width])?;
         let shift = self.tensor(&format!("{name}.bias"), &[width])?;
-        Ok(LayerNorm::new(scale, shift, eps, self.engine))
+        Ok(LayerNorm::new(scale, shift, eps, self.kernels))
     }
 
     /// The group normalisation `name`: `name.weight` and `name.bias` (channels).
@@ -490,7 +489,7 @@ impl<'a> Loader<'a> {
     ) -> Result<GroupNorm> {
         let scale = self.tensor(&format!("{name}.weight"), &[channels])?;
         let shift = self.tensor(&format!("{name}.bias"), &[channels])?;
-        GroupNorm::new((scale, shift), groups, eps, self.engine)
+        GroupNorm::new((scale, shift), groups, eps, self.kernels)
     }
 
     /// The convolution `name`: `name.weight` (outputs, inputs, kernel, kernel) and `name.bias` (outputs).
@@ -500,7 +499,7 @@ impl<'a> Loader<'a> {
     pub fn conv2d(&self, name: &str, spec: ConvSpec) -> Result<Conv2d> {
         let weight = self.tensor(&format!("{name}.weight"), &spec.weight_shape())?;
         let bias = self.tensor(&format!("{name}.bias"), &[spec.outputs])?;
-        Conv2d::new(spec, &weight, bias, self.engine, self.format())
+        Conv2d::new(spec, &weight, bias, self.kernels, self.format())
     }
 
     /// As [`Loader::conv2d`], of a picture that is first doubled in both directions ([`Conv2d::doubling`]).
@@ -510,7 +509,7 @@ impl<'a> Loader<'a> {
     pub fn doubling_conv2d(&self, name: &str, spec: ConvSpec) -> Result<Conv2d> {
         let weight = self.tensor(&format!("{name}.weight"), &spec.weight_shape())?;
         let bias = self.tensor(&format!("{name}.bias"), &[spec.outputs])?;
-        Conv2d::doubling(spec, &weight, bias, self.engine, self.format())
+        Conv2d::doubling(spec, &weight, bias, self.kernels, self.format())
     }
 
     /// Tensors here whose names start with `prefix` may be in the checkpoint without being used.
@@ -567,11 +566,11 @@ impl<'a> Loader<'a> {
     }
 
     /// Format that the values of a tensor of this shape are rounded to.
-    fn precision_of(&self, shape: &[usize]) -> DType {
+    fn dtype_of(&self, shape: &[usize]) -> DType {
         if self.device.is_cpu() && shape.len() < 2 {
             DType::F32
         } else {
-            self.precision.dtype()
+            self.format.dtype()
         }
     }
 

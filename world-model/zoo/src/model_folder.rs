@@ -9,13 +9,15 @@ use wm_model::trained_folder::{EMBEDDED, IDM_FILE, PROBE_FILE, TrainedFolder};
 use wm_model::transition::{
     ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition, TransitionConfig,
 };
-use wm_model::{Decoder, Encoder, Fit, LatentSpace, PictureSize, Place, Weights, WorldModel};
+use wm_model::{
+    Compute, Decoder, Encoder, Fit, Kernels, LatentSpace, PictureSize, Weights, WorldModel,
+};
 use wm_motion::actions::ActionEncoding;
 
 use crate::folder::{DescribedFolder, NativeDecoder};
 use crate::idm::TrainedIdm;
 use crate::success_probe::SuccessClassifier;
-use crate::{Engine, Error, Result, Unfinished};
+use crate::{Error, Result, Unfinished};
 
 /// The tensors of a transition model, and what it is.
 #[derive(Clone, Debug)]
@@ -28,10 +30,19 @@ pub struct TransitionTensors {
     pub tensors: BTreeMap<String, Tensor>,
 }
 
-/// What a node's parameter `model` names: the files of a world model, checked as far as names and shapes go. Its parts are
-/// loaded when they are asked for; [`ModelFolder::world_model`] gives the [`WorldModel`].
+/// A world model by its name, as the parameter `model` of a node gives it: files whose names and shapes are checked, and
+/// a [`Compute`] for its parts. Each part is loaded at its request; [`ModelFolder::world_model`] gives the [`WorldModel`].
+///
+/// Encoder, decoder and transition model take and give tensors of the CPU, on every device. The probe and the inverse
+/// dynamics model are small: they compute on the CPU.
 #[derive(Debug)]
-pub enum ModelFolder {
+pub struct ModelFolder {
+    files: Files,
+    compute: Compute,
+}
+
+#[derive(Debug)]
+enum Files {
     /// The embedded default, or a folder that the training wrote.
     Trained(TrainedFolder),
     /// A folder of published checkpoints with a `model.json`.
@@ -39,17 +50,53 @@ pub enum ModelFolder {
 }
 
 impl ModelFolder {
-    /// Opens `tiny`, the embedded default, a folder, or the file of an autoencoder.
+    /// Opens `tiny`, the embedded default, a folder, or the file of an autoencoder, to compute with the CPU's kernels.
     ///
     /// # Errors
     /// As [`Self::require`] and [`DescribedFolder::open`]; a folder without `model.json` tells of what is missing when a
     /// part is asked for.
     pub fn open(name: &str) -> Result<Self> {
         Self::require(name)?;
-        if name != EMBEDDED && DescribedFolder::is_one(Path::new(name)) {
-            return Ok(Self::Described(Box::new(DescribedFolder::open(name)?)));
+        let files = if name != EMBEDDED && DescribedFolder::is_one(Path::new(name)) {
+            Files::Described(Box::new(DescribedFolder::open(name)?))
+        } else {
+            Files::Trained(TrainedFolder::named(name))
+        };
+        Ok(Self {
+            files,
+            compute: Compute::default(),
+        })
+    }
+
+    /// The same, to compute on the device and with the kernels of `compute`; a folder with a `model.json` has a number
+    /// format of its own. Each part opens the device apart, so that parts in several threads do not wait for each other.
+    #[must_use]
+    pub fn on(self, compute: Compute) -> Self {
+        Self { compute, ..self }
+    }
+
+    /// The folder with a `model.json`; `None` for another model.
+    pub fn described(&self) -> Option<&DescribedFolder> {
+        match &self.files {
+            Files::Trained(_) => None,
+            Files::Described(folder) => Some(folder),
         }
-        Ok(Self::Trained(TrainedFolder::named(name)))
+    }
+
+    /// The same, to keep.
+    pub fn into_described(self) -> Option<DescribedFolder> {
+        match self.files {
+            Files::Trained(_) => None,
+            Files::Described(folder) => Some(*folder),
+        }
+    }
+
+    /// The embedded default, or a folder without a `model.json`; `None` for another model.
+    pub fn trained(&self) -> Option<&TrainedFolder> {
+        match &self.files {
+            Files::Trained(folder) => Some(folder),
+            Files::Described(_) => None,
+        }
     }
 
     /// Holds a name against what is on the disk, without opening a file.
@@ -73,9 +120,9 @@ impl ModelFolder {
 
     /// What it was opened by.
     pub fn name(&self) -> String {
-        match self {
-            Self::Trained(folder) => folder.name(),
-            Self::Described(folder) => folder.name().to_owned(),
+        match &self.files {
+            Files::Trained(folder) => folder.name(),
+            Files::Described(folder) => folder.name().to_owned(),
         }
     }
 
@@ -84,9 +131,9 @@ impl ModelFolder {
     /// # Errors
     /// Names missing and wrong weights.
     pub fn space(&self) -> Result<LatentSpace> {
-        match self {
-            Self::Trained(folder) => Ok(folder.autoencoder()?.space().clone()),
-            Self::Described(folder) => folder.space(),
+        match &self.files {
+            Files::Trained(folder) => Ok(folder.autoencoder()?.space().clone()),
+            Files::Described(folder) => folder.space(),
         }
     }
 
@@ -95,9 +142,9 @@ impl ModelFolder {
     /// # Errors
     /// Names missing and wrong weights.
     pub fn fit(&self) -> Result<Fit> {
-        match self {
-            Self::Trained(folder) => Ok(folder.autoencoder()?.config().fit),
-            Self::Described(folder) => Ok(folder.description().fit),
+        match &self.files {
+            Files::Trained(folder) => Ok(folder.autoencoder()?.config().fit),
+            Files::Described(folder) => Ok(folder.description().fit),
         }
     }
 
@@ -107,9 +154,9 @@ impl ModelFolder {
     /// # Errors
     /// Names missing and wrong weights.
     pub fn trained_on(&self) -> Result<Option<PictureSize>> {
-        match self {
-            Self::Trained(folder) => Ok(folder.trained_on()?),
-            Self::Described(folder) => {
+        match &self.files {
+            Files::Trained(folder) => Ok(folder.trained_on()?),
+            Files::Described(folder) => {
                 let trained = TrainedFolder::Folder(folder.name().into());
                 let own = trained.transition_trained_on()?;
                 Ok(own.or(folder.description().trained_on))
@@ -119,61 +166,47 @@ impl ModelFolder {
 
     /// The space of its latents for what was trained on `trained_on`, perhaps in another number format.
     fn space_of_training(&self, trained_on: &LatentSpace) -> Result<LatentSpace> {
-        match self {
-            Self::Trained(_) => self.space(),
-            Self::Described(folder) => folder.space_of_training(trained_on),
+        match &self.files {
+            Files::Trained(_) => self.space(),
+            Files::Described(folder) => folder.space_of_training(trained_on),
         }
     }
 
     /// Loads the encoder.
     ///
     /// # Errors
-    /// Names missing and wrong weights.
+    /// Names missing and wrong weights; or the device cannot be used or has no memory for it.
     pub fn encoder(&self) -> Result<Box<dyn Encoder>> {
-        self.encoder_on(&Place::default())
-    }
-
-    /// As [`Self::encoder`], to compute at `place`.
-    ///
-    /// # Errors
-    /// As [`Self::encoder`]; or that the device has no memory for it.
-    pub fn encoder_on(&self, place: &Place) -> Result<Box<dyn Encoder>> {
-        match self {
-            Self::Trained(folder) => match place.engine() {
-                Engine::Cpu => Ok(Box::new(folder.autoencoder()?)),
-                Engine::Candle => Ok(Box::new(on_tensors(folder, place)?)),
+        let compute = self.compute.apart();
+        match &self.files {
+            Files::Trained(folder) => match compute.kernels() {
+                Kernels::Cpu => Ok(Box::new(folder.autoencoder()?)),
+                Kernels::Candle => Ok(Box::new(on_tensors(folder, &compute)?)),
             },
-            Self::Described(folder) => folder.encoder_on(place),
+            Files::Described(folder) => folder.encoder(&compute),
         }
     }
 
-    /// Loads the decoder; `None` where the model has none.
+    /// Loads the decoder; `None` if the model has none.
     ///
     /// # Errors
-    /// Names missing and wrong weights.
+    /// Names missing and wrong weights; or the device cannot be used or has no memory for it.
     pub fn decoder(&self) -> Result<Option<Box<dyn Decoder>>> {
-        self.decoder_on(&Place::default())
-    }
-
-    /// As [`Self::decoder`], to compute at `place`.
-    ///
-    /// # Errors
-    /// As [`Self::decoder`]; or that the device has no memory for it.
-    pub fn decoder_on(&self, place: &Place) -> Result<Option<Box<dyn Decoder>>> {
-        match self {
-            Self::Trained(folder) => match place.engine() {
-                Engine::Cpu => Ok(Some(Box::new(folder.autoencoder()?))),
-                Engine::Candle => Ok(Some(Box::new(on_tensors(folder, place)?))),
+        let compute = self.compute.apart();
+        match &self.files {
+            Files::Trained(folder) => match compute.kernels() {
+                Kernels::Cpu => Ok(Some(Box::new(folder.autoencoder()?))),
+                Kernels::Candle => Ok(Some(Box::new(on_tensors(folder, &compute)?))),
             },
-            Self::Described(folder) => folder.decoder_on(place),
+            Files::Described(folder) => folder.decoder(&compute),
         }
     }
 
     /// Whether there is a transition model; without one a model encodes and decodes only.
     pub fn has_transition(&self) -> bool {
-        match self {
-            Self::Trained(folder) => folder.has_transition(),
-            Self::Described(folder) => folder.has_transition(),
+        match &self.files {
+            Files::Trained(folder) => folder.has_transition(),
+            Files::Described(folder) => folder.has_transition(),
         }
     }
 
@@ -206,32 +239,24 @@ impl ModelFolder {
     /// # Errors
     /// When its file is missing or corrupt.
     pub fn action_encoding(&self) -> Result<Option<ActionEncoding>> {
-        match self {
-            Self::Trained(folder) if folder.has_transition() => {
+        match &self.files {
+            Files::Trained(folder) if folder.has_transition() => {
                 Ok(Some(folder.transition()?.json(ACTIONS_KEY)?))
             }
-            Self::Trained(_) => Ok(None),
-            Self::Described(folder) => Ok(folder.action_encoding().cloned()),
+            Files::Trained(_) => Ok(None),
+            Files::Described(folder) => Ok(folder.action_encoding().cloned()),
         }
     }
 
     /// Loads the transition model with what is needed to use it.
     ///
     /// # Errors
-    /// [`Error::NoTransition`], or what is missing or wrong in the weights.
+    /// [`Error::NoTransition`]; names missing and wrong weights; or the device cannot be used or has no memory for it.
     pub fn world_model(&self) -> Result<WorldModel> {
-        self.world_model_on(&Place::default())
-    }
-
-    /// As [`Self::world_model`], to compute at `place`.
-    ///
-    /// # Errors
-    /// As [`Self::world_model`]; or that the device has no memory for it.
-    pub fn world_model_on(&self, place: &Place) -> Result<WorldModel> {
         self.require_transition()?;
-        match self {
-            Self::Trained(folder) => Ok(folder.world_model_on(place)?),
-            Self::Described(folder) => folder.world_model_on(place),
+        match &self.files {
+            Files::Trained(folder) => Ok(folder.world_model(&self.compute.apart())?),
+            Files::Described(folder) => folder.world_model(&self.compute.apart()),
         }
     }
 
@@ -240,8 +265,8 @@ impl ModelFolder {
     /// # Errors
     /// Names missing and wrong weights.
     pub fn transition_tensors(&self) -> Result<TransitionTensors> {
-        match self {
-            Self::Trained(folder) => {
+        match &self.files {
+            Files::Trained(folder) => {
                 let weights = folder.transition()?;
                 let config: TransitionConfig = weights.json(CONFIG_KEY)?;
                 let mut tensors = BTreeMap::new();
@@ -258,7 +283,7 @@ impl ModelFolder {
                     tensors,
                 })
             }
-            Self::Described(folder) => folder.transition_tensors(),
+            Files::Described(folder) => folder.transition_tensors(),
         }
     }
 
@@ -267,7 +292,7 @@ impl ModelFolder {
     /// # Errors
     /// Names what is missing or wrong in its files.
     pub fn probe(&self) -> Result<Option<SuccessClassifier>> {
-        if let Self::Described(folder) = self
+        if let Files::Described(folder) = &self.files
             && let Some(probe) = folder.probe()?
         {
             return Ok(Some(probe));
@@ -287,9 +312,9 @@ impl ModelFolder {
     /// # Errors
     /// Names missing and wrong weights.
     pub fn native_decoder(&self) -> Result<Option<NativeDecoder>> {
-        match self {
-            Self::Trained(_) => Ok(None),
-            Self::Described(folder) => folder.native_decoder(),
+        match &self.files {
+            Files::Trained(_) => Ok(None),
+            Files::Described(folder) => folder.native_decoder(),
         }
     }
 
@@ -311,9 +336,11 @@ impl ModelFolder {
     /// # Errors
     /// When it cannot be read.
     pub fn weights(&self, file: &str) -> Result<Option<Weights>> {
-        Ok(match self {
-            Self::Trained(folder) => folder.weights(file)?,
-            Self::Described(folder) => TrainedFolder::Folder(folder.name().into()).weights(file)?,
+        Ok(match &self.files {
+            Files::Trained(folder) => folder.weights(file)?,
+            Files::Described(folder) => {
+                TrainedFolder::Folder(folder.name().into()).weights(file)?
+            }
         })
     }
 }
@@ -327,9 +354,9 @@ fn has_weights(folder: &Path) -> bool {
     })
 }
 
-fn on_tensors(folder: &TrainedFolder, place: &Place) -> Result<TensorAutoencoder> {
+fn on_tensors(folder: &TrainedFolder, compute: &Compute) -> Result<TensorAutoencoder> {
     let autoencoder = folder.autoencoder()?;
-    Ok(TensorAutoencoder::new(&autoencoder, place.device())?)
+    Ok(TensorAutoencoder::new(&autoencoder, compute.device()?)?)
 }
 
 #[cfg(test)]

@@ -20,7 +20,7 @@ use wm_ros::{
     Clock, Diagnostics, Node, NodeDefinition, Publisher, Qos, Received, Subscription,
     complaints::Complaints,
 };
-use wm_zoo::PlacedModel;
+use wm_zoo::ModelFolder;
 use wm_zoo::success_probe::{Instruction, SuccessClassifier};
 
 use super::{
@@ -148,7 +148,7 @@ impl ModelNode for Evaluator {
     type Endpoints = Endpoints;
     type Model = Model;
 
-    fn load(folder: PlacedModel, parameters: &Parameters) -> Result<Model> {
+    fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Model> {
         let (encoder, model) = (folder.encoder()?, folder.world_model()?);
         let (decoder, probe) = (folder.decoder()?, folder.probe()?.map(Arc::new));
         let history = HistorySettings {

@@ -1,7 +1,7 @@
 use anyhow::{Result, ensure};
 use candle_core::Tensor;
+use wm_model::Compute;
 use wm_zoo::{
-    Compute,
     svae::{Svae, SvaeConfig},
     vae::{PixelDecoder, PixelDecoderConfig},
 };
@@ -59,8 +59,8 @@ impl<'a> Objective<'a> {
             view.height,
             view.width
         );
-        let fresh = FreshWeights::new(recipe.seed).on(compute);
-        let device = compute.device();
+        let fresh = FreshWeights::new(recipe.seed).on(compute)?;
+        let device = compute.device()?;
         let objective = Self {
             recipe,
             steps,

@@ -8,10 +8,10 @@ use wm_model::trained_folder::TRANSITION_FILE;
 use wm_model::transition::{
     ACTIONS_KEY, ActionAlignment, CONFIG_KEY, LATENT_SPACE_KEY, Parametrisation, TransitionConfig,
 };
-use wm_model::{Fit, LatentSpace, PictureSize, Weights};
+use wm_model::{Fit, LatentSpace, NumberFormat, PictureSize, Weights};
 
 use crate::kinds::{DitConfig, Kind};
-use crate::{Error, Precision, Result};
+use crate::{Error, Result};
 
 /// Side of the paper's frames in pixels.
 const FRAME_SIDE: usize = 256;
@@ -35,7 +35,7 @@ pub struct Description {
     pub trained_on: Option<PictureSize>,
     /// Number format of all weights: `bf16` halves their memory, `int8` quarters that of the matrices.
     #[serde(default)]
-    pub dtype: Precision,
+    pub dtype: NumberFormat,
     /// Pictures to latents: `web-dino`, `siglip2`, `vjepa2.1`, `sd3-vae`, `va-vae` or `cosmos-ci16x16`.
     pub encoder: Part,
     /// The S-VAE that takes the encoder's features to a compact latent.

@@ -1,10 +1,12 @@
 //! Two-dimensional convolution.
 
 use candle_core::{DType, Tensor};
-use wm_model::ops::{self, ConvShape, Fused, GridSize, PackedConv, PackedFormat};
+use wm_model::Kernels;
+use wm_model::NumberFormat;
+use wm_model::ops::{self, ConvShape, Fused, GridSize, PackedConv};
 
 use super::{GroupNorm, Linear, host, takes_kernels, upsample_nearest_2x};
-use crate::{Engine, Result};
+use crate::Result;
 
 /// Rows and columns of zeros around a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -144,10 +146,10 @@ impl Conv2d {
         spec: ConvSpec,
         weight: &Tensor,
         bias: Tensor,
-        engine: Engine,
-        format: PackedFormat,
+        kernels: Kernels,
+        format: NumberFormat,
     ) -> Result<Self> {
-        Self::build((spec, false), weight, bias, engine, format)
+        Self::build((spec, false), weight, bias, kernels, format)
     }
 
     /// A convolution of a picture that is first doubled in both directions by nearest neighbour.
@@ -158,18 +160,18 @@ impl Conv2d {
         spec: ConvSpec,
         weight: &Tensor,
         bias: Tensor,
-        engine: Engine,
-        format: PackedFormat,
+        kernels: Kernels,
+        format: NumberFormat,
     ) -> Result<Self> {
-        Self::build((spec, true), weight, bias, engine, format)
+        Self::build((spec, true), weight, bias, kernels, format)
     }
 
     fn build(
         (spec, doubles): (ConvSpec, bool),
         weight: &Tensor,
         bias: Tensor,
-        engine: Engine,
-        format: PackedFormat,
+        kernels: Kernels,
+        format: NumberFormat,
     ) -> Result<Self> {
         let shape = |what, expected: String, found: &Tensor| wm_model::Error::Shape {
             what,
@@ -194,12 +196,12 @@ impl Conv2d {
         let pointwise =
             !doubles && spec.kernel == 1 && spec.stride == 1 && spec.padding == Padding::NONE;
         // A skeleton's weights are one repeated zero, and stay so: it is for counting.
-        let on_kernels = takes_kernels(engine, weight) && !host::is_repeated(weight);
+        let on_kernels = takes_kernels(kernels, weight) && !host::is_repeated(weight);
         let weights = match spec.plan() {
             _ if pointwise => {
                 // Not reshaped, which would write a skeleton's repeated zero out.
                 let weight = weight.squeeze(3)?.squeeze(2)?;
-                Weights::Pointwise(Linear::new(weight, Some(bias.clone()), engine, format)?)
+                Weights::Pointwise(Linear::new(weight, Some(bias.clone()), kernels, format)?)
             }
             Some(plan) if on_kernels => {
                 let shape = spec.shape(doubles);
@@ -372,8 +374,9 @@ mod tests {
         let weight = random(&spec.weight_shape());
         let bias = random(&[spec.outputs]);
         let x = random(&[2, size.0, size.1, spec.inputs]);
-        [Engine::Candle, Engine::Cpu].map(|engine| {
-            let conv = Conv2d::new(spec, &weight, bias.clone(), engine, PackedFormat::F32).unwrap();
+        [Kernels::Candle, Kernels::Cpu].map(|kernels| {
+            let conv =
+                Conv2d::new(spec, &weight, bias.clone(), kernels, NumberFormat::F32).unwrap();
             conv.forward(&x).unwrap()
         })
     }
@@ -417,9 +420,9 @@ mod tests {
         };
         let (weight, bias) = (random(&spec.weight_shape()), random(&[5]));
         let x = random(&[2, 5, 4, 3]);
-        let [a, b] = [Engine::Candle, Engine::Cpu].map(|engine| {
+        let [a, b] = [Kernels::Candle, Kernels::Cpu].map(|kernels| {
             let conv =
-                Conv2d::doubling(spec, &weight, bias.clone(), engine, PackedFormat::F32).unwrap();
+                Conv2d::doubling(spec, &weight, bias.clone(), kernels, NumberFormat::F32).unwrap();
             conv.forward(&x).unwrap()
         });
         assert_eq!(a.dims(), [2, 10, 8, 5]);
@@ -444,9 +447,9 @@ mod tests {
             } else {
                 Conv2d::new
             };
-            let format = PackedFormat::F32;
+            let format = NumberFormat::F32;
             let of_layer = bias.as_tensor().clone();
-            let conv = build(spec, &weight, of_layer, Engine::Candle, format).unwrap();
+            let conv = build(spec, &weight, of_layer, Kernels::Candle, format).unwrap();
             assert!(conv.is_trained(&x, &weight));
             let plain = match doubles {
                 true => conv.on_candle(&upsample_nearest_2x(&x).unwrap(), &weight),
@@ -484,8 +487,9 @@ mod tests {
         let bias = Tensor::zeros(1, DType::F32, &Device::Cpu).unwrap();
         let x = Tensor::arange(0f32, 16.0, &Device::Cpu).unwrap();
         let x = x.reshape((1, 4, 4, 1)).unwrap();
-        for engine in [Engine::Candle, Engine::Cpu] {
-            let conv = Conv2d::new(spec, &weight, bias.clone(), engine, PackedFormat::F32).unwrap();
+        for kernels in [Kernels::Candle, Kernels::Cpu] {
+            let conv =
+                Conv2d::new(spec, &weight, bias.clone(), kernels, NumberFormat::F32).unwrap();
             let y = conv.forward(&x).unwrap().flatten_all().unwrap();
             assert_eq!(y.to_vec1::<f32>().unwrap(), [10.0, 0.0, 0.0, 0.0]);
         }

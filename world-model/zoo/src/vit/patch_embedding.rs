@@ -40,7 +40,7 @@ impl PatchEmbedding {
             patch,
             dtype: weight.dtype(),
             device: weight.device().clone(),
-            filters: Linear::new(weight, Some(bias), loader.engine(), loader.format())?,
+            filters: Linear::new(weight, Some(bias), loader.kernels(), loader.format())?,
         })
     }
 

@@ -266,7 +266,7 @@ fn layer(sizes: &LayerSizes, loader: &Loader<'_>) -> Result<Block> {
             projections: Projections::Separate(Box::new(separate)),
             out: projection("out")?,
             heads: sizes.heads,
-            engine: loader.engine(),
+            kernels: loader.kernels(),
         },
         attention_scale: None,
         mlp_norm: loader.layer_norm("layer_norm2", width, sizes.eps)?,
@@ -282,12 +282,12 @@ fn layer(sizes: &LayerSizes, loader: &Loader<'_>) -> Result<Block> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Engine;
     use candle_core::Device;
+    use wm_model::Kernels;
 
     #[test]
     fn so400m_has_the_published_size() {
-        let loader = Loader::skeleton(Engine::Candle);
+        let loader = Loader::skeleton(Kernels::Candle);
         SiglipVision::load(&SiglipVisionConfig::so400m(), &loader).unwrap();
         assert_eq!(loader.parameters(), 427_680_704);
     }
@@ -325,7 +325,7 @@ mod tests {
             patch_size: 7,
             ..SiglipVisionConfig::default()
         };
-        let model = SiglipVision::load(&config, &Loader::skeleton(Engine::Candle)).unwrap();
+        let model = SiglipVision::load(&config, &Loader::skeleton(Kernels::Candle)).unwrap();
         let image = Tensor::zeros((2, 256, 256, 3), DType::F32, &Device::Cpu).unwrap();
         assert_eq!(model.encode(&image).unwrap().dims(), [2, 4, 4, 32]);
     }

@@ -239,8 +239,8 @@ pub(crate) fn additive_mask(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Engine;
     use candle_core::Device;
+    use wm_model::Kernels;
 
     fn small() -> SiglipTextConfig {
         SiglipTextConfig {
@@ -258,14 +258,14 @@ mod tests {
     #[test]
     fn so400m_has_the_published_size() {
         // With the vision tower, logit scale and logit bias: 1 135 463 602, the 1.1 B of the card.
-        let loader = Loader::skeleton(Engine::Candle);
+        let loader = Loader::skeleton(Kernels::Candle);
         SiglipText::load(&SiglipTextConfig::so400m(), &loader).unwrap();
         assert_eq!(loader.parameters(), 707_782_896);
     }
 
     #[test]
     fn a_small_one_has_the_shape_of_its_configuration() {
-        let model = SiglipText::load(&small(), &Loader::skeleton(Engine::Candle)).unwrap();
+        let model = SiglipText::load(&small(), &Loader::skeleton(Kernels::Candle)).unwrap();
         let ids = Tensor::new(&[[1_u32, 19, 0], [3, 4, 5]], &Device::Cpu).unwrap();
         let mask = Tensor::new(&[[1_u32, 1, 0], [1, 1, 1]], &Device::Cpu).unwrap();
         for mask in [None, Some(&mask)] {
@@ -277,7 +277,7 @@ mod tests {
 
     #[test]
     fn a_text_too_long_is_refused() {
-        let model = SiglipText::load(&small(), &Loader::skeleton(Engine::Candle)).unwrap();
+        let model = SiglipText::load(&small(), &Loader::skeleton(Kernels::Candle)).unwrap();
         let ids = Tensor::zeros((1, 9), DType::U32, &Device::Cpu).unwrap();
         let message = model.forward(&ids, None).unwrap_err().to_string();
         assert!(message.contains("from 1 to 8"), "{message}");
@@ -285,7 +285,7 @@ mod tests {
 
     #[test]
     fn a_token_beyond_the_vocabulary_is_named() {
-        let model = SiglipText::load(&small(), &Loader::skeleton(Engine::Candle)).unwrap();
+        let model = SiglipText::load(&small(), &Loader::skeleton(Kernels::Candle)).unwrap();
         for id in [20_i64, -1] {
             let ids = Tensor::new(&[[1, id]], &Device::Cpu).unwrap();
             let message = model.forward(&ids, None).unwrap_err().to_string();

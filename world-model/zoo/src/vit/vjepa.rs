@@ -218,7 +218,7 @@ fn block(config: &VjepaConfig, loader: &Loader<'_>) -> Result<Block> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Engine;
+    use wm_model::Kernels;
 
     fn small() -> VjepaConfig {
         let json = r#"{"hidden": 48, "depth": 2, "heads": 3, "patch": 8, "image_size": 32}"#;
@@ -227,14 +227,14 @@ mod tests {
 
     #[test]
     fn vit_large_has_the_published_size() {
-        let loader = Loader::skeleton(Engine::Candle);
+        let loader = Loader::skeleton(Kernels::Candle);
         Vjepa::load(&VjepaConfig::vit_large(), &loader).unwrap();
         assert_eq!(loader.parameters(), 304_680_960);
     }
 
     #[test]
     fn a_small_one_has_the_shape_of_its_configuration() {
-        let model = Vjepa::load(&small(), &Loader::skeleton(Engine::Candle)).unwrap();
+        let model = Vjepa::load(&small(), &Loader::skeleton(Kernels::Candle)).unwrap();
         let image = Tensor::zeros((2, 40, 64, 3), DType::F32, &Device::Cpu).unwrap();
         let feature = model.encode(&image).unwrap();
         assert_eq!(feature.dims(), [2, 4, 4, 48]);
@@ -261,7 +261,7 @@ mod tests {
             heads: 5,
             ..small()
         };
-        let fault = Vjepa::load(&config, &Loader::skeleton(Engine::Candle)).unwrap_err();
+        let fault = Vjepa::load(&config, &Loader::skeleton(Kernels::Candle)).unwrap_err();
         assert!(fault.to_string().contains("heads = 5"), "{fault}");
         let unknown = r#"{"hidden": 48, "depth": 2, "heads": 3, "patch": 8, "layers": 2}"#;
         assert!(serde_json::from_str::<VjepaConfig>(unknown).is_err());
