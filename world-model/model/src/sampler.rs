@@ -29,6 +29,7 @@
 mod position;
 mod prepared;
 pub(crate) mod settings;
+pub(crate) mod values;
 mod window;
 
 use std::sync::Arc;
@@ -43,6 +44,7 @@ use crate::{Error, Result};
 pub use position::Position;
 pub use prepared::Prepared;
 pub use settings::{Sampler, shift_time};
+pub use values::Observed;
 use window::Window;
 
 /// What [`Rollout::next_given`] takes instead of what a prediction has by itself; by default nothing.

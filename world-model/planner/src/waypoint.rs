@@ -4,6 +4,7 @@ use candle_core::Tensor;
 use serde::{Deserialize, Serialize};
 
 use crate::PlanError;
+use crate::goals::latent_distance;
 
 /// When a goal gives way to the next one.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -62,14 +63,6 @@ impl Waypoint {
         }
         Ok(at)
     }
-}
-
-/// Mean squared error of two latents of one shape, in normalised units squared.
-///
-/// # Errors
-/// Where shapes differ.
-pub fn latent_distance(a: &Tensor, b: &Tensor) -> Result<f32, PlanError> {
-    Ok((a - b)?.sqr()?.mean_all()?.to_scalar::<f32>()?)
 }
 
 /// Which of several goals with times each of `horizon` model steps is to end at: the first one whose time has not passed
