@@ -7,6 +7,13 @@
 //! does not train: training lives in `wm_training`.
 
 mod compute;
+// Without the feature, its tests alone.
+#[cfg(any(test, feature = "cuda"))]
+#[cfg_attr(
+    not(feature = "cuda"),
+    allow(dead_code, reason = "its tests do not call the libraries")
+)]
+mod cuda;
 mod decoder;
 mod encoder;
 mod error;
