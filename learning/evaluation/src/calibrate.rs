@@ -137,7 +137,7 @@ impl CalibrateArgs {
         let model = ModelFolder::open(&self.model)?;
         model.into_described().with_context(|| {
             format!(
-                "{}: it has no model.json, and only models with one are computed in int8",
+                "{}: its encoder is an autoencoder, which computes in f32; int8 is for published networks",
                 self.model
             )
         })

@@ -1,10 +1,9 @@
-//! The weights of a world model that the training wrote: the embedded default, or a folder.
+//! World models whose encoder and decoder are an autoencoder of this crate: the embedded default, or a folder.
 //!
-//! A folder holds `autoencoder.safetensors` and `transition.safetensors`, as the training writes them. In place of the
-//! former it may hold the published `taef2_encoder.safetensors` and `taef2_decoder.safetensors`; encoding and
-//! decoding then need no transition model beside them.
+//! The transition model, the inverse dynamics model and the probe of a folder are the files of their trainings beside the
+//! autoencoder; each of them may be missing.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use crate::{
     Autoencoder, Compute, Error, LatentSpace, NumberFormat, PictureSize, Result, Weights,
@@ -37,32 +36,67 @@ static EMBEDDED_TRANSITION: &[u8] = include_bytes!("../weights/tiny/transition.s
 static EMBEDDED_IDM: &[u8] = include_bytes!("../weights/tiny/idm.safetensors");
 static EMBEDDED_PROBE: &[u8] = include_bytes!("../weights/tiny/probe.safetensors");
 
-/// Where the training's weights are.
+/// The files of a world model.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum TrainedFolder {
     /// The default that is part of the program.
     Embedded,
     /// A folder of weights.
-    Folder(PathBuf),
+    Folder {
+        /// The folder, or the file of an autoencoder alone.
+        folder: PathBuf,
+        /// Encoder and decoder.
+        autoencoder: AutoencoderFiles,
+    },
+}
+
+/// The files of an autoencoder.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum AutoencoderFiles {
+    /// Both halves in one file, or a folder, as [`Autoencoder::open`] takes them.
+    Whole(PathBuf),
+    /// The published halves of TAEF2.
+    Taef2 {
+        /// The encoder's file and the decoder's.
+        halves: [PathBuf; 2],
+        /// Height and width of the pictures.
+        size: (usize, usize),
+    },
+}
+
+impl AutoencoderFiles {
+    fn open(&self) -> Result<Autoencoder> {
+        match self {
+            Self::Whole(path) => Autoencoder::open(path),
+            Self::Taef2 {
+                halves: [encoder, decoder],
+                size,
+            } => Autoencoder::from_taef2(Weights::open(encoder)?, Weights::open(decoder)?, *size),
+        }
+    }
 }
 
 impl TrainedFolder {
-    /// [`EMBEDDED`] is the default; anything else is a folder.
+    /// [`EMBEDDED`] is the default; any other name is a folder with the usual names of files, or the file of an
+    /// autoencoder.
     #[must_use]
     pub fn named(name: &str) -> Self {
         if name == EMBEDDED {
             Self::Embedded
         } else {
-            Self::Folder(PathBuf::from(name))
+            Self::Folder {
+                folder: PathBuf::from(name),
+                autoencoder: AutoencoderFiles::Whole(PathBuf::from(name)),
+            }
         }
     }
 
-    /// What [`Self::named`] makes it of.
+    /// Its name, for [`Self::named`].
     #[must_use]
     pub fn name(&self) -> String {
         match self {
             Self::Embedded => EMBEDDED.to_owned(),
-            Self::Folder(folder) => folder.display().to_string(),
+            Self::Folder { folder, .. } => folder.display().to_string(),
         }
     }
 
@@ -76,7 +110,7 @@ impl TrainedFolder {
                 "embedded autoencoder",
                 EMBEDDED_AUTOENCODER,
             )?),
-            Self::Folder(folder) => Autoencoder::open(folder),
+            Self::Folder { autoencoder, .. } => autoencoder.open(),
         }
     }
 
@@ -89,22 +123,10 @@ impl TrainedFolder {
         if *self == Self::Embedded {
             return Ok(Some(EMBEDDED_TRAINED_ON));
         }
-        match self.transition_trained_on()? {
+        let transition = self.weights(TRANSITION_FILE)?;
+        match transition_trained_on(transition.as_ref())? {
             Some(size) => Ok(Some(size)),
             None => Ok(self.autoencoder()?.config().trained_on),
-        }
-    }
-
-    /// The same of the transition model alone.
-    ///
-    /// # Errors
-    /// When the file is corrupt.
-    pub fn transition_trained_on(&self) -> Result<Option<PictureSize>> {
-        match self.weights(TRANSITION_FILE)? {
-            Some(weights) if weights.metadata(TRAINED_ON_KEY).is_some() => {
-                weights.json(TRAINED_ON_KEY).map(Some)
-            }
-            _ => Ok(None),
         }
     }
 
@@ -113,7 +135,7 @@ impl TrainedFolder {
     pub fn has_transition(&self) -> bool {
         match self {
             Self::Embedded => true,
-            Self::Folder(folder) => folder.join(TRANSITION_FILE).exists(),
+            Self::Folder { folder, .. } => folder.join(TRANSITION_FILE).exists(),
         }
     }
 
@@ -129,10 +151,7 @@ impl TrainedFolder {
                 _ => return Ok(None),
             }
             .map(Some),
-            Self::Folder(folder) => match folder.join(file) {
-                path if path.is_file() => Weights::open(path).map(Some),
-                _ => Ok(None),
-            },
+            Self::Folder { folder, .. } => weights_in(folder, file),
         }
     }
 
@@ -144,8 +163,8 @@ impl TrainedFolder {
         match self {
             Self::Embedded => Weights::from_static("embedded transition", EMBEDDED_TRANSITION),
             // A file may be given in place of its folder.
-            Self::Folder(path) if path.is_file() => Weights::open(path),
-            Self::Folder(folder) => Weights::open(folder.join(TRANSITION_FILE)),
+            Self::Folder { folder, .. } if folder.is_file() => Weights::open(folder),
+            Self::Folder { folder, .. } => Weights::open(folder.join(TRANSITION_FILE)),
         }
     }
 
@@ -206,6 +225,30 @@ impl TrainedFolder {
     }
 }
 
+/// The file `file` that a training wrote into `folder`; `None` if it does not exist.
+///
+/// # Errors
+/// When it cannot be read.
+pub fn weights_in(folder: &Path, file: &str) -> Result<Option<Weights>> {
+    match folder.join(file) {
+        path if path.is_file() => Weights::open(path).map(Some),
+        _ => Ok(None),
+    }
+}
+
+/// Size of the camera's pictures that a transition model was trained on; `None` if it is not known.
+///
+/// # Errors
+/// When its metadata is malformed.
+pub fn transition_trained_on(transition: Option<&Weights>) -> Result<Option<PictureSize>> {
+    match transition {
+        Some(weights) if weights.metadata(TRAINED_ON_KEY).is_some() => {
+            weights.json(TRAINED_ON_KEY).map(Some)
+        }
+        _ => Ok(None),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -254,7 +297,7 @@ mod tests {
             )
             .unwrap();
         std::fs::write(folder.path().join(TRANSITION_FILE), EMBEDDED_TRANSITION).unwrap();
-        let error = TrainedFolder::Folder(folder.path().to_owned())
+        let error = TrainedFolder::named(&folder.path().to_string_lossy())
             .world_model(&Compute::default())
             .unwrap_err();
         assert!(error.to_string().contains("latent space"), "{error}");

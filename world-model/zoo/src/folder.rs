@@ -23,6 +23,9 @@
 //! }
 //! ```
 //!
+//! With the encoder and decoder `autoencoder` or `taef2`, a folder has one of this project's own models: {"kind":
+//! "autoencoder", "weights": "autoencoder.safetensors"}. The configuration is in the weights.
+//!
 //! [`Description`] has every field. Names of files are relative to the folder; a `config` is an object or the name of a
 //! JSON file. A transition with several `views` has as many pictures, and latents, side by side along the width.
 //!
@@ -39,6 +42,7 @@ mod encoder;
 mod fit;
 mod native;
 mod open;
+mod own;
 mod probe;
 mod random;
 mod source;
@@ -60,6 +64,8 @@ pub use description::{
     Configuration, DecoderPart, Description, Part, ProbePart, Statistics, TextPart, TransitionPart,
 };
 pub use native::NativeDecoder;
+pub use own::describe_autoencoder;
+pub(crate) use own::{REQUIRED_FROM, open_own};
 pub use random::write_random_weights;
 pub use summary::{PartSummary, Stepping, Summary};
 

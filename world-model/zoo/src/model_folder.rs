@@ -5,7 +5,10 @@ use std::path::Path;
 
 use candle_core::Tensor;
 use wm_model::autoencoder::TensorAutoencoder;
-use wm_model::trained_folder::{EMBEDDED, IDM_FILE, PROBE_FILE, TrainedFolder};
+use wm_model::trained_folder::{
+    EMBEDDED, IDM_FILE, PROBE_FILE, TRANSITION_FILE, TrainedFolder, transition_trained_on,
+    weights_in,
+};
 use wm_model::transition::{
     ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition, TransitionConfig,
 };
@@ -14,7 +17,7 @@ use wm_model::{
 };
 use wm_motion::actions::ActionEncoding;
 
-use crate::folder::{DescribedFolder, NativeDecoder};
+use crate::folder::{DescribedFolder, NativeDecoder, REQUIRED_FROM, open_own};
 use crate::idm::TrainedIdm;
 use crate::success_probe::SuccessClassifier;
 use crate::{Error, Result, Unfinished};
@@ -43,9 +46,9 @@ pub struct ModelFolder {
 
 #[derive(Debug)]
 enum Files {
-    /// The embedded default, or a folder that the training wrote.
+    /// The embedded default, or a folder whose encoder and decoder are an autoencoder.
     Trained(TrainedFolder),
-    /// A folder of published checkpoints with a `model.json`.
+    /// A folder of published networks.
     Described(Box<DescribedFolder>),
 }
 
@@ -53,14 +56,23 @@ impl ModelFolder {
     /// Opens `tiny`, the embedded default, a folder, or the file of an autoencoder, to compute with the CPU's kernels.
     ///
     /// # Errors
-    /// As [`Self::require`] and [`DescribedFolder::open`]; a folder without `model.json` tells of what is missing when a
-    /// part is asked for.
+    /// As [`Self::require`] and [`DescribedFolder::open`]; missing weights of an autoencoder's folder are an error of the
+    /// part that needs them.
     pub fn open(name: &str) -> Result<Self> {
         Self::require(name)?;
-        let files = if name != EMBEDDED && DescribedFolder::is_one(Path::new(name)) {
-            Files::Described(Box::new(DescribedFolder::open(name)?))
-        } else {
+        let path = Path::new(name);
+        let files = if name == EMBEDDED || path.is_file() {
             Files::Trained(TrainedFolder::named(name))
+        } else if !DescribedFolder::is_one(path) {
+            tracing::warn!(
+                "{name}: no model.json, which wm {REQUIRED_FROM} will need; `wm model convert {name}` writes it"
+            );
+            Files::Trained(TrainedFolder::named(name))
+        } else {
+            match open_own(path)? {
+                Some(folder) => Files::Trained(folder),
+                None => Files::Described(Box::new(DescribedFolder::open(name)?)),
+            }
         };
         Ok(Self {
             files,
@@ -75,7 +87,7 @@ impl ModelFolder {
         Self { compute, ..self }
     }
 
-    /// The folder with a `model.json`; `None` for another model.
+    /// The folder of published networks; `None` for another model.
     pub fn described(&self) -> Option<&DescribedFolder> {
         match &self.files {
             Files::Trained(_) => None,
@@ -91,7 +103,7 @@ impl ModelFolder {
         }
     }
 
-    /// The embedded default, or a folder without a `model.json`; `None` for another model.
+    /// The embedded default, or a folder whose encoder and decoder are an autoencoder; `None` for another model.
     pub fn trained(&self) -> Option<&TrainedFolder> {
         match &self.files {
             Files::Trained(folder) => Some(folder),
@@ -157,8 +169,8 @@ impl ModelFolder {
         match &self.files {
             Files::Trained(folder) => Ok(folder.trained_on()?),
             Files::Described(folder) => {
-                let trained = TrainedFolder::Folder(folder.name().into());
-                let own = trained.transition_trained_on()?;
+                let transition = weights_in(Path::new(folder.name()), TRANSITION_FILE)?;
+                let own = transition_trained_on(transition.as_ref())?;
                 Ok(own.or(folder.description().trained_on))
             }
         }
@@ -338,9 +350,7 @@ impl ModelFolder {
     pub fn weights(&self, file: &str) -> Result<Option<Weights>> {
         Ok(match &self.files {
             Files::Trained(folder) => folder.weights(file)?,
-            Files::Described(folder) => {
-                TrainedFolder::Folder(folder.name().into()).weights(file)?
-            }
+            Files::Described(folder) => weights_in(Path::new(folder.name()), file)?,
         })
     }
 }
