@@ -285,7 +285,8 @@ impl<'m> Rollout<'m> {
         let action = action.expanded(n)?;
         let levels = self.sampler.levels();
         let taus: Vec<Vec<f32>> = levels.iter().map(|tau| vec![*tau as f32; n]).collect();
-        // The last level is the clean frame's, which nothing is computed at.
+        // The last level is the clean frame's, at which nothing is computed.
+        debug_assert_eq!(taus.len(), self.sampler.steps + 1);
         let steps = taus.get(..self.sampler.steps).unwrap_or(&taus);
         let mut passes = self.window.passes(self.model, steps, &action)?;
         for (from, to) in levels.iter().zip(levels.iter().skip(1)) {

@@ -277,6 +277,7 @@ impl Checkpoint {
         let bytes = self.bytes.as_slice();
         let (count, length) = SAMPLES;
         for sample in bytes.chunks(bytes.len().div_ceil(count).max(length)) {
+            // The last sample may be shorter.
             hash.update(sample.get(..length).unwrap_or(sample));
         }
         format!("{:x}", hash.finalize())

@@ -174,6 +174,7 @@ impl Row {
 
     /// Operations for one frame of all parts together.
     pub fn operations(&self) -> usize {
+        // A model without an adapter computes nothing there.
         let adapter = self.adapter.unwrap_or_default();
         let parts = [self.encoder, adapter, self.dit, self.decoder];
         parts.iter().map(|part| part.operations).sum()

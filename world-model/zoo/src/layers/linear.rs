@@ -140,7 +140,9 @@ impl Linear {
         };
         host::with_values(residual, |residual| {
             self.on_kernel(packed, x, |rows, first| {
-                let from = residual.get(first * self.outputs..).unwrap_or_default();
+                let from = residual.get(first * self.outputs..);
+                debug_assert!(from.is_some(), "the residual has the shape of the result");
+                let from = from.unwrap_or_default();
                 ops::scale_and_add_rows(rows, &scale, from);
             })
         })?

@@ -17,6 +17,7 @@ use crate::Result;
 /// # Errors
 /// If `x` has not four dimensions, or H or W is odd.
 pub fn split(x: &Tensor) -> Result<Tensor> {
+    // Without a dimension it fails, like any other than four.
     check_grid("Haar input", x, x.dims().last().copied().unwrap_or(0), 2)?;
     let (images, height, width, channels) = x.dims4()?;
     let cells = x.reshape((images, height / 2, 2, width / 2, 2, channels))?;

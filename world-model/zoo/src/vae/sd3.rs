@@ -174,6 +174,7 @@ impl SdVaeConfig {
                 heads: 1,
             },
             widths_field: "block_out_channels",
+            // `Plan::check` refuses a width of 0.
             stem: self.block_out_channels.first().copied().unwrap_or(0),
             widths: self.block_out_channels.clone(),
             res_blocks: self.layers_per_block,
