@@ -24,11 +24,9 @@ use wm_evaluation::{Figure, on_clips};
 use wm_model::{Compute, Encoder, Kernels, PictureSize};
 use wm_motion::actions::ActionEncoding;
 use wm_zoo::{
-    Loader,
+    Dropout, Loader, WebDinoConfig,
     folder::{self, DescribedFolder},
     idm::{IdmNetwork, IdmNetworkConfig},
-    layers::Dropout,
-    vit::WebDinoConfig,
 };
 
 use crate::{

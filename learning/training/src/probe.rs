@@ -25,8 +25,7 @@ use wm_dataset::Latents;
 use wm_evaluation::{Accuracy, Figure};
 use wm_model::{Kernels, Weights, weights::WeightsBuilder};
 use wm_zoo::{
-    Loader, PROBE_FILE as FILE,
-    layers::Dropout,
+    Dropout, Loader, PROBE_FILE as FILE,
     loader::OfWeights,
     success_probe::{PROBE_KEY, ProbeNetwork, ProbeNetworkConfig, Reader, Reading, WordsConfig},
 };

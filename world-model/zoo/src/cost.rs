@@ -27,18 +27,18 @@ use crate::vae::{CosmosConfig, PixelDecoderConfig, SdVaeConfig, VaVaeConfig};
 use crate::vit::{SiglipVisionConfig, VjepaConfig, WebDinoConfig};
 use crate::{Error, Loader, Result};
 
-pub use adapter::adapter;
-pub use autoencoder::{
+pub(crate) use adapter::adapter;
+pub(crate) use autoencoder::{
     cosmos_decoder, cosmos_encoder, pixel_decoder, sd3_decoder, sd3_encoder, va_vae_decoder,
     va_vae_encoder,
 };
-pub(crate) use probe::pooled_probe;
-pub use probe::{siglip2_text, success_probe};
-pub use transition::{CLIP_FRAMES, transition, transition_of};
-pub use vit::{siglip2, vjepa, web_dino};
+pub(crate) use probe::{pooled_probe, siglip2_text, success_probe};
+pub(crate) use transition::transition;
+pub use transition::{CLIP_FRAMES, transition_of};
+pub(crate) use vit::{siglip2, vjepa, web_dino};
 
 /// Side of the frames that costs are counted for, in pixels.
-pub const FRAME_SIDE: usize = 256;
+pub(crate) const FRAME_SIDE: usize = 256;
 
 /// Number of an action's values in the published models.
 const ACTIONS: usize = 10;
@@ -54,12 +54,12 @@ pub struct Cost {
 
 impl Cost {
     /// Parameters in millions.
-    pub fn millions(self) -> f64 {
+    pub(crate) fn millions(self) -> f64 {
         self.parameters as f64 / 1e6
     }
 
     /// Operations for one frame in thousands of millions.
-    pub fn gflops(self) -> f64 {
+    pub(crate) fn gflops(self) -> f64 {
         self.operations as f64 / 1e9
     }
 }

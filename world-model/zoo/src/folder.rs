@@ -136,7 +136,7 @@ pub struct DescribedFolder {
 
 impl DescribedFolder {
     /// Whether `folder` is a model of this form.
-    pub fn is_one(folder: &Path) -> bool {
+    pub(crate) fn is_one(folder: &Path) -> bool {
         folder.join(FILE).is_file()
     }
 

@@ -120,7 +120,7 @@ impl IdmConfig {
     }
 
     /// Hidden width of the feed-forward networks.
-    pub fn mlp_width(&self) -> usize {
+    pub(crate) fn mlp_width(&self) -> usize {
         self.mlp.unwrap_or(4 * self.hidden)
     }
 

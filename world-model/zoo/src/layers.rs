@@ -15,15 +15,15 @@ mod linear;
 mod rms_norm;
 mod upsample;
 
-pub use activation::{Activation, gelu_exact, gelu_tanh, silu};
-pub use attention::attention;
-pub use conv2d::{Conv2d, ConvSpec, Padding};
+pub(crate) use activation::{Activation, gelu_exact};
+pub(crate) use attention::attention;
+pub(crate) use conv2d::{Conv2d, ConvSpec, Padding};
 pub use dropout::Dropout;
-pub use group_norm::GroupNorm;
-pub use layer_norm::LayerNorm;
-pub use linear::Linear;
-pub use rms_norm::rms_norm;
-pub use upsample::upsample_nearest_2x;
+pub(crate) use group_norm::GroupNorm;
+pub(crate) use layer_norm::LayerNorm;
+pub(crate) use linear::Linear;
+pub(crate) use rms_norm::rms_norm;
+pub(crate) use upsample::upsample_nearest_2x;
 
 use candle_core::{DType, Tensor};
 use wm_model::Kernels;

@@ -2,11 +2,11 @@
 //!
 //! | What | Module |
 //! |---|---|
-//! | Convolutional autoencoders, the pixel decoder | [`vae`] |
-//! | Vision transformers | [`vit`] |
-//! | The S-VAE adapter | [`svae`] |
+//! | Convolutional autoencoders, vision transformers, EfficientNet-Lite0 | [`kinds`] |
+//! | The pixel decoder | [`PixelDecoder`] |
+//! | The S-VAE adapter | [`Svae`] |
+//! | A small semantic encoder | [`WebDino`] |
 //! | Inverse dynamics, success probes | [`idm`], [`success_probe`], [`pooled_probe`] |
-//! | EfficientNet-Lite0 | [`efficientnet_lite0`] |
 //! | LPIPS | [`lpips`] |
 //! | A whole world model of these, for the nodes | [`folder`] |
 //! | The transition model (DiT) | [`wm_model::transition`], configured by [`kinds`] |
@@ -17,8 +17,7 @@
 //!
 //! ```
 //! use wm_model::Kernels;
-//! use wm_zoo::Loader;
-//! use wm_zoo::vae::{PixelDecoder, PixelDecoderConfig};
+//! use wm_zoo::{Loader, PixelDecoder, PixelDecoderConfig};
 //!
 //! # fn main() -> wm_zoo::Result<()> {
 //! // Without weights: what a model would ask of a checkpoint.
@@ -43,24 +42,28 @@ pub mod checkpoint;
 pub mod cost;
 pub mod folder;
 pub mod kinds;
-pub mod layers;
 pub mod loader;
 pub mod packed_cache;
 
-pub mod efficientnet_lite0;
+mod efficientnet_lite0;
 pub mod idm;
+mod layers;
 pub mod lpips;
 pub mod pooled_probe;
 pub mod success_probe;
-pub mod svae;
-pub mod vae;
-pub mod vit;
+mod svae;
+mod vae;
+mod vit;
 
 pub use calibration::Calibration;
 pub use checkpoint::Checkpoint;
 pub use error::{Error, Misshapen, Result};
+pub use layers::Dropout;
 pub use loader::{Loader, Supply};
 pub use model_folder::{ModelFolder, TransitionTensors};
 pub use packed_cache::PackedCache;
+pub use svae::{Svae, SvaeConfig};
 pub use unfinished::Unfinished;
+pub use vae::{PixelDecoder, PixelDecoderConfig};
+pub use vit::{WebDino, WebDinoConfig};
 pub use wm_model::trained_folder::{IDM_FILE, PROBE_FILE};

@@ -207,7 +207,7 @@ impl<'a> Loader<'a> {
 
     /// Looks at names and shapes of `source`'s tensors and gives zeros, as a [`Loader::skeleton`] does: what a model asks
     /// of this checkpoint, and by [`Loader::finish`] whether it is there, without reading a value.
-    pub fn survey(source: &'a Checkpoint) -> Self {
+    pub(crate) fn survey(source: &'a Checkpoint) -> Self {
         Self {
             source: Source::Checkpoint(source),
             ..Self::skeleton(Kernels::Candle)
@@ -250,7 +250,7 @@ impl<'a> Loader<'a> {
     }
 
     /// The same place, for tensors that are to keep the values of the checkpoint: given as f32, not rounded.
-    pub fn unrounded(&self) -> Self {
+    pub(crate) fn unrounded(&self) -> Self {
         Self {
             format: NumberFormat::F32,
             ..self.clone()
@@ -353,7 +353,7 @@ impl<'a> Loader<'a> {
     ///
     /// # Errors
     /// As [`Loader::tensor`].
-    pub fn linear(&self, name: &str, inputs: usize, outputs: usize) -> Result<Linear> {
+    pub(crate) fn linear(&self, name: &str, inputs: usize, outputs: usize) -> Result<Linear> {
         self.linear_with(name, (outputs, inputs), true)
     }
 
@@ -361,7 +361,12 @@ impl<'a> Loader<'a> {
     ///
     /// # Errors
     /// As [`Loader::tensor`].
-    pub fn linear_no_bias(&self, name: &str, inputs: usize, outputs: usize) -> Result<Linear> {
+    pub(crate) fn linear_no_bias(
+        &self,
+        name: &str,
+        inputs: usize,
+        outputs: usize,
+    ) -> Result<Linear> {
         self.linear_with(name, (outputs, inputs), false)
     }
 
@@ -470,7 +475,7 @@ impl<'a> Loader<'a> {
     ///
     /// # Errors
     /// As [`Loader::tensor`].
-    pub fn layer_norm(&self, name: &str, width: usize, eps: f64) -> Result<LayerNorm> {
+    pub(crate) fn layer_norm(&self, name: &str, width: usize, eps: f64) -> Result<LayerNorm> {
         let scale = self.tensor(&format!("{name}.weight"), &[width])?;
         let shift = self.tensor(&format!("{name}.bias"), &[width])?;
         Ok(LayerNorm::new(scale, shift, eps, self.kernels))
@@ -480,7 +485,7 @@ impl<'a> Loader<'a> {
     ///
     /// # Errors
     /// As [`Loader::tensor`], or if `groups` does not divide `channels`.
-    pub fn group_norm(
+    pub(crate) fn group_norm(
         &self,
         name: &str,
         groups: usize,
@@ -496,7 +501,7 @@ impl<'a> Loader<'a> {
     ///
     /// # Errors
     /// As [`Loader::tensor`].
-    pub fn conv2d(&self, name: &str, spec: ConvSpec) -> Result<Conv2d> {
+    pub(crate) fn conv2d(&self, name: &str, spec: ConvSpec) -> Result<Conv2d> {
         let weight = self.tensor(&format!("{name}.weight"), &spec.weight_shape())?;
         let bias = self.tensor(&format!("{name}.bias"), &[spec.outputs])?;
         Conv2d::new(spec, &weight, bias, self.kernels, self.format())
@@ -506,14 +511,14 @@ impl<'a> Loader<'a> {
     ///
     /// # Errors
     /// As [`Loader::tensor`].
-    pub fn doubling_conv2d(&self, name: &str, spec: ConvSpec) -> Result<Conv2d> {
+    pub(crate) fn doubling_conv2d(&self, name: &str, spec: ConvSpec) -> Result<Conv2d> {
         let weight = self.tensor(&format!("{name}.weight"), &spec.weight_shape())?;
         let bias = self.tensor(&format!("{name}.bias"), &[spec.outputs])?;
         Conv2d::doubling(spec, &weight, bias, self.kernels, self.format())
     }
 
     /// Tensors here whose names start with `prefix` may be in the checkpoint without being used.
-    pub fn ignore(&self, prefix: &str) {
+    pub(crate) fn ignore(&self, prefix: &str) {
         self.account.borrow_mut().ignored.push(self.path(prefix));
     }
 
@@ -561,7 +566,7 @@ impl<'a> Loader<'a> {
     }
 
     /// All tensors that were requested so far, each once, in order.
-    pub fn requested(&self) -> Vec<Requested> {
+    pub(crate) fn requested(&self) -> Vec<Requested> {
         self.account.borrow().requested.clone()
     }
 

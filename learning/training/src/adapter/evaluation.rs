@@ -5,7 +5,7 @@ use candle_core::Tensor;
 use image::RgbImage;
 use wm_evaluation::{Figure, SquaredError};
 use wm_model::{Compute, autoencoder::Normalisation, image::to_rgb};
-use wm_zoo::{Checkpoint, Loader, svae::Svae, vae::PixelDecoder};
+use wm_zoo::{Checkpoint, Loader, PixelDecoder, Svae};
 
 use super::{
     Frames,

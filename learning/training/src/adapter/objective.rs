@@ -1,10 +1,7 @@
 use anyhow::{Result, ensure};
 use candle_core::Tensor;
 use wm_model::Compute;
-use wm_zoo::{
-    svae::{Svae, SvaeConfig},
-    vae::{PixelDecoder, PixelDecoderConfig},
-};
+use wm_zoo::{PixelDecoder, PixelDecoderConfig, Svae, SvaeConfig};
 
 use super::{
     AdapterRecipe, Lpips,

@@ -6,10 +6,8 @@ use serde_json::{Value, json};
 use wm_dataset::{Dataset, Latents};
 use wm_model::{Encoder, LatentSpace, transition::WeightGradients};
 use wm_zoo::{
-    ModelFolder,
+    ModelFolder, PixelDecoderConfig, SvaeConfig,
     folder::{DescribedFolder, write_random_weights},
-    svae::SvaeConfig,
-    vae::PixelDecoderConfig,
 };
 
 use super::{arguments::train_on, frames::View, *};

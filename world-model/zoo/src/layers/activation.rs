@@ -42,7 +42,7 @@ impl Activation {
 ///
 /// # Errors
 /// If the values are not floating-point numbers.
-pub fn gelu_exact(kernels: Kernels, x: &Tensor) -> Result<Tensor> {
+pub(crate) fn gelu_exact(kernels: Kernels, x: &Tensor) -> Result<Tensor> {
     if takes_kernels(kernels, x) {
         return host::changed(x, ops::gelu_exact);
     }
@@ -53,22 +53,11 @@ pub fn gelu_exact(kernels: Kernels, x: &Tensor) -> Result<Tensor> {
 ///
 /// # Errors
 /// If the values are not floating-point numbers.
-pub fn gelu_tanh(kernels: Kernels, x: &Tensor) -> Result<Tensor> {
+pub(crate) fn gelu_tanh(kernels: Kernels, x: &Tensor) -> Result<Tensor> {
     if takes_kernels(kernels, x) {
         return host::changed(x, ops::gelu_tanh);
     }
     Ok(x.gelu()?)
-}
-
-/// x times the logistic function of x.
-///
-/// # Errors
-/// If the values are not floating-point numbers.
-pub fn silu(kernels: Kernels, x: &Tensor) -> Result<Tensor> {
-    if takes_kernels(kernels, x) {
-        return host::changed(x, ops::silu);
-    }
-    Ok(x.silu()?)
 }
 
 #[cfg(test)]

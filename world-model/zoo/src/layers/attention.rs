@@ -18,7 +18,7 @@ use crate::sizes::shape_error;
 ///
 /// # Errors
 /// If the shapes do not fit.
-pub fn attention(
+pub(crate) fn attention(
     (kernels, format): (Kernels, NumberFormat),
     [q, k, v]: [&Tensor; 3],
     scale: f64,

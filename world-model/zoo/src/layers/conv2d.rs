@@ -10,20 +10,20 @@ use crate::Result;
 
 /// Rows and columns of zeros around a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Padding {
+pub(crate) struct Padding {
     /// Rows above.
-    pub top: usize,
+    pub(crate) top: usize,
     /// Rows below.
-    pub bottom: usize,
+    pub(crate) bottom: usize,
     /// Columns on the left.
-    pub left: usize,
+    pub(crate) left: usize,
     /// Columns on the right.
-    pub right: usize,
+    pub(crate) right: usize,
 }
 
 impl Padding {
     /// No border.
-    pub const NONE: Self = Self {
+    pub(crate) const NONE: Self = Self {
         top: 0,
         bottom: 0,
         left: 0,
@@ -31,7 +31,7 @@ impl Padding {
     };
 
     /// One row below and one column on the right: how latent diffusion's autoencoders halve a picture.
-    pub const BOTTOM_RIGHT: Self = Self {
+    pub(crate) const BOTTOM_RIGHT: Self = Self {
         top: 0,
         bottom: 1,
         left: 0,
@@ -39,7 +39,7 @@ impl Padding {
     };
 
     /// What keeps a picture's size under a kernel of `kernel` rows and columns with stride 1.
-    pub const fn same(kernel: usize) -> Self {
+    pub(crate) const fn same(kernel: usize) -> Self {
         let (before, after) = (kernel.saturating_sub(1) / 2, kernel / 2);
         Self {
             top: before,
@@ -63,22 +63,22 @@ impl Padding {
 
 /// What a convolution does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ConvSpec {
+pub(crate) struct ConvSpec {
     /// Input channels.
-    pub inputs: usize,
+    pub(crate) inputs: usize,
     /// Output channels.
-    pub outputs: usize,
+    pub(crate) outputs: usize,
     /// Rows and columns of the kernel.
-    pub kernel: usize,
+    pub(crate) kernel: usize,
     /// Places from one output's input to the next's.
-    pub stride: usize,
+    pub(crate) stride: usize,
     /// Border of zeros.
-    pub padding: Padding,
+    pub(crate) padding: Padding,
 }
 
 impl ConvSpec {
     /// Shape of its weight in checkpoints: (outputs, inputs, kernel, kernel).
-    pub fn weight_shape(&self) -> [usize; 4] {
+    pub(crate) fn weight_shape(&self) -> [usize; 4] {
         [self.outputs, self.inputs, self.kernel, self.kernel]
     }
 
@@ -118,7 +118,7 @@ enum Plan {
 
 /// A convolution (cross-correlation, as PyTorch's) with bias.
 #[derive(Clone, Debug)]
-pub struct Conv2d {
+pub(crate) struct Conv2d {
     spec: ConvSpec,
     weights: Weights,
     /// (outputs).
@@ -142,7 +142,7 @@ impl Conv2d {
     ///
     /// # Errors
     /// If the shapes are not those of `spec`, or its stride is 0.
-    pub fn new(
+    pub(crate) fn new(
         spec: ConvSpec,
         weight: &Tensor,
         bias: Tensor,
@@ -156,7 +156,7 @@ impl Conv2d {
     ///
     /// # Errors
     /// As [`Conv2d::new`], or if its stride is not 1.
-    pub fn doubling(
+    pub(crate) fn doubling(
         spec: ConvSpec,
         weight: &Tensor,
         bias: Tensor,
@@ -229,7 +229,7 @@ impl Conv2d {
     ///
     /// # Errors
     /// If `x` has another number of channels or number format.
-    pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
+    pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor> {
         self.check(x)?;
         match &self.weights {
             Weights::Pointwise(linear) => linear.forward(x),
@@ -250,7 +250,7 @@ impl Conv2d {
     ///
     /// # Errors
     /// If `x` has another number of channels or number format, or `residual` another shape.
-    pub fn forward_adding(&self, x: &Tensor, residual: &Tensor) -> Result<Tensor> {
+    pub(crate) fn forward_adding(&self, x: &Tensor, residual: &Tensor) -> Result<Tensor> {
         self.check(x)?;
         match &self.weights {
             Weights::Packed(packed) => self.on_kernel(x, packed, (None, Some(residual))),
@@ -262,7 +262,7 @@ impl Conv2d {
     ///
     /// # Errors
     /// If `x` has another number of channels or number format, or `residual` another shape.
-    pub fn forward_normed(
+    pub(crate) fn forward_normed(
         &self,
         x: &Tensor,
         norm: &GroupNorm,

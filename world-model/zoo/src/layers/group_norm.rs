@@ -10,7 +10,7 @@ use crate::Result;
 /// Mean 0 and variance 1 over all places of a group of neighbouring channels, then a learned scale and shift of each
 /// channel.
 #[derive(Clone, Debug)]
-pub struct GroupNorm {
+pub(crate) struct GroupNorm {
     /// (channels).
     scale: Tensor,
     /// (channels).
@@ -25,7 +25,7 @@ impl GroupNorm {
     ///
     /// # Errors
     /// If it is none, or the shapes differ.
-    pub fn new(
+    pub(crate) fn new(
         (scale, shift): (Tensor, Tensor),
         groups: usize,
         eps: f64,
@@ -53,7 +53,7 @@ impl GroupNorm {
     ///
     /// # Errors
     /// If `x` has another number of channels.
-    pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
+    pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor> {
         self.check(x)?;
         if takes_kernels(self.kernels, x) {
             return self.on_kernel(x, ops::Activation::None);
@@ -68,7 +68,7 @@ impl GroupNorm {
     ///
     /// # Errors
     /// If `x` has another number of channels.
-    pub fn forward_silu(&self, x: &Tensor) -> Result<Tensor> {
+    pub(crate) fn forward_silu(&self, x: &Tensor) -> Result<Tensor> {
         self.check(x)?;
         if takes_kernels(self.kernels, x) {
             return self.on_kernel(x, ops::Activation::Silu);

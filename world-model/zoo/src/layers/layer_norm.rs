@@ -9,7 +9,7 @@ use crate::Result;
 
 /// Mean 0 and variance 1 over the last dimension, then a learned scale and shift.
 #[derive(Clone, Debug)]
-pub struct LayerNorm {
+pub(crate) struct LayerNorm {
     /// (width).
     scale: Tensor,
     /// (width).
@@ -20,7 +20,7 @@ pub struct LayerNorm {
 
 impl LayerNorm {
     /// `scale` and `shift` are (width); `eps` is added to the variance.
-    pub fn new(scale: Tensor, shift: Tensor, eps: f64, kernels: Kernels) -> Self {
+    pub(crate) fn new(scale: Tensor, shift: Tensor, eps: f64, kernels: Kernels) -> Self {
         Self {
             scale,
             shift,
@@ -33,7 +33,7 @@ impl LayerNorm {
     ///
     /// # Errors
     /// If `x` has another last dimension.
-    pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
+    pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor> {
         if takes_kernels(self.kernels, x) && x.dim(D::Minus1)? == self.scale.dim(0)? {
             let (scale, shift) = (self.scale.to_vec1::<f32>()?, self.shift.to_vec1::<f32>()?);
             let normed = host::with_values(x, |x| {

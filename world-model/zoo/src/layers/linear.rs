@@ -10,7 +10,7 @@ use crate::Result;
 
 /// A matrix product with an optional bias.
 #[derive(Clone, Debug)]
-pub struct Linear {
+pub(crate) struct Linear {
     weights: Weights,
     outputs: usize,
     kernels: Kernels,
@@ -29,7 +29,7 @@ impl Linear {
     ///
     /// # Errors
     /// If the weight is no matrix, or the bias does not fit it.
-    pub fn new(
+    pub(crate) fn new(
         weight: Tensor,
         bias: Option<Tensor>,
         kernels: Kernels,
@@ -84,7 +84,7 @@ impl Linear {
     ///
     /// # Errors
     /// If `x` has another last dimension, or for the kernels another number format than f32.
-    pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
+    pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor> {
         match &self.weights {
             Weights::Packed(packed) => self.on_kernel(packed, x, |_, _| {}),
             Weights::Plain(weight, bias) => {

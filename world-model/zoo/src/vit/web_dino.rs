@@ -71,7 +71,7 @@ impl Default for WebDinoConfig {
 
 impl WebDinoConfig {
     /// ViT-L/14 of `facebook/webssl-dino300m-full2b-224`.
-    pub fn vit_large() -> Self {
+    pub(crate) fn vit_large() -> Self {
         Self {
             hidden_size: 1024,
             num_hidden_layers: 24,
@@ -82,7 +82,7 @@ impl WebDinoConfig {
     }
 
     /// Hidden width of the feed-forward networks (2736 for SwiGLU at width 1024).
-    pub fn mlp_width(&self) -> usize {
+    pub(crate) fn mlp_width(&self) -> usize {
         // Truncations as in Python's int().
         let plain = (self.hidden_size as f64 * self.mlp_ratio) as usize;
         if self.use_swiglu_ffn {
