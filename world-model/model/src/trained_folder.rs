@@ -139,7 +139,7 @@ impl TrainedFolder {
         }
     }
 
-    /// Another file that the training wrote, as [`IDM_FILE`]; `None` where there is none.
+    /// Another file of a training, as [`IDM_FILE`]; `None` if it does not exist.
     ///
     /// # Errors
     /// When it cannot be read.

@@ -1,4 +1,4 @@
-//! A world model as a folder of published checkpoints: `model.json` says what is in it and how it fits together.
+//! A world model as a folder: its `model.json` names the parts, their configurations and their files.
 //!
 //! ```json
 //! {
@@ -110,7 +110,7 @@ struct Pictures {
     adapter: Option<Opened<SvaeConfig>>,
 }
 
-/// An open model folder, checked as a whole; values are read when a part is asked for.
+/// An open folder of published networks, checked as a whole; each part reads its values when it is loaded.
 #[derive(Debug)]
 pub struct DescribedFolder {
     /// Its path, as it was opened.
@@ -121,12 +121,12 @@ pub struct DescribedFolder {
     normalisation: Normalisation,
     pictures: Option<Pictures>,
     transition: Option<Opened<Dynamics>>,
-    /// What a transition that is not described was trained on.
+    /// The latent space of the training, for a transition beside the description.
     trained_on: Option<LatentSpace>,
     /// Camera views side by side.
     views: usize,
     probe: Option<Probe>,
-    /// What is known of the inputs of its matrices.
+    /// Ranges of the inputs of its matrices.
     known: KnownInputs,
     /// Rows, columns and channels of a latent, all views together.
     latent: [usize; 3],
@@ -258,7 +258,7 @@ impl DescribedFolder {
         sources
     }
 
-    /// The same, whose parts compute in f32 and note what their matrices are multiplied with, for
+    /// The same, whose parts compute in f32 and record the inputs of their matrices, for
     /// [`Self::calibration`].
     pub fn recorded(mut self) -> Self {
         self.known = KnownInputs::Recorded(RangeRecorder::default());
@@ -279,10 +279,10 @@ impl DescribedFolder {
         self
     }
 
-    /// What was noted since it is [recorded](Self::recorded).
+    /// The ranges since it is [recorded](Self::recorded).
     ///
     /// # Errors
-    /// If that is nothing, or not finite.
+    /// If no input was recorded, or one is not finite.
     pub fn calibration(&self, origin: Origin) -> Result<Calibration> {
         let KnownInputs::Recorded(recorder) = &self.known else {
             let reason = "the model does not record".to_owned();
@@ -298,7 +298,7 @@ impl DescribedFolder {
         &self.name
     }
 
-    /// What its `model.json` says.
+    /// Its `model.json`.
     pub fn description(&self) -> &Description {
         &self.description
     }

@@ -1,6 +1,6 @@
 //! The model library: every architecture of the paper, loadable from the checkpoints that its authors published.
 //!
-//! | What | Module |
+//! | Model | Item |
 //! |---|---|
 //! | Convolutional autoencoders, vision transformers, EfficientNet-Lite0 | [`kinds`] |
 //! | The pixel decoder | [`PixelDecoder`] |
@@ -11,8 +11,8 @@
 //! | A whole world model of these, for the nodes | [`folder`] |
 //! | The transition model (DiT) | [`wm_model::transition`], configured by [`kinds`] |
 //!
-//! A [`Checkpoint`] is an open file of tensors, a [`Loader`] hands them to a model by their published names and tells
-//! of everything that does not fit, for the device, number format and kernels of a [`Compute`](wm_model::Compute). [`kinds`] runs any of the models on
+//! A [`Checkpoint`] is an open file of tensors. A [`Loader`] gives them to a model by their published names and reports
+//! all that do not fit, for the device, number format and kernels of a [`Compute`](wm_model::Compute). [`kinds`] runs any of the models on
 //! a file of tensors, [`cost`] counts parameters and operations.
 //!
 //! ```
@@ -20,7 +20,7 @@
 //! use wm_zoo::{Loader, PixelDecoder, PixelDecoderConfig};
 //!
 //! # fn main() -> wm_zoo::Result<()> {
-//! // Without weights: what a model would ask of a checkpoint.
+//! // Without weights: the tensors that a model needs.
 //! let loader = Loader::skeleton(Kernels::Cpu);
 //! PixelDecoder::load(&PixelDecoderConfig::paper(), &loader)?;
 //! assert_eq!((loader.parameters() as f64 / 1e6).round(), 177.0);
@@ -28,8 +28,8 @@
 //! # }
 //! ```
 //!
-//! Nothing here trains, but a network whose tensors are variables ([`Loader::supplied`]) propagates gradients to them.
-//! Not here either: sampling and planning (`wm_model`), files of other formats than safetensors and torch's, and
+//! The crate does not train, but a network whose tensors are variables ([`Loader::supplied`]) propagates gradients to
+//! them. Elsewhere: sampling and planning (`wm_model`), files of other formats than safetensors and torch's, and
 //! downloads (`wm model fetch`).
 
 mod error;

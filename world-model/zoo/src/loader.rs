@@ -1,4 +1,4 @@
-//! Handing a checkpoint's tensors to a model.
+//! Tensors of a checkpoint for a model.
 
 use std::cell::RefCell;
 use std::collections::BTreeSet;
@@ -17,16 +17,15 @@ use crate::{Checkpoint, Error, Misshapen, Result};
 
 /// Gives tensors by name and shape, below one place in the checkpoint's tree of names.
 ///
-/// Clones and descendants share one account of what was asked for. A tensor that is missing or has another shape is
-/// noted there and zeros are given in its place, so that [`Loader::finish`] can tell of everything at once: call it
-/// before the model is used.
+/// Clones and descendants share one account of the requests. A tensor that is missing or has another shape is noted
+/// there and replaced by zeros. [`Loader::finish`] reports all of them at once: call it before the model is used.
 ///
 /// On the CPU a loader for bf16 gives the rounded values as f32, which the kernels pack as bf16 again where that halves
 /// the memory that is read; sums and activations are f32. Vectors (biases, scales, statistics) are not rounded there:
 /// they are a hundredth of the values, and each is off in all places of an output alike. On other devices it gives bf16
 /// tensors.
 ///
-/// A loader for int8 rounds what is asked for as a Linear, when it is packed, to 8 bits, or to bf16 where it is
+/// A loader for int8 rounds the matrix of a Linear, when it is packed, to 8 bits, or to bf16 if it is
 /// [sensitive](Loader::sensitive). Tensors it gives as f32.
 #[derive(Clone, Debug)]
 pub struct Loader<'a> {
@@ -43,19 +42,19 @@ pub struct Loader<'a> {
     is_sensitive: bool,
     /// Where packed weights are looked up and kept.
     session: Option<Rc<RefCell<Session>>>,
-    /// What is known of the inputs of its Linears.
+    /// Calibrated ranges of the inputs of its Linears.
     ranges: Option<&'a InputRanges>,
-    /// What notes the inputs of its Linears.
+    /// Records the inputs of its Linears.
     recorder: Option<(&'a RangeRecorder, &'static str)>,
     account: Rc<RefCell<Account>>,
 }
 
-/// What gives tensors that are in no checkpoint, as the variables of a training.
+/// A source of tensors other than a checkpoint, as the variables of a training.
 pub trait Supply {
     /// Tensor `name` of `shape`: f32, where the model is to compute.
     ///
     /// # Errors
-    /// Whatever keeps it from that.
+    /// If the source has no such tensor.
     fn supply(&self, name: &str, shape: &[usize]) -> Result<Tensor>;
 }
 
@@ -87,7 +86,7 @@ impl fmt::Debug for Source<'_> {
     }
 }
 
-/// A tensor that a model asked for.
+/// A tensor that a model requested.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Requested {
     /// Its name, from the root.
@@ -103,11 +102,11 @@ impl Requested {
     }
 }
 
-/// What was asked for so far.
+/// The requests so far.
 #[derive(Debug, Default)]
 struct Account {
     used: BTreeSet<String>,
-    /// What is in `used`, in order.
+    /// The tensors of `used`, in order.
     requested: Vec<Requested>,
     ignored: Vec<String>,
     missing: Vec<String>,
@@ -115,7 +114,7 @@ struct Account {
 }
 
 impl Account {
-    /// Notes that the tensor `path` was asked for.
+    /// Notes a request of the tensor `path`.
     fn note(&mut self, path: &str, shape: &[usize]) {
         // Twice the same tensor counts once: networks may share weights.
         if self.used.insert(path.to_owned()) {
@@ -186,7 +185,7 @@ impl<'a> Loader<'a> {
         }
     }
 
-    /// The same, whose Linears are quantised with what is known of their inputs: of use in [`NumberFormat::Int8`].
+    /// The same, whose Linears are quantised with calibrated ranges of their inputs, for [`NumberFormat::Int8`].
     pub(crate) fn with_ranges(self, ranges: &'a InputRanges) -> Self {
         if let Some(session) = &self.session {
             session.borrow_mut().distinguish(ranges);
@@ -197,7 +196,7 @@ impl<'a> Loader<'a> {
         }
     }
 
-    /// The same, whose Linears note their inputs in `recorder` when they compute, as those of `part`.
+    /// The same, whose Linears record their inputs in `recorder` under `part` when they compute.
     pub(crate) fn recorded(self, recorder: &'a RangeRecorder, part: &'static str) -> Self {
         Self {
             recorder: Some((recorder, part)),
@@ -205,8 +204,8 @@ impl<'a> Loader<'a> {
         }
     }
 
-    /// Looks at names and shapes of `source`'s tensors and gives zeros, as a [`Loader::skeleton`] does: what a model asks
-    /// of this checkpoint, and by [`Loader::finish`] whether it is there, without reading a value.
+    /// Looks at names and shapes of `source`'s tensors and gives zeros, as a [`Loader::skeleton`] does: the tensors that a
+    /// model needs and, by [`Loader::finish`], whether the checkpoint has them, without reading a value.
     pub(crate) fn survey(source: &'a Checkpoint) -> Self {
         Self {
             source: Source::Checkpoint(source),
@@ -214,7 +213,7 @@ impl<'a> Loader<'a> {
         }
     }
 
-    /// A loader without a checkpoint. Every tensor that is asked for is one zero, repeated, which takes no memory.
+    /// A loader without a checkpoint. Each tensor is one repeated zero, which takes no memory.
     pub fn skeleton(kernels: Kernels) -> Loader<'static> {
         Loader {
             source: Source::Nothing,
@@ -231,7 +230,7 @@ impl<'a> Loader<'a> {
         }
     }
 
-    /// Gives what `supply` has for each name, on the CPU, in f32. Plain operations ([`Kernels::Candle`]) propagate
+    /// Gives the tensors of `supply`, on the CPU, in f32. Plain operations ([`Kernels::Candle`]) propagate
     /// gradients to it. Names are those of the published checkpoints.
     pub fn supplied(supply: &'a dyn Supply, kernels: Kernels) -> Self {
         Self {
@@ -265,7 +264,7 @@ impl<'a> Loader<'a> {
         }
     }
 
-    /// What is to compute the model.
+    /// The kernels of the model.
     pub fn kernels(&self) -> Kernels {
         self.kernels
     }
@@ -279,12 +278,12 @@ impl<'a> Loader<'a> {
         }
     }
 
-    /// What weights that it gives as tensors are to be packed in.
+    /// The format in which the CPU's kernels pack the weights that it gives as tensors.
     pub(crate) fn format(&self) -> NumberFormat {
         self.format.sensitive()
     }
 
-    /// What matrices that it gives as Linears are packed in.
+    /// The format of the matrices of its Linears.
     fn matrix_format(&self) -> NumberFormat {
         match self.is_sensitive {
             true => self.format.sensitive(),
@@ -297,7 +296,7 @@ impl<'a> Loader<'a> {
         &self.device
     }
 
-    /// Whether the checkpoint has a tensor `name` here. A skeleton has none; what is supplied has all.
+    /// Whether the checkpoint has a tensor `name` here. A skeleton has no tensor; a supply has each.
     pub fn has(&self, name: &str) -> bool {
         match self.source {
             Source::Checkpoint(source) => source.contains(&self.path(name)),
@@ -306,7 +305,7 @@ impl<'a> Loader<'a> {
         }
     }
 
-    /// Shape of the checkpoint's tensor `name` here, if there is one. Without a checkpoint there is none.
+    /// Shape of the checkpoint's tensor `name` here, if the checkpoint has it.
     pub fn shape(&self, name: &str) -> Option<&'a [usize]> {
         match self.source {
             Source::Checkpoint(source) => source.shape(&self.path(name)),
@@ -317,8 +316,7 @@ impl<'a> Loader<'a> {
     /// Tensor `name`, which has to be of `shape`.
     ///
     /// # Errors
-    /// If its values cannot be read, or one is not finite. That it is missing or has another shape is told by
-    /// [`Loader::finish`].
+    /// If its values cannot be read, or one is not finite. [`Loader::finish`] reports missing tensors and other shapes.
     pub fn tensor(&self, name: &str, shape: &[usize]) -> Result<Tensor> {
         let path = self.path(name);
         let mut account = self.account.borrow_mut();
@@ -522,11 +520,11 @@ impl<'a> Loader<'a> {
         self.account.borrow_mut().ignored.push(self.path(prefix));
     }
 
-    /// Checks that the model got what it asked for, and asked for everything there is. Integer tensors are buffers
-    /// (counters, positions) that nothing here needs: none is missed.
+    /// Checks that the checkpoint has each requested tensor, and that the model requested each tensor of the checkpoint.
+    /// Integer tensors are buffers (counters, positions) that no model here needs: they may stay unused.
     ///
     /// # Errors
-    /// [`Error::Tensors`], with all that does not fit.
+    /// [`Error::Tensors`], with all differences.
     pub fn finish(&self) -> Result<()> {
         let Source::Checkpoint(source) = self.source else {
             return Ok(());
@@ -559,7 +557,7 @@ impl<'a> Loader<'a> {
         })
     }
 
-    /// How many values were asked for so far, by this loader, its clones and its descendants.
+    /// Number of values that this loader, its clones and its descendants have requested so far.
     pub fn parameters(&self) -> usize {
         let account = self.account.borrow();
         account.requested.iter().map(Requested::count).sum()

@@ -22,12 +22,12 @@ use crate::idm::TrainedIdm;
 use crate::success_probe::SuccessClassifier;
 use crate::{Error, Result, Unfinished};
 
-/// The tensors of a transition model, and what it is.
+/// The tensors and the configuration of a transition model.
 #[derive(Clone, Debug)]
 pub struct TransitionTensors {
     /// Sizes and conventions.
     pub config: TransitionConfig,
-    /// What its actions are.
+    /// How physical actions become its actions.
     pub encoding: ActionEncoding,
     /// All parameters by name.
     pub tensors: BTreeMap<String, Tensor>,
@@ -111,10 +111,10 @@ impl ModelFolder {
         }
     }
 
-    /// Holds a name against what is on the disk, without opening a file.
+    /// Checks that a name is that of a model, without opening a file.
     ///
     /// # Errors
-    /// [`Error::NoModel`] for a path where there is nothing, and a folder without a `model.json` or any weights.
+    /// [`Error::NoModel`] for a path that does not exist, and for a folder without a `model.json` and weights.
     pub fn require(name: &str) -> Result<()> {
         let path = Path::new(name);
         let found = if name == EMBEDDED || path.is_file() || DescribedFolder::is_one(path) {
@@ -130,7 +130,7 @@ impl ModelFolder {
         Err(Error::NoModel { name, found })
     }
 
-    /// What it was opened by.
+    /// The name by which it was opened.
     pub fn name(&self) -> String {
         match &self.files {
             Files::Trained(folder) => folder.name(),
@@ -222,10 +222,10 @@ impl ModelFolder {
         }
     }
 
-    /// Refuses a model that cannot predict, for those who need one that can. Reads no weights.
+    /// Refuses a model without a transition model. Reads no weights.
     ///
     /// # Errors
-    /// [`Error::NoTransition`], which says what to do about it.
+    /// [`Error::NoTransition`], with the command that adds one.
     pub fn require_transition(&self) -> Result<()> {
         match self.has_transition() {
             true => Ok(()),
@@ -233,7 +233,7 @@ impl ModelFolder {
         }
     }
 
-    /// The parts whose training has not taken its last step.
+    /// The parts whose training is unfinished.
     ///
     /// # Errors
     /// If a mark cannot be read.
@@ -246,7 +246,7 @@ impl ModelFolder {
         }
     }
 
-    /// How the transition model takes actions, read without loading the model; `None` if there is no transition model.
+    /// How physical actions become the transition model's, read without loading it; `None` if there is no transition model.
     ///
     /// # Errors
     /// When its file is missing or corrupt.
@@ -260,7 +260,7 @@ impl ModelFolder {
         }
     }
 
-    /// Loads the transition model with what is needed to use it.
+    /// Loads the transition model with its latent space and its actions.
     ///
     /// # Errors
     /// [`Error::NoTransition`]; names missing and wrong weights; or the device cannot be used or has no memory for it.
@@ -272,7 +272,7 @@ impl ModelFolder {
         }
     }
 
-    /// The tensors of the transition model, by their published names: what a training begins from.
+    /// The tensors of the transition model, by their published names: the start of a fine-tuning.
     ///
     /// # Errors
     /// Names missing and wrong weights.
@@ -299,10 +299,10 @@ impl ModelFolder {
         }
     }
 
-    /// Loads the success probe and what reads instructions for it; `None` where the model has none.
+    /// Loads the success probe and the reader of its instructions; `None` if the model has none.
     ///
     /// # Errors
-    /// Names what is missing or wrong in its files.
+    /// If a file of it is missing or invalid.
     pub fn probe(&self) -> Result<Option<SuccessClassifier>> {
         if let Files::Described(folder) = &self.files
             && let Some(probe) = folder.probe()?
@@ -319,7 +319,7 @@ impl ModelFolder {
         }
     }
 
-    /// Loads the decoder of its adapter; `None` where its latents are the encoder's own.
+    /// Loads the decoder of its adapter; `None` if its latents are the encoder's own.
     ///
     /// # Errors
     /// Names missing and wrong weights.
@@ -330,10 +330,10 @@ impl ModelFolder {
         }
     }
 
-    /// Loads the inverse dynamics model; `None` where the model has none.
+    /// Loads the inverse dynamics model; `None` if the model has none.
     ///
     /// # Errors
-    /// Names what is missing or wrong in its file, or the space that it was trained on.
+    /// If its file is invalid, or it was trained on another latent space.
     pub fn idm(&self) -> Result<Option<TrainedIdm>> {
         let Some(weights) = self.weights(IDM_FILE)? else {
             return Ok(None);
@@ -343,10 +343,10 @@ impl ModelFolder {
         Ok(Some(idm))
     }
 
-    /// A file of the training's in it, as [`IDM_FILE`]; `None` where there is none.
+    /// A file of a training in the folder, as [`IDM_FILE`]; `None` if it does not exist.
     ///
     /// # Errors
-    /// When it cannot be read.
+    /// If it cannot be read.
     pub fn weights(&self, file: &str) -> Result<Option<Weights>> {
         Ok(match &self.files {
             Files::Trained(folder) => folder.weights(file)?,
@@ -355,8 +355,7 @@ impl ModelFolder {
     }
 }
 
-/// Whether the training may have written a part of a model there. A folder that cannot be listed is taken for one, so
-/// that opening it says why.
+/// Whether a folder has weights of a training. A folder that cannot be listed counts too: opening it gives the reason.
 fn has_weights(folder: &Path) -> bool {
     let is_weights = |file: &Path| file.extension().is_some_and(|is| is == "safetensors");
     std::fs::read_dir(folder).map_or(true, |mut entries| {
