@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use candle_core::Tensor;
-use wm_model::autoencoder::TensorAutoencoder;
 use wm_model::trained_folder::{
     EMBEDDED, IDM_FILE, PROBE_FILE, TRANSITION_FILE, TrainedFolder, transition_trained_on,
     weights_in,
@@ -13,7 +12,8 @@ use wm_model::transition::{
     ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition, TransitionConfig,
 };
 use wm_model::{
-    Compute, Decoder, Encoder, Fit, Kernels, LatentSpace, PictureSize, Weights, WorldModel,
+    Autoencoder, Compute, Decoder, Encoder, Fit, Kernels, LatentSpace, PictureSize, Weights,
+    WorldModel,
 };
 use wm_motion::actions::ActionEncoding;
 
@@ -363,9 +363,8 @@ fn has_weights(folder: &Path) -> bool {
     })
 }
 
-fn on_tensors(folder: &TrainedFolder, compute: &Compute) -> Result<TensorAutoencoder> {
-    let autoencoder = folder.autoencoder()?;
-    Ok(TensorAutoencoder::new(&autoencoder, compute.device()?)?)
+fn on_tensors(folder: &TrainedFolder, compute: &Compute) -> Result<Autoencoder> {
+    Ok(folder.autoencoder()?.on_tensors(compute.device()?)?)
 }
 
 #[cfg(test)]
