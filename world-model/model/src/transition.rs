@@ -58,7 +58,7 @@ pub(crate) use values::Batched;
 pub use crate::ops::token_layers::WeightGradients;
 use crate::ops::token_layers::{Linear, TensorLayers};
 use crate::ops::{AttentionPattern, Axis, Engine, PackedFormat};
-use crate::{Error, Place, Result, Weights};
+use crate::{Compute, Error, Result, Weights};
 use block::{Block, blocks, run_clips};
 use condition::Condition;
 use embedding::{Embedding, Patches};
@@ -148,17 +148,17 @@ impl Transition {
     /// # Errors
     /// If the configuration or a tensor is missing or malformed, or there are tensors too many.
     pub fn from_weights(weights: Weights) -> Result<Self> {
-        Self::from_weights_on(weights, &Place::default())
+        Self::from_weights_on(weights, &Compute::default())
     }
 
-    /// As [`Self::from_weights`], with its tensors in `place`, in f32.
+    /// As [`Self::from_weights`], with its tensors on the device of `compute`, in f32.
     ///
     /// # Errors
     /// As [`Self::from_weights`]; and if the device has no memory for them.
-    pub fn from_weights_on(weights: Weights, place: &Place) -> Result<Self> {
+    pub fn from_weights_on(weights: Weights, compute: &Compute) -> Result<Self> {
         let config: TransitionConfig = weights.json(CONFIG_KEY)?;
         let model = Self::build(config, &mut |p| {
-            place.tensor(&weights.tensor(&p.name, &p.shape)?, DType::F32)
+            compute.tensor(&weights.tensor(&p.name, &p.shape)?, DType::F32)
         })?;
         weights.finish()?;
         Ok(model)
