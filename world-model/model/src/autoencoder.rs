@@ -3,14 +3,10 @@
 mod config;
 mod network;
 mod normalisation;
-mod tape;
-mod tensors;
 
 pub use config::AutoencoderConfig;
-pub use network::{Conv, Network};
+pub use network::Network;
 pub use normalisation::{MEAN, Normalisation, STD};
-pub use tape::{NetworkGradient, Tape};
-pub use tensors::TensorAutoencoder;
 
 use std::path::Path;
 
@@ -160,6 +156,16 @@ impl Autoencoder {
         ))
     }
 
+    /// The same, computed by candle's operations on `device`. Images and latents come from the CPU, and go back there.
+    ///
+    /// # Errors
+    /// If the device has no memory for the weights.
+    pub fn on_tensors(mut self, device: &Device) -> Result<Self> {
+        self.encoder.move_to(device)?;
+        self.decoder.move_to(device)?;
+        Ok(self)
+    }
+
     /// The same with all weights rounded to what `precision` can hold, as they are after saving with
     /// it.
     #[must_use]
@@ -221,7 +227,7 @@ impl Autoencoder {
     fn encode_raw(&self, images: &Tensor) -> Result<Vec<f32>> {
         let (height, width) = (self.config.height, self.config.width);
         let (values, grid) = values("images", images, (height, width, 3))?;
-        Ok(self.encoder.forward(values, grid)?.0)
+        self.encoder.run(values, grid)
     }
 }
 
@@ -261,7 +267,7 @@ impl Decoder for Autoencoder {
         for v in &mut values {
             *v = clamp(*v);
         }
-        let (mut images, _) = self.decoder.forward(values, grid)?;
+        let mut images = self.decoder.run(values, grid)?;
         for v in &mut images {
             *v = v.clamp(0.0, 1.0);
         }

@@ -4,12 +4,13 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use candle_core::Tensor;
-use wm_model::autoencoder::TensorAutoencoder;
 use wm_model::trained_folder::{EMBEDDED, IDM_FILE, PROBE_FILE, TrainedFolder};
 use wm_model::transition::{
     ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition, TransitionConfig,
 };
-use wm_model::{Decoder, Encoder, Fit, LatentSpace, PictureSize, Place, Weights, WorldModel};
+use wm_model::{
+    Autoencoder, Decoder, Encoder, Fit, LatentSpace, PictureSize, Place, Weights, WorldModel,
+};
 use wm_motion::actions::ActionEncoding;
 
 use crate::folder::{DescribedFolder, NativeDecoder};
@@ -327,9 +328,8 @@ fn has_weights(folder: &Path) -> bool {
     })
 }
 
-fn on_tensors(folder: &TrainedFolder, place: &Place) -> Result<TensorAutoencoder> {
-    let autoencoder = folder.autoencoder()?;
-    Ok(TensorAutoencoder::new(&autoencoder, place.device())?)
+fn on_tensors(folder: &TrainedFolder, place: &Place) -> Result<Autoencoder> {
+    Ok(folder.autoencoder()?.on_tensors(place.device())?)
 }
 
 #[cfg(test)]
