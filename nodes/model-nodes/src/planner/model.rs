@@ -20,7 +20,7 @@ use wm_msgs::{
 use wm_planner::{
     Coordinate, Dynamics as _, Objective, PlannedActions, PlannerChoice, PlannerSettings, Problem,
     Progress, SearchSpace, Success, TransitionDynamics, Waypoint, WorkerCounts, WorkerPool,
-    WorkspaceMargin, latent_distance, one_a_step, spread, timed,
+    WorkspaceMargin, goals_by_time, latent_distance, one_per_step, spread,
 };
 use wm_zoo::{idm::TrainedIdm, success_probe::SuccessClassifier};
 
@@ -301,11 +301,11 @@ impl PlannerModel {
                 self.setup.arrival,
             )?;
             let left = latents.get(waypoint.index..).unwrap_or_default();
-            (one_a_step(left, horizon), waypoint)
+            (one_per_step(left, horizon), waypoint)
         } else {
             let begin_ns = request.begin_ns().saturating_sub(request.goal_set_ns);
             let step_ns = request.moment.timing.step_ns();
-            let indices = timed(&goal.times_ns, begin_ns, step_ns, horizon);
+            let indices = goals_by_time(&goal.times_ns, begin_ns, step_ns, horizon);
             let waypoint = Waypoint {
                 index: indices.first().copied().unwrap_or_default(),
                 steps: 0.0,
