@@ -1,81 +1,39 @@
 //! The DDS middleware: rustdds for the wire, ros2-client for what ROS 2 adds to it (names, and the announcement of
 //! which node an endpoint belongs to).
 //!
-//! Workarounds, by module:
-//! - a publisher starts a new DDS writer when a reader falls behind ([`line`]), since a stopped reader would silence the
-//!   topic for all;
-//! - latched samples are taken in one order from the DDS writers of a publisher ([`latched`]);
-//! - sockets receive only from the interfaces that were requested ([`confine`]), since rustdds binds them to all;
-//! - ros2-client's own node and spinner are not used: its `/clock` has the wrong type, its parameters no
-//!   descriptors, and its spinner keeps the participant alive;
-//! - large messages go in parts ([`parts`]), since their bursts overflow the receive buffers of Linux;
-//! - large messages that readers of other implementations miss are sent again ([`resend`]), since rustdds repairs them
-//!   too slowly;
-//! - large responses are sent by this crate ([`wire`]), since rustdds corrupts them;
-//! - a participant's writers and readers are connected here ([`local`]), since rustdds does not do it on loopback;
-//! - the graph of this crate is compared with that of rustdds ([`reconcile`]), since events may be lost;
-//! - endpoints wait while a Fast DDS participant catches up ([`catch_up`]), since it would never discover some;
-//! - participants that return after their lease has run out are discovered and connected anew ([`lease`], [`rematch`]), and
-//!   so are those that have lost this one while it has not lost them ([`one_way`]), since rustdds does not;
-//! - participants on loopback are announced to all others of the host ([`introduction`]), since rustdds announces them
-//!   to twelve;
-//! - a clock that is set back or a task that panics ends the participant ([`failure`]), since it would receive nothing, and
-//!   so does an interface whose address changes ([`addresses`]);
-//! - a writer stays for a moment after its last sample ([`writer`]), since rustdds' readers forget it too early;
-//! - the participant is dropped last, after its readers and writers: otherwise the others do not learn that it left.
+//! The workarounds around rustdds are in [`workarounds`]. ros2-client's own node and spinner are not used: its `/clock` has
+//! the wrong type, its parameters have no descriptors, and its spinner keeps the participant alive.
 
-mod addresses;
 mod answers;
-mod catch_up;
 mod codec;
-mod confine;
-mod datagram;
 mod failure;
-mod introduction;
-mod latched;
-mod lease;
-mod line;
 mod local;
 mod lock;
 mod mismatches;
 mod names;
 mod nodes;
-mod one_way;
-mod parts;
 mod qos;
 mod reader;
-mod reconcile;
-mod rematch;
-mod resend;
-mod rtps;
-mod second;
 mod shared;
 #[cfg(test)]
 mod tests;
 mod type_hash;
-mod window;
-mod wire;
+mod workarounds;
 mod writer;
 
 use crate::{
     Environment, Error, Qos,
     backend::{Backend, Channel, Endpoint, EndpointId, Reader, Seen, Sink, Writer},
 };
-pub(crate) use parts::decode_part;
+pub(crate) use workarounds::parts::decode_part;
 
-use addresses::Addresses;
-use catch_up::CatchUp;
 use futures::FutureExt as _;
-use line::{Lines, Maker};
 use local::Local;
 use lock::lock;
 use mismatches::Mismatches;
 use names::{dds_name, dds_type, ros_names};
 use nodes::Nodes;
-use one_way::OneWay;
-use parts::{Parts, peer_of};
 use reader::DdsReader;
-use reconcile::{Own, OwnEndpoints, Suspects, parts_endpoint};
 use rustdds::{DomainParticipant, RTPSEntity as _};
 use shared::{Shared, is_foreign};
 use std::{
@@ -85,6 +43,16 @@ use std::{
 use tokio::{
     runtime::Handle,
     sync::{Notify, watch},
+};
+use workarounds::{
+    addresses::Addresses,
+    catch_up::CatchUp,
+    datagram,
+    line::{Lines, Maker},
+    one_way::OneWay,
+    parts::{self, Parts, peer_of},
+    reconcile::{self, Own, OwnEndpoints, Suspects, parts_endpoint},
+    second, wire,
 };
 use writer::DdsWriter;
 

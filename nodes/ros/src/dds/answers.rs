@@ -2,7 +2,7 @@
 //! does, and a volatile writer's sample goes to none but the readers that it knows: an answer sent at once would be
 //! lost, and the call would never end. So it waits, as it does in rmw_fastrtps.
 
-use super::{local::is_same_participant, lock::lock, shared::Shared, wire::usable};
+use super::{local::is_same_participant, lock::lock, shared::Shared, workarounds::wire::usable};
 use crate::backend::EndpointId;
 use rustdds::DomainParticipant;
 use std::{

@@ -5,7 +5,7 @@ use super::{
     codec::Raw,
     lock::lock,
     names::{dds_name, dds_type, ros_names},
-    reconcile,
+    workarounds::reconcile,
 };
 use crate::{
     Error,

@@ -6,7 +6,7 @@ use rustdds::{QosPolicies, QosPolicyBuilder, policy};
 /// Large messages that a reliable writer keeps for readers that have not taken them.
 pub(crate) const RELIABLE_WINDOW: usize = 512;
 /// What rustdds 0.15.1 lets a reliable writer keep: no bound, since at a bound every new reader would stop the writer
-/// until its first acknowledgement. [`super::line`] bounds it.
+/// until its first acknowledgement. [`super::workarounds::line`] bounds it.
 const UNBOUNDED: usize = i32::MAX as usize;
 /// Samples that the middleware keeps of a topic until they are taken, which happens at once on a separate thread.
 const READER_CACHE: usize = 64;

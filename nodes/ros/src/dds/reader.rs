@@ -2,9 +2,9 @@
 
 use super::{
     codec::Raw,
-    latched::Latest,
     local::WAITING,
     shared::{Shared, is_foreign},
+    workarounds::latched::Latest,
 };
 use crate::{
     Durability,

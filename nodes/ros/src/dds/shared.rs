@@ -1,20 +1,22 @@
 //! What a participant's endpoints share: the record of endpoints and their connections.
 
 use super::{
-    catch_up::CatchUp,
-    datagram,
     failure::Failure,
-    lease::OwnPort,
-    line::Lines,
     local::Local,
     lock::lock,
     mismatches::Mismatches,
     names::ros_names,
     nodes::Nodes,
-    one_way::OneWay,
-    parts::{Parts, Peer, peer_of},
-    reconcile::{OwnEndpoints, Suspects},
-    wire::Wire,
+    workarounds::{
+        catch_up::CatchUp,
+        datagram,
+        lease::OwnPort,
+        line::Lines,
+        one_way::OneWay,
+        parts::{Parts, Peer, peer_of},
+        reconcile::{OwnEndpoints, Suspects},
+        wire::Wire,
+    },
 };
 use crate::backend::{Channel, EndpointId};
 use futures::StreamExt as _;
@@ -38,7 +40,7 @@ const MOST_SILENT: usize = 1024;
 /// Endpoints of others by the own endpoint that they are connected to.
 pub(super) type Matches = BTreeMap<EndpointId, BTreeSet<EndpointId>>;
 
-/// A participant beside the first; see [`super::second`].
+/// A participant beside the first; see [`super::workarounds::second`].
 pub(super) struct Second {
     pub(super) participant: DomainParticipant,
     pub(super) publisher: rustdds::Publisher,

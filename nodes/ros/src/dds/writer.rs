@@ -3,17 +3,19 @@
 use super::{
     answers::WaitingRoom,
     codec::HEADER_LEN,
-    latched::Stamps,
-    line::{LULL, Line, Maker, Patience, RETIREMENT},
     lock::lock,
     names::{dds_name, dds_type},
-    one_way::Waiting,
-    parts::{Keep, LARGEST, Offered, peer_of},
-    reconcile::Own,
-    resend::{Care, LargeSample},
-    rtps::LARGEST_ANSWER,
     shared::{Shared, is_foreign},
-    wire::Answer,
+    workarounds::{
+        latched::Stamps,
+        line::{LULL, Line, Maker, Patience, RETIREMENT},
+        one_way::Waiting,
+        parts::{Keep, LARGEST, Offered, peer_of},
+        reconcile::Own,
+        resend::{Care, LargeSample},
+        rtps::LARGEST_ANSWER,
+        wire::Answer,
+    },
 };
 use crate::{
     Durability, Error, Reliability,

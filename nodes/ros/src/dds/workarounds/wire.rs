@@ -10,24 +10,29 @@ use bytes::Bytes;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
 
 /// The socket that these datagrams leave from.
-pub(super) struct Wire {
+pub(in crate::dds) struct Wire {
     socket: UdpSocket,
 }
 
 impl Wire {
-    pub(super) fn open() -> std::io::Result<Self> {
+    pub(in crate::dds) fn open() -> std::io::Result<Self> {
         let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0))?;
         socket.set_nonblocking(true)?;
         Ok(Self { socket })
     }
 
     /// For announcements.
-    pub(super) fn socket(&self) -> std::io::Result<UdpSocket> {
+    pub(in crate::dds) fn socket(&self) -> std::io::Result<UdpSocket> {
         self.socket.try_clone()
     }
 
     /// Sends an answer to one reader.
-    pub(super) fn answer(&self, answer: &Answer, reader: &EndpointId, addresses: &[SocketAddr]) {
+    pub(in crate::dds) fn answer(
+        &self,
+        answer: &Answer,
+        reader: &EndpointId,
+        addresses: &[SocketAddr],
+    ) {
         let Answer {
             writer,
             number,
@@ -42,7 +47,7 @@ impl Wire {
     }
 
     /// A lost datagram is repeated by the caller, or does no harm.
-    pub(super) fn send(&self, message: &[u8], to: SocketAddr) {
+    pub(in crate::dds) fn send(&self, message: &[u8], to: SocketAddr) {
         if let Err(error) = self.socket.send_to(message, to) {
             tracing::debug!("cannot send {} bytes to {to}: {error}", message.len());
         }
@@ -51,19 +56,19 @@ impl Wire {
 
 /// An answer that leaves from here.
 #[derive(Clone)]
-pub(super) struct Answer {
-    pub(super) writer: EndpointId,
+pub(in crate::dds) struct Answer {
+    pub(in crate::dds) writer: EndpointId,
     /// In the writer's numbering.
-    pub(super) number: i64,
-    pub(super) request: RequestId,
+    pub(in crate::dds) number: i64,
+    pub(in crate::dds) request: RequestId,
     /// When it was written \[ns since 1970\].
-    pub(super) nanos: i64,
-    pub(super) sample: Bytes,
+    pub(in crate::dds) nanos: i64,
+    pub(in crate::dds) sample: Bytes,
 }
 
 /// Those of a reader's addresses at which it is reached. `own`: the addresses of this host. A loopback address counts
 /// only for readers on this host; `is_on_loopback`: no others are asked for.
-pub(super) fn usable(
+pub(in crate::dds) fn usable(
     announced: impl IntoIterator<Item = SocketAddr>,
     own: &[IpAddr],
     is_on_loopback: bool,

@@ -6,14 +6,17 @@
 //! connection, and dropped again. The connections get back their old identities and numbers, so that no sample is
 //! received twice.
 
-use super::{
-    codec::Raw,
-    lock::lock,
-    qos::for_reader,
-    reconcile::Own,
-    shared::{Second, Shared},
+use super::reconcile::Own;
+use crate::{
+    Error, Qos,
+    backend::EndpointId,
+    dds::{
+        codec::Raw,
+        lock::lock,
+        qos::for_reader,
+        shared::{Second, Shared},
+    },
 };
-use crate::{Error, Qos, backend::EndpointId};
 use bytes::Bytes;
 use rustdds::{
     DomainParticipant, Publisher, RTPSEntity as _, TopicKind,
@@ -41,7 +44,7 @@ impl Temporary {
 
 impl Shared {
     /// Has rustdds connect these endpoints of this process with all that they fit.
-    pub(super) fn rematch(self: &Arc<Self>, ids: &BTreeSet<EndpointId>) {
+    pub(in crate::dds) fn rematch(self: &Arc<Self>, ids: &BTreeSet<EndpointId>) {
         let mut topics = BTreeSet::new();
         let mut temporary = Vec::new();
         for (id, own) in self.own_of(ids) {

@@ -9,7 +9,7 @@ use std::{
 };
 
 /// The addresses that a participant uses.
-pub(super) struct Addresses {
+pub(in crate::dds) struct Addresses {
     /// Not those of loopback, which do not change.
     used: Vec<Interface>,
     /// Whether it uses every interface.
@@ -31,7 +31,7 @@ impl Addresses {
     ///
     /// # Errors
     /// The system does not list the interfaces.
-    pub(super) fn of(environment: &Environment) -> Result<Self, Error> {
+    pub(in crate::dds) fn of(environment: &Environment) -> Result<Self, Error> {
         let addresses = environment.addresses();
         let is_used = |found: &Interface| match &addresses {
             Some(addresses) => addresses.contains(&found.address),
@@ -46,7 +46,7 @@ impl Addresses {
     }
 
     /// One of them; `None` where only loopback is used.
-    pub(super) fn first(&self) -> Option<Ipv4Addr> {
+    pub(in crate::dds) fn first(&self) -> Option<Ipv4Addr> {
         self.used.iter().find_map(|used| match used.address {
             IpAddr::V4(address) => Some(address),
             IpAddr::V6(_) => None,
@@ -54,7 +54,7 @@ impl Addresses {
     }
 
     /// How an address in use has changed, if one has; a loss is logged once, and waited for.
-    pub(super) fn check(&self) -> Option<Error> {
+    pub(in crate::dds) fn check(&self) -> Option<Error> {
         if self.used.is_empty() && !self.is_subnet {
             return None;
         }

@@ -10,7 +10,7 @@ const MOST_BYTES: usize = 64 << 20;
 
 /// Numbers and sizes of the samples of one DDS writer.
 #[derive(Debug, Default)]
-pub(super) struct Window {
+pub(in crate::dds) struct Window {
     last: i64,
     /// Sizes of the unacknowledged samples, oldest first \[byte\].
     sizes: VecDeque<usize>,
@@ -19,19 +19,19 @@ pub(super) struct Window {
 
 impl Window {
     /// The number of the last sample, 0 before the first.
-    pub(super) const fn last(&self) -> i64 {
+    pub(in crate::dds) const fn last(&self) -> i64 {
         self.last
     }
 
     /// A sample was written.
-    pub(super) fn wrote(&mut self, number: i64, len: usize) {
+    pub(in crate::dds) fn wrote(&mut self, number: i64, len: usize) {
         self.last = number;
         self.sizes.push_back(len);
         self.bytes += len;
     }
 
     /// All readers have every sample up to `number`.
-    pub(super) fn acknowledged(&mut self, number: i64) {
+    pub(in crate::dds) fn acknowledged(&mut self, number: i64) {
         let left = usize::try_from(self.last - number).unwrap_or(0);
         while self.sizes.len() > left
             && let Some(len) = self.sizes.pop_front()
@@ -41,17 +41,17 @@ impl Window {
     }
 
     /// How many samples some reader has not acknowledged.
-    pub(super) fn unacknowledged(&self) -> usize {
+    pub(in crate::dds) fn unacknowledged(&self) -> usize {
         self.sizes.len()
     }
 
     /// Whether no more samples may be kept.
-    pub(super) fn is_full(&self) -> bool {
+    pub(in crate::dds) fn is_full(&self) -> bool {
         self.sizes.len() >= MOST || self.bytes >= MOST_BYTES
     }
 
     /// Whether some reader has fallen behind by more than `patience` samples, or by too many bytes.
-    pub(super) fn is_behind(&self, patience: usize) -> bool {
+    pub(in crate::dds) fn is_behind(&self, patience: usize) -> bool {
         self.sizes.len() >= patience || self.bytes >= PATIENCE_BYTES
     }
 }

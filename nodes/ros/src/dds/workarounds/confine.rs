@@ -17,28 +17,28 @@ use std::{
 /// Instructions of classic BPF (`linux/bpf_common.h`, `linux/filter.h`).
 mod bpf {
     /// Load a word.
-    pub(super) const LOAD: u16 = 0x20;
+    pub(in crate::dds) const LOAD: u16 = 0x20;
     /// Jump where the accumulator equals the constant.
-    pub(super) const JUMP_EQUAL: u16 = 0x15;
+    pub(in crate::dds) const JUMP_EQUAL: u16 = 0x15;
     /// Bitwise and with the constant.
-    pub(super) const AND: u16 = 0x54;
-    pub(super) const RETURN: u16 = 0x06;
+    pub(in crate::dds) const AND: u16 = 0x54;
+    pub(in crate::dds) const RETURN: u16 = 0x06;
     /// The index of the receiving interface.
-    pub(super) const INTERFACE: u32 = 0xffff_f000 + 8;
+    pub(in crate::dds) const INTERFACE: u32 = 0xffff_f000 + 8;
     /// The source address in the IPv4 header.
-    pub(super) const SOURCE: u32 = 0xfff0_0000 + 12;
+    pub(in crate::dds) const SOURCE: u32 = 0xfff0_0000 + 12;
     /// The whole packet.
-    pub(super) const ALL: u32 = u32::MAX;
+    pub(in crate::dds) const ALL: u32 = u32::MAX;
 }
 
 /// The RTPS ports of a participant (DDSI-RTPS 2.5, 9.6.2.3).
-pub(super) struct Ports {
+pub(in crate::dds) struct Ports {
     domain: u16,
     participant: u16,
 }
 
 impl Ports {
-    pub(super) fn new(domain: u16, participant: u16) -> Self {
+    pub(in crate::dds) fn new(domain: u16, participant: u16) -> Self {
         Self {
             domain,
             participant,
@@ -50,18 +50,18 @@ impl Ports {
     }
 
     /// Whether there are such ports.
-    pub(super) fn fit(&self) -> bool {
+    pub(in crate::dds) fn fit(&self) -> bool {
         let last = 7400 + 250 * u32::from(self.domain) + 11 + 2 * u32::from(self.participant);
         u16::try_from(last).is_ok()
     }
 
     /// Where others' discovery traffic comes in.
-    pub(super) const fn discovery(&self) -> u16 {
+    pub(in crate::dds) const fn discovery(&self) -> u16 {
         self.base() + 10 + 2 * self.participant
     }
 
     /// Where others' samples come in, unless another program has the port.
-    pub(super) const fn user(&self) -> u16 {
+    pub(in crate::dds) const fn user(&self) -> u16 {
         self.base() + 11 + 2 * self.participant
     }
 
@@ -71,7 +71,7 @@ impl Ports {
 }
 
 /// The UDP sockets of this process, by file descriptor.
-pub(super) fn sockets() -> io::Result<BTreeSet<RawFd>> {
+pub(in crate::dds) fn sockets() -> io::Result<BTreeSet<RawFd>> {
     let mut found = BTreeSet::new();
     for entry in fs::read_dir("/proc/self/fd")? {
         let name = entry?.file_name();
@@ -106,7 +106,7 @@ fn port(fd: RawFd) -> Option<u16> {
 /// Lets in only what comes by the interfaces that have one of `addresses`, by loopback, or from this host.
 ///
 /// `before`: the process's UDP sockets before the participant was made.
-pub(super) fn confine(
+pub(in crate::dds) fn confine(
     ports: &Ports,
     before: &BTreeSet<RawFd>,
     addresses: &[IpAddr],

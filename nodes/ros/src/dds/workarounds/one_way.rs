@@ -5,13 +5,16 @@
 //! all readers of a writer have acknowledged something, not which one has not. So a participant is suspected that has readers of
 //! a writer without acknowledgements, and of no writer with recent ones.
 
-use super::{
-    lock::lock,
-    parts::{Peer, peer_of},
-    qos,
-    shared::{Shared, is_foreign},
+use super::parts::{Peer, peer_of};
+use crate::{
+    Reliability,
+    backend::EndpointId,
+    dds::{
+        lock::lock,
+        qos,
+        shared::{Shared, is_foreign},
+    },
 };
-use crate::{Reliability, backend::EndpointId};
 use rustdds::DomainParticipant;
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -29,7 +32,7 @@ const PAUSE: Duration = Duration::from_millis(1500);
 
 /// Acknowledgements of the readers elsewhere.
 #[derive(Default)]
-pub(super) struct OneWay {
+pub(in crate::dds) struct OneWay {
     /// When the readers of each DDS writer have acknowledged something last.
     progress: Mutex<BTreeMap<EndpointId, Instant>>,
     /// Participants whose lease is being ended.
@@ -37,26 +40,26 @@ pub(super) struct OneWay {
 }
 
 impl OneWay {
-    pub(super) fn forget_line(&self, line: &EndpointId) {
+    pub(in crate::dds) fn forget_line(&self, line: &EndpointId) {
         lock(&self.progress).remove(line);
     }
 
     /// Another participant is lost.
-    pub(super) fn lost(&self, peer: &Peer) {
+    pub(in crate::dds) fn lost(&self, peer: &Peer) {
         lock(&self.expiring).remove(peer);
     }
 }
 
 /// Since when a publisher has waited for an acknowledgement.
 #[derive(Debug, Default)]
-pub(super) struct Waiting {
+pub(in crate::dds) struct Waiting {
     since: Option<Instant>,
     reported: Option<Instant>,
 }
 
 impl Waiting {
     /// Whether it has waited for this long.
-    pub(super) fn is_long(&self, time: Duration) -> bool {
+    pub(in crate::dds) fn is_long(&self, time: Duration) -> bool {
         self.since.is_some_and(|since| since.elapsed() >= time)
     }
 }
@@ -64,7 +67,7 @@ impl Waiting {
 impl Shared {
     /// Takes the state of a DDS writer. `is_acknowledged`: its readers have acknowledged samples since the last call;
     /// `is_waiting`: samples are unacknowledged.
-    pub(super) fn note(
+    pub(in crate::dds) fn note(
         self: &Arc<Self>,
         line: &EndpointId,
         waiting: &mut Waiting,

@@ -1,12 +1,11 @@
 //! Compares this runtime's view of the graph with that of rustdds. Events of rustdds come through a channel of 2048,
 //! and are lost silently when it is full. A lost event would hide a reader, or keep one that is gone, for ever.
 
-use super::{
-    lock::lock,
-    parts::{TYPE, profile},
-    shared::Shared,
+use super::parts::{TYPE, profile};
+use crate::{
+    backend::EndpointId,
+    dds::{lock::lock, shared::Shared},
 };
-use crate::backend::EndpointId;
 use rustdds::QosPolicies;
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -21,22 +20,22 @@ const GATHERING: Duration = Duration::from_millis(100);
 
 /// The topics of the endpoints of this process, as DDS spells them.
 #[derive(Default)]
-pub(super) struct OwnEndpoints {
+pub(in crate::dds) struct OwnEndpoints {
     table: Mutex<BTreeMap<EndpointId, Own>>,
 }
 
 /// An endpoint of this process.
 #[derive(Clone)]
-pub(super) struct Own {
-    pub(super) topic: String,
-    pub(super) type_name: String,
-    pub(super) qos: QosPolicies,
-    pub(super) is_writer: bool,
+pub(in crate::dds) struct Own {
+    pub(in crate::dds) topic: String,
+    pub(in crate::dds) type_name: String,
+    pub(in crate::dds) qos: QosPolicies,
+    pub(in crate::dds) is_writer: bool,
 }
 
 /// The differences of the last times: an event that is only late is no lost one.
 #[derive(Default)]
-pub(super) struct Suspects {
+pub(in crate::dds) struct Suspects {
     last: Mutex<Differences>,
     /// Connections that were made anew the last time.
     rematched: Mutex<BTreeSet<(EndpointId, EndpointId)>>,
@@ -69,17 +68,17 @@ struct Other {
 }
 
 impl OwnEndpoints {
-    pub(super) fn add(&self, id: EndpointId, own: Own) {
+    pub(in crate::dds) fn add(&self, id: EndpointId, own: Own) {
         lock(&self.table).insert(id, own);
     }
 
-    pub(super) fn remove(&self, id: &EndpointId) {
+    pub(in crate::dds) fn remove(&self, id: &EndpointId) {
         lock(&self.table).remove(id);
     }
 }
 
 /// A writer or reader of large messages in parts.
-pub(super) fn parts_endpoint(topic: String, is_writer: bool) -> Own {
+pub(in crate::dds) fn parts_endpoint(topic: String, is_writer: bool) -> Own {
     Own {
         topic,
         type_name: TYPE.to_owned(),
@@ -101,7 +100,7 @@ fn connects(own: &Own, other: &Other) -> bool {
 
 impl Shared {
     /// Compares, and mends what is amiss for the second time; whether there was something to mend.
-    pub(super) fn reconcile(self: &Arc<Self>) -> bool {
+    pub(in crate::dds) fn reconcile(self: &Arc<Self>) -> bool {
         let Some(others) = self.others() else {
             return false;
         };
@@ -145,14 +144,14 @@ impl Shared {
     }
 
     /// The endpoints of this process that are not connected to all that they could be.
-    pub(super) fn unconnected(&self) -> BTreeSet<EndpointId> {
+    pub(in crate::dds) fn unconnected(&self) -> BTreeSet<EndpointId> {
         let others = self.others().unwrap_or_default();
         let unknown = self.differences(&others).unknown.into_iter();
         unknown.map(|(own, _)| own).collect()
     }
 
     /// The endpoints of these identities.
-    pub(super) fn own_of(&self, ids: &BTreeSet<EndpointId>) -> Vec<(EndpointId, Own)> {
+    pub(in crate::dds) fn own_of(&self, ids: &BTreeSet<EndpointId>) -> Vec<(EndpointId, Own)> {
         let own = self.all_own();
         own.into_iter().filter(|(id, _)| ids.contains(id)).collect()
     }
@@ -226,7 +225,7 @@ impl Shared {
 }
 
 /// Compares for as long as the participant is there, and at once when a participant has returned.
-pub(super) async fn keep_reconciled(shared: Arc<Shared>) {
+pub(in crate::dds) async fn keep_reconciled(shared: Arc<Shared>) {
     let mut period = tokio::time::interval(PERIOD);
     period.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
     loop {

@@ -31,7 +31,7 @@ const REMEMBERED: i64 = 65;
 const CLEARED_AT: i64 = 64;
 
 /// The way to a participant of this process.
-pub(super) struct OwnPort {
+pub(in crate::dds) struct OwnPort {
     socket: UdpSocket,
     own: EndpointId,
     to: SocketAddr,
@@ -42,7 +42,7 @@ pub(super) struct OwnPort {
 impl OwnPort {
     /// `address`: of the interface that it uses. If it received from loopback, rustdds would send to itself by loopback
     /// alone. `port`: where it receives announcements.
-    pub(super) fn new(own: EndpointId, address: Ipv4Addr, port: u16) -> io::Result<Self> {
+    pub(in crate::dds) fn new(own: EndpointId, address: Ipv4Addr, port: u16) -> io::Result<Self> {
         let socket = UdpSocket::bind((address, 0))?;
         socket.set_nonblocking(true)?;
         let to = SocketAddr::from((Ipv4Addr::LOCALHOST, port));
@@ -56,7 +56,7 @@ impl OwnPort {
     }
 
     /// Displaces the announcements that rustdds remembers.
-    pub(super) fn forget_announcements(&self) {
+    pub(in crate::dds) fn forget_announcements(&self) {
         let last = self.number.fetch_add(REMEMBERED, Ordering::Relaxed);
         let numbers = (last + 1)..=(last + REMEMBERED);
         let numbers = numbers.map(|number| number * CLEARED_AT);
@@ -64,7 +64,7 @@ impl OwnPort {
     }
 
     /// Ends the lease of another participant.
-    pub(super) fn expire(&self, peer: &Peer) {
+    pub(in crate::dds) fn expire(&self, peer: &Peer) {
         self.send(&rtps::expiry(&self.own, peer, self.next_number()));
     }
 
@@ -74,7 +74,7 @@ impl OwnPort {
     }
 
     /// Keeps the participant's own lease, and announces it, for as long as it exists.
-    pub(super) async fn keep_alive(&self) {
+    pub(in crate::dds) async fn keep_alive(&self) {
         let mut period = tokio::time::interval(PERIOD);
         loop {
             period.tick().await;

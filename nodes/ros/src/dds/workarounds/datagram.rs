@@ -16,12 +16,12 @@ const IFF_UP: u32 = 1;
 const IFF_LOOPBACK: u32 = 8;
 
 /// The largest answer that rustdds sends whole to a client that announces any address of this host or another \[byte\].
-pub(super) fn largest_answer() -> usize {
+pub(in crate::dds) fn largest_answer() -> usize {
     smallest_mtu(Path::new("/sys/class/net")) - OVERHEAD
 }
 
 /// The largest answer that rustdds sends whole between participants on loopback \[byte\].
-pub(super) const LARGEST_ON_LOOPBACK: usize = LOOPBACK_MTU - OVERHEAD;
+pub(in crate::dds) const LARGEST_ON_LOOPBACK: usize = LOOPBACK_MTU - OVERHEAD;
 
 fn smallest_mtu(interfaces: &Path) -> usize {
     let Ok(entries) = fs::read_dir(interfaces) else {

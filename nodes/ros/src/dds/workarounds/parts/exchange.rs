@@ -2,15 +2,13 @@
 //! here.
 
 use super::{
-    super::{codec::Raw, local::is_same_participant, lock::lock, shared::Shared},
-    Mail, Offered, Peer, Postbox, State, TYPE,
-    inbox::Whole,
-    message::PartMessage,
-    peer_of, profile, topic_of,
+    Mail, Offered, Peer, Postbox, State, TYPE, inbox::Whole, message::PartMessage, peer_of,
+    profile, topic_of,
 };
 use crate::{
     Error,
     backend::{EndpointId, Sample},
+    dds::{codec::Raw, local::is_same_participant, lock::lock, shared::Shared},
     payload::Payload,
 };
 use bytes::Bytes;

@@ -25,7 +25,7 @@ const PAUSES: [Duration; 4] = [
 ];
 
 /// Participants that a domain can have on one host: the highest domains have fewer ports.
-pub(super) fn participants_of(domain: u16) -> u16 {
+pub(in crate::dds) fn participants_of(domain: u16) -> u16 {
     let numbers = 0..NUMBERS;
     numbers
         .take_while(|number| Ports::new(domain, *number).fit())
@@ -34,7 +34,12 @@ pub(super) fn participants_of(domain: u16) -> u16 {
 }
 
 /// Announces the participant `own`, of this number, for as long as it exists.
-pub(super) async fn introduce(socket: UdpSocket, own: EndpointId, domain: u16, participant: u16) {
+pub(in crate::dds) async fn introduce(
+    socket: UdpSocket,
+    own: EndpointId,
+    domain: u16,
+    participant: u16,
+) {
     let ports = Ports::new(domain, participant);
     let message = rtps::announcement(&own, ports.discovery(), ports.user());
     let mut pauses = PAUSES.iter();

@@ -7,8 +7,11 @@
 //! take its last samples. The new writer is used as soon as all readers of the old one are connected to it: rustdds
 //! repairs for these whatever they miss.
 
-use super::{codec::Raw, lock::lock, window::Window};
-use crate::backend::{EndpointId, RequestId};
+use super::window::Window;
+use crate::{
+    backend::{EndpointId, RequestId},
+    dds::{codec::Raw, lock::lock},
+};
 use bytes::Bytes;
 use futures::{FutureExt as _, future::BoxFuture, task::noop_waker_ref};
 use rustdds::{
@@ -28,37 +31,37 @@ use std::{
 /// How far the slowest reader may fall behind before a new writer is started \[samples\].
 const PATIENCE: usize = 256;
 /// It has also acknowledged nothing for this long: acknowledgements of a burst are under way.
-pub(super) const LULL: Duration = Duration::from_millis(100);
+pub(in crate::dds) const LULL: Duration = Duration::from_millis(100);
 /// And at most, where one reader lets writer after writer go by: each is announced to all participants.
 const MOST_PATIENCE: usize = 2048;
 
 /// How long the writer before is kept, for what the other readers have not taken from it.
-pub(super) const RETIREMENT: Duration = Duration::from_secs(2);
+pub(in crate::dds) const RETIREMENT: Duration = Duration::from_secs(2);
 
 /// Makes the DDS writers of a publisher.
-pub(super) struct Maker {
-    pub(super) publisher: Publisher,
-    pub(super) topic: Topic,
-    pub(super) qos: QosPolicies,
+pub(in crate::dds) struct Maker {
+    pub(in crate::dds) publisher: Publisher,
+    pub(in crate::dds) topic: Topic,
+    pub(in crate::dds) qos: QosPolicies,
 }
 
 impl Maker {
-    pub(super) fn make(&self) -> CreateResult<DataWriter<Bytes, Raw>> {
+    pub(in crate::dds) fn make(&self) -> CreateResult<DataWriter<Bytes, Raw>> {
         let qos = Some(self.qos.clone());
         self.publisher.create_datawriter_no_key(&self.topic, qos)
     }
 }
 
 /// A DDS writer and what its readers have acknowledged.
-pub(super) struct Line {
+pub(in crate::dds) struct Line {
     writer: Arc<DataWriter<Bytes, Raw>>,
-    pub(super) window: Window,
+    pub(in crate::dds) window: Window,
     /// The number of the last sample when the wait began, and the wait until all readers have it.
     wait: Option<(i64, BoxFuture<'static, ()>)>,
 }
 
 impl Line {
-    pub(super) fn new(writer: DataWriter<Bytes, Raw>) -> Self {
+    pub(in crate::dds) fn new(writer: DataWriter<Bytes, Raw>) -> Self {
         Self {
             writer: Arc::new(writer),
             window: Window::default(),
@@ -66,16 +69,16 @@ impl Line {
         }
     }
 
-    pub(super) fn id(&self) -> EndpointId {
+    pub(in crate::dds) fn id(&self) -> EndpointId {
         self.writer.guid().to_bytes()
     }
 
-    pub(super) const fn writer(&self) -> &Arc<DataWriter<Bytes, Raw>> {
+    pub(in crate::dds) const fn writer(&self) -> &Arc<DataWriter<Bytes, Raw>> {
         &self.writer
     }
 
     /// Sends a sample; its number.
-    pub(super) fn write(
+    pub(in crate::dds) fn write(
         &mut self,
         sample: &Bytes,
         answers: Option<RequestId>,
@@ -96,7 +99,7 @@ impl Line {
     }
 
     /// Updates the window by what the readers have acknowledged; whether they have acknowledged something.
-    pub(super) fn look(&mut self) -> bool {
+    pub(in crate::dds) fn look(&mut self) -> bool {
         let mut context = Context::from_waker(noop_waker_ref());
         let mut is_acknowledged = false;
         while self.window.unacknowledged() > 0 {
@@ -122,7 +125,7 @@ impl Line {
 
 /// How long a publisher waits for its slowest reader.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Patience(usize);
+pub(in crate::dds) struct Patience(usize);
 
 impl Default for Patience {
     fn default() -> Self {
@@ -131,24 +134,24 @@ impl Default for Patience {
 }
 
 impl Patience {
-    pub(super) const fn samples(self) -> usize {
+    pub(in crate::dds) const fn samples(self) -> usize {
         self.0
     }
 
     /// A writer was given up.
-    pub(super) fn grow(&mut self) {
+    pub(in crate::dds) fn grow(&mut self) {
         self.0 = (self.0 * 2).min(MOST_PATIENCE);
     }
 
     /// All readers have everything.
-    pub(super) const fn reset(&mut self) {
+    pub(in crate::dds) const fn reset(&mut self) {
         self.0 = PATIENCE;
     }
 }
 
 /// Which DDS writer stands for which publisher. A publisher is known in this process by its first DDS writer.
 #[derive(Default)]
-pub(super) struct Lines {
+pub(in crate::dds) struct Lines {
     table: Mutex<Table>,
 }
 
@@ -160,30 +163,30 @@ struct Table {
 
 impl Lines {
     /// From now on `line` stands for `publisher`.
-    pub(super) fn set_current(&self, publisher: EndpointId, line: EndpointId) {
+    pub(in crate::dds) fn set_current(&self, publisher: EndpointId, line: EndpointId) {
         lock(&self.table).current.insert(publisher, line);
     }
 
     /// `line` is a DDS writer of `publisher`.
-    pub(super) fn add(&self, publisher: EndpointId, line: EndpointId) {
+    pub(in crate::dds) fn add(&self, publisher: EndpointId, line: EndpointId) {
         lock(&self.table).publishers.insert(line, publisher);
     }
 
-    pub(super) fn remove(&self, line: &EndpointId) {
+    pub(in crate::dds) fn remove(&self, line: &EndpointId) {
         lock(&self.table).publishers.remove(line);
     }
 
-    pub(super) fn remove_publisher(&self, publisher: &EndpointId) {
+    pub(in crate::dds) fn remove_publisher(&self, publisher: &EndpointId) {
         lock(&self.table).current.remove(publisher);
     }
 
     /// The publisher that a DDS writer stands for; any other endpoint stands for itself.
-    pub(super) fn publisher_of(&self, line: &EndpointId) -> EndpointId {
+    pub(in crate::dds) fn publisher_of(&self, line: &EndpointId) -> EndpointId {
         *lock(&self.table).publishers.get(line).unwrap_or(line)
     }
 
     /// The DDS writer that stands for a publisher now; any other endpoint stands for itself.
-    pub(super) fn current(&self, publisher: &EndpointId) -> EndpointId {
+    pub(in crate::dds) fn current(&self, publisher: &EndpointId) -> EndpointId {
         *lock(&self.table)
             .current
             .get(publisher)

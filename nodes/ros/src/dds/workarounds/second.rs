@@ -3,22 +3,25 @@
 //! rustdds 0.15.1 connects a new writer with the readers of its own participant, but sends nothing to its own participant
 //! by loopback: they acknowledge nothing, and the publisher would start one DDS writer after
 //! the other ([`super::line`]). Between two participants this does not happen. Messages between the two are delivered in
-//! memory ([`super::local`]), as within one. ROS tools show the writers, but not their node.
+//! memory ([`super::super::local`]), as within one. ROS tools show the writers, but not their node.
 
 use super::{
-    Dds, confine,
+    confine,
     introduction::{introduce, participants_of},
     lease::OwnPort,
     line::Maker,
-    lock::lock,
     parts::peer_of,
-    qos::for_reader,
-    shared::{Second, follow},
-    topic,
 };
 use crate::{
     Environment, Error, Reliability,
     backend::{Channel, Endpoint},
+    dds::{
+        Dds,
+        lock::lock,
+        qos::for_reader,
+        shared::{Second, follow},
+        topic,
+    },
 };
 use futures::FutureExt as _;
 use rustdds::{
@@ -51,7 +54,7 @@ fn full(domain: u16) -> Error {
 }
 
 /// A participant of the domain, not yet in anybody's book, which hears nothing from outside the environment's reach.
-pub(super) fn participant(environment: &Environment) -> Result<DomainParticipant, Error> {
+pub(in crate::dds) fn participant(environment: &Environment) -> Result<DomainParticipant, Error> {
     let of_sockets = |source| Error::io("confine the sockets of DDS", source);
     let before = confine::sockets().map_err(of_sockets)?;
     let mut builder = DomainParticipantBuilder::new(environment.domain_id);
@@ -77,7 +80,7 @@ pub(super) fn participant(environment: &Environment) -> Result<DomainParticipant
 
 impl Dds {
     /// Whether the writer needs the second participant.
-    pub(super) fn goes_apart(&self, endpoint: &Endpoint) -> bool {
+    pub(in crate::dds) fn goes_apart(&self, endpoint: &Endpoint) -> bool {
         self.environment.is_on_loopback()
             && !self.environment.is_alone()
             && endpoint.channel == Channel::Topic
@@ -86,7 +89,7 @@ impl Dds {
     }
 
     /// Makes writers of the second participant, which joins the domain if it has not done so.
-    pub(super) fn maker_apart(
+    pub(in crate::dds) fn maker_apart(
         &self,
         endpoint: &Endpoint,
         qos: QosPolicies,
@@ -109,7 +112,7 @@ impl Dds {
     }
 
     /// Starts the tasks of a participant: its discovery events, and the announcements that rustdds does not send.
-    pub(super) fn attend(&self, participant: &DomainParticipant) -> Result<(), Error> {
+    pub(in crate::dds) fn attend(&self, participant: &DomainParticipant) -> Result<(), Error> {
         let failed = |source| Error::io("open a UDP socket", source);
         let own = participant.guid().to_bytes();
         let (domain, number) = (self.environment.domain_id, participant.participant_id());

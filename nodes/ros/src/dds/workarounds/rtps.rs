@@ -55,18 +55,18 @@ const OCTETS_TO_INLINE_QOS: u16 = 16;
 /// The same of a DATA_FRAG submessage.
 const OCTETS_TO_INLINE_QOS_OF_FRAGMENTS: u16 = 28;
 /// The fragments of rustdds 0.15.1 \[byte\].
-pub(super) const FRAGMENT: usize = 256;
+pub(in crate::dds) const FRAGMENT: usize = 256;
 
 /// The largest datagram that Fast DDS and Cyclone DDS receive \[byte\]; UDP itself takes 7 bytes more.
 const LARGEST_DATAGRAM: usize = 65_500;
 /// Everything in [`answer`] but the sample.
 const ANSWER_OVERHEAD: usize = 20 + 16 + 12 + 24 + 2 * 28 + 4;
 /// The largest sample that fits into one [`answer`], its CDR header included \[byte\].
-pub(super) const LARGEST_ANSWER: usize = LARGEST_DATAGRAM - ANSWER_OVERHEAD;
+pub(in crate::dds) const LARGEST_ANSWER: usize = LARGEST_DATAGRAM - ANSWER_OVERHEAD;
 
 /// The answer `sample` (CDR with its header) to a request, for `reader`. `number`: of the sample in the numbering of
 /// `writer`. `nanos`: when it was written \[ns since 1970\].
-pub(super) fn answer(
+pub(in crate::dds) fn answer(
     writer: &EndpointId,
     number: i64,
     reader: &EndpointId,
@@ -99,19 +99,19 @@ pub(super) fn answer(
 }
 
 /// Some fragments of a sample.
-pub(super) struct Fragments {
+pub(in crate::dds) struct Fragments {
     /// In the writer's numbering.
-    pub(super) number: i64,
+    pub(in crate::dds) number: i64,
     /// When the sample was written.
-    pub(super) time: Timestamp,
+    pub(in crate::dds) time: Timestamp,
     /// Number of the first fragment; that of the sample's first is 1.
-    pub(super) first: u32,
+    pub(in crate::dds) first: u32,
     /// Fragments; the sample may end before.
-    pub(super) count: u16,
+    pub(in crate::dds) count: u16,
 }
 
 /// Fragments of `sample` (CDR with its header) for `reader` (8.3.8.3), empty past its end.
-pub(super) fn fragments(
+pub(in crate::dds) fn fragments(
     writer: &EndpointId,
     reader: &EndpointId,
     fragments: &Fragments,
@@ -148,7 +148,7 @@ pub(super) fn fragments(
 }
 
 /// The first announcement of the participant `own`, which is reached on loopback at these ports (8.5.3).
-pub(super) fn announcement(own: &EndpointId, discovery: u16, user: u16) -> Bytes {
+pub(in crate::dds) fn announcement(own: &EndpointId, discovery: u16, user: u16) -> Bytes {
     let mut message = header(own);
     let data = participant(own, BUILTIN_ENDPOINTS, LEASE, Some([discovery, user]));
     announced(&mut message, ANY_READER, PAYLOAD, &data, 1);
@@ -188,7 +188,7 @@ fn locator(port: u16) -> BytesMut {
 }
 
 /// A sign of life of the participant `own`: an announcement without content.
-pub(super) fn life_sign(own: &EndpointId) -> Bytes {
+pub(in crate::dds) fn life_sign(own: &EndpointId) -> Bytes {
     let mut message = header(own);
     announced(&mut message, SPDP_READER, 0, &[], 1);
     message.freeze()
@@ -203,7 +203,7 @@ fn fictitious(own: &EndpointId) -> EndpointId {
 }
 
 /// The fictitious participant joins and leaves: announcements of this number and the next.
-pub(super) fn visit(own: &EndpointId, number: i64) -> Bytes {
+pub(in crate::dds) fn visit(own: &EndpointId, number: i64) -> Bytes {
     let id = fictitious(own);
     let mut message = header(&id);
     let data = participant(&id, 0, 1, None);
@@ -213,7 +213,7 @@ pub(super) fn visit(own: &EndpointId, number: i64) -> Bytes {
 }
 
 /// The fictitious participant leaves, once for each of `numbers`.
-pub(super) fn departures(own: &EndpointId, numbers: impl Iterator<Item = i64>) -> Bytes {
+pub(in crate::dds) fn departures(own: &EndpointId, numbers: impl Iterator<Item = i64>) -> Bytes {
     let id = fictitious(own);
     let mut message = header(&id);
     for number in numbers {
@@ -223,7 +223,7 @@ pub(super) fn departures(own: &EndpointId, numbers: impl Iterator<Item = i64>) -
 }
 
 /// The lease of the participant `peer` ends within a second.
-pub(super) fn expiry(own: &EndpointId, peer: &Peer, number: i64) -> Bytes {
+pub(in crate::dds) fn expiry(own: &EndpointId, peer: &Peer, number: i64) -> Bytes {
     let mut id = fictitious(own);
     let mut message = header(&id);
     id[..12].copy_from_slice(peer);

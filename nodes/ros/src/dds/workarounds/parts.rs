@@ -21,10 +21,10 @@ mod outbox;
 #[cfg(test)]
 mod tests;
 
-use super::{codec::Raw, lock::lock};
 use crate::{
     Durability, Qos, Reliability,
     backend::{Channel, Endpoint, EndpointId, Sample},
+    dds::{codec::Raw, lock::lock},
     mailbox::Mailbox,
 };
 use bytes::Bytes;
@@ -39,9 +39,9 @@ use std::{
 };
 use tokio::sync::Notify;
 
-pub(super) use exchange::exchange;
-pub(super) use message::LARGEST;
-pub(super) use outbox::{Keep, Offered};
+pub(in crate::dds) use exchange::exchange;
+pub(in crate::dds) use message::LARGEST;
+pub(in crate::dds) use outbox::{Keep, Offered};
 
 /// Decodes a sample as far as it goes: for the fuzz targets.
 pub(crate) fn decode_part(sample: &[u8]) {
@@ -49,7 +49,7 @@ pub(crate) fn decode_part(sample: &[u8]) {
 }
 
 /// A participant: the first bytes of the identities of its endpoints.
-pub(super) type Peer = [u8; 12];
+pub(in crate::dds) type Peer = [u8; 12];
 
 /// Something to say to a participant.
 #[derive(Clone, Debug)]
@@ -60,7 +60,7 @@ struct Mail {
 
 /// In front of the participant's identity; the number is the protocol's version.
 const TOPIC: &str = "wm/parts/1/";
-pub(super) const TYPE: &str = "wm::Parts_";
+pub(in crate::dds) const TYPE: &str = "wm::Parts_";
 /// Samples that wait for the task that takes them, or for the thread that sends them.
 const DEPTH: usize = 64;
 
@@ -101,7 +101,7 @@ impl State {
 
 /// The messages in parts of this participant.
 #[derive(Default)]
-pub(super) struct Parts {
+pub(in crate::dds) struct Parts {
     state: Mutex<State>,
     /// There may be something to do earlier than before.
     is_earlier: Notify,
@@ -109,24 +109,24 @@ pub(super) struct Parts {
     is_settled: Notify,
 }
 
-pub(super) fn peer_of(id: &EndpointId) -> Peer {
+pub(in crate::dds) fn peer_of(id: &EndpointId) -> Peer {
     let mut peer = Peer::default();
     peer.copy_from_slice(&id[..12]);
     peer
 }
 
-pub(super) fn topic_of(peer: &Peer) -> String {
+pub(in crate::dds) fn topic_of(peer: &Peer) -> String {
     peer.iter()
         .fold(TOPIC.to_owned(), |name, byte| format!("{name}{byte:02x}"))
 }
 
-pub(super) fn profile() -> QosPolicies {
-    super::qos::for_writer(Qos::best_effort(DEPTH))
+pub(in crate::dds) fn profile() -> QosPolicies {
+    crate::dds::qos::for_writer(Qos::best_effort(DEPTH))
 }
 
 impl Keep {
     /// What a writer keeps whose messages may go in parts.
-    pub(super) fn of(endpoint: &Endpoint) -> Option<Self> {
+    pub(in crate::dds) fn of(endpoint: &Endpoint) -> Option<Self> {
         let Qos {
             reliability,
             durability,
@@ -137,34 +137,34 @@ impl Keep {
         }
         Some(match reliability {
             Reliability::BestEffort => Self::Last(depth),
-            Reliability::Reliable => Self::All(super::qos::RELIABLE_WINDOW.max(depth)),
+            Reliability::Reliable => Self::All(crate::dds::qos::RELIABLE_WINDOW.max(depth)),
         })
     }
 }
 
 impl Parts {
     /// Whether a message goes in parts: it is large, or others of its writer went so before.
-    pub(super) fn takes(&self, writer: &EndpointId, len: usize) -> bool {
+    pub(in crate::dds) fn takes(&self, writer: &EndpointId, len: usize) -> bool {
         len > message::PART || lock(&self.state).outbox.has(writer)
     }
 
     /// Whether this writer's messages go in parts.
-    pub(super) fn has(&self, writer: &EndpointId) -> bool {
+    pub(in crate::dds) fn has(&self, writer: &EndpointId) -> bool {
         lock(&self.state).outbox.has(writer)
     }
 
     /// From now on this writer's messages go in parts. `last` is the last number that it used on its topic.
-    pub(super) fn open(&self, writer: EndpointId, keep: Keep, last: i64) {
+    pub(in crate::dds) fn open(&self, writer: EndpointId, keep: Keep, last: i64) {
         lock(&self.state).outbox.open(writer, keep, last);
     }
 
     /// Whether one more message would drop one that a reader still asks for.
-    pub(super) fn is_full(&self, writer: &EndpointId) -> bool {
+    pub(in crate::dds) fn is_full(&self, writer: &EndpointId) -> bool {
         lock(&self.state).outbox.is_full(Instant::now(), writer)
     }
 
     /// Waits until every reader that is not silent has what this writer has sent so far.
-    pub(super) async fn acknowledged(&self, writer: &EndpointId) {
+    pub(in crate::dds) async fn acknowledged(&self, writer: &EndpointId) {
         let Some(last) = lock(&self.state).outbox.last(writer) else {
             return;
         };
@@ -183,7 +183,7 @@ impl Parts {
     }
 
     /// What comes in parts for this reader goes into `inbox`.
-    pub(super) fn add_reader(
+    pub(in crate::dds) fn add_reader(
         &self,
         id: EndpointId,
         endpoint: &Endpoint,
@@ -192,7 +192,7 @@ impl Parts {
         let depth = match endpoint.qos.reliability {
             Reliability::BestEffort => endpoint.qos.depth,
             // as many as a reliable writer keeps: nothing that it still has is left out
-            Reliability::Reliable => super::qos::RELIABLE_WINDOW.max(endpoint.qos.depth),
+            Reliability::Reliable => crate::dds::qos::RELIABLE_WINDOW.max(endpoint.qos.depth),
         };
         let inbox = Arc::clone(inbox);
         lock(&self.state)
@@ -201,7 +201,7 @@ impl Parts {
     }
 
     /// Whether a sample on the topic is for this reader: not where it has come in parts, or will.
-    pub(super) fn lets_in(&self, reader: &EndpointId, sample: &Sample) -> bool {
+    pub(in crate::dds) fn lets_in(&self, reader: &EndpointId, sample: &Sample) -> bool {
         let mut state = lock(&self.state);
         if let Some(base) = state.inbox.base(&sample.writer) {
             return sample.sequence <= base;
@@ -214,7 +214,7 @@ impl Parts {
     }
 
     /// A participant has a reader, which may be the one of parts. Told of each reader more than once.
-    pub(super) fn add_peer(&self, reader: GUID, topic: &str) {
+    pub(in crate::dds) fn add_peer(&self, reader: GUID, topic: &str) {
         let peer = peer_of(&reader.to_bytes());
         if topic == topic_of(&peer) {
             let writer = None;
@@ -225,7 +225,7 @@ impl Parts {
     }
 
     /// Another participant has gone.
-    pub(super) fn forget_participant(&self, peer: &Peer) {
+    pub(in crate::dds) fn forget_participant(&self, peer: &Peer) {
         let mut state = lock(&self.state);
         state.forget_peer(peer);
         state
@@ -236,7 +236,7 @@ impl Parts {
     }
 
     /// An endpoint of another participant has gone.
-    pub(super) fn forget_other(&self, id: &EndpointId) {
+    pub(in crate::dds) fn forget_other(&self, id: &EndpointId) {
         let mut state = lock(&self.state);
         let peer = peer_of(id);
         let reader = state.postboxes.get(&peer).map(|postbox| postbox.reader);
@@ -250,7 +250,7 @@ impl Parts {
     }
 
     /// The writers to other participants, each with its topic.
-    pub(super) fn writers(&self) -> Vec<(EndpointId, String)> {
+    pub(in crate::dds) fn writers(&self) -> Vec<(EndpointId, String)> {
         let state = lock(&self.state);
         let postboxes = state.postboxes.iter();
         let writer = |(peer, postbox): (&Peer, &Postbox)| {
@@ -261,14 +261,14 @@ impl Parts {
     }
 
     /// The readers of other participants that are known to take parts.
-    pub(super) fn readers(&self) -> Vec<EndpointId> {
+    pub(in crate::dds) fn readers(&self) -> Vec<EndpointId> {
         let state = lock(&self.state);
         let postboxes = state.postboxes.values();
         postboxes.map(|postbox| postbox.reader.to_bytes()).collect()
     }
 
     /// An endpoint of this participant has gone.
-    pub(super) fn forget_own(&self, id: &EndpointId) {
+    pub(in crate::dds) fn forget_own(&self, id: &EndpointId) {
         let mut state = lock(&self.state);
         state.outbox.forget_writer(id);
         state.readers.remove(id);
@@ -276,7 +276,7 @@ impl Parts {
     }
 
     /// Says nothing any more.
-    pub(super) fn leave(&self) {
+    pub(in crate::dds) fn leave(&self) {
         lock(&self.state).postboxes.clear();
     }
 }

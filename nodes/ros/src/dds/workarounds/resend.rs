@@ -6,13 +6,15 @@
 //! acknowledged is sent again from here, in the name of its own writer and in datagrams as large as those of Fast DDS.
 //! The samples after it are sent so before rustdds sends them too. Readers ignore the fragments that they have.
 
-use super::{
-    answers::WaitingRoom,
-    codec::Raw,
-    rtps::{self, Fragments},
-    shared::{Shared, is_foreign},
+use super::rtps::{self, Fragments};
+use crate::{
+    backend::EndpointId,
+    dds::{
+        answers::WaitingRoom,
+        codec::Raw,
+        shared::{Shared, is_foreign},
+    },
 };
-use crate::backend::EndpointId;
 use bytes::Bytes;
 use rustdds::{Timestamp, no_key::DataWriter};
 use std::{
@@ -41,7 +43,7 @@ const CAREFUL: u32 = 256;
 
 /// What is known of the readers of a publisher's large samples.
 #[derive(Default)]
-pub(super) struct Care {
+pub(in crate::dds) struct Care {
     /// Samples that are not acknowledged yet.
     places: WaitingRoom,
     /// Samples that will be sent twice from the start.
@@ -49,7 +51,7 @@ pub(super) struct Care {
 }
 
 /// A sample that is sent.
-pub(super) struct LargeSample {
+pub(in crate::dds) struct LargeSample {
     line: EndpointId,
     number: i64,
     time: Timestamp,
@@ -59,7 +61,7 @@ pub(super) struct LargeSample {
 
 impl LargeSample {
     /// The sample that the DDS writer `line` sends under this number; `None` if it needs no care.
-    pub(super) fn of(
+    pub(in crate::dds) fn of(
         line: EndpointId,
         number: i64,
         time: Timestamp,
@@ -98,7 +100,7 @@ impl Shared {
     }
 
     /// Sends a sample before rustdds does, if samples before it were not acknowledged.
-    pub(super) fn send_ahead(&self, large: &LargeSample, care: &Care) {
+    pub(in crate::dds) fn send_ahead(&self, large: &LargeSample, care: &Care) {
         let less = |careful: u32| careful.checked_sub(1);
         let order = Ordering::Relaxed;
         if care.careful.fetch_update(order, order, less).is_err() {
@@ -114,7 +116,7 @@ impl Shared {
     }
 
     /// Sends a sample again for as long as the readers have not acknowledged it, a few times.
-    pub(super) fn resend(
+    pub(in crate::dds) fn resend(
         self: &Arc<Self>,
         writer: Weak<DataWriter<Bytes, Raw>>,
         large: LargeSample,

@@ -16,14 +16,14 @@ const BITS: u32 = 12;
 const MASK: u64 = (1 << BITS) - 1;
 
 /// The times of a publisher's samples.
-pub(super) struct Stamps {
+pub(in crate::dds) struct Stamps {
     publisher: u64,
     last: u64,
 }
 
 impl Stamps {
     /// For the publisher with this first DDS writer.
-    pub(super) fn new(publisher: &EndpointId) -> Self {
+    pub(in crate::dds) fn new(publisher: &EndpointId) -> Self {
         // The entity key (DDSI-RTPS 2.5, 9.3.1.2), which rustdds counts up.
         let number = publisher.iter().skip(12).take(3);
         let number = number.fold(0, |number, byte| number << 8 | u64::from(*byte));
@@ -35,7 +35,7 @@ impl Stamps {
     }
 
     /// The time of the next sample: `now`, or just after the sample before if the system's clock was set back.
-    pub(super) fn next(&mut self, now: Timestamp) -> Timestamp {
+    pub(in crate::dds) fn next(&mut self, now: Timestamp) -> Timestamp {
         let time = now.to_ticks() & !MASK | self.publisher;
         self.last = time.max(self.last + MASK + 1);
         Timestamp::from_ticks(self.last)
@@ -48,12 +48,12 @@ const MOST: usize = 256;
 
 /// The latest sample that was taken of each publisher, and its DDS writer.
 #[derive(Default)]
-pub(super) struct Latest(BTreeMap<(Peer, u64), (EndpointId, Timestamp)>);
+pub(in crate::dds) struct Latest(BTreeMap<(Peer, u64), (EndpointId, Timestamp)>);
 
 impl Latest {
     /// Whether a sample that `writer` wrote at `time` was taken from another DDS writer of its publisher, or is older
     /// than one that was.
-    pub(super) fn supersedes(&mut self, writer: EndpointId, time: Timestamp) -> bool {
+    pub(in crate::dds) fn supersedes(&mut self, writer: EndpointId, time: Timestamp) -> bool {
         let publisher = (peer_of(&writer), time.to_ticks() & MASK);
         if self.0.len() >= MOST && !self.0.contains_key(&publisher) {
             self.0.pop_first();

@@ -12,8 +12,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use super::lock::lock;
-use crate::backend::EndpointId;
+use crate::{backend::EndpointId, dds::lock::lock};
 
 /// eProsima's identifier (<https://www.omg.org/dds/vendor-ids/>), with which the identities of its participants begin.
 const EPROSIMA: [u8; 2] = [0x01, 0x0f];
@@ -24,13 +23,13 @@ const LONGEST: Duration = Duration::from_secs(1);
 
 /// Since when, and until when, others catch up.
 #[derive(Debug, Default)]
-pub(super) struct CatchUp {
+pub(in crate::dds) struct CatchUp {
     span: Mutex<Option<(Instant, Instant)>>,
 }
 
 impl CatchUp {
     /// A participant was discovered.
-    pub(super) fn discovered(&self, id: &EndpointId, now: Instant) {
+    pub(in crate::dds) fn discovered(&self, id: &EndpointId, now: Instant) {
         if !id.starts_with(&EPROSIMA) {
             return;
         }
@@ -51,12 +50,12 @@ impl CatchUp {
     }
 
     /// Whether endpoints have to wait.
-    pub(super) fn is_pending(&self) -> bool {
+    pub(in crate::dds) fn is_pending(&self) -> bool {
         !self.remaining(Instant::now()).is_zero()
     }
 
     /// Holds the thread until an endpoint may be announced: endpoints are made while a node starts, and rarely after.
-    pub(super) fn wait(&self) {
+    pub(in crate::dds) fn wait(&self) {
         loop {
             let remaining = self.remaining(Instant::now());
             if remaining.is_zero() {
