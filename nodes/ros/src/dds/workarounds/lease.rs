@@ -1,21 +1,21 @@
-//! Leases of participants, where rustdds 0.15.1 makes a temporary loss permanent.
+//! Leases of participants. rustdds 0.15.1 makes a temporary loss permanent in four ways:
 //!
-//! - **A participant loses itself.** It knows itself by its own announcements, which multicast brings back, and by their
-//!   lease of 50 s. It announces itself where it knows participants. After a cut of that length it knows none, and never
-//!   announces itself again. So it receives a sign of life from here.
-//! - **It announces itself every 10 s only**, and at once when it discovers a participant. So that others discover it
-//!   sooner after a cut, it discovers a fictitious participant every few seconds.
-//! - **A participant of Fast DDS that was lost is never discovered again.** Its announcements all have the number 1.
-//!   rustdds takes each number once, for as long as it is among the last 64 announcements of all participants. So
-//!   announcements of the fictitious participant displace them when a lease has run out.
-//! - **A participant that has lost this one, and is not lost itself, never receives the announcements of the endpoints
-//!   again.** rustdds assumes that its readers have them. Packets that are lost in one direction cause this. So the lease
-//!   of a participant ends here once it has acknowledged nothing for longer than that lease, and it is discovered anew.
+//! - **A participant loses itself.** It discovers itself by its own announcements, which multicast returns, with a
+//!   lease of 50 s. It announces itself only if it knows a participant. After a cut of that length it knows none, and
+//!   never announces itself again. [`OwnPort::keep_alive`] keeps its own lease.
+//! - **It announces itself only every 10 s**, and at once when it discovers a participant. So it is made to discover a
+//!   fictitious participant every few seconds: other participants then rediscover it sooner.
+//! - **A lost Fast DDS participant is never discovered again.** Its announcements all have the number 1. rustdds
+//!   accepts a number once while it is among the last 64 announcements of all participants. When a lease has run out,
+//!   announcements of the fictitious participant displace them.
+//! - **A participant that has lost this one, but is not lost itself, never receives the announcements of endpoints
+//!   again.** rustdds assumes that its readers have them. Packet loss in one direction causes this. So its lease ends
+//!   early ([`super::one_way`]), and it is discovered anew.
 //!
-//! All this goes to the participant of this process only, in its own name or in that of the fictitious participant.
+//! All these messages go to the own participant only, in its own name or in that of the fictitious participant.
 
-use super::{parts::Peer, rtps};
-use crate::backend::EndpointId;
+use super::rtps;
+use crate::{backend::EndpointId, dds::identity::Peer};
 use std::{
     io,
     net::{Ipv4Addr, SocketAddr, UdpSocket},
@@ -27,7 +27,7 @@ use std::{
 const PERIOD: Duration = Duration::from_secs(3);
 /// Announcements that rustdds remembers (the limit of `TopicCache` without resource limits), and one more.
 const REMEMBERED: i64 = 65;
-/// It clears out the oldest when a number is a multiple of this.
+/// rustdds removes the oldest when a number is a multiple of this.
 const CLEARED_AT: i64 = 64;
 
 /// The way to a participant of this process.
@@ -35,13 +35,13 @@ pub(in crate::dds) struct OwnPort {
     socket: UdpSocket,
     own: EndpointId,
     to: SocketAddr,
-    /// Of the fictitious participant's last announcement.
+    /// The number of the fictitious participant's last announcement.
     number: AtomicI64,
 }
 
 impl OwnPort {
-    /// `address`: of the interface that it uses. If it received from loopback, rustdds would send to itself by loopback
-    /// alone. `port`: where it receives announcements.
+    /// `address`: of a used interface. From a loopback address, rustdds would send to itself by loopback alone. `port`:
+    /// where the participant receives announcements.
     pub(in crate::dds) fn new(own: EndpointId, address: Ipv4Addr, port: u16) -> io::Result<Self> {
         let socket = UdpSocket::bind((address, 0))?;
         socket.set_nonblocking(true)?;
@@ -73,7 +73,7 @@ impl OwnPort {
         self.number.fetch_add(1, Ordering::Relaxed) * CLEARED_AT + 1
     }
 
-    /// Keeps the participant's own lease, and announces it, for as long as it exists.
+    /// Keeps the participant's own lease and announces it, while it exists.
     pub(in crate::dds) async fn keep_alive(&self) {
         let mut period = tokio::time::interval(PERIOD);
         loop {

@@ -1,36 +1,38 @@
-//! Large messages between participants of this suite, whatever the receive buffer of the machine.
+//! Large messages between participants of this suite, for receive buffers of any size.
 //!
-//! rustdds sends a sample as one burst of fragments. One of 512 KiB overflows Linux's default receive buffer of
-//! 208 KiB, and reliable readers fare no better, since its repairs are bursts as well. So a volatile writer of a topic
-//! goes over to parts with its first large message: it offers each message to the participants that read the topic and
-//! have a reader of parts, keeps as many as its history is deep, and sends the parts that they ask for. Each asks for
-//! a few at a time, so that nothing overflows, asks again for what does not come, and answers when it has a message.
-//! A reader that stops asks for nothing and holds up nobody: it loses the oldest messages once too many wait for it, and
-//! all but the newest once it has been silent for seconds. A part is sent only to a reader that it was offered to.
+//! rustdds sends a sample as one burst of fragments. A burst of 512 KiB overflows Linux's default receive buffer of 208
+//! KiB, and so do rustdds' repairs. So a volatile writer switches to parts with its first large message:
+//! - It offers each message to the participants that read the topic and have a reader of parts. It keeps as many
+//!   messages as its history is deep.
+//! - A reader requests a few parts at a time, so that nothing overflows. It repeats requests without a reply, and
+//!   acknowledges complete messages.
+//! - A stopped reader delays no other. It loses the oldest messages if too many wait, and all but the newest after some
+//!   seconds of silence.
+//! - A writer sends a part only to readers that received the offer.
 //!
-//! Every participant reads a topic of its own ([`topic_of`]), which ROS does not show; who has something to say to it
-//! makes a writer for that. To readers of other kinds (rclpy, Cyclone DDS) the messages go on their topic as ever; this
-//! suite's readers hear them there too and leave them.
+//! Every participant reads a topic of its own ([`topic_of`]), which ROS tools hide. Senders make a writer for it.
+//! Readers of other implementations (rclpy, Cyclone DDS) receive the messages on the ordinary topic; readers of this
+//! suite ignore them there.
 //!
-//! Latched writers go on as ever: their late readers are served by the middleware.
+//! Latched writers do not use parts: rustdds serves their late readers.
 
-mod exchange;
+pub(in crate::dds) mod exchange;
 mod inbox;
-mod message;
-mod outbox;
+pub(in crate::dds) mod message;
+pub(in crate::dds) mod outbox;
 #[cfg(test)]
 mod tests;
 
 use crate::{
     Durability, Qos, Reliability,
-    backend::{Channel, Endpoint, EndpointId, Sample},
-    dds::{codec::Raw, lock::lock},
+    backend::{Channel, Endpoint, EndpointId, Sample, participant_of},
+    dds::{codec::Raw, identity::Peer, lock::lock, own_endpoints::OwnEndpoint, qos},
     mailbox::Mailbox,
 };
 use bytes::Bytes;
 use inbox::Inbox;
 use message::PartMessage;
-use outbox::Outbox;
+use outbox::{Outbox, Retention};
 use rustdds::{GUID, QosPolicies, RTPSEntity as _, no_key::DataWriter};
 use std::{
     collections::BTreeMap,
@@ -39,42 +41,28 @@ use std::{
 };
 use tokio::sync::Notify;
 
-pub(in crate::dds) use exchange::exchange;
-pub(in crate::dds) use message::LARGEST;
-pub(in crate::dds) use outbox::{Keep, Offered};
-
-/// Decodes a sample as far as it goes: for the fuzz targets.
+/// For the fuzz targets.
 pub(crate) fn decode_part(sample: &[u8]) {
     PartMessage::decode(sample).ok();
 }
 
-/// A participant: the first bytes of the identities of its endpoints.
-pub(in crate::dds) type Peer = [u8; 12];
-
-/// Something to say to a participant.
-#[derive(Clone, Debug)]
-struct Mail {
-    to: Peer,
-    message: PartMessage,
-}
-
-/// In front of the participant's identity; the number is the protocol's version.
+/// The participant's identity follows; the number is the version of the protocol.
 const TOPIC: &str = "wm/parts/1/";
-pub(in crate::dds) const TYPE: &str = "wm::Parts_";
-/// Samples that wait for the task that takes them, or for the thread that sends them.
+const TYPE: &str = "wm::Parts_";
+/// Samples that wait for the receiving task or the sending thread.
 const DEPTH: usize = 64;
 
-/// How often a wait for readers looks whether one has fallen silent.
-const LOOK_AGAIN: Duration = Duration::from_millis(500);
+/// How often a wait checks for readers that have become silent.
+const CHECK_PERIOD: Duration = Duration::from_millis(500);
 
 /// Another participant that reads parts.
 struct Postbox {
     reader: GUID,
-    /// Made when there is something to say.
+    /// Made for the first message.
     writer: Option<DataWriter<Bytes, Raw>>,
 }
 
-/// A reader of a topic here.
+/// A reader in this process.
 struct LocalReader {
     inbox: Arc<Mailbox<Sample>>,
     depth: usize,
@@ -86,9 +74,9 @@ struct State {
     inbox: Inbox,
     postboxes: BTreeMap<Peer, Postbox>,
     readers: BTreeMap<EndpointId, LocalReader>,
-    /// The last number that a reader took on the topic of a writer (in this order), before it was known that the
-    /// writer has gone over to parts.
-    heard: BTreeMap<(EndpointId, EndpointId), i64>,
+    /// By reader and writer: the last number that the reader took on the topic, before the writer was known to use
+    /// parts.
+    last_on_topic: BTreeMap<(EndpointId, EndpointId), i64>,
 }
 
 impl State {
@@ -99,20 +87,14 @@ impl State {
     }
 }
 
-/// The messages in parts of this participant.
+/// The parts protocol of this participant.
 #[derive(Default)]
 pub(in crate::dds) struct Parts {
     state: Mutex<State>,
-    /// There may be something to do earlier than before.
+    /// There may be something to do earlier than planned.
     is_earlier: Notify,
-    /// A reader has settled a message.
+    /// A reader has acknowledged a message.
     is_settled: Notify,
-}
-
-pub(in crate::dds) fn peer_of(id: &EndpointId) -> Peer {
-    let mut peer = Peer::default();
-    peer.copy_from_slice(&id[..12]);
-    peer
 }
 
 pub(in crate::dds) fn topic_of(peer: &Peer) -> String {
@@ -120,11 +102,21 @@ pub(in crate::dds) fn topic_of(peer: &Peer) -> String {
         .fold(TOPIC.to_owned(), |name, byte| format!("{name}{byte:02x}"))
 }
 
-pub(in crate::dds) fn profile() -> QosPolicies {
-    crate::dds::qos::for_writer(Qos::best_effort(DEPTH))
+fn profile() -> QosPolicies {
+    qos::for_writer(Qos::best_effort(DEPTH))
 }
 
-impl Keep {
+/// An endpoint of the parts protocol.
+pub(in crate::dds) fn endpoint(topic: String, is_writer: bool) -> OwnEndpoint {
+    OwnEndpoint {
+        topic,
+        type_name: TYPE.to_owned(),
+        qos: profile(),
+        is_writer,
+    }
+}
+
+impl Retention {
     /// What a writer keeps whose messages may go in parts.
     pub(in crate::dds) fn of(endpoint: &Endpoint) -> Option<Self> {
         let Qos {
@@ -137,33 +129,33 @@ impl Keep {
         }
         Some(match reliability {
             Reliability::BestEffort => Self::Last(depth),
-            Reliability::Reliable => Self::All(crate::dds::qos::RELIABLE_WINDOW.max(depth)),
+            Reliability::Reliable => Self::All(qos::RELIABLE_WINDOW.max(depth)),
         })
     }
 }
 
 impl Parts {
-    /// Whether a message goes in parts: it is large, or others of its writer went so before.
+    /// Whether a message goes in parts: it is large, or its writer uses parts already.
     pub(in crate::dds) fn takes(&self, writer: &EndpointId, len: usize) -> bool {
         len > message::PART || lock(&self.state).outbox.has(writer)
     }
 
-    /// Whether this writer's messages go in parts.
+    /// Whether this writer uses parts.
     pub(in crate::dds) fn has(&self, writer: &EndpointId) -> bool {
         lock(&self.state).outbox.has(writer)
     }
 
-    /// From now on this writer's messages go in parts. `last` is the last number that it used on its topic.
-    pub(in crate::dds) fn open(&self, writer: EndpointId, keep: Keep, last: i64) {
+    /// Switches this writer to parts. `last`: the last number that it used on its topic.
+    pub(in crate::dds) fn open(&self, writer: EndpointId, keep: Retention, last: i64) {
         lock(&self.state).outbox.open(writer, keep, last);
     }
 
-    /// Whether one more message would drop one that a reader still asks for.
+    /// Whether one more message would drop one that a reader still requests.
     pub(in crate::dds) fn is_full(&self, writer: &EndpointId) -> bool {
         lock(&self.state).outbox.is_full(Instant::now(), writer)
     }
 
-    /// Waits until every reader that is not silent has what this writer has sent so far.
+    /// Waits until every reader that is not silent has all messages of this writer.
     pub(in crate::dds) async fn acknowledged(&self, writer: &EndpointId) {
         let Some(last) = lock(&self.state).outbox.last(writer) else {
             return;
@@ -177,12 +169,12 @@ impl Parts {
             {
                 return;
             }
-            // looks again by itself: that a reader falls silent is no event
-            tokio::time::timeout(LOOK_AGAIN, settled).await.ok();
+            // checks again: there is no event for a silent reader
+            tokio::time::timeout(CHECK_PERIOD, settled).await.ok();
         }
     }
 
-    /// What comes in parts for this reader goes into `inbox`.
+    /// Messages in parts for this reader go into `inbox`.
     pub(in crate::dds) fn add_reader(
         &self,
         id: EndpointId,
@@ -191,8 +183,8 @@ impl Parts {
     ) {
         let depth = match endpoint.qos.reliability {
             Reliability::BestEffort => endpoint.qos.depth,
-            // as many as a reliable writer keeps: nothing that it still has is left out
-            Reliability::Reliable => crate::dds::qos::RELIABLE_WINDOW.max(endpoint.qos.depth),
+            // as many as a reliable writer keeps
+            Reliability::Reliable => qos::RELIABLE_WINDOW.max(endpoint.qos.depth),
         };
         let inbox = Arc::clone(inbox);
         lock(&self.state)
@@ -200,22 +192,25 @@ impl Parts {
             .insert(id, LocalReader { inbox, depth });
     }
 
-    /// Whether a sample on the topic is for this reader: not where it has come in parts, or will.
-    pub(in crate::dds) fn lets_in(&self, reader: &EndpointId, sample: &Sample) -> bool {
+    /// Whether to deliver a sample from the topic: not if it arrives in parts too.
+    pub(in crate::dds) fn delivers(&self, reader: &EndpointId, sample: &Sample) -> bool {
         let mut state = lock(&self.state);
         if let Some(base) = state.inbox.base(&sample.writer) {
             return sample.sequence <= base;
         }
-        if state.postboxes.contains_key(&peer_of(&sample.writer)) {
+        if state
+            .postboxes
+            .contains_key(&participant_of(&sample.writer))
+        {
             let key = (*reader, sample.writer);
-            state.heard.insert(key, sample.sequence);
+            state.last_on_topic.insert(key, sample.sequence);
         }
         true
     }
 
-    /// A participant has a reader, which may be the one of parts. Told of each reader more than once.
+    /// A participant has a reader, perhaps its reader of parts. Called repeatedly for each reader.
     pub(in crate::dds) fn add_peer(&self, reader: GUID, topic: &str) {
-        let peer = peer_of(&reader.to_bytes());
+        let peer = participant_of(&reader.to_bytes());
         if topic == topic_of(&peer) {
             let writer = None;
             let mut state = lock(&self.state);
@@ -224,27 +219,25 @@ impl Parts {
         }
     }
 
-    /// Another participant has gone.
     pub(in crate::dds) fn forget_participant(&self, peer: &Peer) {
         let mut state = lock(&self.state);
         state.forget_peer(peer);
         state
-            .heard
-            .retain(|(_, writer), _| peer_of(writer) != *peer);
+            .last_on_topic
+            .retain(|(_, writer), _| participant_of(writer) != *peer);
         drop(state);
         self.is_settled.notify_waiters();
     }
 
-    /// An endpoint of another participant has gone.
     pub(in crate::dds) fn forget_other(&self, id: &EndpointId) {
         let mut state = lock(&self.state);
-        let peer = peer_of(id);
+        let peer = participant_of(id);
         let reader = state.postboxes.get(&peer).map(|postbox| postbox.reader);
         if reader.is_some_and(|reader| reader.to_bytes() == *id) {
             state.forget_peer(&peer);
         }
         state.inbox.forget_writer(id);
-        state.heard.retain(|(_, writer), _| writer != id);
+        state.last_on_topic.retain(|(_, writer), _| writer != id);
         drop(state);
         self.is_settled.notify_waiters();
     }
@@ -260,22 +253,21 @@ impl Parts {
         postboxes.filter_map(writer).collect()
     }
 
-    /// The readers of other participants that are known to take parts.
+    /// The readers of parts of other participants.
     pub(in crate::dds) fn readers(&self) -> Vec<EndpointId> {
         let state = lock(&self.state);
         let postboxes = state.postboxes.values();
         postboxes.map(|postbox| postbox.reader.to_bytes()).collect()
     }
 
-    /// An endpoint of this participant has gone.
     pub(in crate::dds) fn forget_own(&self, id: &EndpointId) {
         let mut state = lock(&self.state);
         state.outbox.forget_writer(id);
         state.readers.remove(id);
-        state.heard.retain(|(reader, _), _| reader != id);
+        state.last_on_topic.retain(|(reader, _), _| reader != id);
     }
 
-    /// Says nothing any more.
+    /// Sends nothing from now on.
     pub(in crate::dds) fn leave(&self) {
         lock(&self.state).postboxes.clear();
     }
