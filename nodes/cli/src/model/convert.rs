@@ -30,7 +30,6 @@ pub struct ConvertCommand {
 }
 
 impl ConvertCommand {
-    /// Runs it.
     pub fn run(self) -> Result<()> {
         let mut checkpoint = Checkpoint::open(&self.input)?;
         if let Some(part) = &self.part {
@@ -42,7 +41,7 @@ impl ConvertCommand {
             let average = if self.raw { Average::Raw } else { Average::Ema };
             checkpoint = checkpoint.weights(average);
         }
-        // The input is mapped into memory: it must stay as it is until the output is written.
+        // the input is memory-mapped: it must not change until the output is written
         let same =
             std::fs::canonicalize(&self.input).ok() == std::fs::canonicalize(&self.output).ok();
         ensure!(!same, "input and output are the same file");
@@ -76,7 +75,7 @@ mod tests {
     }
 
     #[test]
-    fn the_average_is_taken_unless_told_otherwise() {
+    fn averaged_weights_are_the_default() {
         let folder = tempfile::tempdir().unwrap();
         let (input, output) = (folder.path().join("in"), folder.path().join("out"));
         let tensor = |value: f32| Tensor::new(&[value], &Device::Cpu).unwrap();
