@@ -1,5 +1,5 @@
-//! Latents between ROS messages and values, with what is checked before one reaches a model; the two transports of an
-//! image topic; shapes for viewers; the lead that stamps may have.
+//! Conversions shared by the nodes: latents with the checks before a model, the two transports of an image topic,
+//! markers for viewers, and the allowed lead of stamps.
 
 pub mod latent_message;
 pub mod marker;

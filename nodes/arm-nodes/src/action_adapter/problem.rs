@@ -1,7 +1,7 @@
 //! What cannot become an action, and why.
 
 use thiserror::Error;
-use wm_frames::{LeftOut, pose::PoseError};
+use wm_frames::{TransformError, pose::PoseError};
 use wm_motion::actions::ActionError;
 
 /// What cannot become an action, and why.
@@ -133,14 +133,14 @@ pub enum Problem {
     Frames(String),
 }
 
-impl From<LeftOut> for Problem {
-    fn from(left_out: LeftOut) -> Self {
+impl From<TransformError> for Problem {
+    fn from(left_out: TransformError) -> Self {
         match left_out {
-            LeftOut::Older { before_s } => Self::Older {
+            TransformError::Older { before_s } => Self::Older {
                 what: "tf",
                 before_s,
             },
-            LeftOut::TooMany(frame) => Self::Frames(frame),
+            TransformError::TooMany(frame) => Self::Frames(frame),
         }
     }
 }

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use nalgebra::Isometry3;
-use wm_frames::{Frames, Unknown, bare, pose};
+use wm_frames::{Frames, LookupError, bare, pose};
 use wm_msgs::{
     builtin_interfaces::Time,
     geometry_msgs::{PoseStamped, TwistStamped},
@@ -208,8 +208,8 @@ impl AdapterStep {
     /// leap.
     ///
     /// # Errors
-    /// [`Unknown`] says which transforms are missing.
-    pub fn follow(&mut self) -> Result<Option<(i64, Isometry3<f64>)>, Unknown> {
+    /// [`LookupError`] names the missing transforms.
+    pub fn follow(&mut self) -> Result<Option<(i64, Isometry3<f64>)>, LookupError> {
         let Course::Frames {
             frames,
             base,
