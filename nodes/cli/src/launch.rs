@@ -6,10 +6,10 @@ use clap::Args;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use wm_bag_nodes::player;
 use wm_launch::{LaunchError, Plan, Process, Program, System};
 use wm_model::trained_folder::EMBEDDED;
 use wm_model_nodes::{decoder, encoder};
+use wm_robot_nodes::player;
 use wm_ros::{NAMESPACE, NodeArgs};
 use wm_zoo::ModelFolder;
 

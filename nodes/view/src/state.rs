@@ -1,5 +1,6 @@
 //! The view's state: pure, updated by messages with their times of arrival, from live topics or a bag.
 
+use crate::report::pairing::{Awaited, Pairing, Pairings};
 use crate::{
     album::{Album, SPAN_NS},
     event::Event,
@@ -24,7 +25,6 @@ use wm_msgs::{
         PredictionError,
     },
 };
-use wm_report::pairing::{Awaited, Pairing, Pairings};
 use wm_ros::Log;
 
 /// A subscribed topic, in the order of the page's table.

@@ -16,7 +16,7 @@ use wm_planner::{
     Target, TransitionDynamics, WorkerPool, Workers,
 };
 use wm_planner_worker::{Identity, PlannerWorkers};
-use wm_zenoh::{Mode, NetworkArguments};
+use wm_ros::zenoh::{Mode, NetworkArguments};
 use wm_zoo::ModelFolder;
 
 /// Far longer than anything on one host; only ends a hanging test.
