@@ -31,7 +31,6 @@ pub struct ConvertCommand {
 }
 
 impl ConvertCommand {
-    /// Runs it.
     pub fn run(self) -> Result<()> {
         if self.input.is_dir() {
             ensure!(
@@ -87,7 +86,7 @@ mod tests {
     }
 
     #[test]
-    fn the_average_is_taken_unless_told_otherwise() {
+    fn averaged_weights_are_the_default() {
         let folder = tempfile::tempdir().unwrap();
         let (input, output) = (folder.path().join("in"), folder.path().join("out"));
         let tensor = |value: f32| Tensor::new(&[value], &Device::Cpu).unwrap();

@@ -1,4 +1,4 @@
-//! What every run of a model needs: its files and a compute engine.
+//! Options of all runs of a model: its files and a compute engine.
 
 use crate::output::print;
 use anyhow::{Context as _, Result};
@@ -40,13 +40,11 @@ pub struct RunningArgs {
     raw: bool,
 }
 
-/// A model's files, read, and what computes it.
+/// A model's files in memory, and its compute engine.
 pub struct Files {
-    /// The configuration, JSON.
+    /// JSON.
     pub config: String,
-    /// The weights.
     pub checkpoint: Checkpoint,
-    /// The input.
     pub inputs: Tensors,
     /// Kernels, device and number format.
     pub compute: Compute,
@@ -74,7 +72,7 @@ impl RunningArgs {
         })
     }
 
-    /// Writes the output and says what it is.
+    /// Writes the output and prints its shapes.
     pub fn write(&self, outputs: Tensors) -> Result<()> {
         for (name, tensor) in &outputs {
             print(format_args!("{name} {:?}\n", tensor.dims()))?;
@@ -103,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn a_device_that_is_none_is_wrong_usage() {
+    fn unknown_device_is_wrong_usage() {
         let message = parse("gpu").unwrap_err().to_string();
         assert!(
             message.contains("expected cpu, cuda or cuda:N"),
@@ -113,7 +111,7 @@ mod tests {
 
     #[test]
     #[cfg(not(feature = "cuda"))]
-    fn a_device_that_was_not_built_is_refused_before_anything_is_read() {
+    fn unsupported_device_is_refused_before_files_are_read() {
         let error = parse("cuda:1").unwrap().read(Kind::Dit).err().unwrap();
         let message = error.to_string();
         assert!(
