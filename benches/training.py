@@ -11,7 +11,7 @@ drawing clips and noise, loss, gradient, clipping, AdamW, the moving average. Py
 batch of latents or pictures again and again.
 
 PyTorch's networks, but for DiT-S, take the weights of the bundled model by name, all of them; the losses of the transition
-models are also compared with that of world-model/training/fixtures/steps.py, which the Rust side is tested against. Needs cargo, a C++ compiler,
+models are also compared with that of learning/training/fixtures/steps.py, which the Rust side is tested against. Needs cargo, a C++ compiler,
 and what world-model/zoo/fixtures/requirements.txt names.
 
 Cases: transition, autoencoder, autoencoder-whole (its last steps, on whole pictures): the bundled default's recipes.
@@ -36,7 +36,7 @@ from safetensors.torch import load_file
 from torch import nn
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
-sys.path[:0] = [str(ROOT / "benches"), str(ROOT / "world-model/zoo/fixtures"), str(ROOT / "world-model/training/fixtures")]
+sys.path[:0] = [str(ROOT / "benches"), str(ROOT / "world-model/zoo/fixtures"), str(ROOT / "learning/training/fixtures")]
 
 import steps as fixtures  # noqa: E402
 from machine import processor  # noqa: E402

@@ -11,12 +11,12 @@ use std::{
 };
 
 use rustix::process::{Pid, Signal};
-use wm_arm_nodes::sim_arm;
 use wm_msgs::{
     std_msgs::Bool,
     std_srvs::{SetBool, SetBoolRequest, Trigger, TriggerRequest},
     wm_msgs::{Reset, ResetRequest},
 };
+use wm_robot_nodes::sim_arm;
 use wm_ros::{Client, Context, Environment, Node, NodeArgs, Publisher, Qos, Reach};
 
 use crate::middle::{TRUE_ACTION, TRUE_CAMERA, TRUE_POSE};

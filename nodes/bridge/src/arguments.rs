@@ -4,8 +4,8 @@ use crate::settings::{Options, Section, Settings, SettingsError};
 use anyhow::{Context as _, Result};
 use clap::Parser;
 use serde_json::Value;
+use wm_ros::zenoh::NetworkArguments;
 use wm_ros::{ArgsError, NodeArgs};
-use wm_zenoh::NetworkArguments;
 
 /// Carry topics and services between DDS and a Zenoh network, as zenoh-bridge-ros2dds does
 #[derive(Debug, Parser)]

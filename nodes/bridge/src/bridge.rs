@@ -47,7 +47,7 @@ pub fn run(arguments: Arguments) -> Result<()> {
 async fn carry(node: Node, config: zenoh::Config, settings: Settings) -> Result<()> {
     let shutdown = node.shutdown();
     let session = tokio::select! {
-        session = wm_zenoh::open(config) => session?,
+        session = wm_ros::zenoh::open(config) => session?,
         () = shutdown.wait() => return Ok(()),
     };
     let own_id = session.zid().to_string();

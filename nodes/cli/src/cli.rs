@@ -118,7 +118,7 @@ fn live(mut arguments: Vec<String>) -> Vec<String> {
     if is_sim && arguments.iter().any(|argument| argument == LIVE) {
         arguments.retain(|argument| argument != LIVE);
         if let Some(command) = arguments.get_mut(1) {
-            wm_arm_nodes::sim_arm::NODE.name.clone_into(command);
+            wm_robot_nodes::sim_arm::NODE.name.clone_into(command);
         }
     }
     arguments

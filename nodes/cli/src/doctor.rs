@@ -7,7 +7,7 @@ use std::convert::Infallible;
 use std::process::ExitCode;
 use std::time::Duration;
 use wm_doctor::{DoctorError, Heard, Level, Machine, ModelFacts, Report};
-use wm_progress::Progress;
+use wm_program::progress::Progress;
 use wm_ros::{Environment, NodeArgs};
 
 /// Examines machine, network, cameras, actions and model.

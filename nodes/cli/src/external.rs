@@ -69,7 +69,7 @@ pub struct Described {
 /// The folder of this program is unknown.
 pub fn described(command: clap::Command) -> Result<Described> {
     let beside = std::env::current_exe()?;
-    let asked = |program: &Path| wm_command_line::ask(program);
+    let asked = |program: &Path| wm_program::command_line::ask(program);
     Ok(described_by(command, &beside, &folders(&beside), asked))
 }
 
@@ -77,7 +77,7 @@ fn described_by(
     mut command: clap::Command,
     beside: &Path,
     folders: &[PathBuf],
-    asked: impl Fn(&Path) -> Result<clap::Command, wm_command_line::Error>,
+    asked: impl Fn(&Path) -> Result<clap::Command, wm_program::command_line::Error>,
 ) -> Described {
     let mut left_out = Vec::new();
     let mut programs: Vec<&str> = TOLD.iter().map(|told| told.program).collect();
@@ -195,7 +195,7 @@ mod tests {
     #[test]
     fn a_program_beside_an_installed_one_is_installed() {
         let way = |program| way_to(program, Path::new("/home/me/.cargo/bin/wm"));
-        assert_eq!(way("wm-datasets"), "cargo install --path bags/datasets");
+        assert_eq!(way("wm-datasets"), "cargo install --path learning/import");
         assert_eq!(way("wm-bridge"), "cargo install --path nodes/bridge");
     }
 
@@ -238,7 +238,7 @@ mod tests {
 
         // Of another version.
         let left_out = described_by(wm(), beside, &folders, |program| {
-            Err(wm_command_line::Error::NoAnswer {
+            Err(wm_program::command_line::Error::NoAnswer {
                 program: program.to_owned(),
                 reason: "exit status: 2".to_owned(),
             })

@@ -6,7 +6,6 @@ use clap::Args;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use wm_bag_nodes::player;
 use wm_launch::{
     LaunchError, Plan, System,
     plan::{Process, Program},
@@ -14,6 +13,7 @@ use wm_launch::{
 };
 use wm_model::trained_folder::EMBEDDED;
 use wm_model_nodes::{decoder, encoder};
+use wm_robot_nodes::player;
 use wm_ros::{NAMESPACE, NodeArgs};
 use wm_zoo::ModelFolder;
 

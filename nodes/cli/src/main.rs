@@ -22,7 +22,7 @@ mod view;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    wm_process::prepare();
+    wm_program::process::prepare();
     if let Some(cache) = wm_zoo::PackedCache::of_environment() {
         cache.use_in_process();
     }

@@ -13,11 +13,10 @@ type Definition = NodeDefinition<anyhow::Error>;
 pub fn definitions() -> impl Iterator<Item = &'static Definition> {
     wm_model_nodes::NODES
         .iter()
-        .chain(wm_arm_nodes::NODES)
-        .chain(wm_bag_nodes::NODES)
+        .chain(wm_robot_nodes::NODES)
         .chain([
-            &wm_report::monitor::NODE,
-            &wm_report::trials::NODE,
+            &wm_view::report::monitor::NODE,
+            &wm_view::report::trials::NODE,
             &wm_view::NODE,
         ])
 }

@@ -5,9 +5,9 @@ use anyhow::{Result, ensure};
 use clap::Args;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use wm_bag_nodes::ending::Ending;
-use wm_progress::Progress;
-use wm_report::{files::write_report, score_bag, table::terminal_table};
+use wm_program::progress::Progress;
+use wm_robot_nodes::ending::Ending;
+use wm_view::report::{files::write_report, score_bag, table::terminal_table};
 
 /// Scores a recorded bag.
 #[derive(Args, Debug)]

@@ -175,7 +175,7 @@ fn start(domain: u16, model: &Path) -> Vec<Running> {
             wm_model_nodes::planner::body,
         ),
         Running::start(player.0, player.1, &player.2, async |node| {
-            wm_bag_nodes::player::body(node).await.map(drop)
+            wm_robot_nodes::player::body(node).await.map(drop)
         }),
     ]
 }

@@ -13,7 +13,7 @@ use wm_planner::{
     TransitionDynamics, WorkerPool as _,
 };
 use wm_planner_worker::{Identity, PlannerWorkers};
-use wm_zenoh::{Mode, NetworkArguments};
+use wm_ros::zenoh::{Mode, NetworkArguments};
 use wm_zoo::ModelFolder;
 
 /// Plans of each kind, in turn.

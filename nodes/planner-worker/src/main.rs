@@ -8,7 +8,7 @@ use anyhow::{Context as _, Result};
 use clap::Parser;
 use tracing_subscriber::EnvFilter;
 use wm_model::trained_folder::EMBEDDED;
-use wm_zenoh::NetworkArguments;
+use wm_ros::zenoh::NetworkArguments;
 use wm_zoo::ModelFolder;
 
 /// Cost candidates for planners on other machines (their parameter `workers`), over Zenoh
@@ -26,7 +26,7 @@ struct Cli {
 }
 
 fn main() -> ExitCode {
-    wm_process::prepare();
+    wm_program::process::prepare();
     let cli = Cli::parse();
     let filter = EnvFilter::try_from_default_env()
         .unwrap_or_else(|_| EnvFilter::new("warn,wm_planner_worker=info"));

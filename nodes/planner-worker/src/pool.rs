@@ -19,7 +19,7 @@ use wm_planner::{
     Batch, CostFunction, Objective, SearchSpace, TransitionDynamics, Turn, WorkerCounts,
     WorkerPool, Workers,
 };
-use wm_zenoh::{Mode, NetworkArguments};
+use wm_ros::zenoh::{Mode, NetworkArguments};
 use zenoh::{
     Session,
     pubsub::Subscriber,
@@ -219,7 +219,7 @@ impl PlannerWorkers {
                 .build()?;
             let handle = runtime.handle().clone();
             let (session, subscriber) = runtime.block_on(async {
-                let session = wm_zenoh::open(config).await?;
+                let session = wm_ros::zenoh::open(config).await?;
                 let identity = Arc::new(identity);
                 let own = session.clone();
                 let subscriber = session

@@ -8,7 +8,7 @@ use tokio::{
     task::block_in_place,
 };
 use wm_model::WorldModel;
-use wm_zenoh::NetworkArguments;
+use wm_ros::zenoh::NetworkArguments;
 use zenoh::{Wait as _, query::Query, sample::Locality};
 
 use crate::{Answer, Identity, WORKERS, Worker, message::encode};
@@ -47,7 +47,7 @@ pub fn serve(model: &WorldModel, network: &NetworkArguments) -> Result<Served> {
         .build()?;
     runtime.block_on(async {
         let mut terminated = signal(SignalKind::terminate())?;
-        let session = wm_zenoh::open(config).await?;
+        let session = wm_ros::zenoh::open(config).await?;
         let key = format!("{WORKERS}/{}", session.zid());
         let (queries, mut waiting) = mpsc::channel(QUEUED);
         let failed = |error| anyhow!("cannot serve {key}: {error}");

@@ -76,6 +76,8 @@ mod shutdown;
 mod subscription;
 mod type_description_interfaces;
 mod value;
+#[cfg(feature = "zenoh")]
+pub mod zenoh;
 
 pub use action::{
     ActionClient, ActionServer, ClientGoal, GoalId, GoalRequest, GoalStatus, ServerGoal,

@@ -9,7 +9,9 @@
 //!
 //! Beside its page it serves viewers that speak Foxglove's protocol, on the same port.
 //!
-//! Not here: metrics and reports (`wm_report`), DDS (`wm_ros`).
+//! The module [`report`] scores predictions against what happened, writes the report, and has the nodes monitor and trials.
+//!
+//! Not here: the figures themselves (`wm_metrics`), DDS (`wm_ros`).
 
 mod access;
 mod album;
@@ -30,6 +32,7 @@ mod page;
 mod picture;
 mod picture_subscription;
 mod rate;
+pub mod report;
 mod scene;
 mod server;
 mod socket;

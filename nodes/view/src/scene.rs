@@ -3,13 +3,13 @@
 use crate::state::Left;
 use nalgebra::Point3;
 use wm_camera::camera_info::{check, scale};
-use wm_frames::{Frames, pose};
 use wm_msgs::{
     geometry_msgs::Point,
     sensor_msgs::CameraInfo,
     tf2_msgs::TFMessage,
     visualization_msgs::{Marker, MarkerArray},
 };
+use wm_wire::frames::{Frames, pose};
 
 /// The markers of the planner (docs/viewers.md).
 const PLAN: &str = "plan";

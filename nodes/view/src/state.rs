@@ -1,5 +1,6 @@
 //! What the view knows: pure, told of messages with the time of their arrival, from live topics or from a bag.
 
+use crate::report::pairing::{Awaited, Pairing, Pairings};
 use crate::{
     album::{Album, SPAN_NS},
     event::Event,
@@ -24,7 +25,6 @@ use wm_msgs::{
         PredictionError,
     },
 };
-use wm_report::pairing::{Awaited, Pairing, Pairings};
 use wm_ros::Log;
 
 /// What is heard. The order is that of the page's table.

@@ -8,6 +8,7 @@
 //! | --- | --- |
 //! | [`images`] | PSNR, SSIM, mean squared error |
 //! | [`distributions`] | Fréchet distance (FID, FVD), maximum mean discrepancy (KID, JEDi) |
+//! | [`findings`] | what an evaluation found: JSON, CSV, the HTML report, comparisons, model cards |
 //! | [`correlation`] | Pearson, Spearman, canonical correlations |
 //! | [`classification`] | balanced accuracy, ROC AUC, Cohen's kappa |
 //! | [`ranking`] | ranks, Borda, consensus of raters |
@@ -34,6 +35,7 @@ pub mod correlation;
 pub mod depth;
 pub mod distributions;
 mod error;
+pub mod findings;
 pub mod images;
 pub mod motion;
 pub mod ranking;

@@ -6,6 +6,13 @@
 //! This crate is a library of numbers in, numbers out. It knows no ROS, no DDS and no clock, and it
 //! does not train: training lives in `wm_training`.
 
+// Without the feature, its tests alone.
+#[cfg(any(test, feature = "cuda"))]
+#[cfg_attr(
+    not(feature = "cuda"),
+    allow(dead_code, reason = "its tests do not call the libraries")
+)]
+mod cuda;
 mod decoder;
 mod encoder;
 mod error;
@@ -23,6 +30,8 @@ pub mod transition;
 pub mod weights;
 
 pub use autoencoder::{Autoencoder, AutoencoderConfig};
+#[cfg(feature = "cuda")]
+pub use cuda::load as load_cuda;
 pub use decoder::Decoder;
 pub use encoder::Encoder;
 pub use error::{Error, Result};
@@ -30,6 +39,4 @@ pub use framing::{BARS, Fit, Framing, Part, PictureSize, Placement};
 pub use latent_space::LatentSpace;
 pub use place::Place;
 pub use weights::Weights;
-#[cfg(feature = "cuda")]
-pub use wm_cuda::load as load_cuda;
 pub use world_model::WorldModel;

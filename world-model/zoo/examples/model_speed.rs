@@ -37,7 +37,7 @@ type Run<'a> = Box<dyn FnMut() -> Result<Tensors> + 'a>;
 
 fn main() -> Result<()> {
     // As in the program `wm`.
-    wm_process::prepare();
+    wm_program::process::prepare();
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let (kept, rest): (Vec<&String>, Vec<&String>) = arguments
         .iter()

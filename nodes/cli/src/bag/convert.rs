@@ -7,9 +7,9 @@ use std::ffi::OsString;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use wm_bag::{Compression, Transform, WriterOptions};
-use wm_bag_nodes::ending::Ending;
 use wm_camera::{protobuf_topics::ProtobufTopics, transport::Transport};
-use wm_progress::Progress;
+use wm_program::progress::Progress;
+use wm_robot_nodes::ending::Ending;
 
 /// Converts a bag.
 #[derive(Args, Debug)]

@@ -13,7 +13,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 use wm_bag::{CutEnd, CutStart, TopicSummary};
 use wm_camera::transport::Transport;
-use wm_progress::Progress;
+use wm_program::progress::Progress;
 
 /// Cuts a bag.
 #[derive(Args, Debug)]

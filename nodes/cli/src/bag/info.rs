@@ -7,9 +7,9 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 use wm_audit::{JUDGES_VIDEO, Topics, audit_bag, video_topics};
 use wm_bag::{BagReader, BagWarning};
-use wm_bag_nodes::ending::Ending;
 use wm_camera::transport::Transport;
-use wm_progress::Progress;
+use wm_program::progress::Progress;
+use wm_robot_nodes::ending::Ending;
 
 /// The program that decodes video.
 const DECODER: &str = "wm-datasets";

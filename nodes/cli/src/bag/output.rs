@@ -4,7 +4,7 @@ use crate::output::print;
 use anyhow::Result;
 use std::process::ExitCode;
 use wm_bag::{BagSummary, BagWarning};
-use wm_bag_nodes::ending::Ending;
+use wm_robot_nodes::ending::Ending;
 
 /// Prints the size and the place of the new bag.
 pub(super) fn print_size(bag: &BagSummary) -> Result<()> {

@@ -9,7 +9,7 @@ use anyhow::Result;
 use clap::{Arg, Args};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use wm_bag_nodes::player;
+use wm_robot_nodes::player;
 use wm_ros::{NodeArgs, ParameterSpec};
 
 /// Plays a bag.

@@ -7,7 +7,7 @@ use crate::{
 use anyhow::Result;
 use clap::{Arg, Args};
 use std::process::ExitCode;
-use wm_bag_nodes::recorder;
+use wm_robot_nodes::recorder;
 use wm_ros::{NodeArgs, ParameterSpec};
 
 /// Records a bag.

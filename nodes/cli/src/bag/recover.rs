@@ -5,8 +5,8 @@ use anyhow::Result;
 use clap::Args;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use wm_bag_nodes::ending::Ending;
-use wm_progress::Progress;
+use wm_program::progress::Progress;
+use wm_robot_nodes::ending::Ending;
 
 /// Recovers a bag.
 #[derive(Args, Debug)]

@@ -6,7 +6,7 @@ use clap::Args;
 use std::fmt::Write as _;
 use std::time::{Duration, Instant};
 use wm_doctor::Parts;
-use wm_progress::Progress;
+use wm_program::progress::Progress;
 use wm_zoo::ModelFolder;
 use wm_zoo::folder::Summary;
 

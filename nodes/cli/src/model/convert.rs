@@ -4,7 +4,7 @@ use crate::output::print;
 use anyhow::{Result, ensure};
 use clap::Args;
 use std::path::PathBuf;
-use wm_progress::Progress;
+use wm_program::progress::Progress;
 use wm_zoo::Checkpoint;
 use wm_zoo::checkpoint::{Average, convert};
 

@@ -16,7 +16,7 @@ use wm_planner::{
     Target, TransitionDynamics, WorkerPool, Workers,
 };
 use wm_planner_worker::{Identity, PlannerWorkers};
-use wm_zenoh::{Mode, NetworkArguments};
+use wm_ros::zenoh::{Mode, NetworkArguments};
 use wm_zoo::ModelFolder;
 
 /// Far above anything that happens on one host; it only ends a test that hangs.

@@ -20,7 +20,7 @@ use ureq::http::{
 };
 use ureq::typestate::AgentScope;
 use ureq::{Agent, Body};
-use wm_progress::Progress;
+use wm_program::progress::Progress;
 
 /// How long a server may take to answer.
 const ANSWER_WITHIN: Duration = Duration::from_secs(30);

@@ -1,0 +1,263 @@
+use std::path::Path;
+
+use rayon::prelude::*;
+use wm_audit::{ActionTrack, BagFindings, Finding};
+use wm_bag::BagReader;
+use wm_motion::actions::ActionSpace;
+use wm_program::progress::Progress;
+
+use super::Planned;
+use crate::{
+    DatasetError, Settings,
+    cutting::{Draft, Omission, cut},
+    manifest::{LeftOut, Source},
+    recording::{Broken, Recording, Unusable},
+};
+
+/// The bags that can be opened, and the action space that they share.
+pub(super) struct Survey {
+    /// One a source; none for a bag that is left out.
+    pub readers: Vec<Option<BagReader>>,
+    space: ActionSpace,
+    left_out: Vec<LeftOut>,
+}
+
+/// The episodes of all bags.
+pub(super) struct Plan {
+    pub bags: Vec<Planned>,
+    pub space: ActionSpace,
+    /// Topics without their transports.
+    pub cameras: Vec<String>,
+    pub has_masks: bool,
+    pub left_out: Vec<LeftOut>,
+    /// Faults of the stamps and the pictures of each bag.
+    pub findings: Vec<BagFindings>,
+}
+
+/// What a bag gives.
+struct Contents {
+    cameras: Vec<String>,
+    topics: Vec<String>,
+    has_masks: bool,
+    has_cut_topic: bool,
+    episodes: Vec<Draft>,
+    omissions: Vec<Omission>,
+    findings: Vec<Finding>,
+    actions: ActionTrack,
+    /// Sizes of the first camera's pictures, width and height \[px\].
+    sizes: Vec<(u32, u32)>,
+}
+
+impl Survey {
+    /// Opens the bags and compares what their actions are.
+    pub fn of(sources: &[Source], settings: &Settings) -> Result<Self, DatasetError> {
+        let opened: Vec<_> = sources
+            .par_iter()
+            .map(|source| open(source, settings))
+            .collect();
+        let mut survey = Self {
+            readers: Vec::with_capacity(sources.len()),
+            space: ActionSpace::bridge(),
+            left_out: Vec::new(),
+        };
+        let asked = settings.action_space.clone();
+        let mut first = asked.map(|space| (space, "--action-space".to_owned()));
+        for (source, opened) in sources.iter().zip(opened) {
+            let bag = &source.bag;
+            let (reader, space) = match opened {
+                Ok(opened) => opened,
+                Err(reason) => {
+                    survey.left_out.push(LeftOut::path(bag, &reason));
+                    survey.readers.push(None);
+                    continue;
+                }
+            };
+            for warning in reader.warnings() {
+                tracing::warn!("{}", LeftOut::path(bag, &warning.to_string()));
+            }
+            let others = bag.display().to_string();
+            match (&first, space) {
+                (Some((expected, own)), Some(space)) => {
+                    let same = expected.expect_same(&space, own, &others);
+                    same.map_err(|error| refused(bag, error))?;
+                }
+                (Some(_), None) => {}
+                (None, space) => {
+                    first = Some((space.unwrap_or_else(ActionSpace::bridge), others));
+                }
+            }
+            survey.readers.push(Some(reader));
+        }
+        if let Some((space, _)) = first {
+            survey.space = space;
+        }
+        Ok(survey)
+    }
+
+    /// The episodes of all bags, but for the pictures in `broken`, a set for each source.
+    pub fn plan(
+        &self,
+        sources: &[Source],
+        settings: &Settings,
+        broken: &[Broken],
+    ) -> Result<Plan, DatasetError> {
+        let progress = Progress::of("reading", "bags", sources.len() as u64);
+        let contents: Vec<_> = (self.readers.par_iter().zip(broken))
+            .map(|(reader, broken)| {
+                let contents = reader
+                    .as_ref()
+                    .map(|reader| contents(reader, settings, &self.space, broken));
+                progress.inc(1);
+                contents
+            })
+            .collect();
+        drop(progress);
+        let mut plan = Plan {
+            bags: Vec::new(),
+            space: self.space.clone(),
+            cameras: Vec::new(),
+            has_masks: false,
+            left_out: self.left_out.clone(),
+            findings: Vec::new(),
+        };
+        let mut first: Option<&Path> = None;
+        let mut has_cut_topic = settings.cut_topics.is_empty();
+        for (index, (source, contents)) in sources.iter().zip(contents).enumerate() {
+            let bag = source.bag.as_path();
+            let contents = match contents {
+                None => continue,
+                Some(Ok(contents)) => contents,
+                Some(Err(Unusable::Lacks(reason))) => {
+                    plan.left_out.push(LeftOut::path(bag, &reason));
+                    continue;
+                }
+                Some(Err(Unusable::Differs(what))) => return Err(refused(bag, what)),
+            };
+            let left = contents.omissions.iter().map(|omission| LeftOut {
+                path: bag.to_owned(),
+                span_ns: omission.span_ns,
+                count: Some((omission.count, omission.thing)),
+                reason: omission.reason.clone(),
+            });
+            plan.left_out.extend(left);
+            has_cut_topic |= contents.has_cut_topic;
+            let stem = bag.file_stem().unwrap_or_default();
+            let clocks = contents
+                .findings
+                .iter()
+                .find(|f| f.check == "stamps" && f.is_fault());
+            let clocks = clocks.map_or(String::new(), |finding| {
+                let fix = finding.fix.as_deref().unwrap_or_default();
+                format!("; {}; {fix}", finding.what)
+            });
+            plan.findings.push(BagFindings {
+                bag: stem.to_string_lossy().into_owned(),
+                findings: contents.findings,
+                sizes: contents.sizes,
+            });
+            if contents.episodes.is_empty() {
+                let reason = format!("no episode in it{clocks}");
+                plan.left_out.push(LeftOut::path(bag, &reason));
+                continue;
+            }
+            if let Some(first) = first {
+                plan.expect_same(bag, (&contents.cameras, contents.has_masks), first)?;
+            } else {
+                first = Some(bag);
+                plan.cameras = contents.cameras;
+                plan.has_masks = contents.has_masks;
+            }
+            plan.bags.push(Planned {
+                source: index,
+                topics: contents.topics,
+                episodes: contents.episodes,
+                actions: contents.actions,
+                findings: plan.findings.len() - 1,
+            });
+        }
+        if plan.bags.is_empty() {
+            let reasons = plan.left_out.iter().map(|left| format!("    {left}"));
+            return Err(DatasetError::Nothing(
+                reasons.collect::<Vec<_>>().join("\n"),
+            ));
+        }
+        if !has_cut_topic {
+            return Err(DatasetError::Option {
+                option: "--cut-topic",
+                what: format!("no bag has {}", settings.cut_topics.join(" or ")),
+            });
+        }
+        Ok(plan)
+    }
+}
+
+impl Plan {
+    /// Refuses a bag whose pictures are not what those of the first bag are.
+    fn expect_same(
+        &self,
+        bag: &Path,
+        (cameras, has_masks): (&[String], bool),
+        first: &Path,
+    ) -> Result<(), DatasetError> {
+        if *cameras != self.cameras {
+            let (own, first) = (cameras.join(", "), first.display());
+            let expected = self.cameras.join(", ");
+            let what = format!(
+                "cameras differ: it has {own}, but {first} has {expected}; choose with --camera"
+            );
+            return Err(refused(bag, what));
+        }
+        if has_masks != self.has_masks {
+            let what = "some bags have masks and some do not; expected all or none";
+            return Err(refused(bag, what));
+        }
+        Ok(())
+    }
+}
+
+fn refused(bag: &Path, what: impl ToString) -> DatasetError {
+    DatasetError::Episode {
+        bag: bag.to_owned(),
+        what: what.to_string(),
+    }
+}
+
+/// A bag and the action space that it states. Without `--action-space`, a bag that states none has Bridge V2's.
+fn open(source: &Source, settings: &Settings) -> Result<(BagReader, Option<ActionSpace>), String> {
+    let reader = BagReader::open(&source.bag).map_err(|error| error.to_string())?;
+    let note = reader.note(ActionSpace::NOTE);
+    if note.is_none() && settings.action_space.is_some() {
+        return Ok((reader, None));
+    }
+    let space = ActionSpace::of_note(note).map_err(|error| error.to_string())?;
+    Ok((reader, Some(space)))
+}
+
+fn contents(
+    reader: &BagReader,
+    settings: &Settings,
+    space: &ActionSpace,
+    broken: &Broken,
+) -> Result<Contents, Unusable> {
+    let mut recording = Recording::read(reader, settings, space, broken)?;
+    let (mut episodes, omissions) = cut(&recording, space, settings).map_err(Unusable::Lacks)?;
+    let path = std::mem::take(&mut recording.state).path(space);
+    for episode in &mut episodes {
+        let stamps = episode.stamps.first().into_iter().flatten();
+        episode.states = stamps.map(|stamp_ns| path.at(*stamp_ns)).collect();
+    }
+    let camera = recording.recorded.cameras.first();
+    let sizes = camera.map(|camera| camera.pictures.sizes().keys().copied().collect());
+    let actions = ActionTrack::new(space, recording.actions.rows());
+    Ok(Contents {
+        findings: recording.findings(settings, &actions),
+        actions,
+        sizes: sizes.unwrap_or_default(),
+        cameras: recording.cameras(),
+        topics: recording.streams.iter().map(|s| s.topic.clone()).collect(),
+        has_masks: recording.has_masks,
+        has_cut_topic: recording.has_cut_topic,
+        episodes,
+        omissions,
+    })
+}

@@ -1,0 +1,434 @@
+use std::{
+    fs::File,
+    hash::{DefaultHasher, Hasher as _},
+    os::unix::fs::FileExt as _,
+    path::PathBuf,
+    sync::{Mutex, PoisonError},
+};
+
+use image::{
+    DynamicImage, GrayImage, RgbImage,
+    imageops::{self, FilterType},
+};
+use rayon::prelude::*;
+use wm_audit::{Pictures, Stamps};
+use wm_bag::BagReader;
+use wm_camera::{
+    camera_frame::CameraFrame,
+    signature::Signature,
+    video::{VideoPicture, VideoStream},
+};
+use wm_model::{Fit, Framing, Part, PictureSize, Placement};
+use wm_msgs::builtin_interfaces::Time;
+use wm_program::progress::Progress;
+
+use super::Planned;
+use crate::{
+    DatasetError, Manifest, Size, StampSource,
+    camera_message::{CameraMessage, first_needed},
+    cameras::MASK,
+    cutting::Draft,
+    recording::Broken,
+    source_sizes::SizeCounts,
+    store::NewFolder,
+};
+
+/// The result of decoding.
+pub(super) struct Decoded {
+    /// The pictures of each source that cannot be decoded.
+    pub broken: Vec<Broken>,
+    /// The sizes of the others.
+    pub sizes: SizeCounts,
+    /// For each episode: how much each picture of the first camera differs from the one before \[levels\], if that is known.
+    pub changes: Vec<Vec<Option<f32>>>,
+    /// The pictures of each source's video topics, for the audit. Those of other topics are compared before, by their bytes.
+    pub videos: Vec<Vec<Pictures>>,
+}
+
+/// The result of decoding an episode.
+#[derive(Default)]
+struct DecodedEpisode {
+    broken: Broken,
+    changes: Vec<Option<f32>>,
+    videos: Vec<Pictures>,
+}
+
+/// Decodes the frames of all episodes into the folder's files.
+///
+/// Episodes are decoded at the same time, each on one thread and by one picture at a time: a picture goes to its place in
+/// the file as it comes, so that memory does not grow with the length of an episode.
+pub(super) fn write(
+    bags: &[Planned],
+    readers: &[Option<BagReader>],
+    manifest: &Manifest,
+    folder: &NewFolder,
+) -> Result<Decoded, DatasetError> {
+    let total: usize = manifest.episodes.iter().map(|episode| episode.frames).sum();
+    let progress = Progress::of("decoding", "frames", total as u64);
+    let files = Files {
+        frames: folder.create_file("frames")?,
+        masks: match manifest.has_masks {
+            true => Some(folder.create_file("masks")?),
+            false => None,
+        },
+        view: manifest.size,
+        fit: manifest.fit,
+        views: manifest.cameras.len(),
+        stamps: manifest.settings.stamps,
+        sizes: Mutex::default(),
+    };
+    let mut jobs = Vec::new();
+    let mut first_frame = 0;
+    for bag in bags {
+        for draft in &bag.episodes {
+            jobs.push((bag, draft, first_frame));
+            first_frame += draft.actions.len();
+        }
+    }
+    let results = jobs.par_iter().map(|(bag, draft, first_frame)| {
+        let Some(reader) = readers.get(bag.source).and_then(Option::as_ref) else {
+            return Ok((bag.source, DecodedEpisode::default()));
+        };
+        let episode = files.write_episode(reader, &bag.topics, draft, *first_frame)?;
+        progress.inc(draft.actions.len() as u64);
+        Ok((bag.source, episode))
+    });
+    let mut decoded = Decoded {
+        broken: vec![Broken::default(); readers.len()],
+        sizes: SizeCounts::new(),
+        changes: Vec::new(),
+        videos: vec![Vec::new(); readers.len()],
+    };
+    for (source, episode) in results.collect::<Result<Vec<_>, DatasetError>>()? {
+        if let Some(all) = decoded.broken.get_mut(source) {
+            all.extend(episode.broken);
+        }
+        decoded.changes.push(episode.changes);
+        if let Some(videos) = decoded.videos.get_mut(source) {
+            for pictures in episode.videos {
+                match videos.iter_mut().find(|all| all.topic == pictures.topic) {
+                    Some(all) => all.append(pictures),
+                    None => videos.push(pictures),
+                }
+            }
+        }
+    }
+    drop(progress);
+    let sizes = files.sizes.into_inner();
+    decoded.sizes = sizes.unwrap_or_else(PoisonError::into_inner);
+    Ok(decoded)
+}
+
+/// The files that pictures go to, with their paths.
+struct Files {
+    frames: (File, PathBuf),
+    masks: Option<(File, PathBuf)>,
+    view: Size,
+    fit: Fit,
+    views: usize,
+    stamps: StampSource,
+    /// The sizes of the pictures so far.
+    sizes: Mutex<SizeCounts>,
+}
+
+/// The pictures of a stream that an episode still waits for.
+struct Awaited<'a> {
+    topic: &'a str,
+    /// Stamps of its frames, in order; a slow camera's picture may be in several.
+    stamps: &'a [i64],
+    is_there: Vec<bool>,
+    /// The decoder, if the stream is a video.
+    video: VideoStream,
+    /// The pictures of a video, for the audit.
+    shown: Pictures,
+    changes: Changes,
+}
+
+/// How much the pictures of an episode change.
+struct Changes {
+    /// By frame: the mean change since the picture before \[levels\], if that is known.
+    levels: Vec<Option<f32>>,
+    /// The last picture, and its frame.
+    last: Option<(usize, Signature)>,
+}
+
+impl Changes {
+    fn new(frames: usize) -> Self {
+        Self {
+            levels: vec![None; frames],
+            last: None,
+        }
+    }
+
+    /// Takes the picture of a frame. Pictures come in the order of recording, which is that of the stamps but for a few.
+    fn take(&mut self, frame: usize, signature: &Signature) {
+        let before = self.last.as_ref().filter(|(last, _)| last + 1 == frame);
+        let change = before.and_then(|(_, before)| before.change(signature));
+        if let Some(place) = self.levels.get_mut(frame) {
+            *place = change;
+        }
+        self.last = Some((frame, signature.clone()));
+    }
+}
+
+impl Awaited<'_> {
+    /// The frames of the episode that show a picture of this stamp, if it is not there yet.
+    fn frames(&self, stamp_ns: i64) -> std::ops::Range<usize> {
+        let first = self.stamps.partition_point(|other| *other < stamp_ns);
+        let end = self.stamps.partition_point(|other| *other <= stamp_ns);
+        match self.is_there.get(first) {
+            Some(false) => first..end,
+            _ => first..first,
+        }
+    }
+}
+
+impl Files {
+    fn write_episode(
+        &self,
+        reader: &BagReader,
+        topics: &[String],
+        draft: &Draft,
+        first_frame: usize,
+    ) -> Result<DecodedEpisode, DatasetError> {
+        let mut awaited: Vec<Awaited<'_>> = topics
+            .iter()
+            .zip(&draft.stamps)
+            .map(|(topic, stamps)| Awaited {
+                topic,
+                stamps,
+                is_there: vec![false; stamps.len()],
+                video: VideoStream::new(),
+                shown: Pictures::new(topic),
+                changes: Changes::new(stamps.len()),
+            })
+            .collect();
+        let mut broken = Broken::default();
+        let (from_ns, to_ns) = draft.logged_ns;
+        let begin_ns = topics
+            .iter()
+            .map(|topic| first_needed(reader, topic, from_ns))
+            .min();
+        let messages = reader
+            .messages()
+            .only_topics(topics)
+            .starting_at(begin_ns.unwrap_or(from_ns));
+        // Messages that cannot be read were counted at the first reading.
+        for message in messages.flatten() {
+            if message.log_time_ns > to_ns {
+                break;
+            }
+            let of_topic = |awaited: &&mut Awaited<'_>| *awaited.topic == *message.topic;
+            let Some((view, awaited)) = (0..).zip(&mut awaited).find(|(_, a)| of_topic(a)) else {
+                continue;
+            };
+            let frame = match CameraMessage::of_bag(&message) {
+                Ok(CameraMessage::Still(frame)) => frame,
+                Ok(CameraMessage::Packet(mut packet)) => {
+                    let header_ns = packet.header.stamp.to_nanos();
+                    let stamp_ns = self.stamps.of(Stamps::of_bag(&message, header_ns));
+                    packet.header.stamp = Time::from_nanos(stamp_ns);
+                    // A video of another format was refused at the first reading.
+                    let pictures = awaited.video.feed(&packet).unwrap_or_default();
+                    self.take(awaited, (first_frame, view), pictures)?;
+                    continue;
+                }
+                Err(_) => continue,
+            };
+            let header_ns = frame.header().stamp.to_nanos();
+            let stamp_ns = self.stamps.of(Stamps::of_bag(&message, header_ns));
+            let frames = awaited.frames(stamp_ns);
+            if frames.is_empty() {
+                continue;
+            }
+            let shown = match self.decoded(&frame, view, awaited.topic == MASK) {
+                Ok(shown) => shown,
+                Err(reason) => {
+                    broken.insert(awaited.topic, stamp_ns, || reason);
+                    continue;
+                }
+            };
+            self.place(awaited, (first_frame, view), frames, &shown)?;
+        }
+        for (view, awaited) in awaited.iter_mut().enumerate() {
+            let pictures = awaited.video.finish();
+            self.take(awaited, (first_frame, view), pictures)?;
+        }
+        for stream in &awaited {
+            let missing = stream.stamps.iter().zip(&stream.is_there);
+            let missing = missing.filter(|(_, is_there)| !**is_there);
+            for (stamp_ns, _) in missing {
+                broken.insert(stream.topic, *stamp_ns, || {
+                    "the message gives no picture".to_owned()
+                });
+            }
+        }
+        let mut episode = DecodedEpisode {
+            broken,
+            ..DecodedEpisode::default()
+        };
+        for (view, stream) in awaited.into_iter().enumerate() {
+            if view == 0 {
+                episode.changes = stream.changes.levels;
+            }
+            if stream.shown.count() > 0 {
+                episode.videos.push(stream.shown);
+            }
+        }
+        Ok(episode)
+    }
+
+    /// Writes the pictures of a video that the episode waits for.
+    fn take(
+        &self,
+        awaited: &mut Awaited<'_>,
+        place: (usize, usize),
+        pictures: Vec<VideoPicture>,
+    ) -> Result<(), DatasetError> {
+        for VideoPicture {
+            header, picture, ..
+        } in pictures
+        {
+            let stamp_ns = header.stamp.to_nanos();
+            let span = awaited.stamps.first().zip(awaited.stamps.last());
+            if !span.is_some_and(|(first, last)| (*first..=*last).contains(&stamp_ns)) {
+                continue;
+            }
+            let signature = Signature::of(&picture);
+            let size = Some(picture.dimensions());
+            let bytes = fingerprint(&picture);
+            let of_audit = Some(signature.clone());
+            awaited.shown.push(stamp_ns, bytes, size, of_audit);
+            let frames = awaited.frames(stamp_ns);
+            if frames.is_empty() {
+                continue;
+            }
+            if let Ok(view) = self.placed(&picture, place.1) {
+                let shown = Shown::View(view, signature);
+                self.place(awaited, place, frames, &shown)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Writes a picture to the frames of an episode that show it; the episode's first frame and the view say where.
+    fn place(
+        &self,
+        awaited: &mut Awaited<'_>,
+        (first_frame, view): (usize, usize),
+        frames: std::ops::Range<usize>,
+        shown: &Shown,
+    ) -> Result<(), DatasetError> {
+        if let (0, Shown::View(_, signature)) = (view, shown) {
+            awaited.changes.take(frames.start, signature);
+        }
+        for frame in frames {
+            self.write(first_frame + frame, view, shown)?;
+            if let Some(is_there) = awaited.is_there.get_mut(frame) {
+                *is_there = true;
+            }
+        }
+        Ok(())
+    }
+
+    /// A picture of camera `view` at the size of a view.
+    fn placed(&self, picture: &RgbImage, view: usize) -> Result<RgbImage, String> {
+        let Size { height, width } = self.view;
+        let placed = Framing::new((height, width), self.fit).apply(picture);
+        let placed = placed.map_err(|error| error.to_string())?;
+        let mut sizes = self.sizes.lock().unwrap_or_else(PoisonError::into_inner);
+        *sizes.entry((view, PictureSize::of(picture))).or_default() += 1;
+        Ok(placed)
+    }
+
+    /// A picture of camera `view` at the size of a view.
+    fn decoded(&self, frame: &CameraFrame, view: usize, is_mask: bool) -> Result<Shown, String> {
+        let picture = frame.decode().map_err(|error| error.to_string())?;
+        if is_mask {
+            // Grey stays what it is: the weights of the luma add up to one.
+            let mask = DynamicImage::from(picture).into_luma8();
+            return Ok(Shown::Mask(place(&mask, self.view, self.fit)));
+        }
+        Ok(Shown::View(
+            self.placed(&picture, view)?,
+            Signature::of(&picture),
+        ))
+    }
+
+    /// Writes a picture to its place: a view to its columns of the frame.
+    fn write(&self, frame: usize, view: usize, shown: &Shown) -> Result<(), DatasetError> {
+        let Size { height, width } = self.view;
+        let to = |(file, path): &(File, PathBuf), bytes: &[u8], at: usize| {
+            let written = file.write_all_at(bytes, at as u64);
+            written.map_err(DatasetError::io(path))
+        };
+        let row_bytes = width * 3;
+        match (shown, &self.masks) {
+            (Shown::Mask(mask), Some(masks)) => to(masks, mask.as_raw(), frame * height * width),
+            (Shown::Mask(_), None) => Ok(()),
+            (Shown::View(picture, _), _) if self.views == 1 => {
+                to(&self.frames, picture.as_raw(), frame * height * row_bytes)
+            }
+            (Shown::View(picture, _), _) => {
+                let rows = picture.as_raw().chunks_exact(row_bytes).enumerate();
+                for (row, bytes) in rows {
+                    let row = frame * height + row;
+                    let at = (row * self.views + view) * row_bytes;
+                    to(&self.frames, bytes, at)?;
+                }
+                Ok(())
+            }
+        }
+    }
+}
+
+/// A number that pictures share if their pixels are the same.
+fn fingerprint(picture: &RgbImage) -> u64 {
+    let mut hasher = DefaultHasher::new();
+    hasher.write(picture.as_raw());
+    hasher.finish()
+}
+
+enum Shown {
+    /// At the size of a view, and the signature of the whole picture.
+    View(RgbImage, Signature),
+    Mask(GrayImage),
+}
+
+/// A mask as the picture beside it is placed: its bars are background.
+fn place(mask: &GrayImage, size: Size, fit: Fit) -> GrayImage {
+    let (width, height) = mask.dimensions();
+    let to = PictureSize::from(size);
+    let Some(Placement { source, target }) = fit.placement(PictureSize { width, height }, to)
+    else {
+        return GrayImage::new(to.width, to.height);
+    };
+    let cut = |Part {
+                   x,
+                   y,
+                   width,
+                   height,
+               }: Part| imageops::crop_imm(mask, x, y, width, height);
+    let scaled = shrink(
+        &cut(source).to_image(),
+        Size {
+            height: target.height as usize,
+            width: target.width as usize,
+        },
+    );
+    let mut placed = GrayImage::new(to.width, to.height);
+    imageops::replace(
+        &mut placed,
+        &scaled,
+        i64::from(target.x),
+        i64::from(target.y),
+    );
+    placed
+}
+
+/// Class numbers may not be blended: nearest neighbour.
+pub(crate) fn shrink(mask: &GrayImage, size: Size) -> GrayImage {
+    // A side is at most 4096.
+    let (width, height) = (size.width as u32, size.height as u32);
+    imageops::resize(mask, width, height, FilterType::Nearest)
+}

@@ -1,0 +1,212 @@
+//! `wm eval SUITE`.
+
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+    sync::Arc,
+};
+
+use anyhow::{Context as _, Result, ensure};
+use clap::Args;
+use wm_dataset::HeldOutArgs;
+use wm_metrics::findings::Suite;
+use wm_zoo::ModelFolder;
+
+use crate::{
+    OutputArgs, Perception, PerceptionArgs, PolicyArgs, Protocol, ReaderArgs, Settings, Shard,
+    Subject, merge::of_files, open_model, policy::Setup, run,
+};
+
+/// Measures a model, or several side by side, on bags.
+#[derive(Clone, Debug, Args)]
+pub struct SuiteArgs {
+    /// The model: tiny, or a model's folder.
+    #[arg(long)]
+    pub model: String,
+    /// Models to put beside it, with paired statistics: the first model is what they are compared with.
+    #[arg(long, num_args = 1.., value_name = "MODEL")]
+    pub compare: Vec<String>,
+    /// The data.
+    #[command(flatten)]
+    pub on: HeldOutArgs,
+    /// Suites to leave out, as cost, the only one whose figures are not the same in every run.
+    #[arg(long, value_enum, num_args = 1.., value_name = "SUITE")]
+    pub skip: Vec<Suite>,
+    /// How much is measured.
+    #[arg(long, value_enum, default_value_t)]
+    pub protocol: Protocol,
+    /// YAML or JSON with settings that differ from the protocol's, named as in the JSON of a result, as
+    /// `control: {population: 1000}`.
+    #[arg(long, value_name = "FILE")]
+    pub settings: Option<PathBuf>,
+    /// Most episodes of the suites that measure whole ones.
+    #[arg(long)]
+    pub episodes: Option<usize>,
+    /// Most windows of the suites that measure windows; a search (control) takes by far the longest.
+    #[arg(long)]
+    pub windows: Option<usize>,
+    /// Most predicted steps of a decoded rollout.
+    #[arg(long)]
+    pub steps: Option<usize>,
+    /// Seed of everything that is drawn.
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
+    /// Euler steps of a predicted frame, instead of the model's own.
+    #[arg(long, value_name = "N")]
+    pub sampling_steps: Option<usize>,
+    /// Further models that read latents.
+    #[command(flatten)]
+    pub readers: ReaderArgs,
+    /// Networks of the user's.
+    #[command(flatten)]
+    pub perception: PerceptionArgs,
+    /// Measure part I of N, from 0: `wm eval merge` puts the parts together.
+    #[arg(long, value_name = "I/N", requires = "records", conflicts_with_all = ["report", "json", "csv", "card"])]
+    pub shard: Option<Shard>,
+    /// Folder for what is measured, unit by unit, from which a run that was interrupted goes on; by default in the report's
+    /// folder, or beside the file of the figures.
+    #[arg(long, value_name = "DIR")]
+    pub records: Option<PathBuf>,
+    /// Number of threads; all of the machine by default. The figures are the same whatever it is.
+    #[arg(long)]
+    pub threads: Option<usize>,
+    /// Where the findings go.
+    #[command(flatten)]
+    pub output: OutputArgs,
+    /// Who acts in the imagined environment.
+    #[command(flatten, next_help_heading = "Policy")]
+    pub policy: PolicyArgs,
+}
+
+/// Refuses a model that is there twice.
+fn require_different(folders: &[ModelFolder]) -> Result<()> {
+    if folders.len() < 2 {
+        return Ok(());
+    }
+    let mut names_by_hash: BTreeMap<String, String> = BTreeMap::new();
+    for folder in folders {
+        let world = folder.world_model()?;
+        let other = names_by_hash.insert(world.hash, folder.name());
+        ensure!(
+            other.is_none(),
+            "{} has the weights of {}: there is nothing to compare",
+            folder.name(),
+            other.unwrap_or_default()
+        );
+    }
+    Ok(())
+}
+
+impl SuiteArgs {
+    /// Measures `suites`, and writes what was found; a shard writes records only.
+    ///
+    /// # Errors
+    /// When model, data or files cannot be used.
+    pub fn run(&self, suites: &[Suite]) -> Result<()> {
+        self.output.require_free()?;
+        ensure!(
+            self.episodes != Some(0) && self.windows != Some(0) && self.steps != Some(0),
+            "--episodes, --windows and --steps are at least 1"
+        );
+        if let Some(threads) = self.threads {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
+            pool.build_global().context("--threads")?;
+        }
+        ensure!(
+            self.sampling_steps != Some(0),
+            "--sampling-steps is at least 1"
+        );
+        let temporary;
+        let default = self.output.records();
+        let folder: &Path = match self.records.as_ref().or(default.as_ref()) {
+            Some(folder) => folder,
+            None => {
+                temporary = tempfile::tempdir().context("a folder for records")?;
+                temporary.path()
+            }
+        };
+        let suites: Vec<Suite> = suites
+            .iter()
+            .copied()
+            .filter(|s| !self.skip.contains(s))
+            .collect();
+        ensure!(!suites.is_empty(), "--skip leaves no suite");
+        ensure!(
+            self.perception.is_empty() || suites.contains(&Suite::Fidelity),
+            "--networks and --lpips are for the suite fidelity"
+        );
+        ensure!(
+            self.policy.is_default() || suites.contains(&Suite::Policy),
+            "--policy, --tasks, --trials, --ood, --start-images, --judges and --prompts are for the suite policy"
+        );
+        let perception = Arc::new(Perception::open(&self.perception)?);
+        let shard = self.shard.unwrap_or(Shard::WHOLE);
+        let setup = Setup::new(&self.policy)?;
+        let mut settings = self.settings(&setup)?;
+        settings.networks = perception.description().cloned();
+        let models = || std::iter::once(&self.model).chain(&self.compare);
+        let folders: Vec<ModelFolder> = models()
+            .map(|model| open_model(model))
+            .collect::<Result<_>>()?;
+        require_different(&folders)?;
+        self.readers.require_models(&folders)?;
+        drop(folders);
+        let mut files = Vec::new();
+        for (position, model) in models().enumerate() {
+            let mut subject = Subject::open(model, &self.on, &self.readers)
+                .with_context(|| format!("model {model}"))?;
+            subject.perception = Arc::clone(&perception);
+            if let Some(steps) = self.sampling_steps {
+                subject.sampler.steps = steps;
+                subject.sampler.validate().context("--sampling-steps")?;
+            }
+            let records = (folder, shard);
+            files.push(run::measure(
+                &subject,
+                (&self.on.data, position),
+                &suites,
+                &settings,
+                &setup,
+                records,
+            )?);
+        }
+        if shard.is_part() {
+            for file in files {
+                println!("wrote {}", file.display());
+            }
+            return Ok(());
+        }
+        self.output.write(&of_files(&files)?)
+    }
+
+    fn settings(&self, setup: &Setup) -> Result<Settings> {
+        let mut settings = Settings::of(self.protocol, self.seed);
+        if let Some(path) = &self.settings {
+            let name = || path.display().to_string();
+            let text = std::fs::read_to_string(path).with_context(name)?;
+            settings = settings.with(&text).with_context(name)?;
+        }
+        if let Some(episodes) = self.episodes {
+            settings.fidelity.episodes = episodes;
+            settings.latents.judged_episodes = episodes;
+            settings.policy.tasks = episodes;
+        }
+        if let Some(windows) = self.windows {
+            for search in &mut settings.control.searches {
+                search.windows = windows;
+            }
+            settings.control.response_windows = windows;
+            settings.latents.windows = windows;
+            settings.robustness.windows = windows;
+        }
+        if let Some(steps) = self.steps {
+            settings.fidelity.steps = steps;
+            settings.policy.steps = steps;
+        }
+        if let Some(trials) = self.policy.trials {
+            settings.policy.trials = trials;
+        }
+        settings.policy.inputs = setup.inputs().clone();
+        Ok(settings)
+    }
+}

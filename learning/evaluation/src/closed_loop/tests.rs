@@ -1,0 +1,134 @@
+#![allow(clippy::unwrap_used, clippy::indexing_slicing)]
+
+use wm_planner::PlannerChoice;
+use wm_sim::GoalKind;
+use wm_zoo::ModelFolder;
+
+use super::{
+    controller::Controller,
+    findings::{self, About},
+    model::Model,
+    settings::{ClosedLoopSettings, Goals},
+    trial::{Setup, Trial, run},
+};
+
+/// Nothing that tiny was trained on.
+const SEED: u64 = 5_000_000;
+
+fn setup<'a>(
+    controller: Controller,
+    model: Option<&'a Model>,
+    settings: &'a ClosedLoopSettings,
+) -> Setup<'a> {
+    Setup {
+        task: GoalKind::Reach,
+        controller,
+        is_perfect: false,
+        model,
+        frames_per_step: 2,
+        settings,
+    }
+}
+
+#[test]
+fn the_oracle_succeeds_and_nobody_does_not() {
+    let settings = ClosedLoopSettings::default();
+    for seed in SEED..SEED + 3 {
+        let trial = |controller| run(&setup(controller, None, &settings), seed).unwrap();
+        let oracle = trial(Controller::Oracle);
+        assert!(oracle.success && oracle.distance_m < 0.025, "{oracle:?}");
+        let hold = trial(Controller::Hold);
+        assert!(!hold.success && hold.steps >= 10, "{hold:?}");
+    }
+    let refused = run(&setup(Controller::Random, None, &settings), SEED);
+    assert!(refused.unwrap_err().to_string().contains("model"));
+}
+
+#[test]
+fn a_planner_reaches_what_a_picture_shows_and_repeats_itself() {
+    let model = Model::load(&ModelFolder::open("tiny").unwrap()).unwrap();
+    let settings = ClosedLoopSettings {
+        horizon: 2,
+        ..ClosedLoopSettings::default()
+    };
+    let planner = Controller::Planner(PlannerChoice::Idm);
+    let trial = || run(&setup(planner, Some(&model), &settings), SEED).unwrap();
+    let (first, again) = (trial(), trial());
+    assert!(first.success, "{first:?}");
+    assert_eq!(
+        first.plans.len(),
+        first.steps - 1,
+        "the first step is a rest"
+    );
+    assert_eq!(
+        (first.steps, first.distance_m),
+        (again.steps, again.distance_m)
+    );
+}
+
+#[test]
+fn with_the_simulator_as_its_model_a_search_comes_nearer() {
+    let model = Model::load(&ModelFolder::open("tiny").unwrap()).unwrap();
+    let settings = ClosedLoopSettings {
+        horizon: 1,
+        patience: 1.0,
+        ..ClosedLoopSettings::default()
+    };
+    let planner = Controller::Planner(PlannerChoice::Icem);
+    let trial = |is_perfect| {
+        let setup = Setup {
+            is_perfect,
+            ..setup(planner, Some(&model), &settings)
+        };
+        run(&setup, SEED).unwrap()
+    };
+    let held = run(&setup(Controller::Hold, None, &settings), SEED).unwrap();
+    assert!(trial(true).distance_m < held.distance_m);
+}
+
+#[test]
+fn findings_count_successes_and_slow_plans() {
+    let trial = |success, ms| Trial {
+        seed: 1,
+        success,
+        steps: 4,
+        distance_m: 0.01,
+        plans: vec![wm_metrics::findings::PlanTime { ms, candidates: 10 }],
+    };
+    let about = About {
+        task: "reach".into(),
+        planner: "idm".into(),
+        perfect_model: false,
+        model: "tiny".into(),
+        model_hash: "00".into(),
+        seed: 1,
+        settings: ClosedLoopSettings::default(),
+        step_ms: 400.0,
+    };
+    let trials = [trial(true, 5.0), trial(true, 500.0), trial(false, 10.0)];
+    let findings = findings::of(about, &trials).unwrap();
+    let json: serde_json::Value = serde_json::from_str(&findings.to_json().unwrap()).unwrap();
+    assert!((json["success_rate"].as_f64().unwrap() - 2.0 / 3.0).abs() < 1e-12);
+    assert_eq!(json["deadline_misses"], 1);
+    assert_eq!(json["plan_ms"]["p50"], 10.0);
+    assert_eq!(json["episodes"][0]["distance_m"], 0.01);
+    let interval = json["interval"].as_array().unwrap();
+    assert!(interval[0].as_f64().unwrap() < 0.5 && interval[1].as_f64().unwrap() > 0.8);
+}
+
+#[test]
+fn settings_are_changed_by_name_and_refused_by_name() {
+    let settings = ClosedLoopSettings::of(GoalKind::Push);
+    assert_eq!((settings.goals, settings.gripper), (Goals::Subgoals, true));
+    let changed = settings.with("planner: {icem: {population: 7}}").unwrap();
+    assert_eq!(changed.planner.icem.population, 7);
+    assert_eq!(changed.goals, Goals::Subgoals);
+    assert!(settings.with("populaton: 7").is_err());
+    let refused = settings.with("horizon: 17").unwrap().validate();
+    assert!(refused.unwrap_err().to_string().contains("17"));
+    let unknown = "cme".parse::<Controller>().unwrap_err().to_string();
+    assert!(
+        unknown.contains("cme") && unknown.contains("idm+icem"),
+        "{unknown}"
+    );
+}

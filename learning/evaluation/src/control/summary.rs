@@ -1,0 +1,296 @@
+use wm_metrics::correlation::spearman;
+use wm_metrics::findings::{Better, Curve, Section, Series, Suite, TextTable};
+
+use super::{Recovered, Response, Start, WindowControl, recovered::Search};
+use crate::{
+    ActionChange, Settings,
+    figures::{figure_of_units, mean_over_units},
+};
+
+/// The findings of all windows, which are in their order.
+#[must_use]
+pub fn summarise(windows: &[(String, WindowControl)], settings: &Settings) -> Section {
+    let mut section = Section::new(Suite::Control);
+    let searches: Vec<(&String, &Recovered)> = windows
+        .iter()
+        .filter_map(|(name, found)| match found {
+            WindowControl::Recovered(found) => Some((name, found)),
+            WindowControl::Response(_) => None,
+        })
+        .collect();
+    let responses: Vec<(&String, &Response)> = windows
+        .iter()
+        .filter_map(|(name, found)| match found {
+            WindowControl::Response(found) => Some((name, found)),
+            WindowControl::Recovered(_) => None,
+        })
+        .collect();
+    for search in &settings.control.searches {
+        of_horizon(&mut section, &searches, settings, search.k);
+    }
+    of_responses(&mut section, &responses, settings);
+    if settings.control.searches.is_empty() {
+        section.absent(
+            "cem_k1_error",
+            "no searches were asked for, which take minutes: wm eval control",
+        );
+        return section;
+    }
+    section.notes.push(
+        "The search of the paper starts at the true actions with a deviation of a quarter of the range, so that a model \
+         which ignores actions keeps some of the truth: beside it, the same search from zero, and the errors of a random \
+         guess, of no motion and of the inverse dynamics model."
+            .into(),
+    );
+    section
+}
+
+fn of_horizon(
+    section: &mut Section,
+    windows: &[(&String, &Recovered)],
+    settings: &Settings,
+    k: usize,
+) {
+    let of = windows.iter().filter(|(_, found)| found.k == k);
+    let of: Vec<(&String, &Recovered)> = of.copied().collect();
+    let values = |figure: &dyn Fn(&Recovered) -> Option<f64>| -> Vec<(String, f64)> {
+        let values = of
+            .iter()
+            .filter_map(|(name, of)| Some(((*name).clone(), figure(of)?)));
+        values.collect()
+    };
+    let mut add = |name: &str, about: &str, figure: &dyn Fn(&Recovered) -> Option<f64>| {
+        // A random guess and no motion are of the data, and costs are of a latent space: they rank no models.
+        let better = match name {
+            "error" | "error_from_zero" | "error_idm" => Better::Lower,
+            _ => Better::Neither,
+        };
+        match mean_over_units(&values(figure), settings, better, about) {
+            Some(metric) => section.metric(&format!("cem_k{k}_{name}"), metric),
+            None => section.absent(
+                &format!("cem_k{k}_{name}"),
+                format!("no inverse dynamics model of {k} steps: give its file by --idm"),
+            ),
+        }
+    };
+    let of_search = |start: Start, figure: fn(&Search) -> f64| {
+        move |of: &Recovered| {
+            let search = of.searches.iter().find(|search| search.start == start)?;
+            Some(figure(search))
+        }
+    };
+    add(
+        "error",
+        "CEM error: distance to the true actions, search from the truth (the paper's)",
+        &of_search(Start::Truth, |s| s.error),
+    );
+    add(
+        "error_from_zero",
+        "the same, search from zero",
+        &of_search(Start::Zero, |s| s.error),
+    );
+    add("error_random", "distance of a random guess", &|of| {
+        Some(of.random_error)
+    });
+    add("error_zero", "distance of no motion", &|of| {
+        Some(of.zero_error)
+    });
+    add(
+        "error_idm",
+        "distance of what the inverse dynamics model tells from the same latents",
+        &|of| of.told_error,
+    );
+    add("cost_at_truth", "cost at the true actions", &|of| {
+        Some(of.cost_of_truth)
+    });
+    add(
+        "cost_found",
+        "cost of what the search from the truth found",
+        &of_search(Start::Truth, |s| s.cost),
+    );
+
+    let starts = [(Start::Truth, "from the truth"), (Start::Zero, "from zero")];
+    section.curves.push(Curve {
+        title: format!("Planner convergence, k = {k}"),
+        x: "iteration".into(),
+        y: "least cost / cost at the true actions".into(),
+        series: starts
+            .iter()
+            .map(|(start, name)| convergence(&of, *start, name))
+            .collect(),
+    });
+    if let Some((_, found)) = of.first() {
+        let rows = found.dimensions.iter().enumerate().map(|(index, name)| {
+            let mean = |start: Start| {
+                let errors: Vec<f64> = of
+                    .iter()
+                    .flat_map(|(_, of)| &of.searches)
+                    .filter(|search| search.start == start)
+                    .filter_map(|search| search.by_dimension.get(index).copied())
+                    .collect();
+                format!(
+                    "{:.3}",
+                    errors.iter().sum::<f64>() / errors.len().max(1) as f64
+                )
+            };
+            vec![name.clone(), mean(Start::Truth), mean(Start::Zero)]
+        });
+        section.tables.push(TextTable {
+            title: format!("Mean absolute error of each dimension, k = {k} (model units)"),
+            header: ["dimension", "from the truth", "from zero"]
+                .map(String::from)
+                .into(),
+            rows: rows.collect(),
+        });
+    }
+}
+
+fn convergence(of: &[(&String, &Recovered)], start: Start, name: &str) -> Series {
+    let ratios: Vec<Vec<f64>> = of
+        .iter()
+        .flat_map(|(_, of)| {
+            let searches = of.searches.iter().filter(move |s| s.start == start);
+            searches.map(|search| {
+                let costs = search.iteration_costs.iter();
+                // What was found so far, not what this iteration found.
+                let mut least = f64::INFINITY;
+                let best = costs.map(|cost| {
+                    least = least.min(*cost);
+                    least / of.cost_of_truth
+                });
+                best.collect()
+            })
+        })
+        .collect();
+    let longest = ratios.iter().map(Vec::len).max().unwrap_or(0);
+    let points = (0..longest).map(|i| {
+        let at: Vec<f64> = ratios.iter().filter_map(|r| r.get(i).copied()).collect();
+        [
+            (i + 1) as f64,
+            at.iter().sum::<f64>() / at.len().max(1) as f64,
+        ]
+    });
+    Series {
+        name: name.into(),
+        points: points.collect(),
+        band: Vec::new(),
+    }
+}
+
+/// Steps whose ratios are figures; the others are in the curve.
+const TOLD_STEPS: [usize; 3] = [1, 4, 8];
+
+fn of_responses(section: &mut Section, windows: &[(&String, &Response)], settings: &Settings) {
+    let steps = windows.iter().map(|(_, found)| found.told.len()).max();
+    let steps = steps.unwrap_or(0);
+    type Of<'a> = Box<dyn Fn(&Response) -> Option<&Vec<f64>> + Sync + 'a>;
+    let mut lines: Vec<(String, String, Of<'_>)> = vec![(
+        String::new(),
+        "the true actions".into(),
+        Box::new(|found| Some(&found.told)),
+    )];
+    for change in ActionChange::WRONG {
+        let has = |found: &Response| found.wrong.iter().any(|(own, _)| *own == change);
+        if windows.iter().any(|(_, found)| has(found)) {
+            lines.push((
+                format!("_{}", change.name()),
+                format!("{change} actions"),
+                Box::new(move |found| of_change(found, change)),
+            ));
+        } else {
+            section.absent(
+                &format!("ratio_k1_{}", change.name()),
+                match change {
+                    ActionChange::Shuffled => "another's actions: all windows are of one episode",
+                    _ => "the model's actions are no changes, which have no opposite",
+                },
+            );
+        }
+    }
+    let mut curve = Curve {
+        title: "Latent error / persistence by step".into(),
+        x: "predicted step k".into(),
+        y: "squared latent error / persistence".into(),
+        series: Vec::new(),
+    };
+    for (end, about, of) in &lines {
+        let ratio = |chosen: &[usize], k: usize| {
+            let (mut error, mut persistence) = (0.0, 0.0);
+            for index in chosen {
+                let Some((_, found)) = windows.get(*index) else {
+                    continue;
+                };
+                let own = of(found).and_then(|errors| errors.get(k));
+                if let (Some(own), Some(held)) = (own, found.persistence.get(k)) {
+                    error += own;
+                    persistence += held;
+                }
+            }
+            error / persistence
+        };
+        let all: Vec<usize> = (0..windows.len()).collect();
+        let points = (0..steps).map(|k| [(k + 1) as f64, ratio(&all, k)]);
+        curve.series.push(Series {
+            name: about.clone(),
+            points: points.filter(|[_, y]| y.is_finite()).collect(),
+            band: Vec::new(),
+        });
+        let better = if end.is_empty() {
+            Better::Lower
+        } else {
+            Better::Higher
+        };
+        for k in TOLD_STEPS.into_iter().filter(|k| *k <= steps) {
+            let sentence = format!(
+                "squared latent error over that of persistence at k = {k}, predictions under {about}"
+            );
+            let metric = figure_of_units(windows.len(), settings, better, &sentence, |chosen| {
+                ratio(chosen, k - 1)
+            });
+            if let Some(mut metric) = metric {
+                let each = windows
+                    .iter()
+                    .enumerate()
+                    .map(|(index, (name, _))| ((*name).clone(), ratio(&[index], k - 1)));
+                metric.samples = each.filter(|(_, ratio)| ratio.is_finite()).collect();
+                section.metric(&format!("ratio_k{k}{end}"), metric);
+            }
+        }
+    }
+    section.curves.push(curve);
+
+    let about = "action following: Spearman's rank correlation of the predicted with the true size of motion (change of \
+                 the latent from frame to frame), over all steps";
+    let following = figure_of_units(windows.len(), settings, Better::Higher, about, |chosen| {
+        let (mut predicted, mut truth) = (Vec::new(), Vec::new());
+        for (_, found) in chosen.iter().filter_map(|index| windows.get(*index)) {
+            predicted.extend_from_slice(&found.predicted_motion);
+            truth.extend_from_slice(&found.motion);
+        }
+        spearman(&predicted, &truth).map_or(f64::NAN, |found| found.r)
+    });
+    match following {
+        Some(metric) => section.metric("action_following", metric),
+        None => section.absent("action_following", "nothing moves in the data"),
+    }
+    let about = "share of the true motion that is in the predictions: squared change from frame to frame over that of what \
+                 came";
+    let share = figure_of_units(windows.len(), settings, Better::Neither, about, |chosen| {
+        let (mut predicted, mut truth) = (0.0, 0.0);
+        for (_, found) in chosen.iter().filter_map(|index| windows.get(*index)) {
+            predicted += found.predicted_motion.iter().sum::<f64>();
+            truth += found.motion.iter().sum::<f64>();
+        }
+        predicted / truth
+    });
+    if let Some(metric) = share {
+        section.metric("motion_share", metric);
+    }
+}
+
+fn of_change(found: &Response, change: ActionChange) -> Option<&Vec<f64>> {
+    let mut wrong = found.wrong.iter();
+    wrong
+        .find(|(own, _)| *own == change)
+        .map(|(_, errors)| errors)
+}

@@ -1,0 +1,97 @@
+//! From the values of units to figures with intervals.
+
+use wm_metrics::findings::{Better, Metric};
+use wm_metrics::statistics::{Bootstrap, Estimate, bootstrap_mean, replicates};
+
+use crate::Settings;
+
+/// Fewest units of an interval.
+pub(crate) const FEWEST: usize = 3;
+
+/// The bootstrap of all intervals.
+pub(crate) fn draws(settings: &Settings) -> Bootstrap {
+    Bootstrap {
+        resamples: settings.resamples,
+        seed: settings.seed,
+        ..Bootstrap::default()
+    }
+}
+
+/// The mean over units with its bootstrap interval; `None` where there are no units.
+pub(crate) fn mean_over_units(
+    values: &[(String, f64)],
+    settings: &Settings,
+    better: Better,
+    about: &str,
+) -> Option<Metric> {
+    let numbers: Vec<f64> = values.iter().map(|(_, value)| *value).collect();
+    let estimate = bootstrap_mean(&numbers, &draws(settings)).ok()?;
+    Some(Metric {
+        interval: (numbers.len() >= FEWEST).then_some(estimate.interval),
+        samples: values.iter().cloned().collect(),
+        ..Metric::plain(estimate.value, numbers.len(), better, about)
+    })
+}
+
+/// Any figure of `count` units with its bootstrap interval over them; `None` where it has no value.
+pub(crate) fn figure_of_units(
+    count: usize,
+    settings: &Settings,
+    better: Better,
+    about: &str,
+    figure: impl Fn(&[usize]) -> f64 + Sync,
+) -> Option<Metric> {
+    let all: Vec<usize> = (0..count).collect();
+    let value = figure(&all);
+    if !value.is_finite() {
+        return None;
+    }
+    // A resample without any of a class, or that never varies, has no figure: it counts as the whole's.
+    let finite = |chosen: &[usize]| {
+        Some(figure(chosen))
+            .filter(|v| v.is_finite())
+            .unwrap_or(value)
+    };
+    let draws = draws(settings);
+    let replicates = match count >= FEWEST {
+        true => replicates(count, &draws, finite).unwrap_or_default(),
+        false => Vec::new(),
+    };
+    let estimate = Estimate::of_replicates(value, replicates.clone(), draws.level);
+    Some(Metric {
+        interval: estimate.ok().map(|estimate| estimate.interval),
+        replicates,
+        ..Metric::plain(value, count, better, about)
+    })
+}
+
+/// At most `most` of them, spread evenly.
+#[must_use]
+pub fn spread<T>(all: Vec<T>, most: usize) -> Vec<T> {
+    let count = all.len();
+    let most = most.max(1);
+    if count <= most {
+        return all;
+    }
+    let mut chosen = (0..most).map(|i| i * count / most).peekable();
+    let spread = all.into_iter().enumerate().filter_map(|(index, value)| {
+        (chosen.peek() == Some(&index)).then(|| {
+            chosen.next();
+            value
+        })
+    });
+    spread.collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_chosen_ones_are_spread_over_all() {
+        assert_eq!(spread((0..10).collect(), 4), [0, 2, 5, 7]);
+        assert_eq!(spread((0..3).collect(), 4), [0, 1, 2]);
+        assert_eq!(spread((0..3).collect(), 0), [0]);
+        assert!(spread(Vec::<u8>::new(), 2).is_empty());
+    }
+}

@@ -1,0 +1,30 @@
+use crate::judges::{Error, Result, endpoint::EndpointSettings, record::Tally};
+
+/// Refuses to ask on when that might pass the cap. The next answer is taken to need as much input as the largest so far, and
+/// all the output that it may have. What the first needs as input is not known.
+pub(super) fn check(settings: &EndpointSettings, tally: Tally) -> Result<()> {
+    let Some(cap) = settings.max_cost else {
+        return Ok(());
+    };
+    if tally.uncounted > 0 {
+        return Err(Error::UsageMissing {
+            judge: settings.name.clone(),
+            answers: tally.uncounted,
+        });
+    }
+    let mut next = tally.largest;
+    if let Some(most) = settings.max_tokens {
+        next.output_tokens = u64::from(most);
+    }
+    let spent = settings.price_per_million.of(tally.usage);
+    let next = settings.price_per_million.of(next);
+    if spent + next > cap {
+        return Err(Error::CostCap {
+            judge: settings.name.clone(),
+            spent,
+            next,
+            cap,
+        });
+    }
+    Ok(())
+}

@@ -1,0 +1,58 @@
+//! Outputs that lie on the picture: a number or two per pixel.
+
+use image::RgbImage;
+
+use crate::onnx::input::size_of;
+use crate::onnx::resample::resized;
+use crate::onnx::{Network, Resize, Result, Tensor};
+
+impl Network {
+    /// One picture as an input, repeated where the file fixes a larger batch, and its height and width as the network sees it.
+    pub(crate) fn single(&self, picture: &RgbImage) -> Result<(Tensor, [usize; 2])> {
+        let prepared = self.prepare(picture)?;
+        let size = prepared.size;
+        let pictures = vec![prepared; self.fixed_batch().unwrap_or(1).max(1)];
+        Ok((self.arrange(&pictures, None)?, size))
+    }
+}
+
+/// The first entry of an output, plane by plane, resized from `size`, the picture as the network sees it, to the picture's own
+/// size. Resizing averages where it shrinks.
+pub(crate) fn on_the_picture<const PLANES: usize>(
+    network: &Network,
+    outputs: &[Tensor],
+    output: usize,
+    size: [usize; 2],
+    picture: &RgbImage,
+) -> Result<[Vec<f32>; PLANES]> {
+    let [height, width] = size;
+    let found = outputs.get(output);
+    let shape = found.map_or(&[][..], Tensor::shape);
+    let fits = match shape {
+        [_, c, h, w] => [*c, *h, *w] == [PLANES, height, width],
+        [_, h, w] => PLANES == 1 && [*h, *w] == size,
+        _ => false,
+    };
+    let to = size_of(picture);
+    let back = |plane: &[f32]| {
+        if to == size {
+            plane.to_vec()
+        } else {
+            resized(plane, size, to, 1, (Resize::Bilinear, true))
+        }
+    };
+    found
+        .filter(|_| fits)
+        .and_then(|tensor| {
+            let first = tensor.rows().next()?;
+            let planes: Vec<_> = first
+                .chunks_exact((height * width).max(1))
+                .map(back)
+                .collect();
+            planes.try_into().ok()
+        })
+        .ok_or_else(|| {
+            let expected = format!("[batch, {PLANES}, {height}, {width}]");
+            network.misshapen("output", expected, format!("{shape:?}"))
+        })
+}

@@ -1,0 +1,219 @@
+//! Where findings go.
+
+use std::{
+    collections::BTreeSet,
+    fs,
+    path::{Path, PathBuf},
+};
+
+use anyhow::{Context as _, Result, bail, ensure};
+use clap::Args;
+use wm_metrics::findings::{
+    Better, CardAbout, Comparison, ModelFindings, Verdict, compare_with_first,
+};
+
+use crate::{
+    card::{self, Written},
+    merge::RECORDS,
+};
+
+/// Where findings go.
+#[derive(Clone, Debug, Default, Args)]
+pub struct OutputArgs {
+    /// File for the figures as JSON.
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+    /// File for the figures as CSV, a row for each.
+    #[arg(long, value_name = "FILE")]
+    pub csv: Option<PathBuf>,
+    /// Folder for the report: report.html, figures.json and figures.csv.
+    #[arg(long, value_name = "DIR")]
+    pub report: Option<PathBuf>,
+    /// File for the model card of the first model, as MODEL.md. One that somebody changed is not replaced.
+    #[arg(long, value_name = "FILE")]
+    pub card: Option<PathBuf>,
+    /// YAML with what a card tells besides figures: name, data, recipe, limits, uses_refused, commands.
+    #[arg(long, value_name = "FILE", requires = "card")]
+    pub about: Option<PathBuf>,
+}
+
+impl OutputArgs {
+    /// Writes the files, and prints the figures.
+    ///
+    /// # Errors
+    /// If a file cannot be written, or the findings cannot be compared.
+    pub fn write(&self, findings: &[ModelFindings]) -> Result<()> {
+        let json = wm_metrics::findings::json(findings)?;
+        let csv = wm_metrics::findings::csv(findings);
+        let mut files = vec![(self.json.clone(), &json), (self.csv.clone(), &csv)];
+        let html;
+        if let Some(folder) = &self.report {
+            fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+            html = wm_metrics::findings::html(&title(findings), findings)?;
+            files.push((Some(folder.join("figures.json")), &json));
+            files.push((Some(folder.join("figures.csv")), &csv));
+            files.push((Some(folder.join("report.html")), &html));
+        }
+        for model in findings {
+            print(model);
+        }
+        for comparison in compare_with_first(findings)? {
+            print_comparison(&comparison);
+        }
+        for (path, text) in files {
+            let Some(path) = path else { continue };
+            write(&path, text)?;
+            println!("wrote {}", path.display());
+        }
+        match (&self.card, findings) {
+            (Some(path), [first, ..]) => self.write_card(path, first),
+            _ => Ok(()),
+        }
+    }
+
+    fn write_card(&self, path: &Path, findings: &ModelFindings) -> Result<()> {
+        let mut about = match &self.about {
+            Some(file) => card::about(file)?,
+            None => CardAbout {
+                name: findings.header.model.clone(),
+                ..CardAbout::default()
+            },
+        };
+        if about.commands.is_empty() {
+            let words = std::env::args().skip(1);
+            about.commands = vec![format!("wm {}", words.collect::<Vec<_>>().join(" "))];
+        }
+        about.notes.push(card::extent(&findings.header.settings));
+        match card::write(path, findings, &about)? {
+            Written::Yes => println!("wrote {}", path.display()),
+            Written::Kept => bail!(
+                "{}: it was changed by hand, and stays; give another name",
+                path.display()
+            ),
+        }
+        Ok(())
+    }
+
+    /// Refuses files that are there.
+    ///
+    /// # Errors
+    /// Names the first.
+    pub fn require_free(&self) -> Result<()> {
+        let of_report = ["report.html", "figures.json", "figures.csv"];
+        let report = self.report.iter();
+        let report = report.flat_map(|folder| of_report.map(|name| folder.join(name)));
+        let named = self.json.iter().chain(&self.csv);
+        let mut files = BTreeSet::new();
+        for path in named.cloned().chain(report) {
+            ensure!(
+                !path.exists(),
+                "{}: it is there already; give another name or remove it",
+                path.display()
+            );
+            let shown = path.display().to_string();
+            ensure!(files.insert(path), "{shown}: it is given twice");
+        }
+        for path in self.json.iter().chain(&self.csv).chain(&self.card) {
+            let folder = path
+                .parent()
+                .filter(|folder| !folder.as_os_str().is_empty());
+            ensure!(
+                folder.is_none_or(Path::is_dir),
+                "{}: its folder does not exist",
+                path.display()
+            );
+        }
+        if let Some(card) = &self.card {
+            ensure!(
+                card::is_free(card)?,
+                "{}: it was changed by hand, and stays; give another name",
+                card.display()
+            );
+        }
+        self.about.as_deref().map(card::about).transpose()?;
+        Ok(())
+    }
+
+    /// Where records are kept if no folder is named for them: in the report, or beside the file of the figures.
+    #[must_use]
+    pub fn records(&self) -> Option<PathBuf> {
+        if let Some(report) = &self.report {
+            return Some(report.join(RECORDS));
+        }
+        let file = self
+            .json
+            .as_ref()
+            .or(self.csv.as_ref())
+            .or(self.card.as_ref());
+        file.map(|file| file.with_extension(RECORDS))
+    }
+}
+
+fn title(findings: &[ModelFindings]) -> String {
+    let models = findings.iter().map(|found| &*found.header.model);
+    format!("Evaluation of {}", models.collect::<Vec<_>>().join(", "))
+}
+
+/// Nothing of the user's is replaced.
+fn write(path: &Path, text: &str) -> Result<()> {
+    use std::io::Write as _;
+    let file = fs::File::create_new(path);
+    let mut file = file.with_context(|| path.display().to_string())?;
+    file.write_all(text.as_bytes())
+        .with_context(|| path.display().to_string())
+}
+
+fn print(findings: &ModelFindings) {
+    let header = &findings.header;
+    println!(
+        "{} on {} episodes, seed {}",
+        header.model, header.episodes, header.seed
+    );
+    for section in &findings.sections {
+        println!("{}: {}", section.suite, section.suite.question());
+        for (name, metric) in &section.metrics {
+            let interval = metric.interval.map_or(String::new(), |interval| {
+                format!(" [{:.3}, {:.3}]", interval.low, interval.high)
+            });
+            let better = match metric.better {
+                Better::Higher => "higher is better",
+                Better::Lower => "lower is better",
+                Better::Neither => "",
+            };
+            println!(
+                "  {name:<44} {:>9.3}{interval:<18} {} (n = {}) {better}",
+                metric.value, metric.unit, metric.n
+            );
+        }
+        for absent in &section.absent {
+            println!("  {:<44} not measured: {}", absent.metric, absent.why);
+        }
+    }
+}
+
+/// What differs clearly; of the rest how many figures there are.
+fn print_comparison(comparison: &Comparison) {
+    println!(
+        "{} compared with {}",
+        comparison.model.model, comparison.baseline.model
+    );
+    let mut others = 0;
+    for (name, found) in &comparison.differences {
+        if matches!(found.verdict, Verdict::Unclear | Verdict::Untested) {
+            others += 1;
+            continue;
+        }
+        let interval = found.interval.map_or(String::new(), |interval| {
+            format!(" [{:+.3}, {:+.3}]", interval.low, interval.high)
+        });
+        let p = found.p.map_or(String::new(), |p| format!(", p = {p:.4}"));
+        println!(
+            "  {name:<44} {:+9.3}{interval:<20} {}: {} (n = {}{p})",
+            found.difference,
+            found.unit,
+            found.verdict.words(),
+            found.n
+        );
+    }
+    println!("  {others} other figures: no clear difference, or too few units");
+}

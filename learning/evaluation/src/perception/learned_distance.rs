@@ -1,0 +1,70 @@
+use std::path::{Path, PathBuf};
+
+use crate::onnx::{Digest, Distance};
+use anyhow::{Context as _, Result};
+use image::RgbImage;
+use serde_json::{Map, Value};
+use wm_model::image::preprocess;
+use wm_zoo::lpips::Lpips;
+
+/// Endings of the files of `--lpips`, in the order in which they are looked for.
+const ENDINGS: [&str; 3] = ["safetensors", "pth", "pt"];
+
+/// LPIPS, of an ONNX file or of torch's.
+#[derive(Debug)]
+pub(super) enum LearnedDistance {
+    Network(Box<Distance>),
+    AlexNet(Lpips),
+}
+
+impl LearnedDistance {
+    /// AlexNet and the heads in a folder, with the digests of both.
+    pub(super) fn open(folder: &Path) -> Result<(Self, Value)> {
+        let mut digests = Map::new();
+        let mut file = |name: &str| -> Result<PathBuf> {
+            let path = found(folder, name)?;
+            let bytes = std::fs::read(&path).with_context(|| path.display().to_string())?;
+            digests.insert(name.into(), Digest::of(&bytes).to_string().into());
+            Ok(path)
+        };
+        let (trunk, heads) = (file("alexnet")?, file("heads")?);
+        let lpips = Lpips::open(&trunk, &heads).context("--lpips")?;
+        Ok((Self::AlexNet(lpips), digests.into()))
+    }
+
+    /// The distances of pairs of pictures, which have one size.
+    pub(super) fn between<'a>(
+        &self,
+        pairs: impl Iterator<Item = (&'a RgbImage, &'a RgbImage)>,
+    ) -> Result<Vec<f64>> {
+        match self {
+            Self::Network(network) => {
+                let distances = network.between(&pairs.collect::<Vec<_>>())?;
+                Ok(distances.into_iter().map(f64::from).collect())
+            }
+            Self::AlexNet(lpips) => pairs
+                .map(|(a, b)| {
+                    let tensor = |picture: &RgbImage| {
+                        let (width, height) = picture.dimensions();
+                        // Its own size: nothing is resized.
+                        preprocess(picture, (height as usize, width as usize))
+                    };
+                    let distance = lpips.distance(&tensor(a)?, &tensor(b)?)?;
+                    Ok(f64::from(distance.to_scalar::<f32>()?))
+                })
+                .collect(),
+        }
+    }
+}
+
+fn found(folder: &Path, name: &str) -> Result<PathBuf> {
+    let paths = ENDINGS.map(|ending| folder.join(format!("{name}.{ending}")));
+    let found = paths.into_iter().find(|path| path.is_file());
+    found.with_context(|| {
+        let endings = ENDINGS.join(", ");
+        format!(
+            "--lpips {}: expected {name} with one of the endings {endings}",
+            folder.display()
+        )
+    })
+}

@@ -1,0 +1,140 @@
+//! From arguments to what is used.
+
+use std::{fs, path::Path, sync::Arc, time::Duration};
+
+use crate::judges::{PanelSettings, Prompts, Tasks, tasks::BRIDGE_V2_YAML};
+use anyhow::{Context as _, Result, ensure};
+use sha2::{Digest as _, Sha256};
+
+use super::{
+    JudgeInputs, PolicyArgs, PolicyInputs,
+    arguments::{BuiltIn, OutOfDistribution},
+    process::Process,
+    start_images::StartImages,
+};
+
+/// The name of the embedded tasks.
+const EMBEDDED_TASKS: &str = "bridge_v2";
+
+/// Who acts.
+#[derive(Debug)]
+pub(super) enum Policy {
+    /// The episode's own actions, then none.
+    Recorded,
+    /// No motion.
+    Still,
+    /// A program.
+    Command(Process),
+}
+
+/// Who acts on what, and who judges: files are read, programs not started yet.
+#[derive(Debug)]
+pub struct Setup {
+    pub(super) policy: Policy,
+    pub(super) tasks: Option<Tasks>,
+    pub(super) other_instructions: bool,
+    pub(super) start_images: Option<StartImages>,
+    pub(super) judges: Option<(PanelSettings, Arc<Prompts>)>,
+    inputs: PolicyInputs,
+}
+
+impl Policy {
+    /// For the settings.
+    fn name(&self) -> &str {
+        match self {
+            Self::Recorded => "recorded",
+            Self::Still => "still",
+            Self::Command(process) => process.command(),
+        }
+    }
+}
+
+impl Setup {
+    /// Reads what the arguments name.
+    ///
+    /// # Errors
+    /// If a file cannot be read or is not what it should be.
+    pub fn new(arguments: &PolicyArgs) -> Result<Self> {
+        ensure!(arguments.trials != Some(0), "--trials is at least 1");
+        let limit = Duration::from_secs(arguments.policy_timeout);
+        let policy = match (&arguments.policy_command, arguments.policy) {
+            (Some(command), _) => {
+                let process = Process::new(command, limit).context("--policy-command")?;
+                Policy::Command(process)
+            }
+            (None, BuiltIn::Recorded) => Policy::Recorded,
+            (None, BuiltIn::Still) => Policy::Still,
+        };
+        let tasks = arguments.tasks.as_deref().map(tasks_text).transpose()?;
+        let prompts = arguments.prompts.as_deref().map(text).transpose()?;
+        let judges = match &arguments.judges {
+            Some(path) => {
+                let panel = PanelSettings::read(path);
+                let panel = panel.with_context(|| path.display().to_string())?;
+                let words = match &prompts {
+                    Some(text) => Prompts::parse(text).context("--prompts")?,
+                    None => Prompts::paper()?,
+                };
+                Some((panel, Arc::new(words)))
+            }
+            None => None,
+        };
+        let start_images = arguments.start_images.as_deref().map(StartImages::open);
+        let start_images = start_images.transpose().context("--start-images")?;
+        let other_instructions = arguments.ood == Some(OutOfDistribution::Instruction);
+        let panel = judges.as_ref().map(|(panel, _)| panel);
+        let inputs = PolicyInputs {
+            policy: policy.name().to_owned(),
+            tasks: tasks.as_deref().map(digest),
+            other_instructions,
+            start_images: start_images
+                .as_ref()
+                .map(|images| images.digest().to_owned()),
+            prompts: prompts.as_deref().map(digest),
+            frames: panel.map(|panel| panel.frames),
+            judges: panel.map_or_else(Vec::new, judge_inputs),
+        };
+        Ok(Self {
+            tasks: tasks
+                .map(|text| Tasks::parse(&text))
+                .transpose()
+                .context("--tasks")?,
+            policy,
+            other_instructions,
+            start_images,
+            judges,
+            inputs,
+        })
+    }
+
+    /// What decides of the results.
+    #[must_use]
+    pub fn inputs(&self) -> &PolicyInputs {
+        &self.inputs
+    }
+}
+
+fn judge_inputs(panel: &PanelSettings) -> Vec<JudgeInputs> {
+    let judges = panel.judges.iter().map(|judge| JudgeInputs {
+        name: judge.name.clone(),
+        model: judge.model.clone(),
+        temperature: judge.temperature,
+        seed: judge.seed,
+    });
+    judges.collect()
+}
+
+fn tasks_text(path: &Path) -> Result<String> {
+    if path.as_os_str() == EMBEDDED_TASKS && !path.exists() {
+        return Ok(BRIDGE_V2_YAML.to_owned());
+    }
+    text(path)
+}
+
+fn text(path: &Path) -> Result<String> {
+    fs::read_to_string(path).with_context(|| path.display().to_string())
+}
+
+fn digest(text: &str) -> String {
+    format!("{:x}", Sha256::digest(text))
+}

@@ -1,0 +1,156 @@
+//! What the trials say.
+
+mod agreement;
+mod rates;
+mod tables;
+
+use wm_metrics::findings::{Picture, Section, Suite};
+
+use super::{Condition, Imagined};
+use crate::Settings;
+use agreement::Agreed;
+use rates::Score;
+
+/// The findings of all trials, which are in the order of the tasks.
+#[must_use]
+pub fn summarise(trials: &[(String, Imagined)], settings: &Settings) -> Section {
+    let mut section = Section::new(Suite::Policy);
+    let trials_only: Vec<&Imagined> = trials.iter().map(|(_, trial)| trial).collect();
+    let agreed = agreement::of(&trials_only, settings);
+    let scores = rates::scores(settings, agreed.as_ref());
+    rates::add(&mut section, &trials_only, &scores, settings);
+    agreement::add(&mut section, &trials_only, settings, agreed.as_ref());
+    tables::add(&mut section, &trials_only, &scores);
+    say_absent(&mut section, &trials_only, settings);
+    say_how(&mut section, &trials_only, settings, agreed.as_ref());
+    let shown = trials.iter().filter_map(|(name, trial)| {
+        Some(Picture {
+            caption: format!(
+                "{name}: \"{}\", from the newest observed frame to the last imagined one, evenly spaced{}",
+                trial.instruction,
+                trial.probe.map_or(String::new(), |p| format!("; success probability {p:.2}"))
+            ),
+            png: trial.strip.clone()?,
+        })
+    });
+    section.pictures.extend(shown);
+    section
+}
+
+/// What was not asked, and what it would take.
+fn say_absent(section: &mut Section, trials: &[&Imagined], settings: &Settings) {
+    let inputs = &settings.policy.inputs;
+    if trials.is_empty() {
+        section.absent(
+            "probe_success",
+            "no episode of the data has an instruction (/task/instruction) and is long enough",
+        );
+        return;
+    }
+    if trials.iter().all(|trial| trial.probe.is_none()) {
+        section.absent(
+            "probe_success",
+            "the model has no success probe that reads these instructions: wm train probe makes one",
+        );
+    }
+    match inputs.judges.len() {
+        0 => {
+            section.absent(
+                "consensus_success",
+                "no judges: --judges FILE asks two vision-language models (learning/evaluation/judges.yaml)",
+            );
+            section.absent(
+                "interaction_quality",
+                "no judges: --judges FILE asks the first one for the rubric",
+            );
+        }
+        1 => section.absent("consensus_success", "one judge: a consensus takes two"),
+        _ => {}
+    }
+    let wanted = [
+        (
+            Condition::OtherInstruction,
+            inputs.other_instructions,
+            "not asked: --tasks FILE --ood instruction",
+            "none of the tasks has another instruction in the file of tasks",
+        ),
+        (
+            Condition::OtherFrame,
+            inputs.start_images.is_some(),
+            "not asked: --start-images DIR, with the first frames as an image editor adds things that distract",
+            "none of the tasks has another first frame",
+        ),
+    ];
+    for (condition, is_asked, not_asked, none) in wanted {
+        if !trials.iter().any(|trial| trial.condition == condition) {
+            let why = if is_asked { none } else { not_asked };
+            section.absent(&format!("{}success", condition.prefix()), why);
+        }
+    }
+}
+
+/// Remarks on how it was measured.
+fn say_how(
+    section: &mut Section,
+    trials: &[&Imagined],
+    settings: &Settings,
+    agreed: Option<&Agreed>,
+) {
+    let own = &settings.policy;
+    section.notes.push(format!(
+        "Policy: {}. {} model steps from two observed frames, {} trials of a task (the paper: OpenVLA-7B, 50 steps, 8 \
+         trials of 20 tasks). Intervals resample tasks, then trials.",
+        own.inputs.policy, own.steps, own.trials
+    ));
+    let unread = trials.iter().filter(|trial| trial.probe.is_none()).count();
+    if unread < trials.len() {
+        let mut note = "The success probe is no judge of the paper's: it was trained on real episodes, and can be fooled by \
+                        imagined ones."
+            .to_owned();
+        if unread > 0 {
+            note += &format!(
+                " It does not read the instructions of {unread} of {} trials, which count for the judges only.",
+                trials.len()
+            );
+        }
+        section.notes.push(note);
+    }
+    if trials
+        .iter()
+        .any(|trial| trial.condition == Condition::OtherFrame)
+    {
+        section.notes.push(
+            "Another first frame stands for both observed ones, with no motion between them. Its trials are compared with \
+             those of the same tasks from the recorded frames."
+                .into(),
+        );
+    }
+    let clipped: usize = trials.iter().map(|trial| trial.clipped).sum();
+    let values: usize = trials.iter().map(|trial| trial.values).sum();
+    if clipped > 0 {
+        section.notes.push(format!(
+            "{clipped} of {values} values of actions ({:.1} %) were beyond what the model was trained on, and were cut off \
+             there.",
+            100.0 * clipped as f64 / values as f64
+        ));
+    }
+    if let Some(why) = agreed.and_then(|agreed| agreed.remark.as_deref()) {
+        section.notes.push(why.to_owned());
+    }
+}
+
+/// Mean of the scores that there are, with their number.
+fn mean<'a>(
+    trials: impl IntoIterator<Item = &'a Imagined>,
+    score: &Score<'_>,
+) -> Option<(f64, usize)> {
+    let values: Vec<f64> = trials
+        .into_iter()
+        .filter_map(|trial| (score.of)(trial))
+        .collect();
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    (!values.is_empty()).then_some((mean, values.len()))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,291 @@
+//! The trials of all tasks, each a unit.
+
+use std::path::Path;
+
+use crate::judges::Rollout;
+use anyhow::{Context as _, Result};
+use candle_core::{Device, Tensor};
+use serde::{Deserialize, Serialize};
+use sha2::{Digest as _, Sha256};
+
+use super::{
+    Condition, Setup, Verdicts,
+    episode::{Start, Trial, imagine, still},
+    judging::Judging,
+    setup::Policy,
+    tasks::{Task, choose},
+};
+use crate::{CONTEXT, Settings, Shard, Subject, picture_strip::strip_of};
+
+/// What came of one trial.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Imagined {
+    /// The task's name.
+    pub task: String,
+    /// The trial, from 0.
+    pub trial: usize,
+    /// What it was tried under.
+    pub condition: Condition,
+    /// What the policy was told.
+    pub instruction: String,
+    /// How difficult the task is, and what that is called, where a file of tasks says.
+    pub level: Option<(u8, String)>,
+    /// Probability of success on the imagined latents; none without a probe that reads the instruction.
+    pub probe: Option<f32>,
+    /// The same on the latents of the episode's own frames, of the recorded policy.
+    pub probe_on_frames: Option<f32>,
+    /// Whether the recording was a success, of the recorded policy.
+    pub outcome: Option<bool>,
+    /// What the judges say, if there are any.
+    pub verdicts: Option<Verdicts>,
+    /// Values of actions beyond the model's range.
+    pub clipped: usize,
+    /// Values of all actions.
+    pub values: usize,
+    /// What the policy saw, as a PNG in base64, if the report shows it.
+    pub strip: Option<String>,
+}
+
+/// A trial to be made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Unit {
+    task: usize,
+    condition: Condition,
+    trial: usize,
+}
+
+/// The trials of all tasks.
+pub struct Trials<'a> {
+    subject: &'a Subject,
+    settings: &'a Settings,
+    setup: &'a Setup,
+    tasks: Vec<Task>,
+    units: Vec<Unit>,
+    judging: Option<Judging>,
+}
+
+impl<'a> Trials<'a> {
+    /// Chooses the tasks, and opens what the judges have said so far, in the folder of the records.
+    ///
+    /// # Errors
+    /// If there is no task of those that were asked for, somebody wants to see pictures and the model has no decoder, or the
+    /// judges cannot be asked.
+    pub fn new(
+        subject: &'a Subject,
+        settings: &'a Settings,
+        setup: &'a Setup,
+        records: (&Path, Shard),
+    ) -> Result<Self> {
+        let blind = setup.judges.is_none() && !matches!(setup.policy, Policy::Command(_));
+        anyhow::ensure!(
+            blind || subject.decoder.is_some(),
+            "the model has no decoder, and programs and judges look at pictures"
+        );
+        let tasks = choose(subject, setup, settings.policy.tasks)?;
+        let units = units(&tasks, setup, settings.policy.trials);
+        let judging = setup.judges.clone();
+        let judging = judging.map(|(panel, prompts)| Judging::open(panel, prompts, records));
+        Ok(Self {
+            subject,
+            settings,
+            setup,
+            tasks,
+            units,
+            judging: judging.transpose()?,
+        })
+    }
+
+    /// Names of the units.
+    #[must_use]
+    pub fn names(&self) -> Vec<String> {
+        let units = self.units.iter().filter_map(|unit| {
+            let task = self.tasks.get(unit.task)?;
+            let end = unit.condition.suffix();
+            Some(format!("{} trial {}{end}", task.name, unit.trial))
+        });
+        units.collect()
+    }
+
+    /// Makes one.
+    ///
+    /// # Errors
+    /// If the policy or a judge fails, or model and data do not fit.
+    pub fn measure(&self, unit: usize) -> Result<Imagined> {
+        let Self { subject, setup, .. } = self;
+        let own = &self.settings.policy;
+        let found = self.units.get(unit);
+        let found = found.and_then(|unit| Some((*unit, self.tasks.get(unit.task)?)));
+        let (unit, task) = found.context("no such unit")?;
+        let Unit {
+            task: number,
+            condition,
+            trial,
+        } = unit;
+        let start = self.start(task, condition)?;
+        let is_shown = trial == 0 && number < own.strips && subject.decoder.is_some();
+        let told = self.told(task, unit);
+        let instruction = told.instruction;
+        let is_seen = is_shown || self.judging.is_some();
+        let episode = imagine(subject, &setup.policy, &start, told, (own.steps, is_seen))?;
+        let strip = is_shown
+            .then(|| strip_of(&[&episode.pictures]))
+            .transpose()?;
+        let is_recording =
+            matches!(setup.policy, Policy::Recorded) && condition == Condition::Recorded;
+        let verdicts = self.judging.as_ref().map(|judging| {
+            judging.judge(&Rollout {
+                instruction: instruction.to_owned(),
+                // They are of the recorded instruction.
+                partial_criteria: match condition {
+                    Condition::OtherInstruction => None,
+                    _ => task.partial_criteria.clone(),
+                },
+                frames: episode.pictures,
+                trial: trial as u64,
+                stamp_ns: 0,
+            })
+        });
+        let probability = |latents: &Tensor| self.probability(latents, instruction);
+        let real = is_recording.then(|| {
+            let frames = subject.frames_of(task.episode, own.steps);
+            probability(&subject.recording(task.episode, frames.len())?.frames)
+        });
+        let outcome = subject.dataset.episodes().get(task.episode);
+        Ok(Imagined {
+            task: task.name.clone(),
+            trial,
+            condition,
+            instruction: instruction.to_owned(),
+            level: task.level.clone(),
+            probe: probability(&episode.latents)?,
+            probe_on_frames: real.transpose()?.flatten(),
+            outcome: outcome.and_then(|own| own.success).filter(|_| is_recording),
+            verdicts: verdicts.transpose()?,
+            clipped: episode.clipped,
+            values: episode.values,
+            strip,
+        })
+    }
+
+    fn told<'t>(&self, task: &'t Task, unit: Unit) -> Trial<'t> {
+        Trial {
+            task: &task.name,
+            trial: unit.trial,
+            seed: seed(self.settings.seed, &task.name, unit.trial),
+            instruction: task.told(unit.condition),
+        }
+    }
+
+    /// None without a probe that reads the instruction.
+    fn probability(&self, latents: &Tensor, instruction: &str) -> Result<Option<f32>> {
+        let Some(probe) = self.subject.probe() else {
+            return Ok(None);
+        };
+        let Ok(instruction) = probe.instruction(instruction) else {
+            return Ok(None);
+        };
+        Ok(Some(probe.probability(latents, &instruction)?))
+    }
+
+    /// Of the recorded frames and actions, for tests: what `steps` of a unit give.
+    #[cfg(test)]
+    pub(super) fn latents(&self, unit: usize, steps: usize) -> Result<Tensor> {
+        let unit = self.units.get(unit).context("no such unit")?;
+        let task = self.tasks.get(unit.task).context("no such task")?;
+        let start = self.start(task, unit.condition)?;
+        let told = self.told(task, *unit);
+        let found = imagine(
+            self.subject,
+            &self.setup.policy,
+            &start,
+            told,
+            (steps, false),
+        );
+        Ok(found?.latents)
+    }
+
+    fn start(&self, task: &Task, condition: Condition) -> Result<Start> {
+        let subject = self.subject;
+        let encoding = &subject.world.encoding;
+        let skip = encoding.frame_skip();
+        let episodes = subject.dataset.episodes();
+        let own = episodes.get(task.episode).context("no such episode")?;
+        let begin = (CONTEXT - 1) * skip;
+        let (before, recorded) = own.actions.split_at(begin.min(own.actions.len()));
+        let last = before.last().context("an action before the newest frame")?;
+        let recorded = recorded.to_vec();
+        let images = self.setup.start_images.as_ref();
+        if let (Condition::OtherFrame, Some(images)) = (condition, images) {
+            // One frame is all that there is: the robot rests between it and itself.
+            let picture = images.picture(&task.name, subject.dataset.framing())?;
+            let latent = subject.encode(std::slice::from_ref(&picture))?;
+            let last = still(last, encoding.space());
+            let rest = encoding.encode_step(&vec![last.clone(); skip])?.values;
+            let past = Tensor::from_vec(rest, (1, encoding.action_dim()), &Device::Cpu)?;
+            return Ok(Start {
+                latents: Tensor::cat(&[&latent; CONTEXT], 0)?.unsqueeze(0)?,
+                past: Tensor::cat(&[&past; CONTEXT - 1], 0)?,
+                picture,
+                last,
+                recorded,
+            });
+        }
+        let observed = subject.recording(task.episode, CONTEXT)?;
+        Ok(Start {
+            latents: observed.frames.unsqueeze(0)?,
+            past: observed.actions.narrow(0, 0, CONTEXT - 1)?,
+            picture: subject.frame(own.first_frame + begin)?,
+            last: last.clone(),
+            recorded,
+        })
+    }
+}
+
+/// Task by task, condition by condition.
+fn units(tasks: &[Task], setup: &Setup, trials: usize) -> Vec<Unit> {
+    let tasks = tasks.iter().enumerate();
+    let conditions = tasks.flat_map(|(task, own)| {
+        own.conditions(setup)
+            .map(move |condition| (task, condition))
+    });
+    let units = conditions.flat_map(|(task, condition)| {
+        (0..trials.max(1)).map(move |trial| Unit {
+            task,
+            condition,
+            trial,
+        })
+    });
+    units.collect()
+}
+
+/// The seed of a trial: the same under all conditions and whatever other tasks there are. Below 2^53, up to which every
+/// reader of JSON has whole numbers.
+pub(super) fn seed(of_all: u64, task: &str, trial: usize) -> u64 {
+    let mut hash = Sha256::new();
+    hash.update(of_all.to_le_bytes());
+    hash.update((trial as u64).to_le_bytes());
+    hash.update(task);
+    let bytes: [u8; 32] = hash.finalize().into();
+    let first = bytes.iter().take(8);
+    first.fold(0_u64, |seed, byte| (seed << 8) | u64::from(*byte)) >> 11
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn seeds_depend_on_seed_task_and_trial_alone() {
+        let known = [
+            seed(0, "a", 0),
+            seed(0, "a", 1),
+            seed(0, "b", 0),
+            seed(1, "a", 0),
+        ];
+        for (index, one) in known.iter().enumerate() {
+            assert!(*one < 1 << 53);
+            assert!(!known.iter().skip(index + 1).any(|other| other == one));
+        }
+        assert_eq!(seed(0, "a", 0), seed(0, "a", 0));
+    }
+}

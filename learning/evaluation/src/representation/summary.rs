@@ -1,0 +1,45 @@
+use wm_metrics::findings::{Section, Suite};
+
+use super::Representation;
+use crate::Settings;
+
+mod actions;
+mod paths;
+mod success;
+
+/// The findings of all units, which are in their order.
+#[must_use]
+pub fn summarise(units: &[(String, Representation)], settings: &Settings) -> Section {
+    let mut section = Section::new(Suite::Latents);
+    let mut told = Vec::new();
+    let mut judged = Vec::new();
+    for (_, unit) in units {
+        match unit {
+            Representation::Told(found) => told.push(found),
+            Representation::Judged(found) => judged.push(found),
+        }
+    }
+    let models = told.first().map_or(0, |found| found.models.len());
+    if models == 0 {
+        section.absent(
+            "idm_r",
+            "the model has no inverse dynamics model (idm.safetensors): wm train idm",
+        );
+    }
+    for model in 0..models {
+        actions::of_model(&mut section, &told, settings, model);
+        paths::of_model(&mut section, &told, model);
+    }
+    let probes = judged.first().map_or(0, |found| found.probes.len());
+    if probes == 0 {
+        section.absent(
+            "success_balanced_accuracy_real",
+            "it takes a success probe (wm train probe), and episodes with an instruction that it knows \
+             (/task/instruction) and an outcome (/task/success)",
+        );
+    }
+    for probe in 0..probes {
+        success::of_probe(&mut section, &judged, settings, probe);
+    }
+    section
+}

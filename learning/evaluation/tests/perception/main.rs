@@ -1,0 +1,105 @@
+//! `wm eval fidelity` with networks: the embedded model on bags of the simulator.
+
+#![allow(clippy::unwrap_used)] // the helpers of tests too, not only what is marked #[test]
+
+mod bench;
+#[cfg(feature = "onnx")]
+mod onnx;
+
+use std::fs;
+
+use clap::Parser as _;
+use wm_metrics::findings::Suite;
+
+use bench::{Bench, Eval, METRICS, alexnet, value, why};
+
+#[test]
+fn without_networks_all_are_absent_by_name_and_lpips_takes_torchs_files() {
+    let bench = Bench::new();
+    let figures = bench.figures("none.json", &[]);
+    for name in METRICS {
+        let why = why(&figures, name);
+        assert!(
+            why.contains("no network for") && why.contains("docs/evaluation.md"),
+            "{why}"
+        );
+    }
+    assert!(value(&figures, "psnr") > 0.0);
+    assert!(figures["settings"]["networks"].is_null());
+
+    let folder = alexnet();
+    let figures = bench.figures("lpips.json", &[("--lpips", &folder)]);
+    let (predicted, ceiling) = (value(&figures, "lpips"), value(&figures, "lpips_ceiling"));
+    assert!(
+        0.0 < ceiling && ceiling < predicted,
+        "{ceiling} {predicted}"
+    );
+    assert!((value(&figures, "lpips_gap") - (predicted - ceiling)).abs() < 1e-12);
+    assert_eq!(figures["metrics"]["fidelity.lpips"]["n"], 3);
+    let lacking = why(&figures, "t_lpips");
+    assert!(
+        lacking.contains("`flow`") && !lacking.contains("`lpips`"),
+        "{lacking}"
+    );
+    let digests = &figures["settings"]["networks"]["lpips"];
+    assert_eq!(digests["heads"].as_str().unwrap().len(), 64, "{digests}");
+
+    let error = bench.eval(&[("--lpips", bench.dir.path())]).unwrap_err();
+    assert!(
+        format!("{error:#}").contains("expected alexnet"),
+        "{error:#}"
+    );
+}
+
+#[test]
+fn a_file_that_cannot_be_used_is_refused_by_name() {
+    let bench = Bench::new();
+    let file = bench.path("networks.yaml");
+    let refused = |text: &str| {
+        fs::write(&file, text).unwrap();
+        format!("{:#}", bench.eval(&[("--networks", &file)]).unwrap_err())
+    };
+    let error = refused("lpisp: {file: a.onnx}");
+    assert!(
+        error.contains("networks.yaml") && error.contains("lpisp"),
+        "{error}"
+    );
+    let error = refused("fid: {file: no.onnx, input: {resize: none, range: [0, 1]}}");
+    assert!(error.contains("no.onnx"), "{error}");
+    let missing = bench.path("no.yaml");
+    let error = bench.eval(&[("--networks", &missing)]).unwrap_err();
+    assert!(format!("{error:#}").contains("no.yaml"), "{error:#}");
+
+    let arguments = Eval::parse_from([
+        "eval",
+        "--model",
+        "tiny",
+        "--bags",
+        "bags",
+        "--networks",
+        "networks.yaml",
+    ]);
+    let error = arguments.arguments.run(&[Suite::Control]).unwrap_err();
+    assert!(
+        error.to_string().contains("for the suite fidelity"),
+        "{error}"
+    );
+}
+
+#[cfg(not(feature = "onnx"))]
+#[test]
+fn a_build_without_onnx_says_how_to_build_with_it() {
+    let bench = Bench::new();
+    let file = bench.path("networks.yaml");
+    let network = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/score.onnx");
+    let text = format!(
+        "musiq: {{file: {}, input: {{resize: none, range: [0, 1]}}, score_range: [0, 100]}}",
+        network.display()
+    );
+    fs::write(&file, text).unwrap();
+    let error = format!("{:#}", bench.eval(&[("--networks", &file)]).unwrap_err());
+    assert!(
+        error.contains("--features onnx") && error.contains("score.onnx"),
+        "{error}"
+    );
+}

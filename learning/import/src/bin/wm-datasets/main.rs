@@ -1,0 +1,292 @@
+//! `wm-datasets`: imports data sets as bags, exports bags as data sets, and decodes the video in bags.
+//! `wm bag import`, `wm bag export`, `wm bag convert --video jpeg` and `wm bag info --audit` call it. It is a separate program because the video
+//! codecs and parquet take long to build.
+//!
+//! Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done without some of the episodes, parts of bags or messages.
+
+mod audit;
+mod convert;
+mod mapping;
+
+use std::{
+    io::{IsTerminal as _, Write as _},
+    ops::RangeInclusive,
+    path::{Path, PathBuf},
+    process::ExitCode,
+};
+
+use anyhow::{Context as _, Result};
+use audit::AuditCommand;
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use convert::ConvertCommand;
+use mapping::MappingOptions;
+use tracing_subscriber::EnvFilter;
+use wm_import::{Imported, Shard, import_bridge, import_droid};
+use wm_motion::actions::ActionSpace;
+use wm_program::progress::Progress;
+
+/// Exit code if some of the episodes, parts of bags or messages are left out.
+const LEFT_OUT: u8 = 3;
+
+/// Imports data sets as bags, and exports bags as data sets.
+#[derive(Debug, Parser)]
+#[command(name = "wm-datasets", bin_name = "wm bag", version)]
+enum Command {
+    /// Convert the episodes of a data set to bags
+    #[command(subcommand)]
+    Import(ImportCommand),
+    /// Convert bags to a data set
+    #[command(subcommand)]
+    Export(ExportCommand),
+    /// Convert a bag, with pictures for its video topics
+    #[command(hide = true)]
+    Convert(ConvertCommand),
+    /// Examine a bag, its video topics too
+    #[command(hide = true)]
+    Audit(AuditCommand),
+}
+
+#[derive(Debug, Subcommand)]
+enum ImportCommand {
+    /// Bridge V2 and SOAR: the mp4 and npz layout, or the RLDS TFRecord layout
+    Bridge(EpisodesCommand),
+    /// DROID: annotation/SPLIT/NAME.json with three videos per episode, or the RLDS TFRecord layout
+    Droid(EpisodesCommand),
+    /// LeRobot, v2.1 or v3.0
+    Lerobot(FromLerobot),
+}
+
+#[derive(Debug, Subcommand)]
+enum ExportCommand {
+    /// LeRobot, v3.0
+    Lerobot(ToLerobot),
+}
+
+#[derive(Args, Debug)]
+struct EpisodesCommand {
+    /// Folder of the episodes
+    source: PathBuf,
+    /// Folder for the bags, one per episode
+    output: PathBuf,
+    /// Import at most this many episodes
+    #[arg(long)]
+    episodes: Option<usize>,
+    #[command(flatten)]
+    common: Common,
+}
+
+#[derive(Args, Debug)]
+struct FromLerobot {
+    /// Folder of the dataset (with meta/info.json)
+    source: PathBuf,
+    /// Folder for the bags, one per episode
+    output: PathBuf,
+    /// Import only these episodes: FIRST..LAST (including LAST), or one number
+    #[arg(long, value_parser = episodes)]
+    episodes: Option<RangeInclusive<i64>>,
+    /// Action space of the data set: a JSON file with name, rate in Hz and dimensions, like "space" in model.json. It is
+    /// stored with the bags. Without it, only Bridge V2's names (dx dy dz droll dpitch dyaw gripper) are recognised
+    #[arg(long, value_name = "FILE")]
+    action_space: Option<PathBuf>,
+    /// Stamps of frames: recorded, by the column timestamp, or rate, by frame_index and fps alone
+    #[arg(long, value_enum, default_value_t = Stamps::Recorded)]
+    stamps: Stamps,
+    #[command(flatten)]
+    common: Common,
+}
+
+/// What frames are stamped by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Stamps {
+    Recorded,
+    Rate,
+}
+
+#[derive(Args, Debug)]
+struct Common {
+    /// JPEG quality of the frames of videos, 1 to 100
+    #[arg(long, default_value_t = wm_import::ImportOptions::default().jpeg_quality, value_parser = clap::value_parser!(u8).range(1..=100))]
+    jpeg_quality: u8,
+    /// Import every Nth of the episodes, from the Ith on, counted from 0: several machines share one command, each with
+    /// another I. A bag keeps its number, so that all may write to one folder
+    #[arg(long, value_name = "I/N", default_value = "0/1")]
+    shard: Shard,
+    #[command(flatten)]
+    mapping: MappingOptions,
+}
+
+#[derive(Args, Debug)]
+struct ToLerobot {
+    /// Folder for the dataset
+    output: PathBuf,
+    /// The bags. A bag is one episode, or several if /task/success or gaps separate them
+    #[arg(required = true)]
+    bags: Vec<PathBuf>,
+    /// Frames per second [default: the rate of /wm/action]
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    fps: Option<u32>,
+    /// The dataset's robot_type
+    #[arg(long)]
+    robot_type: Option<String>,
+    /// Topic of a camera (repeatable) [default: every .../image_raw and .../image_raw/compressed]
+    #[arg(long = "camera", value_name = "TOPIC")]
+    cameras: Vec<String>,
+    /// Task of the episodes that have no /task/instruction
+    #[arg(long, default_value = "")]
+    task: String,
+}
+
+/// `3`, or `0..3` with the last one too.
+fn episodes(text: &str) -> Result<RangeInclusive<i64>, String> {
+    let number = |text: &str| {
+        text.parse::<i64>()
+            .ok()
+            .filter(|number| *number >= 0)
+            .ok_or_else(|| format!("expected FIRST..LAST or one number, got {text:?}"))
+    };
+    let (first, last) = text.split_once("..").unwrap_or((text, text));
+    let (first, last) = (number(first)?, number(last.trim_start_matches('='))?);
+    if first > last {
+        return Err(format!(
+            "expected the first not after the last, got {text:?}"
+        ));
+    }
+    Ok(first..=last)
+}
+
+fn action_space(file: &Path) -> Result<ActionSpace> {
+    let text = std::fs::read_to_string(file);
+    let space = text
+        .map_err(anyhow::Error::from)
+        .and_then(|text| Ok(serde_json::from_str(&text)?));
+    space.with_context(|| format!("action space {}", file.display()))
+}
+
+impl EpisodesCommand {
+    fn options(&self) -> wm_import::ImportOptions {
+        wm_import::ImportOptions {
+            episodes: self.episodes,
+            jpeg_quality: self.common.jpeg_quality,
+            shard: self.common.shard,
+            actions: self.common.mapping.mapping(),
+            ..wm_import::ImportOptions::default()
+        }
+    }
+}
+
+impl ImportCommand {
+    fn run(self) -> Result<Imported> {
+        let _progress = Progress::open_ended("importing", "episodes");
+        Ok(match self {
+            Self::Bridge(from) => import_bridge(&from.source, &from.output, &from.options())?,
+            Self::Droid(from) => import_droid(&from.source, &from.output, &from.options())?,
+            Self::Lerobot(from) => {
+                let options = wm_import::lerobot::ImportOptions {
+                    episodes: from.episodes,
+                    action_space: from.action_space.as_deref().map(action_space).transpose()?,
+                    jpeg_quality: from.common.jpeg_quality,
+                    shard: from.common.shard,
+                    actions: from.common.mapping.mapping(),
+                    is_nominal: from.stamps == Stamps::Rate,
+                    ..wm_import::lerobot::ImportOptions::default()
+                };
+                wm_import::lerobot::import(&from.source, &from.output, &options)?
+            }
+        })
+    }
+}
+
+impl ToLerobot {
+    /// Prints the result, and on standard error what differs from the bags.
+    fn run(self) -> Result<ExitCode> {
+        let options = wm_import::lerobot::ExportOptions {
+            fps: self.fps,
+            robot_type: self.robot_type,
+            cameras: self.cameras,
+            task: self.task,
+            ..wm_import::lerobot::ExportOptions::default()
+        };
+        let progress = Progress::open_ended("exporting", "episodes");
+        let exported = wm_import::lerobot::export(&self.bags, &self.output, &options)?;
+        drop(progress);
+        for line in exported.resampled.iter().chain(&exported.split) {
+            eprintln!("wm-datasets: {line}");
+        }
+        for line in &exported.left_out {
+            eprintln!("wm-datasets: left out: {line}");
+        }
+        writeln!(
+            std::io::stdout().lock(),
+            "{}: {} episodes, {} frames at {} a second",
+            self.output.display(),
+            exported.episodes,
+            exported.frames,
+            exported.fps
+        )?;
+        Ok(match exported.left_out.is_empty() {
+            true => ExitCode::SUCCESS,
+            false => ExitCode::from(LEFT_OUT),
+        })
+    }
+}
+
+/// Prints the bags, and on standard error what was found about the data.
+fn report(imported: &Imported) -> Result<ExitCode> {
+    let mut out = std::io::stdout().lock();
+    for bag in &imported.bags {
+        writeln!(out, "{}", bag.display())?;
+    }
+    let ranges = imported.ranges.iter().cloned();
+    for line in ranges.chain(imported.notes.lines()) {
+        eprintln!("wm-datasets: {line}");
+    }
+    if imported.skipped.is_empty() {
+        return Ok(ExitCode::SUCCESS);
+    }
+    for reason in &imported.skipped {
+        eprintln!("wm-datasets: left out: {reason}");
+    }
+    let (made, skipped) = (imported.bags.len(), imported.skipped.len());
+    eprintln!("wm-datasets: {made} episodes imported, {skipped} left out");
+    Ok(ExitCode::from(LEFT_OUT))
+}
+
+fn run(command: Command) -> Result<ExitCode> {
+    match command {
+        Command::Import(command) => report(&command.run()?),
+        Command::Export(ExportCommand::Lerobot(command)) => command.run(),
+        Command::Convert(command) => command.run(),
+        Command::Audit(command) => command.run(),
+    }
+}
+
+fn main() -> ExitCode {
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("warn"));
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal())
+        .init();
+    match run(Command::parse()) {
+        Ok(code) => code,
+        Err(error) => {
+            eprintln!("wm-datasets: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn episodes_are_a_number_or_a_range() {
+        assert_eq!(episodes("3"), Ok(3..=3));
+        assert_eq!(episodes("0..3"), Ok(0..=3));
+        assert_eq!(episodes("0..=3"), Ok(0..=3));
+        for bad in ["", "a", "3..1", "-1", "1..", "..2"] {
+            assert!(episodes(bad).is_err(), "{bad}");
+        }
+    }
+}

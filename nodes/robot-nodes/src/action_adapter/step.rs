@@ -1,0 +1,328 @@
+//! The adapter's state.
+
+use std::time::Duration;
+
+use nalgebra::Isometry3;
+use wm_msgs::{
+    builtin_interfaces::Time,
+    geometry_msgs::{PoseStamped, TwistStamped},
+    sensor_msgs::JointState,
+    tf2_msgs::TFMessage,
+};
+use wm_wire::frames::{Frames, Unknown, bare, pose};
+
+use super::{GripperSource, Problem, Speeds, gripper::Gripper, poses::Poses, twists::Twists};
+use crate::{
+    displacement::Displacement,
+    executor::{Layout, Velocity},
+};
+
+/// Where motions come from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum MotionSource {
+    /// Velocities.
+    Twist,
+    /// Poses.
+    Pose,
+    /// Transforms.
+    Frames {
+        /// The robot's base.
+        base: String,
+        /// The end effector.
+        tool: String,
+    },
+}
+
+/// What can be chosen of the adapter.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// Where motions stand in actions.
+    pub layout: Layout,
+    /// The frame that velocities and poses must have; empty: any.
+    pub base_frame: String,
+    /// How long an action takes; above zero.
+    pub period: Duration,
+    /// Longest time from one pose to the next; a velocity holds for so long.
+    pub timeout: Duration,
+    /// The greatest speeds of the arm: faster poses and twists are dropped.
+    pub speeds: Speeds,
+    /// Where motions come from.
+    pub source: MotionSource,
+    /// Where the gripper's opening comes from.
+    pub gripper: GripperSource,
+}
+
+/// An action that was done.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Done {
+    /// When it began \[ns\].
+    pub stamp_ns: i64,
+    /// Its values.
+    pub values: Vec<f32>,
+}
+
+/// A period that is over.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Period {
+    pub(super) start_ns: i64,
+    pub(super) displacement: Displacement,
+}
+
+/// Where a message belongs in time; one without a stamp, to when it was received.
+pub(super) fn stamp_of(what: &'static str, stamp: Time, received_ns: i64) -> Result<i64, Problem> {
+    let Time { sec, nanosec } = stamp;
+    if sec < 0 || nanosec >= 1_000_000_000 {
+        return Err(Problem::Stamp { what, sec, nanosec });
+    }
+    Ok(match stamp.to_nanos() {
+        0 => received_ns,
+        stamp_ns => stamp_ns,
+    })
+}
+
+fn finite(what: &'static str, values: &[f64]) -> Result<(), Problem> {
+    match values.iter().find(|value| !value.is_finite()) {
+        None => Ok(()),
+        Some(value) => Err(Problem::NotFinite {
+            what,
+            value: *value,
+        }),
+    }
+}
+
+/// Where motions come from, and what is known of them.
+#[derive(Clone, Debug)]
+enum Course {
+    Twists(Twists),
+    Poses(Poses),
+    Frames {
+        frames: Frames,
+        base: String,
+        tool: String,
+        poses: Poses,
+    },
+}
+
+/// The adapter's state: what an arm publishes in, actions out.
+pub struct AdapterStep {
+    layout: Layout,
+    base_frame: String,
+    period: Duration,
+    timeout_ns: i64,
+    speeds: Speeds,
+    course: Course,
+    gripper: Gripper,
+    done: Vec<Result<Done, Problem>>,
+}
+
+impl AdapterStep {
+    /// An adapter to which nothing has come.
+    pub fn new(settings: Settings) -> Self {
+        let nanos = |duration: Duration| i64::try_from(duration.as_nanos()).unwrap_or(i64::MAX);
+        let (period_ns, timeout_ns) = (nanos(settings.period).max(1), nanos(settings.timeout));
+        let poses = |what| Poses::new(what, period_ns, timeout_ns, settings.speeds);
+        Self {
+            course: match settings.source {
+                MotionSource::Twist => Course::Twists(Twists::new(period_ns, timeout_ns)),
+                MotionSource::Pose => Course::Poses(poses("ee_pose")),
+                MotionSource::Frames { base, tool } => Course::Frames {
+                    frames: Frames::default(),
+                    base: bare(&base).to_owned(),
+                    tool: bare(&tool).to_owned(),
+                    poses: poses("tf"),
+                },
+            },
+            layout: settings.layout,
+            base_frame: settings.base_frame,
+            period: settings.period,
+            timeout_ns,
+            speeds: settings.speeds,
+            gripper: Gripper::new(settings.gripper),
+            done: Vec::new(),
+        }
+    }
+
+    /// The actions of the periods that are over, and why those of others are not there. Each is given once.
+    pub fn take_done(&mut self) -> Vec<Result<Done, Problem>> {
+        std::mem::take(&mut self.done)
+    }
+
+    /// Takes a velocity of the end effector, which holds until the next one, but for `timeout` at most.
+    ///
+    /// # Errors
+    /// [`Problem`]: it is left out, or begins anew.
+    pub fn twist(&mut self, twist: &TwistStamped, received_ns: i64) -> Result<(), Problem> {
+        let what = "twist";
+        self.expect_frame(what, &twist.header.frame_id)?;
+        let stamp_ns = stamp_of(what, twist.header.stamp, received_ns)?;
+        let (linear, angular) = (twist.twist.linear, twist.twist.angular);
+        let velocity = Velocity {
+            linear: [linear.x, linear.y, linear.z],
+            angular: [angular.x, angular.y, angular.z],
+        };
+        finite(what, &velocity.linear)?;
+        finite(what, &velocity.angular)?;
+        self.speeds.check_velocity(velocity)?;
+        let Course::Twists(twists) = &mut self.course else {
+            return Ok(());
+        };
+        let over = twists.take(stamp_ns, velocity)?;
+        self.end(&over);
+        Ok(())
+    }
+
+    /// Takes where the end effector is.
+    ///
+    /// # Errors
+    /// [`Problem`]: it is left out, or begins anew.
+    pub fn pose(&mut self, pose: &PoseStamped, received_ns: i64) -> Result<(), Problem> {
+        let what = "ee_pose";
+        self.expect_frame(what, &pose.header.frame_id)?;
+        let stamp_ns = stamp_of(what, pose.header.stamp, received_ns)?;
+        let pose = pose::of_pose(&pose.pose).map_err(|error| Problem::of_pose(what, error))?;
+        let Course::Poses(poses) = &mut self.course else {
+            return Ok(());
+        };
+        let over = poses.take(stamp_ns, pose)?;
+        self.end(&over);
+        Ok(())
+    }
+
+    /// Takes where frames are in each other. What is wrong with some of them is given, the others count.
+    pub fn transforms(&mut self, message: &TFMessage, is_static: bool) -> Vec<Problem> {
+        let Course::Frames { frames, .. } = &mut self.course else {
+            return Vec::new();
+        };
+        let taken = message.transforms.iter().map(|one| {
+            let transform = pose::of_transform(&one.transform);
+            let transform = transform.map_err(|error| Problem::of_pose("tf", error))?;
+            // Nobody knows when one without a stamp was received but its sender.
+            let stamp_ns = stamp_of("tf", one.header.stamp, 0)?;
+            let names = (&*one.header.frame_id, &*one.child_frame_id);
+            Ok(frames.take(names, is_static, stamp_ns, transform)?)
+        });
+        taken.filter_map(Result::err).collect()
+    }
+
+    /// Follows the transforms to the newest time that is known; gives the pose of the end effector, if it is new and no
+    /// leap.
+    ///
+    /// # Errors
+    /// [`Unknown`] says which transforms are missing.
+    pub fn follow(&mut self) -> Result<Option<(i64, Isometry3<f64>)>, Unknown> {
+        let Course::Frames {
+            frames,
+            base,
+            tool,
+            poses,
+        } = &mut self.course
+        else {
+            return Ok(None);
+        };
+        let (stamp_ns, pose) = frames.newest(base, tool)?;
+        if poses.newest_ns() == Some(stamp_ns) {
+            return Ok(None);
+        }
+        let is_pose = match poses.take(stamp_ns, pose) {
+            Ok(over) => {
+                self.end(&over);
+                true
+            }
+            Err(problem) => {
+                let begins = problem.begins_anew();
+                self.done.push(Err(problem));
+                begins
+            }
+        };
+        Ok(is_pose.then_some((stamp_ns, pose)))
+    }
+
+    /// Takes how far the gripper is open, 0 closed to 1 open.
+    ///
+    /// # Errors
+    /// [`Problem`]: it is left out.
+    pub fn gripper(&mut self, opening: f64, received_ns: i64) -> Result<(), Problem> {
+        self.gripper.take(received_ns, opening).map(drop)
+    }
+
+    /// Takes where joints are, and gives how far the gripper is open, where that is a matter of one of them.
+    ///
+    /// # Errors
+    /// [`Problem`]: it is left out.
+    pub fn joints(
+        &mut self,
+        joints: &JointState,
+        received_ns: i64,
+    ) -> Result<Option<f64>, Problem> {
+        self.gripper.joints(joints, received_ns)
+    }
+
+    /// Time goes on without a message: an arm without commands stands still. Whether the source is silent.
+    pub fn tick(&mut self, now_ns: i64) -> bool {
+        let last_ns = match &mut self.course {
+            Course::Twists(twists) => {
+                // Until then an older one may still come.
+                let over = twists.advance(now_ns.saturating_sub(self.timeout_ns));
+                let last_ns = twists.last_ns();
+                self.end(&over);
+                last_ns
+            }
+            Course::Poses(poses) | Course::Frames { poses, .. } => poses.newest_ns(),
+        };
+        last_ns.is_none_or(|last_ns| now_ns.saturating_sub(last_ns) > self.timeout_ns)
+    }
+
+    /// The clock was set: nothing of before counts.
+    pub fn forget(&mut self) {
+        match &mut self.course {
+            Course::Twists(twists) => twists.clear(),
+            Course::Poses(poses) => poses.clear(),
+            Course::Frames { frames, poses, .. } => {
+                frames.clear();
+                poses.clear();
+            }
+        }
+        self.gripper.clear();
+    }
+
+    fn expect_frame(&self, what: &'static str, actual: &str) -> Result<(), Problem> {
+        let expected = &self.base_frame;
+        if expected.is_empty() || bare(actual) == bare(expected) {
+            return Ok(());
+        }
+        Err(Problem::Frame {
+            what,
+            expected: expected.clone(),
+            actual: actual.to_owned(),
+        })
+    }
+
+    fn end(&mut self, periods: &[Period]) {
+        for period in periods {
+            let done = self.action(period);
+            self.done.push(done);
+        }
+    }
+
+    fn action(&self, period: &Period) -> Result<Done, Problem> {
+        let period_ns = i64::try_from(self.period.as_nanos()).unwrap_or(i64::MAX);
+        let gripper = match self.layout.has_gripper() {
+            true => {
+                let opening = self.gripper.at(period.start_ns.saturating_add(period_ns));
+                Some(opening.ok_or(Problem::NoGripper)?)
+            }
+            false => None,
+        };
+        let seconds = self.period.as_secs_f64();
+        let velocity = period.displacement.velocity(seconds);
+        let values = self.layout.action(velocity.into(), gripper, seconds, &[]);
+        self.layout.space().check(&values)?;
+        Ok(Done {
+            stamp_ns: period.start_ns,
+            values,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,127 @@
+//! The adapter over real DDS on loopback, after the simulated arm: it tells of the arm what the arm itself does.
+
+#![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
+
+mod running;
+
+use std::{collections::BTreeMap, time::Duration};
+
+use running::{context, node, start};
+use wm_msgs::{
+    geometry_msgs::{PoseStamped, TwistStamped},
+    std_msgs::Float64,
+    wm_msgs::Action,
+};
+use wm_robot_nodes::{action_adapter, sim_arm};
+use wm_ros::{Context, Publisher, Qos, Subscription};
+
+/// Far above anything that happens here; it only ends a test that hangs.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+#[tokio::test(flavor = "current_thread")]
+async fn its_actions_are_those_of_the_arm_by_poses_and_by_frames() {
+    for (test, words) in [
+        (0, "-p source:=pose -p gripper:=topic"),
+        (
+            1,
+            "-p source:=tf -p tool_frame:=tool -p gripper:=joint -p gripper_joint:=left_finger -p gripper_open:=0.04",
+        ),
+    ] {
+        let (arm_side, adapter_side, here) = (context(test), context(test), context(test));
+        let words = format!(
+            "--ros-args -r action:=adapted -p use_sim_time:=true -p base_frame:=base_link {words}"
+        );
+        let adapter = start(
+            &adapter_side,
+            "action_adapter",
+            &words,
+            action_adapter::body,
+        );
+        // Stamps of exactly 0.2 s, which a node's clock does not give.
+        let words =
+            "--ros-args -p task:=reach -p seed:=3 -p image_transport:=raw -p real_time_factor:=2.0";
+        let arm = start(&arm_side, "sim_arm", words, sim_arm::body);
+        tokio::time::timeout(PATIENCE, compared(&here))
+            .await
+            .unwrap_or_else(|_| panic!("{words}: a message that should come does not"));
+        for (context, thread) in [(arm_side, arm), (adapter_side, adapter)] {
+            context.shutdown().trigger();
+            thread.join().unwrap().unwrap();
+            context.close();
+        }
+        here.close();
+    }
+}
+
+async fn compared(here: &Context) {
+    let node = node(here, "observer", "");
+    let depth = Qos::reliable(100);
+    let mut done: Subscription<Action> = node.subscription("action", depth).unwrap();
+    let mut adapted: Subscription<Action> = node.subscription("adapted", depth).unwrap();
+    let mut poses: Subscription<PoseStamped> = node.subscription("ee_pose", depth).unwrap();
+    let twists: Publisher<TwistStamped> =
+        node.publisher("command/twist", Qos::reliable(1)).unwrap();
+    let gripper: Publisher<Float64> = node.publisher("command/gripper", Qos::reliable(1)).unwrap();
+    twists.wait_for_subscribers(1).await;
+    gripper.wait_for_subscribers(1).await;
+    adapted.wait_for_publishers(1).await;
+    gripper.publish(&Float64 { data: 0.25 }).unwrap();
+    let mut expected = BTreeMap::new();
+    let (mut compared, mut moved) = (0, 0.0);
+    while compared < 12 || moved < 0.02 {
+        tokio::select! {
+            pose = poses.recv() => {
+                let y = pose.unwrap().message.pose.position.y;
+                let mut twist = TwistStamped::default();
+                twist.twist.linear.y = -0.1 * y.signum();
+                twist.twist.angular.z = 0.2;
+                twists.publish(&twist).unwrap();
+            }
+            action = done.recv() => {
+                let action = action.unwrap().message;
+                expected.insert(action.header.stamp.to_nanos(), action.values);
+            }
+            action = adapted.recv() => {
+                let action = action.unwrap().message;
+                assert_eq!(action.header.frame_id, "base_link");
+                // What the arm did came on another topic, and may be later.
+                let stamp_ns = action.header.stamp.to_nanos();
+                while expected.keys().next_back().is_none_or(|newest_ns| *newest_ns < stamp_ns) {
+                    let action = done.recv().await.unwrap().message;
+                    expected.insert(action.header.stamp.to_nanos(), action.values);
+                }
+                // It may have been published before anyone listened.
+                let Some(values) = expected.get(&stamp_ns) else { continue };
+                for (found, expected) in action.values.iter().zip(values).take(6) {
+                    assert!((found - expected).abs() < 1e-5, "{:?} {values:?}", action.values);
+                }
+                moved += values[1].abs();
+                compared += 1;
+                // The gripper is where it is, not where it was told to go.
+                if compared > 8 {
+                    assert!((action.values[6] - 0.25).abs() < 1e-6, "{:?}", action.values);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn parameters_that_contradict_each_other_are_named() {
+    for (parameters, named) in [
+        ("-p source:=tf", "expected two frames"),
+        ("-p gripper:=joint", "gripper_joint is empty"),
+        (
+            "-p gripper:=joint -p gripper_joint:=finger -p gripper_open:=0.0",
+            "two places",
+        ),
+        ("-p action_space:=/nowhere.json", "/nowhere.json"),
+    ] {
+        let context = context(2);
+        let words = format!("--ros-args {parameters}");
+        let thread = start(&context, "action_adapter", &words, action_adapter::body);
+        let error = format!("{:#}", thread.join().unwrap().unwrap_err());
+        context.close();
+        assert!(error.contains(named), "{error}");
+    }
+}

@@ -1,0 +1,157 @@
+//! The recorder beside a real rclpy publisher of a type that neither this suite nor `AMENT_PREFIX_PATH` has.
+
+#![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
+
+use std::{
+    io::{BufRead as _, BufReader, Read as _},
+    path::{Path, PathBuf},
+    process::{Child, Command, Stdio},
+    time::{Duration, Instant},
+};
+
+use rustix::process::{Pid, Signal, kill_process};
+use tempfile::TempDir;
+use wm_bag::{BagReader, SchemaEncoding};
+use wm_ros::NodeArgs;
+
+/// Far above anything that a test takes; it only ends one that hangs.
+const PATIENCE: Duration = Duration::from_secs(60);
+const TYPE: &str = "geometry_msgs/msg/PolygonStamped";
+
+/// The virtual environments that `tests/setup_ros2` made; `None` (with a plain message) where it was not run.
+fn peers() -> Option<PathBuf> {
+    let dir = root().join(".venv");
+    if dir.join("stamp").is_file() {
+        return Some(dir);
+    }
+    eprintln!("skipped: no ROS 2 peer under .venv; run tests/setup_ros2 (tests/run does)");
+    assert!(
+        std::env::var_os("CI").is_none(),
+        "the interoperability tests may not be skipped in CI"
+    );
+    None
+}
+
+fn root() -> &'static Path {
+    Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."))
+}
+
+/// A process that is killed when the test lets go of it.
+struct Process(Child);
+
+impl Process {
+    fn start(command: &mut Command, domain: u16) -> Self {
+        let command = command
+            .env("ROS_DOMAIN_ID", domain.to_string())
+            .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped());
+        Self(command.spawn().unwrap())
+    }
+
+    /// Waits for its end after a signal.
+    fn interrupt(mut self) {
+        kill_process(Pid::from_child(&self.0), Signal::INT).unwrap();
+        self.0.wait().unwrap();
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        self.0.kill().ok();
+        self.0.wait().ok();
+    }
+}
+
+/// The recorder, until a signal.
+#[test]
+#[ignore = "started by the tests of this file"]
+fn recorder() {
+    let output = std::env::var("OUTPUT").expect("started by another test");
+    let output = format!("output:={output}");
+    let args = ["--ros-args", "-p", &output, "-p", "topics:=[/zone]"];
+    let args = NodeArgs::parse(args.map(str::to_owned)).unwrap();
+    let _ending = wm_robot_nodes::recorder::run(&args).unwrap();
+}
+
+/// A bag of at least ten messages of `polygons.py`, with the recorder's log.
+fn recorded(peers: &Path, domain: u16, service: &str) -> (TempDir, BagReader, String) {
+    let scratch = TempDir::new().unwrap();
+    let bag = scratch.path().join("bag");
+    let mut publisher = Command::new("bash");
+    publisher
+        .args(["-c", ". \"$0\" && exec python \"$@\""])
+        .arg(peers.join("ros2/ros2_env.sh"))
+        .arg(root().join("tests/interop/polygons.py"))
+        .arg(service);
+    let mut publisher = Process::start(&mut publisher, domain);
+    let stdout = BufReader::new(publisher.0.stdout.take().unwrap());
+    let first = stdout.lines().map_while(Result::ok).next();
+    assert_eq!(first.as_deref(), Some("publishing"));
+    let log = scratch.path().join("log");
+    let mut recorder = Command::new(std::env::current_exe().unwrap());
+    recorder
+        .args(["--ignored", "--exact", "--nocapture", "recorder"])
+        .env("OUTPUT", &bag)
+        .env_remove("AMENT_PREFIX_PATH")
+        .stderr(std::fs::File::create(&log).unwrap());
+    let recorder = Process::start(&mut recorder, domain);
+    let begin = Instant::now();
+    let count = || BagReader::open(&bag).map_or(0, |reader| reader.message_count());
+    while count() < 10 {
+        assert!(begin.elapsed() < PATIENCE, "nothing is recorded");
+        // A bag has no event for a message that is on the disk.
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    recorder.interrupt();
+    let mut text = String::new();
+    let mut log = std::fs::File::open(&log).unwrap();
+    log.read_to_string(&mut text).unwrap();
+    let reader = BagReader::open(&bag).unwrap();
+    (scratch, reader, text)
+}
+
+/// Domains up to 101 keep RTPS ports below the ephemeral range of Linux.
+fn domain(test: u16) -> u16 {
+    20 + (std::process::id() % 40) as u16 * 2 + test
+}
+
+#[test]
+fn live_publisher_gives_the_definition_of_an_unknown_type() {
+    let Some(peers) = peers() else { return };
+    let (_scratch, reader, log) = recorded(&peers, domain(0), "with");
+    let topic = reader.topic("/zone").unwrap();
+    assert_eq!(topic.schema.encoding, SchemaEncoding::Ros2Msg, "{log}");
+    let text = &topic.schema.text;
+    let own = "std_msgs/Header header\ngeometry_msgs/Polygon polygon\n";
+    assert!(text.starts_with(own), "{text}");
+    for part in [
+        "builtin_interfaces/Time",
+        "geometry_msgs/Point32",
+        "std_msgs/Header",
+    ] {
+        assert!(text.contains(&format!("\nMSG: {part}\n")), "{text}");
+    }
+    assert!(topic.schema.type_hash(TYPE).unwrap().is_some());
+    assert!(!log.contains("without its definition"), "{log}");
+    // Messages that came while the definition was requested are there.
+    let heights: Vec<f32> = reader
+        .messages()
+        .map(|message| {
+            let data = message.unwrap().data;
+            f32::from_le_bytes(*data.last_chunk().unwrap())
+        })
+        .collect();
+    let is_next = |pair: &[f32]| (pair[1] - pair[0] - 1.0).abs() < 1e-3;
+    assert!(heights.windows(2).all(is_next), "{heights:?}");
+}
+
+#[test]
+fn unknown_type_without_the_service_is_recorded_undefined() {
+    let Some(peers) = peers() else { return };
+    let (_scratch, reader, log) = recorded(&peers, domain(1), "without");
+    let topic = reader.topic("/zone").unwrap();
+    let undefined = SchemaEncoding::Other(String::new());
+    assert_eq!(topic.schema.encoding, undefined);
+    assert!(log.contains("recorded without its definition"), "{log}");
+}

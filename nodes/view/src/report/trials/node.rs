@@ -1,0 +1,290 @@
+//! The trials on the wire.
+
+use std::{fmt, path::PathBuf, process::ExitCode, time::Duration};
+
+use anyhow::{Context as _, Result, bail, ensure};
+use image::RgbImage;
+use serde::Serialize;
+use tracing::{info, warn};
+use wm_camera::camera_frame::CameraFrame;
+use wm_metrics::findings::{ClosedLoop, Episode, PlanTime};
+use wm_msgs::{
+    std_msgs::{Bool, Float64},
+    wm_msgs::Plan,
+};
+use wm_ros::{
+    EndpointSet as _, NAMESPACE, Node, NodeArgs, NodeDefinition, ParameterSet as _, Qos,
+    Subscription,
+};
+use wm_sim::{Environment, GoalKind, SUCCESS_TOPIC, Variety};
+use wm_wire::transport::{ImageSubscription, Transports};
+
+use super::{EpisodeWatch, Shots, files, setting::Setting, strip::strip};
+
+const NAME: &str = "trials";
+
+/// The node.
+pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition {
+    name: NAME,
+    about: "Has the simulated arm do its tasks by the planner, and counts how often it succeeds.",
+    parameters: Parameters::specs,
+    endpoints: Endpoints::specs,
+    is_managed: false,
+    run,
+    component: None,
+};
+
+/// Frames that an encoder may still be busy with when a new table is laid.
+const FRAMES_BEFORE: usize = 3;
+
+wm_ros::parameters! {
+    /// The node's parameters.
+    struct Parameters {
+        /// The tasks, in their order: reach, push or pick-place.
+        tasks: Vec<String> = vec!["reach".to_owned()];
+        /// Episodes of each task.
+        episodes: usize = 1, in 1..=100_000;
+        /// Seed of the first episode of each task; each later one adds 1. The bundled model was not trained on the default.
+        seed: u64 = 5_000_000;
+        /// An episode takes so many times the time of the simulator's own controller at most.
+        patience: f64 = 5.0, in 0.1..=1000.0;
+        /// Time that every episode is given at least [s].
+        least_time: f64 = 4.0, in 0.2..=3600.0;
+        /// For how long a node or a message is waited for [s].
+        timeout: Duration = 60.0, in 1.0..=3600.0;
+        /// Folder for the findings, relative to the working directory.
+        output: PathBuf = "out/arm";
+        /// Image transport of the camera and of the pictures of plans.
+        _image_transport as "image_transport": Transports = "raw";
+    }
+}
+
+wm_ros::endpoints! {
+    /// Topics.
+    struct Endpoints {
+        /// What the camera sees.
+        frames: ImageSubscription = "/camera/image_raw", qos(Qos::best_effort(8));
+        /// What it is to see.
+        goals: ImageSubscription = "goal/image", made(ImageSubscription::catching_up);
+        /// What it would see after the plan.
+        outcomes: ImageSubscription = "plan/image", qos(Qos::best_effort(8));
+        /// Plans.
+        plans: Subscription<Plan> = "plan", qos(Qos::reliable(64));
+        /// What is missing to the goal [m].
+        distances: Subscription<Float64> = "sim_arm/distance", qos(Qos::reliable(64));
+        /// Whether the task is done.
+        successes: Subscription<Bool> = SUCCESS_TOPIC, qos(Qos::latched(1));
+    }
+}
+
+/// What was run.
+#[derive(Clone, Debug, Serialize)]
+struct About {
+    task: String,
+    planner: String,
+    live: bool,
+    seed: u64,
+    /// What [`ClosedLoop`] calls a model step \[ms\].
+    step_ms: f64,
+}
+
+impl fmt::Display for About {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} by {}, live", self.task, self.planner)
+    }
+}
+
+fn run(args: &NodeArgs) -> Result<ExitCode> {
+    args.expect_no_rest()?;
+    wm_ros::run(NAME, NAMESPACE, args, body).map(|()| ExitCode::SUCCESS)
+}
+
+async fn body(node: Node) -> Result<()> {
+    let parameters = Parameters::declare(&node)?;
+    node.seal_parameters()?;
+    let tasks = parameters
+        .tasks
+        .iter()
+        .map(|name| name.parse::<GoalKind>().context("parameter tasks"));
+    let tasks: Vec<GoalKind> = tasks.collect::<Result<_>>()?;
+    ensure!(
+        !tasks.is_empty(),
+        "parameter tasks is empty: expected reach, push or pick-place"
+    );
+    let trials = Trials {
+        setting: Setting::new(&node)?,
+        endpoints: Endpoints::make(&node)?,
+        parameters,
+        goal: None,
+    };
+    node.seal_endpoints()?;
+    let shutdown = node.shutdown();
+    tokio::select! {
+        () = shutdown.wait() => bail!("ended before the last episode"),
+        done = trials.run(&tasks) => done,
+    }
+}
+
+struct Trials {
+    setting: Setting,
+    endpoints: Endpoints,
+    parameters: Parameters,
+    goal: Option<RgbImage>,
+}
+
+/// An input that a trial cannot do without has ended.
+fn ended() -> anyhow::Error {
+    anyhow::anyhow!("the graph is shut down")
+}
+
+fn decoded(frame: &CameraFrame) -> Option<RgbImage> {
+    let decoded = frame.decode();
+    decoded
+        .map_err(|problem| warn!("picture ignored: {problem}"))
+        .ok()
+}
+
+impl Trials {
+    async fn run(mut self, tasks: &[GoalKind]) -> Result<()> {
+        let timeout = self.parameters.timeout;
+        tokio::time::timeout(timeout, self.setting.wait())
+            .await
+            .context("sim_arm, planner and executor are needed, and not all of them are running")?;
+        for task in tasks {
+            self.task(*task).await?;
+        }
+        Ok(())
+    }
+
+    /// All episodes of a task, and what came of them.
+    async fn task(&mut self, task: GoalKind) -> Result<()> {
+        let (first, count) = (self.parameters.seed, self.parameters.episodes);
+        let (mut episodes, mut plans): (Vec<Episode>, Vec<PlanTime>) = (Vec::new(), Vec::new());
+        let (mut planner, mut shown) = (None, Shots::default());
+        for index in 0..count {
+            let watch = self.episode(task, first.wrapping_add(index as u64)).await?;
+            planner = watch
+                .planner()
+                .map(|(name, ms)| (name.to_owned(), ms))
+                .or(planner);
+            let (episode, of_episode, shots) = watch.finish();
+            info!(
+                "{task} {} of {count}, seed {}: {} after {} steps, {:.3} m to the goal",
+                index + 1,
+                episode.seed,
+                if episode.success { "done" } else { "not done" },
+                episode.steps,
+                episode.distance_m
+            );
+            episodes.push(episode);
+            plans.extend(of_episode);
+            shown = shots;
+        }
+        let (planner, step_ms) =
+            planner.context("no plan has come on plan: is there a planner?")?;
+        let title = format!(
+            "{task} by {planner}, seed {}",
+            first.wrapping_add(count as u64 - 1)
+        );
+        let about = About {
+            task: task.to_string(),
+            planner,
+            live: true,
+            seed: first,
+            step_ms,
+        };
+        let findings = ClosedLoop::of(about, step_ms, episodes, &plans)?;
+        let picture = strip(&shown, self.goal.as_ref(), &title);
+        let folder = &self.parameters.output;
+        let written = files::write(folder, task.name(), &findings, picture.as_ref())?;
+        let mut text = format!("{findings}\n");
+        for path in written {
+            text.push_str(&format!("{}\n", path.display()));
+        }
+        wm_ros::logging::print(text);
+        Ok(())
+    }
+
+    /// One episode, from the reset to the end.
+    async fn episode(&mut self, task: GoalKind, seed: u64) -> Result<EpisodeWatch> {
+        let timeout = self.parameters.timeout;
+        let (patience, least_s) = (self.parameters.patience, self.parameters.least_time);
+        let most = tokio::task::spawn_blocking(move || most_steps(task, seed, patience, least_s));
+        let most = most.await??;
+        tokio::time::timeout(timeout, self.begin(task, seed))
+            .await
+            .with_context(|| {
+                format!("{task} with seed {seed} does not begin: no answer, no frame or no plan")
+            })??;
+        let mut watch = EpisodeWatch::new(task, seed, most);
+        while !watch.is_over() {
+            tokio::time::timeout(timeout, self.hear(&mut watch))
+                .await
+                .context("sim_arm has fallen silent")??;
+        }
+        self.setting.arm(false).await?;
+        Ok(watch)
+    }
+
+    /// Lays the table, waits until the planner has planned for it, and arms the executor.
+    async fn begin(&mut self, task: GoalKind, seed: u64) -> Result<()> {
+        self.setting.arm(false).await?;
+        self.setting.lay(task, seed).await?;
+        let endpoints = &mut self.endpoints;
+        // The arm says so once the new table is there.
+        while endpoints
+            .successes
+            .recv()
+            .await
+            .ok_or_else(ended)?
+            .message
+            .data
+        {}
+        for _ in 0..FRAMES_BEFORE {
+            endpoints.frames.recv().await.ok_or_else(ended)?;
+        }
+        self.setting.plan_anew(seed).await?;
+        while endpoints.plans.try_recv().is_some() {}
+        endpoints.plans.recv().await.ok_or_else(ended)?;
+        while endpoints.distances.try_recv().is_some() {}
+        while endpoints.outcomes.try_recv().is_some() {}
+        self.setting.arm(true).await
+    }
+
+    /// Takes the next message.
+    async fn hear(&mut self, watch: &mut EpisodeWatch) -> Result<()> {
+        let endpoints = &mut self.endpoints;
+        tokio::select! {
+            biased;
+            // The arm tells it before the success that it leads to.
+            distance = endpoints.distances.recv() => {
+                watch.distance(distance.ok_or_else(ended)?.message.data);
+            }
+            success = endpoints.successes.recv() => {
+                watch.success(success.ok_or_else(ended)?.message.data);
+            }
+            Some(goal) = endpoints.goals.recv() => {
+                self.goal = decoded(&goal.message).or_else(|| self.goal.take());
+            }
+            plan = endpoints.plans.recv() => watch.plan(&plan.ok_or_else(ended)?.message),
+            Some(outcome) = endpoints.outcomes.recv() => {
+                if let Some(picture) = decoded(&outcome.message) {
+                    watch.outcome(picture);
+                }
+            }
+            frame = endpoints.frames.recv() => {
+                let frame = frame.ok_or_else(ended)?.message;
+                watch.frame(frame.header().stamp.to_nanos(), || decoded(&frame));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Steps of the simulator that an episode may take.
+fn most_steps(task: GoalKind, seed: u64, patience: f64, least_s: f64) -> Result<usize> {
+    let environment = Environment::new(task, seed, &Variety::default())?;
+    // An episode has a few dozen steps.
+    let of_oracle = environment.solution().len() as f64 * patience;
+    Ok(of_oracle.max(least_s / wm_sim::STEP_S).ceil() as usize)
+}

@@ -1,0 +1,299 @@
+//! Whether one model is better than another, over the units that both were measured on.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use crate::statistics::{
+    Bootstrap, Estimate, Interval, Method, SignFlip, bootstrap_paired_difference, sign_flip_test,
+};
+use serde::Serialize;
+use serde_json::Value;
+
+use crate::findings::{
+    Better, FindingsError, Header, Metric, Mismatch, ModelFindings, json::settings,
+};
+
+/// The least number of pairs that have an interval and a test.
+const PAIRS: usize = 2;
+/// The least number of units of which a bootstrap alone may tell models apart: the sign-flip test never does with fewer.
+const UNITS: usize = 6;
+
+/// One-sided level of the test that a [`Verdict`] wants beside a 95 % interval, which leaves as much at either end.
+const LEVEL: f64 = 0.025;
+
+/// A model compared with a baseline.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Comparison {
+    /// What the baseline is.
+    pub baseline: Header,
+    /// What the model is.
+    pub model: Header,
+    /// Figures that both have, by name.
+    pub differences: BTreeMap<String, Difference>,
+    /// Figures that could not be compared, by name, with the reason.
+    pub absent: BTreeMap<String, String>,
+}
+
+/// How a figure of a model differs from the baseline's.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Difference {
+    /// The baseline's.
+    pub baseline: f64,
+    /// The model's.
+    pub value: f64,
+    /// The model's minus the baseline's: of the mean over the pairs, where the figure is one, else of the figures.
+    pub difference: f64,
+    /// 95 % paired bootstrap interval of the difference.
+    pub interval: Option<Interval>,
+    /// One-sided p that the model is better, small where it is: of the sign-flip test, or of the paired bootstrap where the
+    /// figure is no mean over units.
+    pub p: Option<f64>,
+    /// Whether p was counted, not estimated from drawn sign patterns or resamples.
+    pub p_is_exact: bool,
+    /// Pairs: units of the same name.
+    pub n: usize,
+    /// Which way the figure is better.
+    pub better: Better,
+    /// Its unit.
+    pub unit: String,
+    /// What can be said of it.
+    pub verdict: Verdict,
+}
+
+/// What can be said of a difference. For more than [`Self::Unclear`], its 95 % interval must not hold 0, and of a mean over
+/// units the sign-flip test in its direction must give p of at most 0.025: an interval of a handful of pairs is too narrow, and the test alone
+/// says nothing of size. Fewer than six pairs never suffice. Not corrected for the number of figures.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum Verdict {
+    /// The model is better.
+    Better,
+    /// The model is worse.
+    Worse,
+    /// It differs, in a figure where neither way is better.
+    Differs,
+    /// The pairs do not tell.
+    Unclear,
+    /// There are too few pairs.
+    Untested,
+}
+
+impl Verdict {
+    /// In words.
+    #[must_use]
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::Better => "better",
+            Self::Worse => "worse",
+            Self::Differs => "differs",
+            Self::Unclear => "no clear difference",
+            Self::Untested => "not tested",
+        }
+    }
+}
+
+/// Compares every model but the first with the first.
+///
+/// # Errors
+/// Those of [`compare`].
+pub fn compare_with_first(findings: &[ModelFindings]) -> Result<Vec<Comparison>, FindingsError> {
+    let Some((baseline, others)) = findings.split_first() else {
+        return Ok(Vec::new());
+    };
+    others
+        .iter()
+        .map(|model| compare(baseline, model))
+        .collect()
+}
+
+/// Compares `model` with `baseline`.
+///
+/// # Errors
+/// [`FindingsError::NotComparable`] where the data's digest, the seed or the settings differ;
+/// [`FindingsError::Statistics`] where a figure's samples have no interval.
+pub fn compare(
+    baseline: &ModelFindings,
+    model: &ModelFindings,
+) -> Result<Comparison, FindingsError> {
+    let mismatches = mismatches(&baseline.header, &model.header);
+    if !mismatches.is_empty() {
+        return Err(FindingsError::NotComparable {
+            baseline: baseline.header.model.clone(),
+            model: model.header.model.clone(),
+            mismatches,
+        });
+    }
+    let (ours, theirs) = (baseline.metrics(), model.metrics());
+    let names: BTreeSet<&str> = ours.keys().chain(theirs.keys()).copied().collect();
+    let (mut differences, mut absent) = (BTreeMap::new(), BTreeMap::new());
+    for name in names {
+        let why = match (ours.get(name), theirs.get(name)) {
+            (Some(a), Some(b)) if !(b.value - a.value).is_finite() => {
+                "the difference is not finite".to_owned()
+            }
+            (Some(a), Some(b)) if a.unit == b.unit && a.better == b.better => {
+                let difference = difference(name, a, b, baseline.header.seed)?;
+                differences.insert(name.to_owned(), difference);
+                continue;
+            }
+            (Some(a), Some(b)) if a.unit != b.unit => {
+                format!("in {:?} and in {:?}", a.unit, b.unit)
+            }
+            (Some(_), Some(_)) => "better in different directions".to_owned(),
+            (Some(_), None) => format!("not measured of {}", model.header.model),
+            _ => format!("not measured of {}", baseline.header.model),
+        };
+        absent.insert(name.to_owned(), why);
+    }
+    Ok(Comparison {
+        baseline: baseline.header.clone(),
+        model: model.header.clone(),
+        differences,
+        absent,
+    })
+}
+
+fn difference(name: &str, a: &Metric, b: &Metric, seed: u64) -> Result<Difference, FindingsError> {
+    let pairs = a.samples.iter().filter_map(|(unit, a)| {
+        let b = b.samples.get(unit)?;
+        (b - a).is_finite().then_some((*b, *a))
+    });
+    let (theirs, ours): (Vec<f64>, Vec<f64>) = pairs.unzip();
+    let plain = Difference {
+        baseline: a.value,
+        value: b.value,
+        difference: b.value - a.value,
+        interval: None,
+        p: None,
+        p_is_exact: false,
+        n: theirs.len(),
+        better: a.better,
+        unit: a.unit.clone(),
+        verdict: Verdict::Untested,
+    };
+    let statistics = |source| FindingsError::Statistics {
+        metric: name.to_owned(),
+        source,
+    };
+    let settings = Bootstrap {
+        seed,
+        ..Bootstrap::default()
+    };
+    let estimate = match paired_replicates(a, b) {
+        Some(differences) => Estimate::of_replicates(plain.difference, differences, settings.level),
+        None if plain.n >= PAIRS => bootstrap_paired_difference(&theirs, &ours, &settings),
+        None => return Ok(plain),
+    };
+    let estimate = estimate.map_err(statistics)?;
+    let flips = SignFlip {
+        seed,
+        ..SignFlip::default()
+    };
+    // p, and whether it was counted, that the difference has this sign.
+    let test = |sign: f64| -> Result<(f64, bool), FindingsError> {
+        if plain.n < PAIRS {
+            let share = estimate.not_above_zero;
+            return Ok((if sign > 0.0 { share } else { 1.0 - share }, false));
+        }
+        let pairs = theirs.iter().zip(&ours);
+        let signed: Vec<f64> = pairs.map(|(b, a)| sign * (b - a)).collect();
+        let test = sign_flip_test(&signed, &flips).map_err(statistics)?;
+        let is_exact = matches!(test.method, Method::Convolved | Method::Enumerated);
+        Ok((test.p, is_exact))
+    };
+    let (more, less) = (test(1.0)?, test(-1.0)?);
+    let shown = match a.better {
+        Better::Higher => Some(more),
+        Better::Lower => Some(less),
+        Better::Neither => None,
+    };
+    let n = if plain.n < PAIRS { a.n } else { plain.n };
+    let above = estimate.interval.low > 0.0 && more.0 <= LEVEL;
+    let below = estimate.interval.high < 0.0 && less.0 <= LEVEL;
+    let verdict = match (a.better, above, below) {
+        // Where only a bootstrap tells, as few as the sign-flip test never tells apart.
+        _ if n < UNITS && plain.n < PAIRS => Verdict::Untested,
+        (_, false, false) => Verdict::Unclear,
+        (Better::Neither, ..) => Verdict::Differs,
+        (Better::Higher, true, _) | (Better::Lower, false, _) => Verdict::Better,
+        _ => Verdict::Worse,
+    };
+    Ok(Difference {
+        difference: estimate.value,
+        interval: Some(estimate.interval),
+        p: shown.map(|(p, _)| p),
+        p_is_exact: shown.is_some_and(|(_, is_exact)| is_exact),
+        n,
+        verdict,
+        ..plain
+    })
+}
+
+/// Replicates of the difference, where both figures have replicates of the same draws.
+fn paired_replicates(a: &Metric, b: &Metric) -> Option<Vec<f64>> {
+    let count = a.replicates.len();
+    if count < 2 || count != b.replicates.len() || a.n != b.n {
+        return None;
+    }
+    let pairs = b.replicates.iter().zip(&a.replicates);
+    Some(pairs.map(|(b, a)| b - a).collect())
+}
+
+/// All that must be equal and is not.
+fn mismatches(baseline: &Header, model: &Header) -> Vec<Mismatch> {
+    let mut found = Vec::new();
+    let mut check = |what: &str, baseline: String, model: String| {
+        if baseline != model {
+            found.push(Mismatch {
+                what: what.to_owned(),
+                baseline,
+                model,
+            });
+        }
+    };
+    check(
+        "data",
+        baseline.data_digest.clone(),
+        model.data_digest.clone(),
+    );
+    check("seed", baseline.seed.to_string(), model.seed.to_string());
+    let (ours, theirs) = (leaves(&baseline.settings), leaves(&model.settings));
+    let paths: BTreeSet<&String> = ours.keys().chain(theirs.keys()).collect();
+    for path in paths {
+        let told = |leaves: &BTreeMap<String, String>| {
+            let leaf = leaves.get(path).cloned();
+            leaf.unwrap_or_else(|| "not set".to_owned())
+        };
+        check(path, told(&ours), told(&theirs));
+    }
+    found
+}
+
+/// Every value of the settings by its path. 1 and 1.0 are the same.
+fn leaves(value: &Value) -> BTreeMap<String, String> {
+    fn visit(path: String, value: &Value, into: &mut BTreeMap<String, String>) {
+        match value {
+            Value::Object(entries) if !entries.is_empty() => {
+                for (name, value) in entries {
+                    visit(format!("{path}.{name}"), value, into);
+                }
+            }
+            Value::Number(number) => {
+                // Below 2^53 a float without fraction is a whole number.
+                let whole = number
+                    .as_f64()
+                    .filter(|float| float.fract() == 0.0 && float.abs() < 9e15);
+                into.insert(
+                    path,
+                    whole.map_or_else(|| number.to_string(), |whole| format!("{whole:.0}")),
+                );
+            }
+            other => {
+                into.insert(path, settings(other));
+            }
+        }
+    }
+    let mut into = BTreeMap::new();
+    visit("settings".to_owned(), value, &mut into);
+    into
+}
