@@ -3,7 +3,7 @@
 
 usage: benches/models.py [--device cuda] [--rounds N] [--seconds S] [--no-compile] [CASE ...]
 
-Builds `world-model/zoo/examples/model_speed.rs`, and for each case writes random weights and an input to a temporary
+Builds `learning/training/examples/model_speed.rs`, and for each case writes random weights and an input to a temporary
 folder, then runs ours and PyTorch (eager, and with torch.compile) in turns, round by round, on all threads of each. Of
 all runs it prints the medians, of the rounds' ratios of ours to the faster PyTorch the median and the range (below 1:
 ours is faster), and how far our output and that of eager are from eager's in f32 (relative, Euclidean). `at the peak` is
@@ -557,7 +557,7 @@ def main():
         parser.error(f"no such case: {', '.join(sorted(unknown))}; there are: {', '.join(known)}")
     if on_cuda and not torch.cuda.is_available():
         parser.error("--device cuda: PyTorch sees no GPU")
-    build = ["cargo", "build", "--release", "-p", "wm_zoo", "--example", "model_speed"]
+    build = ["cargo", "build", "--release", "-p", "wm_training", "--example", "model_speed"]
     build += ["--features", "cuda"] if on_cuda else []
     subprocess.run(build, cwd=ROOT, check=True)
     if not on_cuda:

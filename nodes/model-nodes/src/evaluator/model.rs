@@ -15,7 +15,7 @@ use wm_model::WorldModel;
 use crate::history::stack;
 use wm_wire::latent_message::{LatentDtype, encode_latent};
 
-/// The transition model, how it predicts here, and what judges the predictions.
+/// The transition model, its settings, and the success probe.
 #[derive(Clone, Debug)]
 pub struct EvaluatorModel {
     model: WorldModel,
@@ -23,17 +23,17 @@ pub struct EvaluatorModel {
     probe: Option<Arc<SuccessClassifier>>,
 }
 
-/// What an evaluation found.
+/// The result of an evaluation.
 #[derive(Clone, Debug)]
 pub struct Evaluation {
-    /// The message, but for its `timing`, which is the sender's to fill.
+    /// The message without its `timing`, which the sender fills in.
     pub assessment: Assessment,
     /// Predicted latents (candidates, steps, h, w, C), normalised.
     pub latents: Tensor,
 }
 
 impl EvaluatorModel {
-    /// Evaluates with `model`, in `integration_steps` Euler steps a frame (0: what it was trained for).
+    /// Evaluates with `model`, in `integration_steps` Euler steps per frame (0: the model's own number).
     pub fn new(model: WorldModel, integration_steps: usize) -> Self {
         let integration_steps = match integration_steps {
             0 => model.transition.config().sampler.steps,
@@ -138,10 +138,9 @@ impl EvaluatorModel {
         })
     }
 
-    /// Of each candidate the probability that its imagined episode does what is asked for, NaN where there is no probe or
-    /// no instruction. The probe was trained on whole episodes, `context` (1, H, h, w, C) is the newest of what was
-    /// observed: with the predicted `latents` (candidates, steps, h, w, C) behind it, this is as much of an episode as
-    /// is known. One by one, so that an episode's probability depends on no other.
+    /// The probability that each candidate's imagined episode does the task; NaN without a probe or an instruction. The probe
+    /// was trained on whole episodes. Here it gets the known part of one: the observed `context` (1, H, h, w, C), then the
+    /// predicted `latents` (candidates, steps, h, w, C). Candidates are rated one by one, so that they are independent.
     fn probabilities(
         &self,
         context: &Tensor,
@@ -162,7 +161,7 @@ impl EvaluatorModel {
     }
 }
 
-/// The candidate of least cost, the first of equals; -1 where no cost is a number.
+/// The candidate of least cost, the first of equals; -1 if every cost is NaN.
 fn best(candidates: &[CandidateAssessment]) -> i32 {
     let costs = candidates
         .iter()

@@ -1,8 +1,8 @@
 //! How long a model takes on this machine, for `benches/models.py`.
 //!
 //! ```text
-//! cargo run --release -p wm_zoo --example model_speed -- pixel FOLDER bf16 5
-//! cargo run --release -p wm_zoo --features cuda --example model_speed -- velocity FOLDER bf16 5 cuda recorded
+//! cargo run --release -p wm_training --example model_speed -- pixel FOLDER bf16 5
+//! cargo run --release -p wm_training --features cuda --example model_speed -- velocity FOLDER bf16 5 cuda recorded
 //! ```
 //!
 //! What is timed, a folder with `config.json`, `weights.safetensors` and `input.safetensors`, f32, bf16 or int8, how many runs,
