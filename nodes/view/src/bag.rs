@@ -14,7 +14,7 @@ use std::{
 };
 use tokio::sync::Semaphore;
 use wm_bag::{BagError, BagMessage, BagReader};
-use wm_camera::{camera_frame::CameraFrame, camera_info::topic_beside};
+use wm_camera::{camera_frame::CameraFrame, camera_info::info_topic};
 use wm_msgs::{
     diagnostic_msgs::DiagnosticArray,
     sensor_msgs::CameraInfo,
@@ -96,7 +96,7 @@ impl Bag {
             }
         }
         let camera = heard.iter().find(|heard| heard.topic == Topic::Camera);
-        let camera_info = camera.map(|camera| topic_beside(&camera.name));
+        let camera_info = camera.map(|camera| info_topic(&camera.name));
         let camera_info = camera_info.unwrap_or_default();
         // goals of another kind have a topic of their own, which counts as the same
         if let Some((name, _)) = topics.iter().find(|(_, topic)| **topic == Topic::Goal) {

@@ -2,7 +2,7 @@
 
 use crate::state::Left;
 use nalgebra::Point3;
-use wm_camera::camera_info::{check, resized};
+use wm_camera::camera_info::{check, scale};
 use wm_msgs::{
     geometry_msgs::Point,
     sensor_msgs::CameraInfo,
@@ -38,7 +38,7 @@ struct Pinhole {
 
 impl Pinhole {
     fn of(info: &CameraInfo) -> Option<Self> {
-        let unit = resized(info, (1, 1)).ok()?;
+        let unit = scale(info, (1, 1)).ok()?;
         let [fx, skew, cx, _, fy, cy, ..] = unit.k;
         Some(Self {
             frame: unit.header.frame_id,

@@ -6,7 +6,7 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
-use wm_camera::camera_info::topic_beside;
+use wm_camera::camera_info::info_topic;
 use wm_model::Fit;
 use wm_msgs::{sensor_msgs::CameraInfo, std_msgs::String as Text, wm_msgs::Prediction};
 use wm_ros::{
@@ -83,7 +83,7 @@ wm_ros::endpoints! {
         /// How the camera sees: beside its images, wherever /camera/image_raw is remapped to.
         camera_infos: Subscription<CameraInfo> = "/camera/camera_info", qos(Qos::best_effort(1)), made(|node, _, qos| {
             let images = node.resolve("/camera/image_raw")?;
-            node.subscription(&topic_beside(&images), qos)
+            node.subscription(&info_topic(&images), qos)
         });
         /// The same for pictures of the size of the predicted ones, with each of them. Not published if camera_info does
         /// not fit the camera's pictures.

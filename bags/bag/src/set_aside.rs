@@ -1,4 +1,4 @@
-//! Renames an existing bag or file to make room.
+//! Renames an existing bag or file to free its path.
 
 use std::{
     fs, io,
@@ -8,12 +8,11 @@ use std::{
 
 use crate::BagError;
 
-/// More names than this of one second are no recordings.
-const MOST_OF_A_SECOND: u32 = 1000;
+/// Names tried for one time; recordings of one second are far fewer.
+const NAMES_LIMIT: u32 = 1000;
 
-/// Renames the file or folder at `path` to its own name with the time of its last change, in UTC
-/// (`bag_2026-11-22T16-50-00Z`), and `_2` and so on after that where this name is taken. Gives the new path; none where
-/// there was nothing, or an empty folder.
+/// Renames the file or folder at `path`: adds the time of its last change in UTC (`bag_2026-11-22T16-50-00Z`), and `_2`
+/// and so on if that name is taken. Returns the new path, or `None` if `path` is missing or an empty folder.
 ///
 /// # Errors
 /// It cannot be renamed.
@@ -33,7 +32,7 @@ pub fn set_aside(path: impl AsRef<Path>) -> Result<Option<PathBuf>, BagError> {
     Ok(Some(free))
 }
 
-/// A path beside `path` where there is nothing: its name with this time.
+/// A free path in the folder of `path`: its name and `time`.
 ///
 /// # Errors
 /// `path` has no name, or a thousand such names are taken.
@@ -45,7 +44,7 @@ pub fn free_name(path: &Path, time: SystemTime) -> Result<PathBuf, BagError> {
     // As in ISO 8601; a colon is not allowed in the names of every file system.
     let time = humantime::format_rfc3339_seconds(time).to_string();
     let stem = format!("{}_{}", name.to_string_lossy(), time.replace(':', "-"));
-    let free = (1..=MOST_OF_A_SECOND)
+    let free = (1..=NAMES_LIMIT)
         .map(|number| match number {
             1 => path.with_file_name(&stem),
             _ => path.with_file_name(format!("{stem}_{number}")),
@@ -59,7 +58,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_set_aside_is_kept_under_another_name_each_time() {
+    fn each_bag_set_aside_gets_a_free_name() {
         let scratch = tempfile::tempdir().unwrap();
         let path = scratch.path().join("bag");
         assert_eq!(set_aside(&path).unwrap(), None);

@@ -2,22 +2,22 @@ use std::collections::HashMap;
 
 use crate::{BagError, BagReader, BagWarning, BagWriter, reader::StoredMessage};
 
-/// Damaged chunks and messages of the old bag that are named one by one; the others are counted.
+/// Limit of warnings with details about chunks and messages of the old bag; further ones are counted.
 const MOST_NAMED: usize = 100;
 
-/// A new bag while it receives messages of another.
-pub(crate) struct Part {
+/// Copies messages of a bag to a new one.
+pub(crate) struct BagCopy {
     pub writer: BagWriter,
-    /// Number in it of each file's channels.
-    pub numbers: HashMap<(usize, u16), usize>,
-    /// Faults of the old bag.
+    /// The writer's channel number, by file and channel id.
+    numbers: HashMap<(usize, u16), usize>,
+    /// Faults of the old bag, and skipped messages.
     pub warnings: Vec<BagWarning>,
-    /// Warnings that [`warn`](Self::warn) added by name.
+    /// Number of warnings with details that [`warn`](Self::warn) added.
     named: usize,
 }
 
-impl Part {
-    /// A bag with the notes of the old one.
+impl BagCopy {
+    /// A copy with these notes.
     pub fn new(
         reader: &BagReader,
         mut writer: BagWriter,
@@ -34,8 +34,8 @@ impl Part {
         }
     }
 
-    /// Reports a chunk or a message that is not copied: the first ones by name, the others by their number.
-    pub fn warn(&mut self, warning: BagWarning) {
+    /// Adds a warning about a skipped chunk or message, up to a limit; further ones are counted.
+    fn warn(&mut self, warning: BagWarning) {
         if self.warnings.contains(&warning) {
             return;
         }
@@ -49,7 +49,6 @@ impl Part {
         }
     }
 
-    /// Adds the channels of the selected topics.
     pub fn add_channels(
         &mut self,
         reader: &BagReader,
@@ -64,7 +63,7 @@ impl Part {
         Ok(())
     }
 
-    /// The message, or none for a damaged chunk, which becomes a warning.
+    /// The message; `None` and a warning if it is damaged.
     pub fn readable(
         &mut self,
         message: Result<StoredMessage, BagError>,
@@ -104,7 +103,7 @@ impl Part {
             return Ok(());
         };
         match self.writer.copy(*number, header, &message.data) {
-            // rosbag2 has no such time: the others are written.
+            // rosbag2 cannot store this time; other messages can be copied.
             Err(error @ BagError::LogTime { .. }) => self.readable(Err(error)).map(drop),
             written => written,
         }
@@ -120,14 +119,14 @@ mod tests {
     use wm_msgs::{Message as _, std_msgs::String as Text};
 
     #[test]
-    fn many_undecodable_messages_are_named_up_to_a_limit() {
+    fn skipped_messages_are_named_up_to_a_limit() {
         let scratch = tempfile::tempdir().unwrap();
         let (old, new) = (scratch.path().join("old"), scratch.path().join("new"));
         let mut writer = BagWriter::create(&old, WriterOptions::default()).unwrap();
         let (name, schema) = (Text::ros_name(), type_schema::<Text>());
         let qos = QosProfile::reliable().to_yaml();
         writer.add_topic_raw("/text", &name, &schema, &qos).unwrap();
-        // Each begins like a message that rosbag2 compressed, and is none.
+        // The magic number of zstd without a valid frame.
         let broken = [0x28, 0xb5, 0x2f, 0xfd, 0xff, 0xff];
         for time in 1..=250 {
             writer
