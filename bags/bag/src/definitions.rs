@@ -7,9 +7,9 @@ use std::sync::LazyLock;
 
 use crate::{Schema, SchemaEncoding, type_schema};
 use wm_msgs::{
-    DescriptionError, Message, TypeDescription, builtin_interfaces, diagnostic_msgs, geometry_msgs,
-    lifecycle_msgs, rcl_interfaces, rosgraph_msgs, sensor_msgs, std_msgs, tf2_msgs,
-    trajectory_msgs, vision_msgs, visualization_msgs,
+    DEFINITIONS, DescriptionError, Message, TypeDescription, diagnostic_msgs, geometry_msgs,
+    lifecycle_msgs, rosgraph_msgs, sensor_msgs, std_msgs, tf2_msgs, trajectory_msgs, vision_msgs,
+    visualization_msgs,
     wm_msgs::{
         Action, ActionCandidates, ActionChunk, Assessment, CameraState, EnvObservation,
         ExecutorStatus, Goal, Latent, LatentSpace, Plan, Prediction, PredictionError,
@@ -184,17 +184,12 @@ fn read(type_name: &str, prefixes: &[PathBuf]) -> Option<String> {
                 None
             }
         });
-    // What every ROS node publishes beside its own topics, so that a bag can be decoded where no ROS is installed.
+    // The topics of every ROS node, so that a bag can be decoded without a ROS installation.
     let known = || {
-        let time = (
-            "builtin_interfaces/msg/Time",
-            builtin_interfaces::Time::DEFINITION,
-        );
-        rcl_interfaces::MESSAGES
-            .into_iter()
-            .chain([time])
-            .find(|(known, _)| *known == type_name)
-            .map(|(_, text)| text.to_owned())
+        let is_of_nodes = package == "rcl_interfaces" || type_name == "builtin_interfaces/msg/Time";
+        let mut all = DEFINITIONS.iter().filter(|_| is_of_nodes);
+        let (_, text) = all.find(|(known, _)| *known == type_name)?;
+        Some((*text).to_owned())
     };
     installed.or_else(known)
 }

@@ -162,8 +162,8 @@ impl Autoencoder {
     /// # Errors
     /// If the device has no memory for the weights.
     pub fn on_tensors(mut self, device: &Device) -> Result<Self> {
-        self.encoder.to_tensors(device)?;
-        self.decoder.to_tensors(device)?;
+        self.encoder.move_to(device)?;
+        self.decoder.move_to(device)?;
         Ok(self)
     }
 

@@ -35,9 +35,9 @@ impl Goals {
     /// The goals of `horizon` model steps if each of these from number `first` on is reached by one step; the last one is
     /// the goal of all steps thereafter.
     #[must_use]
-    pub fn one_a_step(&self, first: usize, horizon: usize) -> Self {
+    pub fn one_per_step(&self, first: usize, horizon: usize) -> Self {
         // Without a goal of that number, no step has one.
-        Self(one_a_step(self.0.get(first..).unwrap_or(&[]), horizon))
+        Self(one_per_step(self.0.get(first..).unwrap_or(&[]), horizon))
     }
 
     /// Those of these numbers that exist.
@@ -61,7 +61,7 @@ impl Goals {
 }
 
 /// The goals of `horizon` model steps, where each is reached by one step: the last one is that of all that follow.
-pub fn one_a_step(goals: &[Tensor], horizon: usize) -> Vec<Tensor> {
+pub fn one_per_step(goals: &[Tensor], horizon: usize) -> Vec<Tensor> {
     let last = goals.last();
     let of_step = |step| goals.get(step).or(last).cloned();
     (0..horizon).filter_map(of_step).collect()
@@ -93,8 +93,8 @@ mod tests {
             let first = |latent: &Tensor| latent.flatten_all().unwrap().to_vec1().unwrap()[0];
             goals.latents().iter().map(first).collect()
         };
-        assert_eq!(firsts(&goals.one_a_step(1, 3)), [2.0, 3.0, 3.0]);
-        assert!(goals.one_a_step(3, 3).is_empty());
+        assert_eq!(firsts(&goals.one_per_step(1, 3)), [2.0, 3.0, 3.0]);
+        assert!(goals.one_per_step(3, 3).is_empty());
         assert_eq!(firsts(&goals.at(&[2, 0, 7])), [3.0, 1.0]);
         let observed = Goals::of_values(&space, &[&[1.0, 3.0]]).unwrap();
         assert_eq!(goals.distance(&observed).unwrap(), 2.0);

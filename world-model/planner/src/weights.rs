@@ -1,16 +1,16 @@
-//! The usual objective, by its weights.
+//! The usual objective, by weights.
 
 use candle_core::{Device, Tensor};
 use serde::{Deserialize, Serialize};
 
 use crate::{ActionSize, GoalDistance, Objective, PlanError, Smoothness, Target};
 
-/// Weights of the terms that most plans have; 0 leaves a term out.
+/// Weights of the usual terms; 0 drops a term.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Weights {
     /// Distance to the goal after the last step.
     pub goal: f32,
-    /// Mean distance to the goal over all steps, or to the goal of each.
+    /// Mean distance over all steps, each to its own goal.
     pub path: f32,
     /// Size of the actions.
     pub action: f32,
@@ -34,7 +34,7 @@ impl Weights {
     /// above 0, if there is one. Without goals, the terms of the actions alone.
     ///
     /// # Errors
-    /// Latents of different shapes, or a mask that [`GoalDistance::within`] refuses.
+    /// Latents of different shapes, or a mask that [`GoalDistance::within`] rejects.
     pub fn objective(
         &self,
         goals: &[Tensor],

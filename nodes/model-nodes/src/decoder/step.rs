@@ -12,7 +12,7 @@ use wm_msgs::{
 use wm_camera::image_message::{ImageError, encode_image, encode_jpeg};
 use wm_wire::latent_message::{LatentError, decode_latent};
 
-/// Why a prediction has no picture.
+/// Why a prediction gives no picture.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum DecoderError {
@@ -57,7 +57,7 @@ impl DecoderStep {
         Ok(self.decoder.picture(&values)?)
     }
 
-    /// Decodes an empty latent, to see that it works and how long that takes.
+    /// Decodes an empty latent: a trial, which also shows how long decoding takes.
     ///
     /// # Errors
     /// Those of the decoder.

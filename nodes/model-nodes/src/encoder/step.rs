@@ -9,14 +9,14 @@ use wm_camera::{camera_frame::CameraFrame, image_message::ImageError};
 use wm_ros::frame_trace;
 use wm_wire::latent_message::{LatentDtype, LatentError, encode_latent};
 
-/// Least side of a picture that says anything of a scene \[px\].
+/// Least side of a picture that shows a scene \[px\].
 const LEAST_SIDE: u32 = 8;
 
 /// Why an image has no latent.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum EncoderError {
-    /// The message is no image.
+    /// The message is not a valid image.
     #[error(transparent)]
     Image(#[from] ImageError),
     /// A picture too small to show a scene.
@@ -82,7 +82,7 @@ impl EncoderStep {
         Ok(self.encoder.values(&self.encoder.prepare(rgb)?)?)
     }
 
-    /// Encodes a grey picture, to see that it works and how long that takes.
+    /// Encodes a grey picture: a trial, which also shows how long encoding takes.
     ///
     /// # Errors
     /// Those of the encoder.
@@ -93,7 +93,7 @@ impl EncoderStep {
         self.encode_values(&grey).map(|_| ())
     }
 
-    /// How it takes pictures.
+    /// How pictures are fitted to the encoder.
     pub fn framing(&self) -> Framing {
         self.encoder.framing()
     }

@@ -36,8 +36,8 @@ pub struct EnvModel {
 }
 
 impl EnvModel {
-    /// A world of these models, with `integration_steps` Euler steps a frame (0: what the model was trained for), that
-    /// computes at most `batch` episodes together.
+    /// A world of these models, with `integration_steps` Euler steps per frame (0: the model's own number), that computes at
+    /// most `batch` episodes together.
     pub fn new(
         encoder: EncoderStep,
         predictor: WorldModel,
@@ -58,7 +58,7 @@ impl EnvModel {
         }
     }
 
-    /// The transition model and what messages say of it.
+    /// The transition model and its description for messages.
     pub fn predictor(&self) -> &WorldModel {
         &self.predictor
     }
@@ -126,8 +126,8 @@ impl EnvModel {
             .values)
     }
 
-    /// The latents to which each episode's model action leads, in their order. Episodes whose histories are of one
-    /// length are computed together.
+    /// The latent after each episode's model action, in their order. Episodes with histories of one length are computed
+    /// together.
     pub(super) fn predict(&self, rows: &[Row<'_>]) -> Result<Vec<Arc<[f32]>>, EnvError> {
         let mut order: Vec<usize> = (0..rows.len()).collect();
         let length = |index: &usize| rows.get(*index).map_or(0, |row| row.episode.frames().len());
@@ -146,7 +146,7 @@ impl EnvModel {
         Ok(predicted.into_iter().map(|(_, latent)| latent).collect())
     }
 
-    /// As [`Self::predict`], of episodes whose histories are of one length.
+    /// As [`Self::predict`], for episodes with histories of one length.
     fn predict_alike(&self, rows: &[Row<'_>]) -> Result<Vec<Arc<[f32]>>, EnvError> {
         let observed: Vec<Observed<'_>> = rows
             .iter()

@@ -12,7 +12,7 @@ use wm_model::WorldModel;
 use crate::history::model_values;
 use wm_wire::latent_message::{LatentDtype, encode_latent};
 
-/// The transition model, how it predicts here, and what judges the predictions.
+/// The transition model, its settings, and the success probe.
 #[derive(Clone, Debug)]
 pub struct EvaluatorModel {
     model: WorldModel,
@@ -20,17 +20,17 @@ pub struct EvaluatorModel {
     probe: Option<Arc<SuccessClassifier>>,
 }
 
-/// What an evaluation found.
+/// The result of an evaluation.
 #[derive(Clone, Debug)]
 pub struct Evaluation {
-    /// The message, but for its `timing`, which is the sender's to fill.
+    /// The message without its `timing`, which the sender fills in.
     pub assessment: Assessment,
     /// Predicted latents of each step, one for each candidate; normalised, row-major, channels last.
     pub latents: Vec<Vec<Vec<f32>>>,
 }
 
 impl EvaluatorModel {
-    /// Evaluates with `model`, in `integration_steps` Euler steps a frame (0: what it was trained for).
+    /// Evaluates with `model`, in `integration_steps` Euler steps per frame (0: the model's own number).
     pub fn new(model: WorldModel, integration_steps: usize) -> Self {
         let integration_steps = match integration_steps {
             0 => model.transition.config().sampler.steps,
@@ -154,7 +154,7 @@ impl EvaluatorModel {
     }
 }
 
-/// The candidate of least cost, the first of equals; -1 where no cost is a number.
+/// The candidate of least cost, the first of equals; -1 if every cost is NaN.
 fn best(candidates: &[CandidateAssessment]) -> i32 {
     let costs = candidates
         .iter()

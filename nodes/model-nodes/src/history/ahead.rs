@@ -1,4 +1,4 @@
-//! What is known of an observation's moment before the observation comes.
+//! The context of an observation, computed before the observation arrives.
 
 use wm_model::{
     WorldModel,
@@ -13,7 +13,7 @@ use super::{Frame, History, moment::model_values};
 pub struct Ahead {
     /// One model step apart, oldest first; at least one.
     earlier: Vec<Frame>,
-    /// What was done from each to the next.
+    /// The actions from each frame to the next.
     past: Vec<StepAction>,
 }
 
@@ -39,7 +39,7 @@ impl History {
 }
 
 impl Ahead {
-    /// What rollouts from the observation can take over.
+    /// The part of the computation that rollouts from the observation reuse.
     ///
     /// # Errors
     /// Where the model does not take the context.

@@ -1,4 +1,4 @@
-//! The picture of one moment that every node of the model shares.
+//! One moment, as every node of the model sees it.
 
 use std::{sync::Arc, time::Instant};
 
@@ -15,7 +15,7 @@ use wm_msgs::{
 
 use super::{CameraStep, Frame, Timing, Wait};
 
-/// What was observed and done up to a frame: all that a prediction, a plan or an assessment starts from.
+/// The observations and actions up to a frame, from which a prediction, a plan or an assessment starts.
 #[derive(Clone, Debug)]
 pub struct Moment {
     /// The history that it belongs to.
@@ -26,11 +26,11 @@ pub struct Moment {
     pub observed: Frame,
     /// Frames before it, one model step apart, oldest first.
     pub earlier: Vec<Frame>,
-    /// What was done from each earlier frame to the next, in their order.
+    /// The actions from each earlier frame to the next, in order.
     pub past: Vec<StepAction>,
     /// The frame of the actions' deltas, as the robot names it; empty if no action has arrived.
     pub base_frame: Arc<str>,
-    /// How stamps make model steps.
+    /// How stamps are grouped into model steps.
     pub timing: Timing,
     /// Whether the camera had stopped by the newest frame, which may be later than the observed one.
     pub is_frozen: bool,
@@ -97,7 +97,7 @@ impl Moment {
         Duration::from_nanos(self.timing.step_ns())
     }
 
-    /// That the observed frame is fresh at `now`, so that an arm may act on it.
+    /// Checks that the observed frame is fresh at `now`, so that an arm may act on it.
     ///
     /// # Errors
     /// [`Wait::Frozen`] if the camera has stopped, [`Wait::CameraClock`] if its clock has stepped, [`Wait::Stale`] if the

@@ -374,7 +374,7 @@ fn another_camera_takes_over_from_one_that_is_silent() {
 }
 
 #[test]
-fn latents_of_an_older_epoch_are_refused_and_a_newer_one_begins_anew() {
+fn latents_of_an_older_epoch_are_refused() {
     let mut history = history(1);
     act(&mut history, 0, 0.0);
     let of = |index, epoch| Latent {

@@ -1,4 +1,4 @@
-//! What can go wrong in the planner.
+//! The planner's errors.
 
 use thiserror::Error;
 use wm_motion::actions::ActionError;

@@ -19,7 +19,7 @@ use wm_msgs::{
 use wm_planner::{
     Coordinate, Dynamics as _, Goals, Objective, PlannedActions, PlannerChoice, PlannerSettings,
     Problem, Progress, SearchSpace, Success, TransitionDynamics, Waypoint, WorkerCounts,
-    WorkerPool, WorkspaceMargin, spread, timed,
+    WorkerPool, WorkspaceMargin, goals_by_time, spread,
 };
 use wm_zoo::{idm::TrainedIdm, success_probe::SuccessClassifier};
 
@@ -294,11 +294,11 @@ impl PlannerModel {
                 &dynamics.start()?,
                 self.setup.arrival,
             )?;
-            (latents.one_a_step(waypoint.index, horizon), waypoint)
+            (latents.one_per_step(waypoint.index, horizon), waypoint)
         } else {
             let begin_ns = request.begin_ns().saturating_sub(request.goal_set_ns);
             let step_ns = request.moment.timing.step_ns();
-            let indices = timed(&goal.times_ns, begin_ns, step_ns, horizon);
+            let indices = goals_by_time(&goal.times_ns, begin_ns, step_ns, horizon);
             let waypoint = Waypoint {
                 index: indices.first().copied().unwrap_or_default(),
                 steps: 0.0,

@@ -1,4 +1,4 @@
-//! What can go wrong in the predictor.
+//! The predictor's errors.
 
 use thiserror::Error;
 use wm_motion::actions::ActionError;

@@ -16,10 +16,10 @@ use wm_wire::latent_message::{LatentDtype, encode_latent};
 use super::PredictorError;
 use crate::history::{Frame, Moment, model_values};
 
-/// All that a rollout is computed from.
+/// The inputs of a rollout.
 #[derive(Clone, Debug)]
 pub struct RolloutRequest {
-    /// What it starts from.
+    /// Its start.
     pub moment: Moment,
     /// The actions assumed for each coming model step, and for one more.
     pub future: Vec<StepAction>,
@@ -27,7 +27,7 @@ pub struct RolloutRequest {
     pub horizon: usize,
     /// Seed of the noise.
     pub seed: u64,
-    /// Euler steps a predicted frame.
+    /// Euler steps per predicted frame.
     pub integration_steps: usize,
     /// Type of the numbers in the messages.
     pub dtype: LatentDtype,
@@ -40,9 +40,9 @@ pub struct PredictedStep {
     pub observed: Frame,
     /// The latent before it was rounded for the wire.
     pub values: Arc<[f32]>,
-    /// Values of its action that were beyond the model's clips.
+    /// Number of values of its action beyond the model's clips.
     pub clipped: usize,
-    /// The message, but for `ready_stamp`, which is the sender's to fill.
+    /// The message without `ready_stamp`, which the sender fills in.
     pub prediction: Prediction,
 }
 
@@ -76,7 +76,7 @@ impl<'m> RunningRollout<'m> {
         })
     }
 
-    /// Takes over what was computed before the observation came; see [`Rollout::take_over`].
+    /// Takes over the computation from before the observation; see [`Rollout::take_over`].
     #[must_use]
     pub fn taking_over(mut self, prepared: Option<&Prepared>) -> Self {
         if let Some(prepared) = prepared {

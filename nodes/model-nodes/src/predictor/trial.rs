@@ -1,4 +1,4 @@
-//! How long predicting takes on this machine.
+//! A trial: the time of a prediction on this machine.
 
 use std::time::Duration;
 
@@ -9,10 +9,10 @@ use wm_model::{
 
 use crate::cadence::measured;
 
-/// Steps that are tried: the first one computes the context's keys and values too.
+/// Steps of the trial: the first one computes the context's keys and values too.
 const STEPS: u32 = 2;
 
-/// How long a predicted frame takes with `integration_steps` Euler steps, from a context of `context_frames` empty ones.
+/// The time per predicted frame with `integration_steps` Euler steps, from a context of `context_frames` empty frames.
 ///
 /// # Errors
 /// Where the model cannot compute it.

@@ -43,7 +43,7 @@ struct Branch {
 
 #[derive(Clone, Debug)]
 enum Layer {
-    Conv(Conv),
+    Conv(Box<Conv>),
     Block(Box<[Conv; 3]>, Option<Box<Branch>>),
 }
 
@@ -136,7 +136,12 @@ impl Network {
                 } => {
                     // Without a ReLU behind it, half the variance keeps the level.
                     let gain = if *relu { 1.0 } else { 0.7 };
-                    Layer::Conv(source.conv(name.clone(), (*shape, *relu), *bias, gain)?)
+                    Layer::Conv(Box::new(source.conv(
+                        name.clone(),
+                        (*shape, *relu),
+                        *bias,
+                        gain,
+                    )?))
                 }
                 Stage::Block {
                     name,
@@ -213,7 +218,7 @@ impl Network {
     }
 
     /// Copies the weights to `device`, where candle's operations compute the network from now on.
-    pub(super) fn to_tensors(&mut self, device: &Device) -> Result<()> {
+    pub(super) fn move_to(&mut self, device: &Device) -> Result<()> {
         let mut tensors = Tensors::new(device);
         let mut fault = Ok(());
         self.visit(|name, shape, values| {
@@ -229,7 +234,7 @@ impl Network {
     /// The convolutions in order, without those of branches.
     pub fn convs(&self) -> impl Iterator<Item = &Conv> {
         self.layers.iter().flat_map(|layer| match layer {
-            Layer::Conv(conv) => std::slice::from_ref(conv),
+            Layer::Conv(conv) => std::slice::from_ref(&**conv),
             Layer::Block(convs, _) => convs.as_slice(),
         })
     }
@@ -238,13 +243,10 @@ impl Network {
     pub fn convs_mut(&mut self) -> impl Iterator<Item = &mut Conv> {
         self.tensors = None;
         let convs = self.layers.iter_mut().flat_map(|layer| match layer {
-            Layer::Conv(conv) => std::slice::from_mut(conv),
+            Layer::Conv(conv) => std::slice::from_mut(&mut **conv),
             Layer::Block(convs, _) => convs.as_mut_slice(),
         });
-        convs.map(|conv| {
-            conv.forget_packed();
-            conv
-        })
+        convs.map(Conv::forget_packed)
     }
 
     /// Number of parameters.

@@ -135,7 +135,8 @@ mod tests {
         let expected = tensors.next_given(&row(&actions[1]), given).unwrap();
         let expected: Vec<f32> = expected.flatten_all().unwrap().to_vec1().unwrap();
 
-        let mut rollout = Rollout::of_values(&model, sampler, &[observed.clone()]).unwrap();
+        let mut rollout =
+            Rollout::of_values(&model, sampler, std::slice::from_ref(&observed)).unwrap();
         let found = rollout.predict(&[&actions[1]], Some(&[&actions[2]]));
         assert_eq!(found.unwrap(), [expected]);
 

@@ -92,7 +92,7 @@ fn history() -> History {
     History::new(settings, space(), encoding, Time::default())
 }
 
-/// Sees frame `index`.
+/// Sends frame `index`.
 fn see(step: &mut EvaluatorStep, index: i64) {
     see_of(step, index, false);
 }
@@ -126,7 +126,7 @@ fn evaluator() -> EvaluatorStep {
     step
 }
 
-/// What the node does when candidates come.
+/// Sends candidates, as the node does.
 fn ask(
     step: &EvaluatorStep,
     asked: &ActionCandidates,
@@ -203,7 +203,7 @@ fn a_candidate_beyond_the_horizon_is_named_with_what_to_do() {
 }
 
 #[test]
-fn a_candidate_in_a_batch_is_its_own_rollout_and_the_nearest_to_the_goal_is_best() {
+fn batched_candidates_equal_rollouts_and_the_nearest_is_best() {
     let mut step = evaluator();
     let model = model();
     let asked = candidates(vec![
@@ -292,7 +292,7 @@ fn candidates_are_not_assessed_from_a_frame_that_is_too_old() {
     assert!(error.to_string().contains("max_age"), "{error}");
 }
 
-/// What the robot does until a candidate begins is what it was told to do.
+/// Until a candidate begins, the robot executes the current chunk.
 #[test]
 fn the_chunk_under_way_is_done_until_a_candidate_begins() {
     let mut step = evaluator();

@@ -124,14 +124,14 @@ fn text(words: &str) -> Text {
     Text { data: words.into() }
 }
 
-/// What the node does when `words` come.
+/// Sends the instruction `words`, as the node does.
 fn instruct(step: &mut EvaluatorStep, probe: &SuccessClassifier, words: &str) {
     let words = step.task_mut().take(&text(words)).unwrap();
     let read = probe.instruction(&words);
     step.task_mut().read(words, read);
 }
 
-/// What the node does when candidates come.
+/// Sends candidates, as the node does.
 fn ask(step: &EvaluatorStep, asked: &ActionCandidates) -> EvaluationRequest {
     let request = step.candidates(asked, Instant::now(), Time::default());
     request.unwrap()
@@ -142,7 +142,7 @@ fn probabilities(candidates: &[CandidateAssessment]) -> Vec<f32> {
 }
 
 #[test]
-fn each_candidate_has_the_probability_of_its_own_episode_and_of_the_instruction() {
+fn each_candidate_has_its_own_success_probability() {
     let (_folder, predictor, probe) = probed_model();
     let mut step = evaluator(&predictor);
     instruct(&mut step, &probe, "open the drawer");
@@ -184,7 +184,7 @@ fn each_candidate_has_the_probability_of_its_own_episode_and_of_the_instruction(
 }
 
 #[test]
-fn there_is_no_probability_without_a_probe_or_an_instruction_and_costs_are_the_same() {
+fn without_probe_or_instruction_there_is_no_probability() {
     let (_folder, predictor, probe) = probed_model();
     let mut step = evaluator(&predictor);
     let without = EvaluatorModel::new(predictor.clone(), 0);

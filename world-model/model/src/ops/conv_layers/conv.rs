@@ -40,8 +40,9 @@ impl Conv {
     }
 
     /// Must be called before the weights change.
-    pub(crate) fn forget_packed(&mut self) {
+    pub(crate) fn forget_packed(&mut self) -> &mut Self {
         self.packed.take();
+        self
     }
 
     /// The weights of a checkpoint (output, input, row, column) in the order of [`Conv::weight`].
