@@ -5,13 +5,13 @@ use wm_bag::{BagError, BagMessage, MessageEncoding, Schema};
 use wm_msgs::{Message as _, builtin_interfaces::Time, cdr, sensor_msgs, std_msgs::Header};
 
 /// The protobuf type of sensor_msgs/CompressedImage.
-pub const COMPRESSED_IMAGE: &str = "foxglove.CompressedImage";
+pub(crate) const COMPRESSED_IMAGE: &str = "foxglove.CompressedImage";
 /// The protobuf type of sensor_msgs/Image.
-pub const RAW_IMAGE: &str = "foxglove.RawImage";
+pub(crate) const RAW_IMAGE: &str = "foxglove.RawImage";
 /// The protobuf type of [`CompressedVideo`].
-pub const PROTOBUF_VIDEO: &str = "foxglove.CompressedVideo";
+pub(crate) const PROTOBUF_VIDEO: &str = "foxglove.CompressedVideo";
 /// The ROS types with the fields of [`CompressedVideo`]; the first is that of foxglove_msgs.
-pub const ROS_VIDEO: [&str; 2] = [
+pub(crate) const ROS_VIDEO: [&str; 2] = [
     "foxglove_msgs/msg/CompressedVideo",
     "foxglove/msg/CompressedVideo",
 ];
@@ -65,7 +65,9 @@ impl CompressedVideo {
 ///
 /// # Errors
 /// The type is another one, or the bytes are not of it.
-pub fn compressed_image(message: &BagMessage) -> Result<sensor_msgs::CompressedImage, BagError> {
+pub(crate) fn compressed_image(
+    message: &BagMessage,
+) -> Result<sensor_msgs::CompressedImage, BagError> {
     protobuf::<CompressedImage>(message)?.into_ros(message)
 }
 
@@ -73,7 +75,7 @@ pub fn compressed_image(message: &BagMessage) -> Result<sensor_msgs::CompressedI
 ///
 /// # Errors
 /// The type is another one, or the bytes are not of it.
-pub fn raw_image(message: &BagMessage) -> Result<sensor_msgs::Image, BagError> {
+pub(crate) fn raw_image(message: &BagMessage) -> Result<sensor_msgs::Image, BagError> {
     protobuf::<RawImage>(message)?.into_ros(message)
 }
 

@@ -8,7 +8,7 @@ mod plan;
 mod task;
 
 pub use failure::Failure;
-pub(crate) use plan::{DIRECTIONS, burdened, grasp_level, graspable, inside};
+pub(crate) use plan::{DIRECTIONS, grasp_level, is_burdened, is_graspable, is_inside};
 pub(crate) use task::LEVEL_M;
 pub use task::{Relation, Task};
 

@@ -56,7 +56,7 @@ fn shown(stream: &mut VideoStream, packets: &[VideoPacket]) -> Vec<(i64, u8)> {
         shown.extend(stream.feed(packet).unwrap());
     }
     shown.extend(stream.finish());
-    let of = |shown: &Shown| {
+    let of = |shown: &VideoPicture| {
         let tenths = shown.header.stamp.to_nanos() / 100_000_000;
         (tenths, shown.picture.get_pixel(9, 9).0[0])
     };
