@@ -113,7 +113,7 @@ impl Episode {
 mod tests {
     use super::*;
     use crate::scene::{FIRST_OBJECT_MASK, GRIPPER_MASK};
-    use crate::variety::Span;
+    use crate::variety::{Span, Variety};
     use nalgebra::Point3;
 
     fn short(frames: usize) -> EpisodeOptions {

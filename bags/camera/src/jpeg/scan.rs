@@ -73,7 +73,10 @@ pub(super) fn check_scan(
     // Tables and number of blocks per unit, by component.
     let mut parts = Vec::new();
     for part in &scan.components {
-        let component = frame.components.get(part.component).ok_or_else(missing_component)?;
+        let component = frame
+            .components
+            .get(part.component)
+            .ok_or_else(missing_component)?;
         let blocks = match scan.components.len() {
             1 => 1,
             _ => u32::from(component.factors.0) * u32::from(component.factors.1),
@@ -81,7 +84,12 @@ pub(super) fn check_scan(
         parts.push((part, blocks));
     }
     let (across, down) = match parts.as_slice() {
-        [(only, _)] => frame.blocks(frame.components.get(only.component).ok_or_else(missing_component)?),
+        [(only, _)] => frame.blocks(
+            frame
+                .components
+                .get(only.component)
+                .ok_or_else(missing_component)?,
+        ),
         _ => frame.units(),
     };
     let mut walk = ScanReader {
@@ -95,7 +103,9 @@ pub(super) fn check_scan(
     };
     let mut masks = match scan.components.as_slice() {
         [only] if scan.band.0 > 0 => {
-            let masks = non_zero.get_mut(only.component).ok_or_else(missing_component)?;
+            let masks = non_zero
+                .get_mut(only.component)
+                .ok_or_else(missing_component)?;
             masks.resize(across as usize * down as usize, 0);
             masks.as_mut_slice()
         }
