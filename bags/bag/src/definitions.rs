@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use crate::{Schema, SchemaEncoding, own_types};
-use wm_msgs::{Message as _, builtin_interfaces, rcl_interfaces};
+use wm_msgs::DEFINITIONS;
 
 /// A definition file has a few kilobytes; larger files are ignored \[bytes\].
 const FILE_LIMIT: u64 = 1 << 20;
@@ -110,15 +110,10 @@ fn read(type_name: &str, prefixes: &[PathBuf]) -> Option<String> {
         });
     // Types that every ROS node publishes, so that a bag can be decoded without an installed ROS.
     let known = || {
-        let time = (
-            "builtin_interfaces/msg/Time",
-            builtin_interfaces::Time::DEFINITION,
-        );
-        rcl_interfaces::MESSAGES
-            .into_iter()
-            .chain([time])
-            .find(|(known, _)| *known == type_name)
-            .map(|(_, text)| text.to_owned())
+        let is_of_nodes = package == "rcl_interfaces" || type_name == "builtin_interfaces/msg/Time";
+        let mut all = DEFINITIONS.iter().filter(|_| is_of_nodes);
+        let (_, text) = all.find(|(known, _)| *known == type_name)?;
+        Some((*text).to_owned())
     };
     installed.or_else(known)
 }

@@ -158,7 +158,7 @@ mod tests {
         for (openings, expected) in [
             (
                 [0.8, 0.0],
-                "measured 0 to 0.8; it never reaches both closed (0) and open (1); if these are its ends, map \
+                "measured 0 to 0.8; never reaches both closed (0) and open (1); if these are its ends, map \
                           them with --gripper-range 0:0.8, or 0.8:0",
             ),
             (

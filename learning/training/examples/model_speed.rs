@@ -25,9 +25,10 @@ use std::time::Instant;
 use candle_core::{Device, Tensor};
 use wm_model::sampler::{Given, Rollout};
 use wm_model::transition::{LoadedTransition, NewFrame};
+use wm_model::{Compute, NumberFormat};
 use wm_zoo::kinds::{DitConfig, Kind, Loaded, Tensors};
 use wm_zoo::packed_cache::CacheLimits;
-use wm_zoo::{Checkpoint, Compute, DeviceName, PackedCache, Placement, Precision};
+use wm_zoo::{Checkpoint, PackedCache};
 
 /// Before the folder of packed weights.
 const KEEP: &str = "--keep=";
@@ -48,12 +49,13 @@ fn main() -> Result<()> {
             "expected KIND FOLDER f32|bf16|int8 RUNS [DEVICE [recorded]] [--keep=FOLDER]".into(),
         );
     };
-    let device = place
+    let compute: Compute = place
         .first()
-        .map_or(Ok(DeviceName::Cpu), |name| name.parse())?;
+        .map_or(Ok(Compute::default()), |name| name.parse())?;
     let is_recorded = place.get(1).is_some_and(|word| *word == "recorded");
-    let place = Placement::on(device, is_recorded).open()?;
-    let precision: Precision = format.parse()?;
+    let format: NumberFormat = format.parse()?;
+    let compute = compute.recording(is_recorded).with_format(format)?;
+    compute.device()?;
     let runs: usize = runs.parse()?;
     let folder = Path::new(folder);
     let config = std::fs::read_to_string(folder.join("config.json"))?;
@@ -70,7 +72,7 @@ fn main() -> Result<()> {
     let (packed, loaded);
     let mut run: Run<'_> = if ["velocity", "frame"].contains(&what.as_str()) {
         let config = serde_json::from_str::<DitConfig>(&config)?;
-        packed = config.load_at(&checkpoint, &place, precision)?;
+        packed = config.load(&checkpoint, &compute)?;
         if *what == "velocity" {
             velocity(&packed, &inputs)?
         } else {
@@ -78,7 +80,7 @@ fn main() -> Result<()> {
         }
     } else {
         let kind: Kind = what.parse()?;
-        loaded = Loaded::new(kind, &config, &checkpoint, &Compute::at(&place, precision)?)?;
+        loaded = Loaded::new(kind, &config, &checkpoint, &compute)?;
         Box::new(|| Ok(loaded.run(&inputs)?))
     };
     println!("load_ms {:.1}", start.elapsed().as_secs_f64() * 1e3);

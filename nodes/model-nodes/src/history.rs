@@ -43,7 +43,7 @@ pub use camera_clock::CameraStep;
 pub use error::HistoryError;
 pub use frames::{Frame, Observation};
 pub use moment::Moment;
-pub(crate) use moment::stack;
+pub(crate) use moment::model_values;
 pub(crate) use note::note;
 pub use stamp::seconds;
 pub(crate) use stamp::{period_of, stamp_of_frame, stamp_of_other};

@@ -33,7 +33,7 @@ impl CheckCommand {
     /// Runs it.
     pub fn run(self) -> Result<()> {
         let model = ModelFolder::open(&self.model)?;
-        if let ModelFolder::Described(folder) = &model {
+        if let Some(folder) = model.described() {
             print(format_args!("{}", table(&folder.summary()?)?))?;
         }
         let started = Instant::now();

@@ -6,9 +6,10 @@ use candle_core::Device;
 use clap::Args;
 use std::collections::HashMap;
 use std::path::PathBuf;
+use wm_model::{Compute, Kernels, NumberFormat};
+use wm_zoo::Checkpoint;
 use wm_zoo::checkpoint::Average;
 use wm_zoo::kinds::{Kind, Tensors};
-use wm_zoo::{Checkpoint, Compute, DeviceName, Engine, Precision};
 
 /// Files and engine of a model.
 #[derive(Args, Debug)]
@@ -26,14 +27,14 @@ pub struct RunningArgs {
     #[arg(long, value_name = "FILE")]
     output: PathBuf,
     /// Compute engine: `cpu` (wm's own kernels) or `candle` (the reference)
-    #[arg(long, default_value_t = Engine::Cpu)]
-    engine: Engine,
+    #[arg(long, default_value_t = Kernels::Cpu)]
+    engine: Kernels,
     /// Device: `cpu`, or with `--engine candle` also `cuda` or `cuda:N`, an NVIDIA GPU
-    #[arg(long, default_value_t = DeviceName::Cpu)]
-    device: DeviceName,
+    #[arg(long, default_value = "cpu")]
+    device: Compute,
     /// Number format of the weights: f32, bf16, or with `--engine cpu` int8
-    #[arg(long, default_value_t = Precision::F32)]
-    dtype: Precision,
+    #[arg(long, default_value_t = NumberFormat::F32)]
+    dtype: NumberFormat,
     /// Take the raw weights, even if the checkpoint also has their moving average
     #[arg(long)]
     raw: bool,
@@ -47,14 +48,16 @@ pub struct Files {
     pub checkpoint: Checkpoint,
     /// The input.
     pub inputs: Tensors,
-    /// Engine, device and number format.
+    /// Kernels, device and number format.
     pub compute: Compute,
 }
 
 impl RunningArgs {
     /// Opens the device and reads the files of a model of `kind`.
     pub fn read(&self, kind: Kind) -> Result<Files> {
-        let compute = Compute::new(self.engine, self.device.open()?, self.dtype)?;
+        let compute = self.device.clone();
+        compute.device()?;
+        let compute = compute.with_kernels(self.engine)?.with_format(self.dtype)?;
         let config = std::fs::read_to_string(&self.config)
             .with_context(|| self.config.display().to_string())?;
         let mut checkpoint = Checkpoint::open(&self.weights)?;

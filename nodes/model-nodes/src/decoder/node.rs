@@ -13,7 +13,7 @@ use wm_ros::{
     Diagnostics, Input, Level, Node, NodeDefinition, Parameter, Publisher, Qos, Subscription,
     complaints::Complaints,
 };
-use wm_zoo::PlacedModel;
+use wm_zoo::ModelFolder;
 
 use super::{
     DecoderError, DecoderStep,
@@ -161,7 +161,7 @@ impl ModelNode for Decoder {
     type Endpoints = Endpoints;
     type Model = Model;
 
-    fn load(folder: PlacedModel, parameters: &Parameters) -> Result<Model> {
+    fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Model> {
         let step = folder.decoder()?.map(DecoderStep::new);
         if let Some(step) = &step
             && parameters.image_transport.raw

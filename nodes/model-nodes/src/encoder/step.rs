@@ -1,6 +1,5 @@
 //! One image to one latent.
 
-use candle_core::Tensor;
 use image::RgbImage;
 use thiserror::Error;
 use wm_model::{Encoder, Framing};
@@ -36,12 +35,6 @@ pub enum EncoderError {
     Latent(#[from] LatentError),
 }
 
-impl From<candle_core::Error> for EncoderError {
-    fn from(error: candle_core::Error) -> Self {
-        Self::Model(error.into())
-    }
-}
-
 /// The encoder node's computation: an image message to a latent message of the same stamp.
 pub struct EncoderStep {
     encoder: Box<dyn Encoder>,
@@ -71,9 +64,10 @@ impl EncoderStep {
         picture: &RgbImage,
         header: &Header,
     ) -> Result<Latent, EncoderError> {
-        let pixels = self.pixels(picture)?;
+        expect_scene(picture)?;
+        let image = self.encoder.prepare(picture)?;
         frame_trace::passed("picture resized", header.stamp);
-        let values = self.values(&pixels)?;
+        let values = self.encoder.values(&image)?;
         frame_trace::passed("latent computed", header.stamp);
         let space = self.encoder.space();
         Ok(encode_latent(&values, space, self.dtype, header.clone())?)
@@ -84,21 +78,8 @@ impl EncoderStep {
     /// # Errors
     /// [`EncoderError::Small`], and those of the encoder.
     pub fn encode_values(&self, rgb: &RgbImage) -> Result<Vec<f32>, EncoderError> {
-        self.values(&self.pixels(rgb)?)
-    }
-
-    /// An image as the encoder takes it, (1, H, W, 3).
-    fn pixels(&self, rgb: &RgbImage) -> Result<Tensor, EncoderError> {
-        let (width, height) = rgb.dimensions();
-        if width.min(height) < LEAST_SIDE {
-            return Err(EncoderError::Small { width, height });
-        }
-        Ok(self.encoder.prepare(rgb)?)
-    }
-
-    fn values(&self, pixels: &Tensor) -> Result<Vec<f32>, EncoderError> {
-        let latent = self.encoder.encode(pixels)?;
-        Ok(latent.flatten_all()?.to_vec1::<f32>()?)
+        expect_scene(rgb)?;
+        Ok(self.encoder.values(&self.encoder.prepare(rgb)?)?)
     }
 
     /// Encodes a grey picture: a trial, which also shows how long encoding takes.
@@ -120,6 +101,15 @@ impl EncoderStep {
     /// The space of its latents.
     pub fn space(&self) -> &wm_model::LatentSpace {
         self.encoder.space()
+    }
+}
+
+/// That a picture is large enough to show a scene.
+fn expect_scene(rgb: &RgbImage) -> Result<(), EncoderError> {
+    let (width, height) = rgb.dimensions();
+    match width.min(height) < LEAST_SIDE {
+        true => Err(EncoderError::Small { width, height }),
+        false => Ok(()),
     }
 }
 

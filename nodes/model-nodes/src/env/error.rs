@@ -136,9 +136,3 @@ impl EnvError {
         }
     }
 }
-
-impl From<candle_core::Error> for EnvError {
-    fn from(error: candle_core::Error) -> Self {
-        Self::Model(error.into())
-    }
-}

@@ -2,12 +2,10 @@
 
 use std::sync::Arc;
 
-use candle_core::{Device, Tensor};
 use image::RgbImage;
 use wm_model::{
-    Decoder, LatentSpace,
-    image::to_rgb,
-    sampler::{Given, Noise, Rollout, Sampler},
+    Decoder,
+    sampler::{Noise, Observed, Rollout, Sampler},
 };
 use wm_motion::actions::ActionError;
 use wm_msgs::wm_msgs::Action;
@@ -76,10 +74,6 @@ impl EnvModel {
         height * width * 3
     }
 
-    fn space(&self) -> &LatentSpace {
-        &self.predictor.space
-    }
-
     /// Past frames that a prediction can use.
     pub(super) fn window(&self) -> usize {
         self.predictor
@@ -103,9 +97,7 @@ impl EnvModel {
     /// # Errors
     /// Those of the decoder.
     pub fn picture(&self, latent: &[f32]) -> Result<RgbImage, EnvError> {
-        let (height, width, channels) = self.space().shape();
-        let latent = Tensor::from_slice(latent, (1, height, width, channels), &Device::Cpu)?;
-        Ok(to_rgb(&self.decoder.decode(&latent)?.squeeze(0)?)?)
+        Ok(self.decoder.picture(latent)?)
     }
 
     /// The model action of a robot that stands still: no change, and states at their middle; a gripper is open.
@@ -156,49 +148,22 @@ impl EnvModel {
 
     /// As [`Self::predict`], for episodes with histories of one length.
     fn predict_alike(&self, rows: &[Row<'_>]) -> Result<Vec<Arc<[f32]>>, EnvError> {
-        let (height, width, channels) = self.space().shape();
-        let action_dim = self.predictor.encoding.action_dim();
-        let (batch, frames) = (
-            rows.len(),
-            rows.first().map_or(0, |row| row.episode.frames().len()),
-        );
-        let context: Vec<f32> = rows
+        let observed: Vec<Observed<'_>> = rows
             .iter()
-            .flat_map(|row| row.episode.frames().flat_map(|frame| frame.iter().copied()))
-            .collect();
-        let context = Tensor::from_vec(
-            context,
-            (batch, frames, height, width, channels),
-            &Device::Cpu,
-        )?;
-        let past: Vec<f32> = rows
-            .iter()
-            .flat_map(|row| row.episode.actions().flatten().copied())
-            .collect();
-        let past = (frames > 1)
-            .then(|| Tensor::from_vec(past, (batch, frames - 1, action_dim), &Device::Cpu))
-            .transpose()?;
-        let stack = |of: fn(&Row<'_>) -> Vec<f32>| {
-            let values: Vec<f32> = rows.iter().flat_map(of).collect();
-            Tensor::from_vec(values, (batch, action_dim), &Device::Cpu)
-        };
-        let action = stack(|row| row.action.to_vec())?;
-        let next = stack(|row| row.next.to_vec())?;
-        let noise: Vec<Noise> = rows
-            .iter()
-            .map(|row| Noise {
-                seed: row.episode.seed(),
-                first_step: row.episode.steps(),
+            .map(|row| Observed {
+                frames: row.episode.frames().map(|frame| &**frame).collect(),
+                actions: row.episode.actions().map(Vec::as_slice).collect(),
+                noise: Noise {
+                    seed: row.episode.seed(),
+                    first_step: row.episode.steps(),
+                },
             })
             .collect();
+        let actions: Vec<&[f32]> = rows.iter().map(|row| row.action).collect();
+        let next: Vec<&[f32]> = rows.iter().map(|row| row.next).collect();
         let model = &self.predictor.transition;
-        let mut rollout = Rollout::batch(model, &self.sampler, &context, past.as_ref(), &noise)?;
-        let given = Given {
-            own_action: Some(&next),
-            ..Given::default()
-        };
-        let latents = rollout.next_given(&action, given)?;
-        let latents = latents.flatten_from(1)?.to_vec2::<f32>()?;
+        let mut rollout = Rollout::of_values(model, &self.sampler, &observed)?;
+        let latents = rollout.predict(&actions, Some(&next))?;
         Ok(latents.into_iter().map(Into::into).collect())
     }
 }

@@ -2,9 +2,6 @@
 
 use std::sync::Arc;
 
-use candle_core::{Device, Tensor};
-use wm_model::sampler::Given;
-use wm_motion::motion::StepAction;
 use wm_msgs::wm_msgs::{Assessment, CandidateAssessment, Timing as TimingMessage};
 use wm_planner::Target;
 use wm_zoo::success_probe::{Instruction, SuccessClassifier};
@@ -12,7 +9,7 @@ use wm_zoo::success_probe::{Instruction, SuccessClassifier};
 use super::{EvaluationRequest, EvaluatorError};
 use wm_model::WorldModel;
 
-use crate::history::stack;
+use crate::history::model_values;
 use wm_wire::latent_message::{LatentDtype, encode_latent};
 
 /// The transition model, its settings, and the success probe.
@@ -28,8 +25,8 @@ pub struct EvaluatorModel {
 pub struct Evaluation {
     /// The message without its `timing`, which the sender fills in.
     pub assessment: Assessment,
-    /// Predicted latents (candidates, steps, h, w, C), normalised.
-    pub latents: Tensor,
+    /// Predicted latents of each step, one for each candidate; normalised, row-major, channels last.
+    pub latents: Vec<Vec<Vec<f32>>>,
 }
 
 impl EvaluatorModel {
@@ -61,50 +58,42 @@ impl EvaluatorModel {
         } = &self.model;
         let moment = &request.moment;
         let (horizon, count) = (request.horizon, request.candidates.len());
-        // (candidates, A) of one step.
-        let actions = |step: usize| -> Result<Tensor, EvaluatorError> {
-            let of_step = request
-                .candidates
-                .iter()
-                .filter_map(|steps| steps.get(step));
-            let of_step: Vec<StepAction> = of_step.cloned().collect();
-            stack(&of_step)?.ok_or(EvaluatorError::Count { count, max: count })
+        // One of each candidate.
+        let actions = |step: usize| -> Vec<&[f32]> {
+            let candidates = request.candidates.iter();
+            let of_step = candidates.filter_map(|steps| steps.get(step));
+            of_step.map(model_values).collect()
         };
-        let context = moment.context(space)?;
         let mut sampler = transition.config().sampler.clone();
         sampler.steps = self.integration_steps;
-        let mut rollout = moment.rollout(transition, space, &sampler, request.seed)?;
+        let mut rollout = moment.rollout(transition, &sampler, request.seed)?;
         rollout.prepare()?;
         let mut rollout = rollout.candidates(count)?;
         let mut latents = Vec::with_capacity(horizon);
         for step in 0..horizon {
-            let next = actions(step + 1)?;
-            let given = Given {
-                own_action: Some(&next),
-                ..Given::default()
-            };
-            latents.push(rollout.next_given(&actions(step)?, given)?);
+            latents.push(rollout.predict(&actions(step), Some(&actions(step + 1)))?);
         }
-        let latents = Tensor::stack(&latents, 1)?;
-        let probabilities =
-            self.probabilities(&context, &latents, request.instruction.as_deref())?;
+        let probabilities = self.probabilities(
+            &moment.context(),
+            &latents,
+            count,
+            request.instruction.as_deref(),
+        )?;
 
         let mut step_costs = vec![Vec::new(); count];
         if let Some(goal) = request.goal.as_ref().and_then(|goal| goal.latents.last()) {
-            let target = Target::LastStep(Tensor::from_slice(goal, space.shape(), &Device::Cpu)?);
-            for step in 0..horizon {
-                let costs = target.costs(&latents.narrow(1, step, 1)?)?;
+            let target = Target::last_step(space, goal)?;
+            for of_step in &latents {
+                let of_step: Vec<&[f32]> = of_step.iter().map(Vec::as_slice).collect();
+                let costs = target.step_costs(space, &of_step)?;
                 for (all, cost) in step_costs.iter_mut().zip(costs) {
                     all.push(cost);
                 }
             }
         }
-        let last = latents
-            .narrow(1, horizon.saturating_sub(1), 1)?
-            .flatten_from(1)?
-            .to_vec2::<f32>()?;
         let mut candidates = Vec::with_capacity(count);
-        let found = (0_u32..).zip(&last).zip(step_costs).zip(probabilities);
+        let last = latents.last().into_iter().flatten();
+        let found = (0_u32..).zip(last).zip(step_costs).zip(probabilities);
         for (((index, values), step_costs), success_probability) in found {
             candidates.push(CandidateAssessment {
                 index,
@@ -138,22 +127,26 @@ impl EvaluatorModel {
         })
     }
 
-    /// The probability that each candidate's imagined episode does the task; NaN without a probe or an instruction. The probe
-    /// was trained on whole episodes. Here it gets the known part of one: the observed `context` (1, H, h, w, C), then the
-    /// predicted `latents` (candidates, steps, h, w, C). Candidates are rated one by one, so that they are independent.
+    /// Probability of each of `count` candidates that its imagined episode carries out the instruction; NaN without a
+    /// probe or an instruction. The probe was trained on whole episodes; known of this one are the newest observed frames,
+    /// `context`, and then the predicted `latents`. One by one, so that an episode's probability depends on no other.
     fn probabilities(
         &self,
-        context: &Tensor,
-        latents: &Tensor,
+        context: &[&[f32]],
+        latents: &[Vec<Vec<f32>>],
+        count: usize,
         instruction: Option<&Instruction>,
     ) -> Result<Vec<f32>, EvaluatorError> {
-        let count = latents.dim(0)?;
         let (Some(probe), Some(instruction)) = (&self.probe, instruction) else {
             return Ok(vec![f32::NAN; count]);
         };
-        let observed = context.squeeze(0)?;
         let of_one = |index| {
-            let episode = Tensor::cat(&[&observed, &latents.get(index)?], 0)?;
+            let mut frames = context.to_vec();
+            let predicted = latents
+                .iter()
+                .filter_map(|of_step: &Vec<Vec<f32>>| of_step.get(index));
+            frames.extend(predicted.map(Vec::as_slice));
+            let episode = self.model.space.stack(&frames)?;
             let probability = probe.probability(&episode, instruction);
             Ok(probability.map_err(wm_model::Error::from)?)
         };

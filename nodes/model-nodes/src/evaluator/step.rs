@@ -84,12 +84,6 @@ pub enum EvaluatorError {
     Model(#[from] wm_model::Error),
 }
 
-impl From<candle_core::Error> for EvaluatorError {
-    fn from(error: candle_core::Error) -> Self {
-        Self::Model(error.into())
-    }
-}
-
 impl EvaluatorError {
     /// One word for the drop counters.
     pub fn reason(&self) -> &'static str {

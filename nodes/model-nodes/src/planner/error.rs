@@ -46,12 +46,6 @@ pub enum PlannerError {
     Model(#[from] wm_model::Error),
 }
 
-impl From<candle_core::Error> for PlannerError {
-    fn from(error: candle_core::Error) -> Self {
-        Self::Model(error.into())
-    }
-}
-
 impl From<PredictorError> for PlannerError {
     fn from(error: PredictorError) -> Self {
         match error {

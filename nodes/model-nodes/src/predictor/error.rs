@@ -24,12 +24,6 @@ pub enum PredictorError {
     Model(#[from] wm_model::Error),
 }
 
-impl From<candle_core::Error> for PredictorError {
-    fn from(error: candle_core::Error) -> Self {
-        Self::Model(error.into())
-    }
-}
-
 impl PredictorError {
     /// One word for the drop counters.
     pub fn reason(&self) -> &'static str {

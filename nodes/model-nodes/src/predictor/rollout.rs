@@ -2,10 +2,9 @@
 
 use std::sync::Arc;
 
-use candle_core::Tensor;
 use wm_model::{
     WorldModel,
-    sampler::{Given, Prepared, Rollout},
+    sampler::{Prepared, Rollout},
 };
 use wm_motion::motion::StepAction;
 use wm_msgs::{
@@ -15,7 +14,7 @@ use wm_msgs::{
 use wm_wire::latent_message::{LatentDtype, encode_latent};
 
 use super::PredictorError;
-use crate::history::{Frame, Moment, stack};
+use crate::history::{Frame, Moment, model_values};
 
 /// The inputs of a rollout.
 #[derive(Clone, Debug)]
@@ -65,10 +64,8 @@ impl<'m> RunningRollout<'m> {
     pub fn new(model: &'m WorldModel, request: RolloutRequest) -> Result<Self, PredictorError> {
         let mut sampler = model.transition.config().sampler.clone();
         sampler.steps = request.integration_steps;
-        let rollout =
-            request
-                .moment
-                .rollout(&model.transition, &model.space, &sampler, request.seed)?;
+        let moment = &request.moment;
+        let rollout = moment.rollout(&model.transition, &sampler, request.seed)?;
         Ok(Self {
             model,
             request,
@@ -93,15 +90,9 @@ impl<'m> RunningRollout<'m> {
         action: &StepAction,
         next: &StepAction,
     ) -> Result<PredictedStep, PredictorError> {
-        let tensor = |action: &StepAction| stack(std::slice::from_ref(action));
-        let (fed, own) = (tensor(action)?, tensor(next)?);
-        let given = Given {
-            own_action: own.as_ref(),
-            ..Given::default()
-        };
-        let fed = fed.ok_or_else(|| wm_model::Error::config("the action", "it is empty"))?;
-        let values: Tensor = self.rollout.next_given(&fed, given)?;
-        let values = values.flatten_all()?.to_vec1::<f32>()?;
+        let (fed, own) = ([model_values(action)], [model_values(next)]);
+        // One candidate has one latent.
+        let values = self.rollout.predict(&fed, Some(&own))?.concat();
         let moment = &self.request.moment;
         self.actions.extend(moment.messages(self.step, action));
         self.step += 1;

@@ -23,9 +23,9 @@ impl Folder {
     /// If there is none of this name, or a file of it cannot be used.
     pub fn open(name: &str) -> Result<Self> {
         let model = ModelFolder::open(name)?;
-        let (has_decoder, has_probe) = match &model {
-            ModelFolder::Trained(_) => (true, false),
-            ModelFolder::Described(folder) => {
+        let (has_decoder, has_probe) = match model.described() {
+            None => (true, false),
+            Some(folder) => {
                 let description = folder.description();
                 (description.decoder.is_some(), description.probe.is_some())
             }

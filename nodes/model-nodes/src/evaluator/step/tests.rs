@@ -1,10 +1,8 @@
 #![allow(clippy::unwrap_used, clippy::indexing_slicing)]
 
-use candle_core::{Device, Tensor};
 use wm_model::WorldModel;
 use wm_model::{
     LatentSpace,
-    sampler::Given,
     transition::{Transition, TransitionConfig},
 };
 use wm_motion::actions::ActionEncoding;
@@ -234,22 +232,15 @@ fn batched_candidates_equal_rollouts_and_the_nearest_is_best() {
     let mut sampler = model.transition.config().sampler.clone();
     sampler.steps = 1;
     let moment = &request.moment;
-    let mut rollout = moment
-        .rollout(&model.transition, &space(), &sampler, 9)
-        .unwrap();
-    let tensor = |action: &StepAction| {
-        Tensor::from_slice(&action.model.values, (1, 7), &Device::Cpu).unwrap()
-    };
+    let mut rollout = moment.rollout(&model.transition, &sampler, 9).unwrap();
     let actions = &request.candidates[1];
     let mut reached = Vec::new();
     for (action, next) in actions.iter().zip(&actions[1..]) {
-        let next = tensor(next);
-        let given = Given {
-            own_action: Some(&next),
-            ..Given::default()
-        };
-        let latent = rollout.next_given(&tensor(action), given).unwrap();
-        reached = latent.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+        let (fed, own) = (
+            [action.model.values.as_slice()],
+            [next.model.values.as_slice()],
+        );
+        reached = rollout.predict(&fed, Some(&own)).unwrap().concat();
     }
     step.set_goal(Goal::of_latent(Time::default(), reached.into()));
     let request = ask(&step, &asked).unwrap();

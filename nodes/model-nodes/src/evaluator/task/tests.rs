@@ -2,7 +2,6 @@
 
 use std::time::Instant;
 
-use candle_core::Tensor;
 use serde_json::json;
 use tempfile::TempDir;
 use wm_model::WorldModel;
@@ -169,11 +168,11 @@ fn each_candidate_has_its_own_success_probability() {
     // It is that of the observed frames with the predicted ones behind.
     let request = ask(&step, &candidates(&[0.04, 0.0, -0.04]));
     let latents = model.evaluate(&request).unwrap().latents;
-    let context = request.moment.context(&predictor.space).unwrap();
     let instruction = probe.instruction("open the drawer").unwrap();
     for (index, found) in opening.iter().enumerate() {
-        let parts = [context.get(0).unwrap(), latents.get(index).unwrap()];
-        let episode = Tensor::cat(&parts, 0).unwrap();
+        let mut frames = request.moment.context();
+        frames.extend(latents.iter().map(|of_step| of_step[index].as_slice()));
+        let episode = predictor.space.stack(&frames).unwrap();
         assert_eq!(episode.dim(0).unwrap(), 4);
         let expected = probe.probability(&episode, &instruction).unwrap();
         assert!((found - expected).abs() < 1e-6, "{found} {expected}");

@@ -381,7 +381,7 @@ fn a_plan_begins_where_the_robot_will_be_when_it_is_ready() {
     sampler.steps = 1;
     let rollout = request
         .moment
-        .rollout(&model.transition, &space(), &sampler, request.seed);
+        .rollout(&model.transition, &sampler, request.seed);
     let mut rollout = rollout.unwrap();
     let open = |action: &Vec<f32>| [action.as_slice(), &[-1.0]].concat();
     let until = request.until[..3]

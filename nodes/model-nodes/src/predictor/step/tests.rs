@@ -201,12 +201,7 @@ fn computing_ahead_of_the_observation_changes_no_prediction() {
     assert_eq!(values(Some(&prepared)), values(None));
 
     let mut rollout = (request.moment)
-        .rollout(
-            &model.transition,
-            &model.space,
-            &model.transition.config().sampler,
-            9,
-        )
+        .rollout(&model.transition, &model.transition.config().sampler, 9)
         .unwrap();
     assert_eq!(rollout.take_over(&prepared), 1);
 }
