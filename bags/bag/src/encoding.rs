@@ -3,7 +3,7 @@
 use crate::schema::canonical_type_name;
 
 /// Protobuf types that the reader accepts: pictures as Foxglove's tools record them. `wm_camera` decodes them.
-pub const PROTOBUF_TYPES: [&str; 3] = [
+pub(crate) const PROTOBUF_TYPES: [&str; 3] = [
     "foxglove.CompressedImage",
     "foxglove.CompressedVideo",
     "foxglove.RawImage",
@@ -14,7 +14,7 @@ pub const PROTOBUF_TYPES: [&str; 3] = [
 pub enum MessageEncoding {
     /// CDR, the encoding of ROS 2.
     Cdr,
-    /// Protocol buffers, only of [`PROTOBUF_TYPES`].
+    /// Protocol buffers, only of Foxglove's picture types.
     Protobuf,
 }
 

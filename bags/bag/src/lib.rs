@@ -44,7 +44,7 @@
 //! - The writer passes each finished chunk to the operating system: a killed process loses at most the open chunk, and
 //!   with a [`sync_interval`](WriterOptions::sync_interval) a power cut at most that interval and the open chunk.
 //! - Any bytes in a file give messages or an error, never a panic; every length is checked against a named limit.
-//! - Unreadable channels are skipped and named. Pictures in protobuf ([`PROTOBUF_TYPES`]) are read as bytes.
+//! - Unreadable channels are skipped and named. Foxglove's pictures in protobuf are read as bytes.
 //!
 //! # Not supported
 //! Attachments; writing sqlite3 or rosbag2's file and message compression. Playing and recording need ROS and a clock, so
@@ -74,7 +74,7 @@ mod writer;
 
 pub use convert::{Conversion, NewMessage, NewTopic, Omission, TopicTransform, Transform, convert};
 pub use cut::{Cut, CutEnd, CutStart, cut};
-pub use encoding::{MessageEncoding, PROTOBUF_TYPES};
+pub use encoding::MessageEncoding;
 pub use error::BagError;
 pub use latched::{LatchedMessages, kept_messages, known_qos};
 pub use qos::{Durability, QosProfile, Reliability};

@@ -62,8 +62,8 @@ impl BagReader {
     /// # Errors
     /// The path is missing, not a bag or empty, the storage or compression is unknown, or a decompressed file has no room.
     /// [`warnings`](Self::warnings) names what can be skipped: truncated or damaged files, invalid metadata, single missing
-    /// files, and unreadable channels (without a type, with a second type, in an encoding other than CDR and
-    /// [`PROTOBUF_TYPES`](crate::PROTOBUF_TYPES)).
+    /// files, and unreadable channels (without a type, with a second type, in an encoding other than CDR, except
+    /// Foxglove's pictures in protobuf).
     pub fn open(path: impl AsRef<Path>) -> Result<Self, BagError> {
         let path = path.as_ref();
         let found = fs::metadata(path).map_err(|source| BagError::io(path, source))?;

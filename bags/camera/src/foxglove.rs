@@ -6,13 +6,13 @@ use wm_msgs::{
 };
 
 /// The protobuf type of sensor_msgs/CompressedImage.
-pub const COMPRESSED_IMAGE: &str = "foxglove.CompressedImage";
+pub(crate) const COMPRESSED_IMAGE: &str = "foxglove.CompressedImage";
 /// The protobuf type of sensor_msgs/Image.
-pub const RAW_IMAGE: &str = "foxglove.RawImage";
+pub(crate) const RAW_IMAGE: &str = "foxglove.RawImage";
 /// The protobuf type of [`CompressedVideo`].
-pub const PROTOBUF_VIDEO: &str = "foxglove.CompressedVideo";
+pub(crate) const PROTOBUF_VIDEO: &str = "foxglove.CompressedVideo";
 /// The ROS types with the fields of [`CompressedVideo`]; the first is that of foxglove_msgs.
-pub const ROS_VIDEO: [&str; 2] = [
+pub(crate) const ROS_VIDEO: [&str; 2] = [
     "foxglove_msgs/msg/CompressedVideo",
     "foxglove/msg/CompressedVideo",
 ];
@@ -38,7 +38,9 @@ pub fn compressed_video(message: &BagMessage) -> Result<CompressedVideo, BagErro
 ///
 /// # Errors
 /// The type is another one, or the bytes are not of it.
-pub fn compressed_image(message: &BagMessage) -> Result<sensor_msgs::CompressedImage, BagError> {
+pub(crate) fn compressed_image(
+    message: &BagMessage,
+) -> Result<sensor_msgs::CompressedImage, BagError> {
     protobuf::<CompressedImage>(message)?.into_ros(message)
 }
 
@@ -46,7 +48,7 @@ pub fn compressed_image(message: &BagMessage) -> Result<sensor_msgs::CompressedI
 ///
 /// # Errors
 /// The type is another one, or the bytes are not of it.
-pub fn raw_image(message: &BagMessage) -> Result<sensor_msgs::Image, BagError> {
+pub(crate) fn raw_image(message: &BagMessage) -> Result<sensor_msgs::Image, BagError> {
     protobuf::<RawImage>(message)?.into_ros(message)
 }
 

@@ -13,7 +13,7 @@ pub mod image_message;
 pub mod jpeg;
 mod limits;
 pub mod protobuf_topics;
-pub mod raw_image;
+mod raw_image;
 pub mod recent_pictures;
 pub mod signature;
 pub mod transport;

@@ -6,7 +6,7 @@ use ndarray::{ArrayView2, ShapeBuilder as _};
 use wm_msgs::sensor_msgs::Image;
 
 use crate::{
-    bayer::demosaiced,
+    bayer::demosaic,
     encoding::Encoding,
     error::ImageError,
     limits::MAX_SIDE,
@@ -15,7 +15,7 @@ use crate::{
 
 /// A raw image message, for cv-convert's traits.
 #[derive(Clone, Copy, Debug)]
-pub struct RosImage<'a>(pub &'a Image);
+pub(crate) struct RosImage<'a>(pub &'a Image);
 
 /// The layout of an image's rows.
 #[derive(Clone, Copy, Debug)]
@@ -175,7 +175,7 @@ impl TryToCv<RgbImage> for RosImage<'_> {
                     }
                 }
             }
-            Encoding::Bayer { red } => rgb = demosaiced(view, red),
+            Encoding::Bayer { red } => rgb = demosaic(view, red),
         }
         RgbImage::from_raw(self.0.width, self.0.height, rgb).ok_or(ImageError::Size {
             width: self.0.width,

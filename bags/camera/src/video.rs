@@ -13,7 +13,7 @@ use crate::{
 };
 pub use h264::{H264Decoder, has_keyframe};
 pub use packet::VideoPacket;
-pub use stream::{Dropped, Shown, VideoStream};
+pub use stream::{DropCounts, VideoPicture, VideoStream};
 pub use topics::VideoTopics;
 
 /// A fault of a video.

@@ -43,7 +43,7 @@ pub(crate) fn check(all: Episodes<'_>) -> Vec<Finding> {
 }
 
 fn check_idle(all: Episodes<'_>) -> Finding {
-    let idle = all.check_idle();
+    let idle = all.idle();
     let frames = all.frames().max(1) as f64;
     let count = idle.iter().flatten().filter(|idle| **idle).count() as f64;
     let starts = idle

@@ -2,7 +2,7 @@
 
 use crate::{
     Finding,
-    correlation::{Lag, MOST_LAG},
+    correlation::{LAG_LIMIT, Lag},
     episode::{Effect, Episode, Episodes, differences, speeds},
     quantile::quantile,
 };
@@ -176,7 +176,7 @@ fn add_figures(finding: Finding, lag: &Lag, of_state: Option<&Lag>, period_s: f6
 fn unrelated_actions(lag: &Lag) -> Finding {
     let what = format!(
         "the actions explain no motion in the pictures: correlation {:.2} at best, over {} frames and shifts of up to \
-         {MOST_LAG} frames",
+         {LAG_LIMIT} frames",
         lag.correlation, lag.count
     );
     let finding = Finding::warning(CHECK, what)

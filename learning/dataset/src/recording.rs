@@ -75,7 +75,7 @@ pub(super) struct Recording {
     pub complaints: Vec<(u64, Thing, String)>,
     /// Stamps and pictures, for the audit.
     pub recorded: RecordedTopics,
-    /// The state of the arm, for the audit.
+    /// State of the arm, for the audit.
     pub state: StateLog,
 }
 

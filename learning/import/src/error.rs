@@ -3,65 +3,65 @@ use std::path::PathBuf;
 use wm_bag::BagError;
 use wm_motion::actions::ActionError;
 
-/// Why episodes cannot be imported. Each text names the file.
+/// A failure of an import. Each text names the file.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ImportError {
-    /// The path does not hold what is imported.
+    /// The path has no known layout.
     #[error("{path} has no episodes: expected {expected}")]
     UnknownLayout {
         /// The path.
         path: PathBuf,
-        /// The files that were looked for.
+        /// The expected files.
         expected: &'static str,
     },
-    /// The layout is there, but no episode.
+    /// The layout has no episodes.
     #[error("{0} has no episodes")]
     NoEpisodes(PathBuf),
-    /// The actions contradict what their values are.
+    /// The actions contradict their kinds.
     #[error(
         "{path}: the actions contradict their kinds in {contradicting} of {episodes} episodes: {reason}"
     )]
     Contradiction {
         /// The data set.
         path: PathBuf,
-        /// Episodes that were measured.
+        /// Number of measured episodes.
         episodes: usize,
-        /// Those of them that contradict by themselves.
+        /// Number of episodes that contradict by themselves.
         contradicting: usize,
-        /// What was measured and expected, and the option that maps it.
+        /// Measured and expected values, and the option that maps them.
         reason: String,
     },
     /// No episode can be imported.
     #[error("none of {count} episodes can be imported; the first: {first}")]
     NoneImported {
-        /// Episodes.
+        /// Number of episodes.
         count: usize,
-        /// Why the first cannot.
+        /// The fault of the first.
         first: Box<Self>,
     },
-    /// A file that belongs to another is not there.
+    /// A file of a pair is missing.
     #[error("{present} is incomplete: {missing} is missing")]
     Incomplete {
-        /// The file that is there.
+        /// The existing file.
         present: PathBuf,
-        /// The file that belongs to it.
+        /// The missing file.
         missing: PathBuf,
     },
-    /// A file cannot be read as what it should be.
+    /// A file is invalid.
     #[error("{file}: {reason}")]
     Corrupt {
         /// The file.
         file: PathBuf,
-        /// What was expected and what came.
+        /// The expected and the actual content.
         reason: String,
     },
-    /// The operating system refused.
+    /// An error of the operating system.
     #[error("{file}: {reason}")]
     Io {
         /// The file or directory.
         file: PathBuf,
-        /// What it said. No source, since the message has it.
+        /// The error. Not a `source`, since the text contains it.
         reason: std::io::Error,
     },
     /// The bag cannot be written.

@@ -7,7 +7,8 @@ use rayon::prelude::*;
 use wm_bag::Shard;
 
 use crate::bag::write_bag;
-use crate::episode::{Episode, EpisodeOptions};
+use crate::episode::Episode;
+use crate::episode_options::EpisodeOptions;
 use crate::error::Error;
 
 /// Makes a shard of `episodes` episodes with seeds from `first_seed`, each as a bag `episode_000012` (the number is the

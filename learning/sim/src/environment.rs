@@ -10,7 +10,7 @@ mod oracle;
 mod sight;
 mod solution;
 
-pub use goal::{Goal, GoalKind, PLACE_TOLERANCE_M, REACH_TOLERANCE_M, Target};
+pub use goal::{Goal, GoalKind, REACH_TOLERANCE_M, Target};
 
 use image::RgbImage;
 use rand::SeedableRng;

@@ -113,7 +113,7 @@ impl Episode {
 mod tests {
     use super::*;
     use crate::scene::{FIRST_OBJECT_MASK, GRIPPER_MASK};
-    use crate::variety::Span;
+    use crate::variety::{Span, Variety};
     use nalgebra::Point3;
 
     fn short(frames: usize) -> EpisodeOptions {
@@ -169,7 +169,7 @@ mod tests {
         for seed in 0..6 {
             let episode = Episode::generate(seed, &options).expect("valid options");
             let frame = &episode.frames[0];
-            let mask = frame.mask.as_ref().expect("asked for");
+            let mask = frame.mask.as_ref().expect("requested");
             assert!(
                 mask.pixels().any(|pixel| pixel.0 == [GRIPPER_MASK]),
                 "seed {seed}"

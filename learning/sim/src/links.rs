@@ -60,9 +60,9 @@ impl Form {
             } => {
                 let upright = Mesh::cylinder(radius, length);
                 match axis {
-                    Axis::X => upright.lying_along_x().shifted(from, 0.0, 0.0),
-                    Axis::Y => upright.lying_along_y().shifted(0.0, from, 0.0),
-                    Axis::Z => upright.shifted(0.0, 0.0, from),
+                    Axis::X => upright.along_x().shift(from, 0.0, 0.0),
+                    Axis::Y => upright.along_y().shift(0.0, from, 0.0),
+                    Axis::Z => upright.shift(0.0, 0.0, from),
                 }
             }
         }

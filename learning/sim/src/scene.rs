@@ -95,7 +95,7 @@ fn object_mesh(shape: &Shape) -> Mesh {
         Shape::Ball { radius } => Mesh::ball(radius as f32),
         Shape::Cone { radius, height } => {
             let (radius, height) = (radius as f32, height as f32);
-            Mesh::turned(&[
+            Mesh::revolve_profile(&[
                 (0.0, 0.0),
                 (radius, 0.0),
                 (radius * CONE_TIP as f32, height),
@@ -131,7 +131,7 @@ fn bowl_mesh(radius: f32, height: f32) -> Mesh {
     inner.reverse();
     profile.extend(inner);
     profile.push((0.0, floor));
-    Mesh::turned(&profile)
+    Mesh::revolve_profile(&profile)
 }
 
 #[cfg(test)]

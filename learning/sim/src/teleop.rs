@@ -8,7 +8,7 @@ mod plan;
 mod task;
 
 pub use failure::Failure;
-pub(crate) use plan::{DIRECTIONS, burdened, grasp_level, graspable, inside};
+pub(crate) use plan::{DIRECTIONS, grasp_level, is_burdened, is_graspable, is_inside};
 pub(crate) use task::LEVEL_M;
 pub use task::{Relation, Task};
 
@@ -254,7 +254,7 @@ impl Operator {
     fn add_gesture(&mut self, world: &World, rpy: Vector3<f64>, gripper: f64) -> Vector3<f64> {
         let free = world.held().is_none();
         self.gesture.advance(&mut self.rng);
-        self.gripper = if free && self.gesture.gripper_turned() {
+        self.gripper = if free && self.gesture.inverts_gripper() {
             1.0 - gripper
         } else {
             gripper

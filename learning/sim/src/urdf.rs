@@ -131,7 +131,7 @@ pub fn urdf(base: &str) -> String {
         };
         text.push_str(&line);
     }
-    text.extend(joints.iter().map(element));
+    text.extend(joints.iter().map(joint_element));
     text.push_str("</robot>\n");
     text
 }

@@ -73,7 +73,7 @@ pub struct Described {
 /// The folder of this program is unknown.
 pub fn described(command: clap::Command) -> Result<Described> {
     let beside = std::env::current_exe()?;
-    let asked = |program: &Path| wm_program::command_line::ask(program);
+    let asked = |program: &Path| wm_program::command_line::query(program);
     Ok(described_by(command, &beside, &folders(&beside), asked))
 }
 
@@ -247,7 +247,7 @@ mod tests {
 
         // of another version
         let left_out = described_by(wm(), beside, &folders, |program| {
-            Err(wm_program::command_line::Error::NoAnswer {
+            Err(wm_program::command_line::Error::InvalidDescription {
                 program: program.to_owned(),
                 reason: "exit status: 2".to_owned(),
             })

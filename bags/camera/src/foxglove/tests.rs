@@ -98,7 +98,7 @@ fn video_in_protobuf_becomes_pictures() {
     let folder = tempfile::tempdir().unwrap();
     let (old, new) = (reader(), folder.path().join("new"));
     let topics = crate::video::VideoTopics::of(&old, 95);
-    assert_eq!(topics.kept(), []);
+    assert_eq!(topics.skipped(), []);
     let mut transforms: [Box<dyn Transform>; 2] = [Box::new(topics), Box::new(ProtobufTopics)];
     let options = WriterOptions::default();
     let made = convert(old.path(), &new, options, &mut transforms).unwrap();

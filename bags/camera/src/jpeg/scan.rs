@@ -73,7 +73,10 @@ pub(super) fn check_scan(
     // Tables and number of blocks per unit, by component.
     let mut parts = Vec::new();
     for part in &scan.components {
-        let component = frame.components.get(part.component).ok_or_else(no_such)?;
+        let component = frame
+            .components
+            .get(part.component)
+            .ok_or_else(missing_component)?;
         let blocks = match scan.components.len() {
             1 => 1,
             _ => u32::from(component.factors.0) * u32::from(component.factors.1),
@@ -81,7 +84,12 @@ pub(super) fn check_scan(
         parts.push((part, blocks));
     }
     let (across, down) = match parts.as_slice() {
-        [(only, _)] => frame.blocks(frame.components.get(only.component).ok_or_else(no_such)?),
+        [(only, _)] => frame.blocks(
+            frame
+                .components
+                .get(only.component)
+                .ok_or_else(missing_component)?,
+        ),
         _ => frame.units(),
     };
     let mut walk = ScanReader {
@@ -95,7 +103,9 @@ pub(super) fn check_scan(
     };
     let mut masks = match scan.components.as_slice() {
         [only] if scan.band.0 > 0 => {
-            let masks = non_zero.get_mut(only.component).ok_or_else(no_such)?;
+            let masks = non_zero
+                .get_mut(only.component)
+                .ok_or_else(missing_component)?;
             masks.resize(across as usize * down as usize, 0);
             masks.as_mut_slice()
         }
@@ -118,12 +128,12 @@ pub(super) fn check_scan(
                         walk.bits.value(1)?;
                     }
                     Coding::FirstAc => {
-                        let mask = masks.next().ok_or_else(no_such)?;
-                        walk.first(part.ac.ok_or_else(no_table)?, mask)?;
+                        let mask = masks.next().ok_or_else(missing_component)?;
+                        walk.first(part.ac.ok_or_else(missing_table)?, mask)?;
                     }
                     Coding::RefinedAc => {
-                        let mask = masks.next().ok_or_else(no_such)?;
-                        walk.refine(part.ac.ok_or_else(no_table)?, mask)?;
+                        let mask = masks.next().ok_or_else(missing_component)?;
+                        walk.refine(part.ac.ok_or_else(missing_table)?, mask)?;
                     }
                 }
             }
@@ -190,8 +200,8 @@ impl<'a> ScanReader<'a> {
     /// Reads the DC coefficient of a block of component `number`. If data are missing, later coefficients are shifted, and
     /// usually exceed black or white.
     fn dc(&mut self, part: &ScanComponent<'_>, number: usize) -> Result<(), JpegError> {
-        let difference = self.bits.difference(part.dc.ok_or_else(no_table)?)?;
-        let dc = self.dc.get_mut(number).ok_or_else(no_such)?;
+        let difference = self.bits.difference(part.dc.ok_or_else(missing_table)?)?;
+        let dc = self.dc.get_mut(number).ok_or_else(missing_component)?;
         // No overflow: bounded by the check below, and differences by 2^15.
         *dc += difference;
         let levels = i64::from(*dc) << self.low_bits;
@@ -204,7 +214,7 @@ impl<'a> ScanReader<'a> {
     }
 
     fn sequential(&mut self, part: &ScanComponent<'_>, number: usize) -> Result<(), JpegError> {
-        let ac = part.ac.ok_or_else(no_table)?;
+        let ac = part.ac.ok_or_else(missing_table)?;
         self.dc(part, number)?;
         let mut place = 1;
         while place < COEFFICIENTS {

@@ -4,7 +4,7 @@ use super::{
     JpegError,
     frame::{Colours, Frame},
     huffman::{Table, standard},
-    scan::{COEFFICIENTS, NonZero, Scan, ScanComponent, walk},
+    scan::{COEFFICIENTS, NonZero, Scan, ScanComponent, check_scan},
 };
 
 /// Limit of scans, each of which reads all blocks; encoders write at most 14.
@@ -243,7 +243,7 @@ impl State {
             bits,
             restart_interval: self.restart_interval,
         };
-        walk(data, at, frame, &scan, &mut self.non_zero)
+        check_scan(data, at, frame, &scan, &mut self.non_zero)
     }
 
     /// The components of a scan, and the ids of their DC and AC tables.

@@ -14,7 +14,7 @@ use openh264::{
     formats::YUVSource as _,
 };
 
-use super::{ColourTags, VideoError, checked_size};
+use super::{ColourTags, VideoError, check_size};
 use crate::yuv::{Plane, YuvColours, YuvTable};
 
 /// Start code of NAL units; the longer form has another 0 before it.
@@ -133,7 +133,7 @@ impl H264Decoder {
 
 fn rgb(table: &YuvTable, picture: &DecodedYUV<'_>) -> Result<RgbImage, VideoError> {
     let (width, height) = picture.dimensions();
-    let size = checked_size(width, height)?;
+    let size = check_size(width, height)?;
     let (luma, blue, red) = picture.strides();
     let planes = [
         Plane {

@@ -56,7 +56,7 @@ fn shown(stream: &mut VideoStream, packets: &[VideoPacket]) -> Vec<(i64, u8)> {
         shown.extend(stream.feed(packet).unwrap());
     }
     shown.extend(stream.finish());
-    let of = |shown: &Shown| {
+    let of = |shown: &VideoPicture| {
         let tenths = shown.header.stamp.to_nanos() / 100_000_000;
         (tenths, shown.picture.get_pixel(9, 9).0[0])
     };
@@ -76,16 +76,16 @@ fn assert_shows(shown: &[(i64, u8)], frames: impl IntoIterator<Item = usize>) {
 fn each_packet_gives_its_picture() {
     let mut stream = VideoStream::new();
     assert_shows(&shown(&mut stream, &packets(12)), 0..12);
-    assert_eq!(stream.dropped(), Dropped::default());
+    assert_eq!(stream.dropped(), DropCounts::default());
 }
 
 #[test]
 fn stream_begins_with_a_keyframe() {
     let mut stream = VideoStream::new();
     assert_shows(&shown(&mut stream, &packets(12)[2..]), GROUP..12);
-    let dropped = Dropped {
+    let dropped = DropCounts {
         before_keyframe: 3,
-        ..Dropped::default()
+        ..DropCounts::default()
     };
     assert_eq!(stream.dropped(), dropped);
 }
@@ -107,7 +107,7 @@ fn parameters_alone_have_no_picture() {
     packets.insert(0, parameters);
     let mut stream = VideoStream::new();
     assert_shows(&shown(&mut stream, &packets), 0..6);
-    assert_eq!(stream.dropped(), Dropped::default());
+    assert_eq!(stream.dropped(), DropCounts::default());
 }
 
 #[test]
@@ -135,10 +135,10 @@ fn missing_packet_is_a_gap_to_the_next_keyframe() {
     let mut stream = VideoStream::new();
     let frames = (0..GROUP + 2).chain(2 * GROUP..12);
     assert_shows(&shown(&mut stream, &packets), frames);
-    let dropped = Dropped {
+    let dropped = DropCounts {
         gaps: 1,
         dependent: 2,
-        ..Dropped::default()
+        ..DropCounts::default()
     };
     assert_eq!(stream.dropped(), dropped);
 }
@@ -153,11 +153,11 @@ fn packet_without_units_is_damaged() {
         &shown(&mut stream, &packets),
         (0..2).chain(GROUP..2 * GROUP),
     );
-    let dropped = Dropped {
+    let dropped = DropCounts {
         damaged: 2,
         gaps: 1,
         dependent: 1,
-        ..Dropped::default()
+        ..DropCounts::default()
     };
     assert_eq!(stream.dropped(), dropped);
 }

@@ -23,7 +23,7 @@ pub struct VideoTopics {
     quality: u8,
     /// New names, by old name.
     names: BTreeMap<String, String>,
-    kept: Vec<(String, String)>,
+    skipped: Vec<(String, String)>,
 }
 
 impl VideoTopics {
@@ -34,7 +34,7 @@ impl VideoTopics {
         let mut topics = Self {
             quality,
             names: BTreeMap::new(),
-            kept: Vec::new(),
+            skipped: Vec::new(),
         };
         let is_video = |topic: &&TopicInfo| {
             let transport = Transport::of(&topic.name, &topic.type_name);
@@ -47,7 +47,7 @@ impl VideoTopics {
                 Ok(name) => {
                     topics.names.insert(topic, name);
                 }
-                Err(reason) => topics.kept.push((topic, reason)),
+                Err(reason) => topics.skipped.push((topic, reason)),
             }
         }
         topics
@@ -56,7 +56,7 @@ impl VideoTopics {
     /// The video topics that are copied unchanged, with the reason.
     #[must_use]
     pub fn skipped(&self) -> &[(String, String)] {
-        &self.kept
+        &self.skipped
     }
 
     fn free_name(&self, reader: &BagReader, topic: &str) -> Result<String, String> {

@@ -142,7 +142,7 @@ fn cameras_of(topics: &[&str]) -> (Vec<String>, Vec<Finding>) {
     }
     writer.finish().unwrap();
     let mut findings = Vec::new();
-    let cameras = cameras(&BagReader::open(&bag).unwrap(), &[], false, &mut findings);
+    let cameras = select_cameras(&BagReader::open(&bag).unwrap(), &[], false, &mut findings);
     (cameras, findings)
 }
 
@@ -179,7 +179,7 @@ fn video_without_decoder_is_named() {
     assert_eq!(video_topics(&reader), ["/front/ffmpeg"]);
     for named in [vec![], vec!["/front/ffmpeg".to_owned()]] {
         let mut findings = Vec::new();
-        let found = cameras(&reader, &named, false, &mut findings);
+        let found = select_cameras(&reader, &named, false, &mut findings);
         assert_eq!(found.len(), 1 - named.len());
         let [finding] = findings.as_slice() else {
             panic!("{findings:?}");

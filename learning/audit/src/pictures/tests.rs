@@ -224,10 +224,10 @@ fn missing_frames_are_counted() {
 #[test]
 fn long_recording_is_examined_up_to_a_limit() {
     let mut long = Pictures::new("/camera");
-    for index in 0..MOST as u64 + 10 {
+    for index in 0..PICTURES_LIMIT as u64 + 10 {
         long.push(index as i64 * 33_000_000, index, None, None);
     }
-    assert_eq!(long.count(), MOST as u64 + 10);
+    assert_eq!(long.count(), PICTURES_LIMIT as u64 + 10);
     let found = long.check(None);
     assert!(found[0].what.contains("9 more were not"), "{found:?}");
 }

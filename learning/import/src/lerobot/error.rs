@@ -4,27 +4,27 @@ use crate::ImportError;
 use wm_bag::BagError;
 use wm_motion::actions::ActionError;
 
-/// Why a data set cannot be read or written. Each text names the file and the field, or the bag and the topic.
+/// A failure to read or write a data set. Each text names the file and the field, or the bag and the topic.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum LeRobotError {
-    /// A file is not what it should be.
+    /// A file is invalid.
     #[error("{file}: {reason}")]
     Corrupt {
         /// The file.
         file: PathBuf,
-        /// What was expected and what came, with the field's name.
+        /// The expected and the actual content, with the field.
         reason: String,
     },
-    /// A bag does not hold what a data set needs.
+    /// A bag lacks content for a data set.
     #[error("{bag}: {reason}")]
     Unsuited {
         /// The bag.
         bag: PathBuf,
-        /// What was expected and what came, with the topic's name.
+        /// The expected and the actual content, with the topic.
         reason: String,
     },
-    /// The folder to write to holds something already.
+    /// The output exists and is not an empty folder.
     #[error(
         "{0} already exists and is not an empty folder; data sets are never overwritten, so choose another path"
     )]
@@ -32,12 +32,12 @@ pub enum LeRobotError {
     /// Nothing was requested.
     #[error("{0}")]
     Nothing(String),
-    /// The operating system refused.
+    /// An error of the operating system.
     #[error("{file}: {reason}")]
     Io {
         /// The file or folder.
         file: PathBuf,
-        /// What it said. No source, since the message has it.
+        /// The error. Not a `source`, since the text contains it.
         reason: std::io::Error,
     },
     /// A video cannot be read.
@@ -46,7 +46,7 @@ pub enum LeRobotError {
     /// A bag cannot be read or written.
     #[error(transparent)]
     Bag(#[from] BagError),
-    /// The dataset's actions are not those of the action space.
+    /// The actions do not fit the action space.
     #[error(transparent)]
     Actions(#[from] ActionError),
 }

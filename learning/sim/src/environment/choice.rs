@@ -8,7 +8,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::goal::{GoalKind, Target};
 use crate::object::{Object, Shape};
-use crate::teleop::{DIRECTIONS, Relation, Task, burdened, graspable, inside};
+use crate::teleop::{DIRECTIONS, Relation, Task, is_burdened, is_graspable, is_inside};
 use crate::variety::Span;
 use crate::world::{WORKSPACE_M, World};
 
@@ -53,7 +53,7 @@ fn reach(world: &World, index: usize, rng: &mut ChaCha8Rng) -> Option<(Target, T
     let object = world.objects().get(index)?;
     let up = object.shape.height() + HOVER_M.pick(rng);
     let position = object.position() + Vector3::z() * up;
-    let suits = inside(position, 0.0)
+    let suits = is_inside(position, 0.0)
         && position.z < WORKSPACE_M[1][2]
         && (position - world.tool().position).norm() >= LEAST_REACH_M;
     let task = Task::Reach { object: index };
@@ -78,7 +78,7 @@ fn push(
     let from = object.position();
     let place = from + direction * PUSH_M.pick(rng);
     let suits = !matches!(object.shape, Shape::Mat { .. })
-        && inside(place, EDGE_M)
+        && is_inside(place, EDGE_M)
         && is_clear(world, object, index, place);
     let target = Target::Object {
         object: index,
@@ -120,9 +120,9 @@ fn pick_place(
         + (viewer[0] * right + viewer[1] * ahead) * apart
         + Vector3::z() * relation.rise(other);
     let suits = index != other_index
-        && graspable(object)
-        && !burdened(world, index)
-        && inside(place, EDGE_M)
+        && is_graspable(object)
+        && !is_burdened(world, index)
+        && is_inside(place, EDGE_M)
         && is_clear(world, object, index, place)
         && (place - object.position()).norm() >= LEAST_CARRY_M;
     let target = Target::Object {

@@ -9,7 +9,7 @@ use super::goal::Target;
 use crate::arm::ToolPose;
 use crate::gripper::{self, CONTACT_RADIUS_M, HALF_OPENING_M};
 use crate::object::{Object, Shape};
-use crate::teleop::{CLEAR_M, grasp_level, graspable, inside, turn_towards};
+use crate::teleop::{CLEAR_M, grasp_level, is_graspable, is_inside, turn_towards};
 use crate::world::{EndEffectorAction, World};
 
 /// Top speed, metres per action, as an operator's.
@@ -40,7 +40,7 @@ const OFF_LINE: f64 = 0.4;
 const PUSHED_M: f64 = 0.010;
 /// Gap between open fingers and other objects, metres.
 const FINGER_ROOM_M: f64 = 0.006;
-/// Largest half width of a graspable object, metres.
+/// Largest half width of a is_graspable object, metres.
 const WIDEST_M: f64 = 0.92 * HALF_OPENING_M;
 /// Largest turn of a grasp, radians.
 const LARGEST_YAW_RAD: f64 = 1.25;
@@ -198,7 +198,7 @@ fn push(
     let point = Vector3::new(start.x, start.y, object.position().z + PUSH_LEVEL_M);
     // At any suitable turn: the closed hand is about square.
     let room = finger_room(world, index, (point, push_yaw(direction, 0.0)), 0.0);
-    if graspable(object) && (room < 0.0 || !inside(point, 0.0)) {
+    if is_graspable(object) && (room < 0.0 || !is_inside(point, 0.0)) {
         // The hand cannot reach the place behind it.
         return carry(world, target, index, object, place);
     }

@@ -2,7 +2,8 @@
 
 use super::*;
 use crate::arm::Joints;
-use crate::episode::{Episode, EpisodeOptions};
+use crate::episode::Episode;
+use crate::episode_options::EpisodeOptions;
 use nalgebra::Vector3;
 use rand::Rng;
 

@@ -478,7 +478,7 @@ mod tests {
         let mut renderer = Renderer::new(&Surroundings::plain(), Camera::beside_the_arm());
         let with = renderer.render(std::slice::from_ref(&part), true);
         let without = renderer.render(&[], true);
-        let mask = with.mask.expect("asked for");
+        let mask = with.mask.expect("requested");
         let mut covered = 0;
         for (x, y, value) in mask.enumerate_pixels() {
             let [r, g, _] = with.rgb.get_pixel(x, y).0;
@@ -513,7 +513,7 @@ mod tests {
         let mut renderer = Renderer::new(&Surroundings::plain(), Camera::beside_the_arm());
         let empty = renderer.render(&[], false);
         let shaded = renderer.render(&[part], true);
-        let mask = shaded.mask.expect("asked for");
+        let mask = shaded.mask.expect("requested");
         let darker = mask
             .enumerate_pixels()
             .filter(|(x, y, value)| {

@@ -22,7 +22,7 @@ fn view(position: Vector3<f64>, rpy: Vector3<f64>, opening: f64) -> View {
     let world = World::new(Vec::new(), ToolPose { position, rpy }, opening);
     let mut renderer = Renderer::new(&Surroundings::plain(), Camera::beside_the_arm());
     let picture = renderer.render(&Scene::new(&world).parts(&world), true);
-    let mask = picture.mask.expect("asked for");
+    let mask = picture.mask.expect("requested");
     let mut rgb = Vec::with_capacity(3 * SIZE * SIZE);
     let mut hand = Vec::with_capacity(SIZE * SIZE);
     assert_eq!(IMAGE_SIZE as usize, 2 * SIZE);

@@ -7,7 +7,9 @@ use rand::Rng;
 use rand::seq::IndexedRandom;
 use rand_chacha::ChaCha8Rng;
 
-use super::plan::{Aim, DIRECTIONS, Move, go_loosely, graspable, inside, loose_rpy};
+use super::plan::{
+    Aim, DIRECTIONS, Move, draw_loose_rpy, go_with_gestures, is_graspable, is_inside,
+};
 use super::task::Task;
 use crate::object::Shape;
 use crate::world::World;
@@ -120,7 +122,11 @@ fn drop_object(
     moves.truncate(keep);
     if let Task::Place { .. } = task {
         let at = Vector3::new(over.x, over.y, rng.random_range(0.06..0.10));
-        moves.push(go_loosely(Aim::Point(at), loose_rpy(rng, 0.0), 0.0));
+        moves.push(go_with_gestures(
+            Aim::Point(at),
+            draw_loose_rpy(rng, 0.0),
+            0.0,
+        ));
     }
     moves.push(Move::Grip {
         to: 1.0,
@@ -157,7 +163,7 @@ fn use_wrong_place(
     let aside = (0..12).find_map(|_| {
         let (sin, cos) = rng.random_range(0.0..std::f64::consts::TAU).sin_cos();
         let aside = Vector3::new(cos, sin, 0.0) * rng.random_range(0.07..0.12);
-        inside(spot + aside, 0.01).then_some(aside)
+        is_inside(spot + aside, 0.01).then_some(aside)
     })?;
     // All moves after grasp and lift.
     for step in moves.iter_mut().skip(grasp + 2) {
@@ -187,7 +193,7 @@ fn name_other_object(rng: &mut ChaCha8Rng, world: &World, mut task: Task) -> Opt
             let suits = match task {
                 Task::Reach { .. } => true,
                 Task::Push { .. } => !matches!(object.shape, Shape::Mat { .. }),
-                _ => graspable(object),
+                _ => is_graspable(object),
             };
             suits && *index != present && Some(*index) != place
         })
