@@ -11,13 +11,13 @@ use zenoh::key_expr::OwnedKeyExpr;
 const SLASH: &str = "§";
 
 /// The deepest history that is accepted from others, so that they cannot make the bridge keep more.
-pub const MAX_DEPTH: usize = 100;
+pub(crate) const MAX_DEPTH: usize = 100;
 /// DDS' default depth, if the announcement has none.
 const DEFAULT_DEPTH: usize = 1;
 
 /// The endpoint of an announcement.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Subject {
+pub(crate) enum Subject {
     /// A publisher, with its offered QoS.
     Publisher(Qos),
     /// A subscriber, with its requested QoS.
@@ -28,7 +28,7 @@ pub enum Subject {
 
 /// A topic or service of one side of a bridge.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Announcement {
+pub(crate) struct Announcement {
     /// The bridge's Zenoh id.
     pub bridge: String,
     pub subject: Subject,
@@ -41,16 +41,16 @@ pub struct Announcement {
 /// Why a token is not an announcement of a topic or service.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 #[error("`{token}` announces no topic or service: expected {expected}")]
-pub struct TokenError {
+pub(crate) struct TokenError {
     token: String,
     expected: &'static str,
 }
 
 impl Announcement {
     /// The key expression of all announcements.
-    pub const ALL: &str = "@/*/@ros2_lv/**";
+    pub(crate) const ALL: &str = "@/*/@ros2_lv/**";
 
-    pub fn token(&self) -> Result<OwnedKeyExpr, zenoh::Error> {
+    pub(crate) fn token(&self) -> Result<OwnedKeyExpr, zenoh::Error> {
         let escape = |text: &str| text.replace('/', SLASH);
         let (kind, qos) = match &self.subject {
             Subject::Publisher(qos) => ("MP", Some(qos)),
@@ -71,7 +71,7 @@ impl Announcement {
     ///
     /// # Errors
     /// The token has another form.
-    pub fn parse(token: &str) -> Result<Self, TokenError> {
+    pub(crate) fn parse(token: &str) -> Result<Self, TokenError> {
         let refused = |expected| TokenError {
             token: token.to_owned(),
             expected,

@@ -37,7 +37,7 @@ struct Cli {
     queries_timeout: Option<f32>,
 }
 
-pub struct Arguments {
+pub(crate) struct Arguments {
     pub config: zenoh::Config,
     pub settings: Settings,
     pub node: NodeArgs,
@@ -47,7 +47,7 @@ pub struct Arguments {
 ///
 /// # Errors
 /// The ROS arguments or the configuration file are invalid.
-pub fn parse() -> Result<Arguments> {
+pub(crate) fn parse() -> Result<Arguments> {
     let node = NodeArgs::parse(std::env::args().skip(1))?;
     let words = std::iter::once("wm bridge").chain(node.rest().iter().map(String::as_str));
     let cli = Cli::parse_from(words);
@@ -78,7 +78,7 @@ fn section(config: &zenoh::Config) -> Result<Section> {
 }
 
 /// Whether the user's input is at fault.
-pub fn is_usage(error: &anyhow::Error) -> bool {
+pub(crate) fn is_usage(error: &anyhow::Error) -> bool {
     error.is::<ArgsError>()
         || error.is::<SettingsError>()
         || error.downcast_ref().is_some_and(wm_ros::Error::is_usage)

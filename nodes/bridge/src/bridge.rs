@@ -23,7 +23,7 @@ const KNOWN: Duration = Duration::from_secs(10);
 ///
 /// # Errors
 /// A side cannot be joined.
-pub fn run(arguments: Arguments) -> Result<()> {
+pub(crate) fn run(arguments: Arguments) -> Result<()> {
     let Arguments {
         config,
         settings,

@@ -6,7 +6,7 @@ use zenoh::key_expr::OwnedKeyExpr;
 
 /// The prefix of this side's names on Zenoh.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Namespace {
+pub(crate) struct Namespace {
     /// Without slashes at its ends; may be empty.
     prefix: String,
 }
@@ -14,7 +14,7 @@ pub struct Namespace {
 /// Why a text is not a namespace.
 #[derive(Debug, thiserror::Error)]
 #[error("`{0}` is not a namespace: expected / or /name/name, of letters, digits and _")]
-pub struct NamespaceError(String);
+pub(crate) struct NamespaceError(String);
 
 impl FromStr for Namespace {
     type Err = NamespaceError;
@@ -36,7 +36,7 @@ impl FromStr for Namespace {
 
 impl Namespace {
     /// The key expression of an absolute ROS name; `None` if impossible.
-    pub fn key_of(&self, name: &str) -> Option<OwnedKeyExpr> {
+    pub(crate) fn key_of(&self, name: &str) -> Option<OwnedKeyExpr> {
         let relative = name.strip_prefix('/')?;
         if relative.contains(['*', '$']) {
             return None;
@@ -49,7 +49,7 @@ impl Namespace {
     }
 
     /// The ROS name of a key, without the namespace if the key has it.
-    pub fn name_of(&self, key: &str) -> String {
+    pub(crate) fn name_of(&self, key: &str) -> String {
         let under = key
             .strip_prefix(self.prefix.as_str())
             .filter(|rest| !self.prefix.is_empty() && rest.starts_with('/'));

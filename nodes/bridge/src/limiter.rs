@@ -5,7 +5,7 @@ use std::time::Duration;
 /// Admits at most this many samples per second: in any `t` seconds at most `t` x frequency + 2. A faster stream is
 /// reduced to exactly its frequency in the long run.
 #[derive(Debug)]
-pub struct Limiter {
+pub(crate) struct Limiter {
     period: Duration,
     /// When the next sample is due. It advances by whole periods, so that the jitter of a camera costs no frames.
     due: Duration,
@@ -13,7 +13,7 @@ pub struct Limiter {
 
 impl Limiter {
     /// Admits one sample per `period`.
-    pub fn new(period: Duration) -> Self {
+    pub(crate) fn new(period: Duration) -> Self {
         Self {
             period,
             due: Duration::ZERO,
@@ -21,7 +21,7 @@ impl Limiter {
     }
 
     /// Whether to send a sample that arrives at `now`, counted from any fixed time.
-    pub fn admits(&mut self, now: Duration) -> bool {
+    pub(crate) fn admits(&mut self, now: Duration) -> bool {
         if now < self.due {
             return false;
         }

@@ -28,14 +28,14 @@ const PRESENCES: &str = "@/*/@wm_bridge/*";
 
 /// Another bridge of this kind.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Presence {
+pub(crate) struct Presence {
     pub bridge: String,
     /// The GUID prefix of its DDS participant.
     pub participant: [u8; 12],
 }
 
 impl Presence {
-    pub fn token(&self) -> Result<OwnedKeyExpr, zenoh::Error> {
+    pub(crate) fn token(&self) -> Result<OwnedKeyExpr, zenoh::Error> {
         let participant: String = self
             .participant
             .iter()
@@ -103,7 +103,7 @@ impl Tokens {
 }
 
 /// The other bridges.
-pub struct Others {
+pub(crate) struct Others {
     tokens: Arc<Tokens>,
     own_id: String,
     _subscribers: [Subscriber<()>; 2],
@@ -115,7 +115,7 @@ impl Others {
     ///
     /// # Errors
     /// The session is closed.
-    pub async fn join(session: &Session, participant: [u8; 12]) -> Result<Self> {
+    pub(crate) async fn join(session: &Session, participant: [u8; 12]) -> Result<Self> {
         let failed = |error| anyhow!("cannot follow the other bridges: {error}");
         let tokens = Arc::new(Tokens::default());
         let subscribe = async |keys: &'static str| {
@@ -152,17 +152,17 @@ impl Others {
     }
 
     /// Waits for changed announcements. Cancel safe.
-    pub async fn changed(&self) {
+    pub(crate) async fn changed(&self) {
         self.tokens.changed.notified().await;
     }
 
     /// How many announcements were rejected.
-    pub fn refused(&self) -> u64 {
+    pub(crate) fn refused(&self) -> u64 {
         self.tokens.refused.load(Ordering::Relaxed)
     }
 
     /// Their topics and services.
-    pub fn announcements(&self) -> Vec<Announcement> {
+    pub(crate) fn announcements(&self) -> Vec<Announcement> {
         let alive = self.tokens.alive();
         let announcements = alive
             .iter()
@@ -179,7 +179,7 @@ impl Others {
     }
 
     /// The bridges of this kind.
-    pub fn presences(&self) -> Vec<Presence> {
+    pub(crate) fn presences(&self) -> Vec<Presence> {
         let alive = self.tokens.alive();
         let presences = alive.iter().filter_map(|token| Presence::parse(token));
         presences

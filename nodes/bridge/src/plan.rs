@@ -9,7 +9,7 @@ use wm_ros::{Durability, Qos, Reliability, RemoteEndpoint, Role};
 
 /// The kind and direction of a route.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Direction {
+pub(crate) enum Direction {
     /// A topic from publishers of this side to Zenoh.
     Outgoing,
     /// A topic from Zenoh to subscriptions of this side.
@@ -27,7 +27,7 @@ pub enum Direction {
 const LEAST_LATCHED: usize = 10;
 
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct RouteId {
+pub(crate) struct RouteId {
     pub direction: Direction,
     /// The topic's or service's name on this side.
     pub name: String,
@@ -35,7 +35,7 @@ pub struct RouteId {
 
 /// A planned route.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Route {
+pub(crate) struct Route {
     /// `package/msg/Type` or `package/srv/Type`.
     pub type_name: String,
     /// Of the bridge's own reader or writer on this side; unused for services.
@@ -47,7 +47,7 @@ pub struct Route {
 }
 
 /// Plans routes for the endpoints of this side and the announcements of other bridges.
-pub fn plan(
+pub(crate) fn plan(
     endpoints: &[RemoteEndpoint],
     announcements: &[Announcement],
     settings: &Settings,

@@ -4,11 +4,11 @@
 
 const KEY: [u8; 3] = *b"rqh";
 /// Key, header, endianness.
-pub const LEN: usize = 3 + 16 + 1;
+pub(crate) const LEN: usize = 3 + 16 + 1;
 
 /// The client and the number of a call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct RequestHeader {
+pub(crate) struct RequestHeader {
     pub client: u64,
     pub sequence: u64,
 }
@@ -16,7 +16,7 @@ pub struct RequestHeader {
 impl RequestHeader {
     /// The header of a DDS call. A GUID has 16 bytes, the header only 8. Both halves are combined: clients of one
     /// participant differ in the last half, clients of two in the first.
-    pub fn of_call((client, sequence): ([u8; 16], i64)) -> Self {
+    pub(crate) fn of_call((client, sequence): ([u8; 16], i64)) -> Self {
         let guid = u128::from_le_bytes(client);
         // the halves of the GUID, and the two's complement of a number that is never negative
         let (low, high, sequence) = (guid as u64, (guid >> 64) as u64, sequence as u64);
@@ -26,7 +26,7 @@ impl RequestHeader {
         }
     }
 
-    pub fn to_bytes(self) -> [u8; LEN] {
+    pub(crate) fn to_bytes(self) -> [u8; LEN] {
         let mut bytes = [0; LEN];
         let fields = KEY
             .into_iter()

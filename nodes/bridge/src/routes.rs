@@ -29,7 +29,7 @@ const OPEN_CALLS: usize = 64;
 const ROUTING: Duration = Duration::from_millis(300);
 
 /// Both sides, and the bridge's settings.
-pub struct Ends {
+pub(crate) struct Ends {
     /// The DDS side.
     pub node: Node,
     /// The Zenoh side.
@@ -93,13 +93,13 @@ struct Running {
     carrier: Option<Carrier>,
 }
 
-pub struct Routes {
+pub(crate) struct Routes {
     ends: Arc<Ends>,
     running: BTreeMap<RouteId, Running>,
 }
 
 impl Routes {
-    pub fn new(ends: Arc<Ends>) -> Self {
+    pub(crate) fn new(ends: Arc<Ends>) -> Self {
         Self {
             ends,
             running: BTreeMap::new(),
@@ -107,7 +107,7 @@ impl Routes {
     }
 
     /// Starts, ends and changes routes until they match `wanted`.
-    pub async fn follow(&mut self, wanted: BTreeMap<RouteId, Route>) {
+    pub(crate) async fn follow(&mut self, wanted: BTreeMap<RouteId, Route>) {
         self.running.retain(|id, running| {
             let stays = wanted
                 .get(id)

@@ -21,7 +21,7 @@ const CACHE_MULTIPLIER: usize = 10;
 /// The section as written.
 #[derive(Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct Section {
+pub(crate) struct Section {
     namespace: Option<String>,
     allow: Option<Interfaces>,
     deny: Option<Interfaces>,
@@ -72,7 +72,7 @@ struct QueriesTimeout {
 
 /// The options of the command line, which add to the section or replace its values.
 #[derive(Debug, Default)]
-pub struct Options {
+pub(crate) struct Options {
     pub namespace: Option<String>,
     pub allow: Vec<String>,
     pub deny: Vec<String>,
@@ -83,7 +83,7 @@ pub struct Options {
 }
 
 #[derive(Debug, thiserror::Error)]
-pub enum SettingsError {
+pub(crate) enum SettingsError {
     /// The section is malformed.
     #[error("plugins/ros2dds: {0}")]
     Section(#[from] serde_json::Error),
@@ -147,7 +147,7 @@ impl Filter {
 
 /// Priority of a topic's samples, and whether each is sent at once.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Precedence {
+pub(crate) struct Precedence {
     /// Zenoh's priority.
     pub priority: Priority,
     /// Whether samples are sent without batching.
@@ -155,7 +155,7 @@ pub struct Precedence {
 }
 
 #[derive(Debug)]
-pub struct Settings {
+pub(crate) struct Settings {
     /// The prefix of this side's names.
     pub namespace: Namespace,
     /// Whether the topic of a reliable publisher waits for a slow network (so that its own queue overflows) instead of
@@ -178,7 +178,7 @@ impl Settings {
     ///
     /// # Errors
     /// Names the malformed setting.
-    pub fn new(section: Section, options: Options) -> Result<Self, SettingsError> {
+    pub(crate) fn new(section: Section, options: Options) -> Result<Self, SettingsError> {
         let namespace = options.namespace.or(section.namespace);
         let timeout = options
             .queries_timeout
@@ -222,7 +222,7 @@ impl Settings {
     }
 
     /// Whether the topic or service is carried for nodes of this side in this role. Actions are not.
-    pub fn admits(&self, role: Role, name: &str) -> bool {
+    pub(crate) fn admits(&self, role: Role, name: &str) -> bool {
         let filter = match role {
             Role::Publisher => &self.publishers,
             Role::Subscription => &self.subscribers,
@@ -233,7 +233,7 @@ impl Settings {
     }
 
     /// The patterns of `allow` and `deny` without a match in any role: most often mistakes.
-    pub fn unmatched(&self) -> BTreeSet<&str> {
+    pub(crate) fn unmatched(&self) -> BTreeSet<&str> {
         let filters = [
             &self.publishers,
             &self.subscribers,
@@ -252,11 +252,11 @@ impl Settings {
     }
 
     /// The shortest time between outgoing samples of a topic.
-    pub fn period(&self, name: &str) -> Option<Duration> {
+    pub(crate) fn period(&self, name: &str) -> Option<Duration> {
         first_match(&self.periods, name)
     }
 
-    pub fn precedence(&self, name: &str) -> Precedence {
+    pub(crate) fn precedence(&self, name: &str) -> Precedence {
         first_match(&self.precedences, name).unwrap_or_default()
     }
 }

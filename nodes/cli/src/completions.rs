@@ -11,7 +11,7 @@ use clap_complete::{Shell, generate};
 
 /// Shells with completion scripts.
 #[derive(Clone, Copy, Debug, ValueEnum)]
-enum Shell {
+enum ShellName {
     Bash,
     Zsh,
     Fish,
@@ -26,7 +26,7 @@ enum Shell {
 pub struct CompletionsCommand {
     /// The shell
     #[arg(value_enum)]
-    shell: Shell,
+    shell: ShellName,
 }
 
 impl CompletionsCommand {
@@ -40,9 +40,9 @@ impl CompletionsCommand {
 
     fn script(&self, mut command: clap::Command) -> String {
         let shell = match self.shell {
-            Known::Bash => Shell::Bash,
-            Known::Zsh => Shell::Zsh,
-            Known::Fish => Shell::Fish,
+            ShellName::Bash => Shell::Bash,
+            ShellName::Zsh => Shell::Zsh,
+            ShellName::Fish => Shell::Fish,
         };
         let mut script = Vec::new();
         generate(shell, &mut command, "wm", &mut script);
@@ -56,7 +56,7 @@ mod tests {
     use std::io::Write as _;
     use std::process::{Command, Stdio};
 
-    fn script(shell: Shell) -> String {
+    fn script(shell: ShellName) -> String {
         CompletionsCommand { shell }.script(cli::definition())
     }
 
@@ -67,7 +67,7 @@ mod tests {
         let test = format!(
             "{}\nCOMP_WORDS=(wm {line}); COMP_CWORD={}; _wm wm \"${{COMP_WORDS[COMP_CWORD]}}\" \
              \"${{COMP_WORDS[COMP_CWORD-1]}}\"; printf '%s\\n' \"${{COMPREPLY[@]}}\"",
-            script(Known::Bash),
+            script(ShellName::Bash),
             words.len()
         );
         let mut bash = Command::new("bash")
@@ -97,7 +97,7 @@ mod tests {
 
     #[test]
     fn every_shell_has_every_node() {
-        for shell in [Known::Bash, Known::Zsh, Known::Fish] {
+        for shell in [ShellName::Bash, ShellName::Zsh, ShellName::Fish] {
             let script = script(shell);
             for node in crate::node::definitions() {
                 assert!(script.contains(node.name), "{shell:?}: {}", node.name);

@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn two_clocks_are_told() {
+    fn two_clocks_are_reported() {
         let apart = survey(Qos::reliable(10), 3_000, vec![0.0; 7]);
         assert_eq!(levels(&apart), [Level::Ok, Level::Warning]);
     }

@@ -1,6 +1,7 @@
 //! The kernel's receive buffers.
 
 use crate::{DoctorError, Finding, Survey, machine::read};
+use std::io;
 
 const CHECK: &str = "buffers";
 /// The value that docs/networking.md recommends \[byte\].
@@ -20,10 +21,14 @@ pub(crate) struct Buffers {
 }
 
 impl Buffers {
-    pub fn look() -> Result<Self, DoctorError> {
+    pub(crate) fn look() -> Result<Self, DoctorError> {
         let size = |name: &str| -> Result<u64, DoctorError> {
-            let text = read(&format!("/proc/sys/net/core/{name}"))?;
-            Ok(text.trim().parse().unwrap_or(0))
+            let file = format!("/proc/sys/net/core/{name}");
+            let text = read(&file)?;
+            text.trim().parse().map_err(|error| DoctorError::System {
+                file: file.into(),
+                source: io::Error::new(io::ErrorKind::InvalidData, error),
+            })
         };
         Ok(Self {
             default: size("rmem_default")?,

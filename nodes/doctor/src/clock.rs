@@ -14,7 +14,7 @@ pub(crate) struct SystemClock {
 }
 
 impl SystemClock {
-    pub fn look() -> Self {
+    pub(crate) fn look() -> Self {
         // SAFETY: `timex` has only integers, for which zeros are valid; `modes` 0 reads without setting, which needs no
         // right.
         let mut timex: libc::timex = unsafe { std::mem::zeroed() };

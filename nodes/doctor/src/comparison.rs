@@ -32,7 +32,7 @@ pub(crate) struct Comparer {
 
 impl Comparer {
     /// For the pictures of `topic`.
-    pub fn new(topic: &str) -> Self {
+    pub(crate) fn new(topic: &str) -> Self {
         let (waiting, frames) = sync_channel(WAITING);
         let pictures = Pictures::new(topic);
         Self {
@@ -43,14 +43,14 @@ impl Comparer {
     }
 
     /// Takes a picture; skips it if too many wait.
-    pub fn take(&mut self, frame: CameraFrame, received_ns: i64) {
+    pub(crate) fn take(&mut self, frame: CameraFrame, received_ns: i64) {
         self.count += 1;
         // skipped pictures are counted at the end
         let _ = self.waiting.try_send((frame, received_ns));
     }
 
     /// Waits for the last picture.
-    pub fn finish(self) -> Comparison {
+    pub(crate) fn finish(self) -> Comparison {
         drop(self.waiting);
         // a thread that panicked has compared none
         let comparison = self.thread.join().unwrap_or_default();

@@ -106,6 +106,7 @@ fn speed(model: &ModelFacts, camera_s: Option<f64>) -> Finding {
     let period_s = camera_s.map_or(model.period_s(), |camera_s| camera_s.max(model.period_s()));
     let times = model.trial.at(Duration::from_secs_f64(period_s));
     let text = times.to_string();
+    // without parts, the text is the verdict alone
     let (parts, verdict) = text.rsplit_once('\n').unwrap_or(("", &text));
     let what = format!("{}: {verdict}", model.name);
     match times.is_fast_enough() {

@@ -43,10 +43,9 @@ pub use survey::Survey;
 pub use trial::Parts;
 pub use wm_audit::Level;
 
-use comparison::Comparison;
 use picture::Picture;
 use survey::{Actions, Camera, Motion, Stream};
 use timeline::{Arrival, Timeline};
-use trial::{ProbeTimes, Trial};
+use trial::Trial;
 use verdict::Times;
 use wm_audit::Finding;

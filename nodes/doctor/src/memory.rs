@@ -23,7 +23,7 @@ pub(crate) struct Memory {
 }
 
 impl Memory {
-    pub fn look() -> Result<Self, DoctorError> {
+    pub(crate) fn look() -> Result<Self, DoctorError> {
         let group = read_if_there("/proc/self/cgroup")
             .and_then(|text| group_of(&text, Path::new("/sys/fs/cgroup")));
         Ok(Self {
@@ -48,7 +48,7 @@ impl Memory {
     }
 
     /// Memory that this process can still use \[byte\].
-    pub fn usable(&self) -> u64 {
+    pub(crate) fn usable(&self) -> u64 {
         let left = self.group.map(|(limit, taken)| limit.saturating_sub(taken));
         self.available.min(left.unwrap_or(u64::MAX))
     }

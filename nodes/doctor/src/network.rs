@@ -26,7 +26,7 @@ pub(crate) struct Network {
 }
 
 impl Network {
-    pub fn look(environment: &Environment) -> Result<Self, DoctorError> {
+    pub(crate) fn look(environment: &Environment) -> Result<Self, DoctorError> {
         Ok(Self {
             domain: environment.domain_id,
             reach: environment.reach.clone(),

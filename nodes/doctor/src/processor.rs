@@ -34,7 +34,7 @@ pub(crate) struct Processor {
 }
 
 impl Processor {
-    pub fn look() -> Result<Self, DoctorError> {
+    pub(crate) fn look() -> Result<Self, DoctorError> {
         let frequency = "/sys/devices/system/cpu/cpu0/cpufreq";
         let one = |name: &str| read_if_there(format!("{frequency}/{name}"));
         Ok(Self {

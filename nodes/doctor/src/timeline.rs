@@ -62,9 +62,11 @@ impl Timeline {
         let stamps: Option<Vec<i64>> = self.0.iter().map(Arrival::stamp_ns).collect();
         let times_s: Vec<f64> = match stamps {
             Some(stamps) => {
+                let Some(first) = stamps.first() else {
+                    return Vec::new();
+                };
                 // seconds since 1970 as a float do not resolve microseconds
-                let first = stamps.first().copied().unwrap_or(0);
-                let since_s = |ns: &i64| ns.saturating_sub(first) as f64 / 1e9;
+                let since_s = |ns: &i64| ns.saturating_sub(*first) as f64 / 1e9;
                 stamps.iter().map(since_s).collect()
             }
             None => self
@@ -73,11 +75,10 @@ impl Timeline {
                 .map(|arrival| arrival.at.as_secs_f64())
                 .collect(),
         };
-        let pairs = times_s.iter().zip(times_s.iter().skip(1));
-        pairs
-            .map(|(before, after)| after - before)
-            .filter(|gap| *gap > 0.0)
-            .collect()
+        let gaps = times_s
+            .array_windows()
+            .map(|[before, after]| after - before);
+        gaps.filter(|gap| *gap > 0.0).collect()
     }
 
     /// The median gap between messages \[s\]; `None` for fewer than three messages.

@@ -14,7 +14,7 @@ const CLEAR_LINE: &str = "\r\x1b[2K";
 
 /// The stream of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stream {
+pub(crate) enum Stream {
     /// Standard output.
     Out,
     /// Standard error.
@@ -22,7 +22,7 @@ pub enum Stream {
 }
 
 /// `O` and `E` are the launcher's standard output and error, or memory in tests.
-pub struct Console<O, E> {
+pub(crate) struct Console<O, E> {
     out: O,
     err: E,
     /// The width of the terminal of `err`; `None` if it is not a terminal.
@@ -33,7 +33,7 @@ pub struct Console<O, E> {
 
 impl<O: Write, E: Write> Console<O, E> {
     /// `columns`: the width of the terminal of standard error, if it is one.
-    pub fn new(out: O, err: E, columns: Option<usize>) -> Self {
+    pub(crate) fn new(out: O, err: E, columns: Option<usize>) -> Self {
         Self {
             out,
             err,
@@ -47,7 +47,13 @@ impl<O: Write, E: Write> Console<O, E> {
     ///
     /// # Errors
     /// The stream cannot be written, for example because its reader is gone.
-    pub fn line(&mut self, name: &str, stream: Stream, text: &str, now: Instant) -> io::Result<()> {
+    pub(crate) fn line(
+        &mut self,
+        name: &str,
+        stream: Stream,
+        text: &str,
+        now: Instant,
+    ) -> io::Result<()> {
         if let Some(live) = text.strip_prefix('\r') {
             return self.live(name, live, now);
         }
@@ -69,7 +75,7 @@ impl<O: Write, E: Write> Console<O, E> {
     ///
     /// # Errors
     /// See [`Self::line`].
-    pub fn print_own(&mut self, text: &str) -> io::Result<()> {
+    pub(crate) fn print_own(&mut self, text: &str) -> io::Result<()> {
         self.hide_live()?;
         writeln!(self.err, "[launch] {text}")?;
         self.err.flush()?;
@@ -80,7 +86,7 @@ impl<O: Write, E: Write> Console<O, E> {
     ///
     /// # Errors
     /// See [`Self::line`].
-    pub fn finish(&mut self) -> io::Result<()> {
+    pub(crate) fn finish(&mut self) -> io::Result<()> {
         self.hide_live()?;
         self.live = None;
         self.err.flush()

@@ -15,7 +15,11 @@ pub(super) struct Entity<'a> {
 }
 
 impl<'a> Entity<'a> {
-    pub fn new(file: &'a Path, entry: String, value: &'a Value) -> Result<Self, LaunchError> {
+    pub(crate) fn new(
+        file: &'a Path,
+        entry: String,
+        value: &'a Value,
+    ) -> Result<Self, LaunchError> {
         let Value::Mapping(mapping) = value else {
             return Err(LaunchError::Entry {
                 file: file.to_owned(),
@@ -32,13 +36,13 @@ impl<'a> Entity<'a> {
     }
 
     /// The value of `key`; null counts as missing.
-    pub fn value(&mut self, key: &'static str) -> Option<&'a Value> {
+    pub(crate) fn value(&mut self, key: &'static str) -> Option<&'a Value> {
         self.asked.push(key);
         self.mapping.get(key).filter(|value| !value.is_null())
     }
 
     /// A YAML string: ROS 2's frontend refuses `default: 1.0` without quotes.
-    pub fn text(&mut self, key: &'static str) -> Result<Option<&'a str>, LaunchError> {
+    pub(crate) fn text(&mut self, key: &'static str) -> Result<Option<&'a str>, LaunchError> {
         match self.value(key) {
             None => Ok(None),
             Some(Value::String(text)) => Ok(Some(text)),
@@ -49,26 +53,26 @@ impl<'a> Entity<'a> {
         }
     }
 
-    pub fn required_text(&mut self, key: &'static str) -> Result<&'a str, LaunchError> {
+    pub(crate) fn required_text(&mut self, key: &'static str) -> Result<&'a str, LaunchError> {
         match self.text(key)? {
             Some(text) => Ok(text),
             None => Err(self.missing(key)),
         }
     }
 
-    pub fn template(&mut self, key: &'static str) -> Result<Option<Template>, LaunchError> {
+    pub(crate) fn template(&mut self, key: &'static str) -> Result<Option<Template>, LaunchError> {
         match self.text(key)? {
             None => Ok(None),
             Some(text) => self.parse(key, text).map(Some),
         }
     }
 
-    pub fn required_template(&mut self, key: &'static str) -> Result<Template, LaunchError> {
+    pub(crate) fn required_template(&mut self, key: &'static str) -> Result<Template, LaunchError> {
         let text = self.required_text(key)?;
         self.parse(key, text)
     }
 
-    pub fn parse(&self, key: &str, text: &str) -> Result<Template, LaunchError> {
+    pub(crate) fn parse(&self, key: &str, text: &str) -> Result<Template, LaunchError> {
         Template::parse(text).map_err(|source| LaunchError::Substitution {
             file: self.file.to_owned(),
             entry: self.entry.clone(),
@@ -78,7 +82,7 @@ impl<'a> Entity<'a> {
     }
 
     /// A boolean, or a text that resolves to one.
-    pub fn boolean(&mut self, key: &'static str) -> Result<Option<Template>, LaunchError> {
+    pub(crate) fn boolean(&mut self, key: &'static str) -> Result<Option<Template>, LaunchError> {
         match self.value(key) {
             Some(Value::Bool(value)) => self
                 .parse(key, if *value { "true" } else { "false" })
@@ -88,7 +92,7 @@ impl<'a> Entity<'a> {
     }
 
     /// A number of at least 0.
-    pub fn number(&mut self, key: &'static str) -> Result<Option<f64>, LaunchError> {
+    pub(crate) fn number(&mut self, key: &'static str) -> Result<Option<f64>, LaunchError> {
         let Some(value) = self.value(key) else {
             return Ok(None);
         };
@@ -105,7 +109,7 @@ impl<'a> Entity<'a> {
     }
 
     /// The mappings of a list.
-    pub fn entities(&mut self, key: &'static str) -> Result<Vec<Entity<'a>>, LaunchError> {
+    pub(crate) fn entities(&mut self, key: &'static str) -> Result<Vec<Entity<'a>>, LaunchError> {
         let Some(value) = self.value(key) else {
             return Ok(Vec::new());
         };
@@ -121,7 +125,7 @@ impl<'a> Entity<'a> {
     }
 
     /// Rejects the keys that were not read.
-    pub fn finish(self) -> Result<(), LaunchError> {
+    pub(crate) fn finish(self) -> Result<(), LaunchError> {
         for key in self.mapping.keys() {
             // keys that are not strings are unknown
             let name = key.as_str().unwrap_or_default();
@@ -139,11 +143,11 @@ impl<'a> Entity<'a> {
         Ok(())
     }
 
-    pub fn missing(&self, key: &str) -> LaunchError {
+    pub(crate) fn missing(&self, key: &str) -> LaunchError {
         self.error(format!("key {key:?} is missing"))
     }
 
-    pub fn error(&self, message: String) -> LaunchError {
+    pub(crate) fn error(&self, message: String) -> LaunchError {
         LaunchError::Entry {
             file: self.file.to_owned(),
             entry: self.entry.clone(),

@@ -292,7 +292,7 @@ async fn next_line(
         let room = LINE_LIMIT - line.len();
         let end = available.iter().take(room).position(|byte| *byte == b'\n');
         let taken = end.unwrap_or(available.len().min(room));
-        line.extend_from_slice(available.get(..taken).unwrap_or_default());
+        line.extend(available.iter().take(taken));
         source.consume(taken + usize::from(end.is_some()));
         if end.is_some() || line.len() >= LINE_LIMIT {
             return Ok(Some(String::from_utf8_lossy(&line).into_owned()));

@@ -434,7 +434,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_named() {
+    fn faults_are_named() {
         assert_eq!(
             resolve("$(var other)").unwrap_err(),
             SubstitutionError::Variable {

@@ -9,7 +9,7 @@ use std::fmt;
 use std::time::Duration;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Exit {
+pub(crate) enum Exit {
     /// With this exit code.
     Code(i32),
     /// By this signal.
@@ -31,10 +31,10 @@ impl fmt::Display for Exit {
 }
 
 /// The exit code of programs of this suite that finished but lost data.
-pub const DATA_LOSS: i32 = 3;
+pub(crate) const DATA_LOSS: i32 = 3;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Event {
+pub(crate) enum Event {
     /// Process `.0` ended.
     Ended(usize, Exit),
     /// The timer of process `.0`, armed in step `.1`, ran out.
@@ -45,7 +45,7 @@ pub enum Event {
 
 /// The state of a process; timers are armed for a state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Step {
+pub(crate) enum Step {
     /// Not started, or waiting for a restart.
     Waiting,
     Running,
@@ -59,7 +59,7 @@ pub enum Step {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum StopSignal {
+pub(crate) enum StopSignal {
     Interrupt,
     Terminate,
     Kill,
@@ -67,7 +67,7 @@ pub enum StopSignal {
 
 /// An action of the runner.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Order {
+pub(crate) enum Order {
     /// Start process `.0`.
     Start(usize),
     /// Send process `.0` a signal.
@@ -80,7 +80,7 @@ pub enum Order {
 
 /// The state of a launch.
 #[derive(Debug)]
-pub struct Supervisor {
+pub(crate) struct Supervisor {
     processes: Vec<(Process, State)>,
     is_stopping: bool,
     failures: Vec<String>,
@@ -117,7 +117,7 @@ impl Outcome {
 impl Supervisor {
     /// A launch of `processes`, and the orders that start them.
     #[must_use]
-    pub fn new(processes: Vec<Process>) -> (Self, Vec<Order>) {
+    pub(crate) fn new(processes: Vec<Process>) -> (Self, Vec<Order>) {
         let orders = (0..processes.len()).map(Order::Start).collect();
         let running = |process| {
             (
@@ -141,13 +141,13 @@ impl Supervisor {
     }
 
     #[must_use]
-    pub fn process(&self, index: usize) -> Option<&Process> {
+    pub(crate) fn process(&self, index: usize) -> Option<&Process> {
         self.processes.get(index).map(|(process, _)| process)
     }
 
     /// How many processes run or will be restarted.
     #[must_use]
-    pub fn alive(&self) -> usize {
+    pub(crate) fn alive(&self) -> usize {
         self.processes
             .iter()
             .filter(|(_, state)| state.step != Step::Ended)
@@ -155,7 +155,7 @@ impl Supervisor {
     }
 
     /// Handles `event`, and returns the resulting orders.
-    pub fn on_event(&mut self, event: Event) -> Vec<Order> {
+    pub(crate) fn on_event(&mut self, event: Event) -> Vec<Order> {
         match event {
             Event::Ended(index, exit) => self.on_ended(index, exit),
             Event::TimerElapsed(index, step) => self.on_timer(index, step),
@@ -165,7 +165,7 @@ impl Supervisor {
 
     /// The result, once all processes have ended.
     #[must_use]
-    pub fn outcome(&self) -> Outcome {
+    pub(crate) fn outcome(&self) -> Outcome {
         Outcome {
             failures: self.failures.clone(),
             lost_data: self.lost_data.clone(),

@@ -20,7 +20,7 @@ const LONGEST_QUOTE: usize = 200;
 
 /// SHA-256 of a cost function's message.
 #[derive(Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub struct FunctionId([u8; 32]);
+pub(crate) struct FunctionId([u8; 32]);
 
 impl fmt::Debug for FunctionId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -31,7 +31,7 @@ impl fmt::Debug for FunctionId {
 
 /// A request of a planner.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub enum Request {
+pub(crate) enum Request {
     /// The worker's identity.
     Identity,
     /// The costs of candidates.
@@ -49,7 +49,7 @@ pub enum Request {
 
 /// A worker's reply.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub enum Answer {
+pub(crate) enum Answer {
     /// To [`Request::Identity`].
     Identity(Identity),
     /// The weighted terms of the candidates' costs, one candidate after the other.
@@ -63,7 +63,7 @@ pub enum Answer {
 /// Why a message is invalid.
 #[derive(Debug, Error)]
 #[non_exhaustive]
-pub enum MessageError {
+pub(crate) enum MessageError {
     #[error("a message of {0} bytes; expected at most {LONGEST}")]
     Long(usize),
     #[error(transparent)]

@@ -18,7 +18,7 @@ const KEPT: usize = 8;
 
 /// The model and the most recent cost functions.
 #[derive(Debug)]
-pub struct Worker<'m> {
+pub(crate) struct Worker<'m> {
     model: &'m LoadedTransition,
     identity: Identity,
     /// The most recently used one is the last.
@@ -44,7 +44,7 @@ enum Refusal {
 
 impl<'m> Worker<'m> {
     /// A worker with a model and its `identity`.
-    pub fn new(model: &'m LoadedTransition, identity: Identity) -> Self {
+    pub(crate) fn new(model: &'m LoadedTransition, identity: Identity) -> Self {
         Self {
             model,
             identity,
@@ -53,7 +53,7 @@ impl<'m> Worker<'m> {
     }
 
     /// Answers the bytes of a [`Request`]; any bytes have an answer.
-    pub fn answer(&mut self, request: &[u8]) -> Answer {
+    pub(crate) fn answer(&mut self, request: &[u8]) -> Answer {
         let answer = match decode(request) {
             Ok(Request::Identity) => Ok(Answer::Identity(self.identity.clone())),
             Ok(Request::Costs {

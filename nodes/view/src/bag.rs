@@ -55,14 +55,14 @@ struct Place {
 
 /// Why a message is skipped.
 #[derive(Debug, thiserror::Error)]
-enum MessageError {
+enum Unusable {
     #[error(transparent)]
     Bag(#[from] BagError),
     #[error("{}", .0.text())]
     Left(Left),
 }
 
-impl From<Left> for MessageError {
+impl From<Left> for Unusable {
     fn from(left: Left) -> Self {
         Self::Left(left)
     }
@@ -152,7 +152,8 @@ impl Bag {
         shared.wake();
     }
 
-    fn tell(&self, state: &mut State, message: &BagMessage) -> Result<(), MessageError> {
+    fn tell(&self, state: &mut State, message: &BagMessage) -> Result<(), Unusable> {
+        // log times beyond the year 2262 are invalid
         let now_ns = i64::try_from(message.log_time_ns).unwrap_or(i64::MAX);
         let Some(topic) = self.topics.get(&*message.topic) else {
             return self.place(state, message);
@@ -186,7 +187,7 @@ impl Bag {
     }
 
     /// Takes messages about positions in the picture.
-    fn place(&self, state: &mut State, message: &BagMessage) -> Result<(), MessageError> {
+    fn place(&self, state: &mut State, message: &BagMessage) -> Result<(), Unusable> {
         let scene = &mut state.scene;
         match &*message.topic {
             FIT => state.fit(&message.decode::<Text>()?)?,
@@ -203,7 +204,7 @@ impl Bag {
         source: Source,
         message: &BagMessage,
         now_ns: i64,
-    ) -> Result<(), MessageError> {
+    ) -> Result<(), Unusable> {
         let stamp_ns = CameraFrame::of_bag(message)?.header().stamp.to_nanos();
         if let Some(label) = state.label(source, stamp_ns, now_ns)? {
             let place = Place {

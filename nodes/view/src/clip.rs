@@ -5,11 +5,8 @@ pub fn text(text: &str, limit: usize) -> String {
     if text.len() <= limit {
         return text.to_owned();
     }
-    let end = (0..=limit)
-        .rev()
-        .find(|end| text.is_char_boundary(*end))
-        .unwrap_or(0);
-    format!("{}…", text.get(..end).unwrap_or_default())
+    let (start, _) = text.split_at(text.floor_char_boundary(limit));
+    format!("{start}…")
 }
 
 pub fn list<T: Clone>(list: &[T], limit: usize) -> Vec<T> {

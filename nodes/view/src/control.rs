@@ -112,7 +112,7 @@ impl Control {
 
     fn set_goal(&self, picture: Option<&Picture>) -> Answer {
         let steering = self.steering()?;
-        let picture = picture.ok_or("this picture is no longer kept")?;
+        let picture = picture.ok_or("this picture has expired")?;
         let format = match picture.format {
             Format::Jpeg => "jpeg",
             Format::Png => "png",

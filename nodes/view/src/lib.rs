@@ -41,5 +41,5 @@ mod status;
 mod subprotocol;
 
 pub use check::check;
-pub use error::ViewError;
+use error::ViewError;
 pub use node::NODE;

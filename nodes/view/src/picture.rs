@@ -234,7 +234,7 @@ pub(crate) mod tests {
 
     proptest! {
         #[test]
-        fn the_header_says_which_picture_it_is(
+        fn header_identifies_the_picture(
             index in 0usize..5, step: u8, stamp_ns: i64, observed_ns: i64, received_ns: i64,
         ) {
             let label = Label { source: Source::ALL[index], step, stamp_ns, observed_ns };

@@ -151,6 +151,7 @@ pub fn encode_latent(
             return Err(LatentError::NotFinite { index });
         }
     }
+    // a side beyond 32 bits fits no message and no space
     let side = |value: usize| u32::try_from(value).unwrap_or(u32::MAX);
     Ok(Latent {
         header,

@@ -30,6 +30,7 @@ pub struct Style {
 impl Style {
     fn marker(&self, header: Header, r#type: i32) -> Marker {
         let [r, g, b, a] = self.color;
+        // longer lifetimes mean forever
         let lifetime_ns = i64::try_from(self.lifetime.as_nanos()).unwrap_or(i64::MAX);
         Marker {
             header,

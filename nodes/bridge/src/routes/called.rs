@@ -13,7 +13,7 @@ use zenoh::{
 
 /// A service on Zenoh. This side serves it only while another bridge announces it: a client of a server without replies
 /// would wait forever.
-pub struct RemoteService {
+pub(crate) struct RemoteService {
     ends: Arc<Ends>,
     name: String,
     key: OwnedKeyExpr,
@@ -27,7 +27,7 @@ impl RemoteService {
     ///
     /// # Errors
     /// Its name has no key expression, or the session is closed.
-    pub async fn begin(ends: Arc<Ends>, name: &str, route: &Route) -> Result<Self> {
+    pub(crate) async fn begin(ends: Arc<Ends>, name: &str, route: &Route) -> Result<Self> {
         let mut called = Self {
             key: ends.key_of(name)?,
             ends,
@@ -44,7 +44,7 @@ impl RemoteService {
     ///
     /// # Errors
     /// The session is closed.
-    pub async fn change(&mut self, route: &Route) -> Result<()> {
+    pub(crate) async fn change(&mut self, route: &Route) -> Result<()> {
         self.serving = match (self.serving.take(), route.is_remote) {
             (_, false) => None,
             (Some(serving), true) => Some(serving),

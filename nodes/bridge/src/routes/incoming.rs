@@ -42,7 +42,7 @@ const MOST_SOURCES: usize = 64;
 
 /// An incoming topic. Its publisher on this side always exists, so that nodes see the topic. Samples are fetched while
 /// nodes subscribe to it; of a latched topic from then on.
-pub struct IncomingTopic {
+pub(crate) struct IncomingTopic {
     stream: Arc<Stream>,
     type_name: String,
     /// Whether another bridge publishes the topic.
@@ -58,7 +58,7 @@ impl IncomingTopic {
     ///
     /// # Errors
     /// Its name or type is invalid in ROS, or a side is closed.
-    pub async fn begin(ends: Arc<Ends>, name: &str, route: &Route) -> Result<Self> {
+    pub(crate) async fn begin(ends: Arc<Ends>, name: &str, route: &Route) -> Result<Self> {
         let depth = match route.qos.durability {
             Durability::Volatile => route.qos.depth.max(BURST),
             Durability::TransientLocal => route.qos.depth,
@@ -87,7 +87,7 @@ impl IncomingTopic {
     ///
     /// # Errors
     /// The session is closed.
-    pub async fn change(&mut self, route: &Route) -> Result<()> {
+    pub(crate) async fn change(&mut self, route: &Route) -> Result<()> {
         let stream = &self.stream;
         let is_latched = stream.qos.durability == Durability::TransientLocal;
         let is_new = route.is_remote && !self.is_remote;

@@ -17,7 +17,7 @@ use zenoh_ext::{
 /// The least size of the queue to the network; policy DropOldest.
 const QUEUE: usize = 32;
 
-pub struct OutgoingTopic {
+pub(crate) struct OutgoingTopic {
     _task: Task,
     _token: LivelinessToken,
 }
@@ -27,7 +27,7 @@ impl OutgoingTopic {
     ///
     /// # Errors
     /// Its name has no key expression, or the session is closed.
-    pub async fn begin(ends: Arc<Ends>, name: &str, route: &Route) -> Result<Self> {
+    pub(crate) async fn begin(ends: Arc<Ends>, name: &str, route: &Route) -> Result<Self> {
         let key = ends.key_of(name)?;
         let subject = Subject::Publisher(route.local.unwrap_or(route.qos));
         let publisher = publish(&ends, name, &key, route.qos).await?;

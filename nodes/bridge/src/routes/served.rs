@@ -17,7 +17,7 @@ use zenoh::{
 /// The request of a query without payload: the CDR of an empty request, which has one byte in ROS.
 const EMPTY_REQUEST: &[u8] = &[0, 1, 0, 0, 0];
 
-pub struct LocalService {
+pub(crate) struct LocalService {
     _queryable: Queryable<()>,
     _token: LivelinessToken,
 }
@@ -27,7 +27,7 @@ impl LocalService {
     ///
     /// # Errors
     /// Its name or type is invalid in ROS, or a side is closed.
-    pub async fn begin(ends: Arc<Ends>, name: &str, route: &Route) -> Result<Self> {
+    pub(crate) async fn begin(ends: Arc<Ends>, name: &str, route: &Route) -> Result<Self> {
         let key = ends.key_of(name)?;
         let server = Arc::new(Server {
             client: ends.node.raw_client(name, &route.type_name)?,

@@ -22,6 +22,13 @@ fn of_endpoint<'a>(known: &'a Explanations, own: &EndpointId) -> impl Iterator<I
     known.range(all).map(|(_, text)| text)
 }
 
+fn role(is_publisher: bool) -> &'static str {
+    match is_publisher {
+        true => "a publisher",
+        false => "a subscription",
+    }
+}
+
 #[derive(Default)]
 pub(super) struct Mismatches {
     known: Mutex<Explanations>,
@@ -37,38 +44,14 @@ impl Mismatches {
         lock(&self.known).retain(|(endpoint, _), _| *endpoint != own);
     }
 
-    /// A remote subscription requests more than the own publisher offers.
-    pub(super) fn subscription(
+    /// A remote endpoint and the own one have incompatible QoS.
+    pub(super) fn policies(
         &self,
         own: EndpointId,
         other: EndpointId,
         topic: Option<String>,
-        requested: &QosPolicies,
-        offered: &QosPolicies,
-    ) {
-        self.add(own, other, topic, "a subscription", requested, offered);
-    }
-
-    /// A remote publisher offers less than the own subscription requests.
-    pub(super) fn publisher(
-        &self,
-        own: EndpointId,
-        other: EndpointId,
-        topic: Option<String>,
-        requested: &QosPolicies,
-        offered: &QosPolicies,
-    ) {
-        self.add(own, other, topic, "a publisher", requested, offered);
-    }
-
-    fn add(
-        &self,
-        own: EndpointId,
-        other: EndpointId,
-        topic: Option<String>,
-        what: &str,
-        requested: &QosPolicies,
-        offered: &QosPolicies,
+        is_publisher: bool,
+        (requested, offered): (&QosPolicies, &QosPolicies),
     ) {
         // `None` if the two match by now: the event is older than the change
         let Some(policy) = offered.compliance_failure_wrt(requested) else {
@@ -79,6 +62,7 @@ impl Mismatches {
             return;
         }
         let topic = topic.unwrap_or_else(|| "a service".to_owned());
+        let what = role(is_publisher);
         let text = format!(
             "{topic}: not connected to {what} because of incompatible {policy:?}: the subscription requests `{}`, the \
              publisher offers `{}`; change one of them, for example with qos_overrides",
@@ -97,10 +81,7 @@ impl Mismatches {
         (own_type, other_type): (&str, &str),
         is_publisher: bool,
     ) {
-        let what = match is_publisher {
-            true => "a publisher",
-            false => "a subscription",
-        };
+        let what = role(is_publisher);
         let text = format!(
             "{topic}: {what} has the type {other_type}, but this node uses {own_type}: they cannot communicate"
         );
@@ -180,7 +161,7 @@ mod tests {
         );
         let topic = || Some("/wm/plan".to_owned());
         for other in [2, 3, 3] {
-            mismatches.publisher([1; 16], [other; 16], topic(), &wants, &offers);
+            mismatches.policies([1; 16], [other; 16], topic(), true, (&wants, &offers));
         }
         let texts = mismatches.of(&[1; 16]);
         let [text] = &texts[..] else {
@@ -199,12 +180,12 @@ mod tests {
 
         let best_effort = qos::for_writer(Qos::best_effort(1));
         let reliable = qos::for_reader(Qos::reliable(1));
-        mismatches.subscription([1; 16], [2; 16], topic(), &reliable, &best_effort);
+        mismatches.policies([1; 16], [2; 16], topic(), false, (&reliable, &best_effort));
         assert!(
             mismatches.of(&[1; 16])[0]
                 .contains("a subscription because of incompatible Reliability")
         );
-        mismatches.subscription([1; 16], [4; 16], topic(), &best_effort, &reliable);
+        mismatches.policies([1; 16], [4; 16], topic(), false, (&best_effort, &reliable));
         assert_eq!(mismatches.of(&[1; 16]).len(), 1, "these two do match");
     }
 
@@ -216,15 +197,15 @@ mod tests {
             qos::for_writer(Qos::best_effort(1)),
         );
         let own = [1; 16];
-        mismatches.publisher(own, [2; 16], None, &wants, &offers);
+        mismatches.policies(own, [2; 16], None, true, (&wants, &offers));
         assert_eq!(mismatches.of(&own).len(), 1);
         mismatches.tolerate(own);
-        mismatches.publisher(own, [3; 16], None, &wants, &offers);
+        mismatches.policies(own, [3; 16], None, true, (&wants, &offers));
         assert_eq!(mismatches.of(&own), [""; 0]);
         mismatches.types(own, [4; 16], "/stop", ("a/msg/A", "b/msg/B"), true);
         assert_eq!(mismatches.of(&own).len(), 1);
         mismatches.forget_own(&own);
-        mismatches.publisher(own, [2; 16], None, &wants, &offers);
+        mismatches.policies(own, [2; 16], None, true, (&wants, &offers));
         assert_eq!(mismatches.of(&own).len(), 1);
     }
 }

@@ -292,9 +292,8 @@ pub(super) async fn follow(
                 let (own, other) = (local_writer.to_bytes(), remote_reader.to_bytes());
                 let topic = shared.nodes.topic_of(&own);
                 let own = shared.lines.publisher_of(&own);
-                shared
-                    .mismatches
-                    .subscription(own, other, topic, &requested_qos, &offered_qos);
+                let qos = (&*requested_qos, &*offered_qos);
+                shared.mismatches.policies(own, other, topic, false, qos);
             }
             Event::RemoteWriterQosIncompatible {
                 local_reader,
@@ -304,9 +303,8 @@ pub(super) async fn follow(
             } => {
                 let (own, other) = (local_reader.to_bytes(), remote_writer.to_bytes());
                 let topic = shared.nodes.topic_of(&own);
-                shared
-                    .mismatches
-                    .publisher(own, other, topic, &requested_qos, &offered_qos);
+                let qos = (&*requested_qos, &*offered_qos);
+                shared.mismatches.policies(own, other, topic, true, qos);
             }
             // rustdds reports own endpoints too
             Event::WriterDetected { writer: other } | Event::ReaderDetected { reader: other }

@@ -250,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_named() {
+    fn faults_are_named() {
         let missing = NetworkArguments {
             config: Some("/nonexistent.json5".into()),
             ..NetworkArguments::default()

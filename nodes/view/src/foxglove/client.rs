@@ -2,7 +2,7 @@
 
 use super::{
     hub::{Guest, Hub},
-    message::{self, ClientRequest, Level, ServerMessage},
+    message::{self, ClientMessage, Level, ServerMessage},
 };
 use crate::socket::{PING_PERIOD, deliver};
 use axum::extract::ws::{Message, WebSocket};
@@ -90,20 +90,20 @@ async fn receive(
     let answer = |level, text: &str| drop(answers.try_send(told(level, text)));
     while let Some(message) = stream.next().await {
         match message.map_err(|error| error.to_string())? {
-            Message::Text(text) => match ClientRequest::parse(&text)? {
-                ClientRequest::Subscribe { subscriptions } => {
+            Message::Text(text) => match ClientMessage::parse(&text)? {
+                ClientMessage::Subscribe { subscriptions } => {
                     for subscription in subscriptions {
                         if let Err(error) = guest.subscribe(subscription) {
                             answer(Level::Error, &error.to_string());
                         }
                     }
                 }
-                ClientRequest::Unsubscribe { subscription_ids } => {
+                ClientMessage::Unsubscribe { subscription_ids } => {
                     for id in subscription_ids {
                         guest.unsubscribe(id);
                     }
                 }
-                ClientRequest::Other => answer(Level::Warning, NOT_OFFERED),
+                ClientMessage::Other => answer(Level::Warning, NOT_OFFERED),
             },
             // a publication or a service call
             Message::Binary(_) => answer(Level::Warning, NOT_OFFERED),

@@ -285,6 +285,7 @@ async fn run(node: Node, feed: Arc<Feed>) {
     };
     while let Some(received) = subscription.recv().await {
         let sample = Sample {
+            // a clock set before 1970
             log_time_ns: u64::try_from(received.received.to_nanos()).unwrap_or(0),
             cdr: received.message,
         };

@@ -108,7 +108,7 @@ impl<'a> ServerMessage<'a> {
 /// A request of a client.
 #[derive(Debug, PartialEq, Eq, Deserialize)]
 #[serde(tag = "op", rename_all = "camelCase")]
-pub enum ClientRequest {
+pub enum ClientMessage {
     Subscribe {
         subscriptions: Vec<Subscription>,
     },
@@ -129,7 +129,7 @@ pub struct Subscription {
     pub channel_id: u32,
 }
 
-impl ClientRequest {
+impl ClientMessage {
     /// Parses a client's message.
     ///
     /// # Errors
@@ -208,8 +208,8 @@ mod tests {
             r#"{"op":"subscribeConnectionGraph"}"#,
         ] {
             assert_eq!(
-                ClientRequest::parse(other),
-                Ok(ClientRequest::Other),
+                ClientMessage::parse(other),
+                Ok(ClientMessage::Other),
                 "{other}"
             );
         }
@@ -222,7 +222,7 @@ mod tests {
             r#"{"op":"subscribe","subscriptions":[{"id":-1,"channelId":1}]}"#,
             r#"{"op":"unsubscribe","subscriptionIds":[4294967296]}"#,
         ] {
-            assert!(ClientRequest::parse(none).is_err(), "{none}");
+            assert!(ClientMessage::parse(none).is_err(), "{none}");
         }
     }
 
@@ -243,14 +243,14 @@ mod tests {
             let written: Vec<_> = pairs.iter().map(|(id, channel)| json!({"id": id, "channelId": channel})).collect();
             let text = json!({"op": "subscribe", "subscriptions": written}).to_string();
             let subscriptions = pairs.iter().map(|&(id, channel_id)| Subscription { id, channel_id }).collect();
-            prop_assert_eq!(ClientRequest::parse(&text), Ok(ClientRequest::Subscribe { subscriptions }));
+            prop_assert_eq!(ClientMessage::parse(&text), Ok(ClientMessage::Subscribe { subscriptions }));
             let subscription_ids: Vec<u32> = pairs.iter().map(|(id, _)| *id).collect();
             let text = json!({"op": "unsubscribe", "subscriptionIds": subscription_ids}).to_string();
-            prop_assert_eq!(ClientRequest::parse(&text), Ok(ClientRequest::Unsubscribe { subscription_ids }));
+            prop_assert_eq!(ClientMessage::parse(&text), Ok(ClientMessage::Unsubscribe { subscription_ids }));
         }
 
         #[test]
-        fn whatever_is_told_is_json(text in "\\PC*", id: u32) {
+        fn server_messages_are_json(text in "\\PC*", id: u32) {
             let channels = vec![ChannelAdvert::new(id, &text, &text, &text)];
             let told = json_of(&ServerMessage::Advertise { channels });
             prop_assert_eq!(&told["channels"][0]["schema"], &text);
@@ -259,8 +259,8 @@ mod tests {
 
         #[test]
         fn whatever_comes_is_judged(text in "\\PC{0,80}", inner in "[a-zA-Z0-9:,\\[\\]{}\"]{0,60}") {
-            let _ = ClientRequest::parse(&text);
-            let _ = ClientRequest::parse(&format!("{{\"op\":\"subscribe\",{inner}}}"));
+            let _ = ClientMessage::parse(&text);
+            let _ = ClientMessage::parse(&format!("{{\"op\":\"subscribe\",{inner}}}"));
         }
     }
 }

@@ -92,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_rate_is_named() {
+    fn invalid_rates_are_named() {
         for text in ["/a", "/a=", "/a=0", "/a=-1", "/a=NaN", "/a=1e-9"] {
             let error = Offer::new(".*", "", &[text.to_owned()]).unwrap_err();
             assert!(

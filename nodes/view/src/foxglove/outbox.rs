@@ -229,7 +229,7 @@ mod tests {
     proptest! {
         /// For any sequence: bounded, the newest is never lost, and every message is either waiting or counted as lost.
         #[test]
-        fn what_waits_is_bounded_and_what_is_left_out_is_counted(
+        fn waiting_messages_are_bounded_and_drops_counted(
             pushes in vec((0u32..3, 0usize..BYTES), 1..200),
         ) {
             let outbox = Outbox::default();

@@ -15,7 +15,7 @@ use wm_msgs::{
 
 /// The topics of a bag that are scored.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct BagTopics {
+pub(crate) struct BagTopics {
     /// Camera frames, raw or compressed.
     pub camera: String,
     pub predicted: String,
@@ -76,7 +76,7 @@ impl BagTopics {
 }
 
 /// Messages that cannot be scored: their number by topic, and one reason.
-pub type Unreadable = BTreeMap<String, (u64, String)>;
+pub(crate) type Unreadable = BTreeMap<String, (u64, String)>;
 
 /// Scores the bag at `path`.
 ///

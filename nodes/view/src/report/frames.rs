@@ -22,7 +22,7 @@ pub(super) struct Frames {
 
 impl Frames {
     /// Adds a frame; false if there is one with this stamp.
-    pub fn insert(&mut self, stamp_ns: i64, frame: RgbImage) -> bool {
+    pub(crate) fn insert(&mut self, stamp_ns: i64, frame: RgbImage) -> bool {
         if self.frames.contains_key(&stamp_ns) {
             return false;
         }
@@ -42,7 +42,7 @@ impl Frames {
     }
 
     /// Sets the resolution of the predicted pictures, and resizes the frames to it.
-    pub fn set_size(&mut self, picture: &RgbImage) {
+    pub(crate) fn set_size(&mut self, picture: &RgbImage) {
         let size = (picture.height() as usize, picture.width() as usize);
         let framing = Framing::new(size, self.fit);
         if self.framing != Some(framing) {
@@ -57,7 +57,7 @@ impl Frames {
     }
 
     /// Sets how the model frames another aspect ratio. Drops frames that were resized by another fit.
-    pub fn set_fit(&mut self, fit: Fit) {
+    pub(crate) fn set_fit(&mut self, fit: Fit) {
         if self.fit == fit {
             return;
         }
@@ -68,7 +68,7 @@ impl Frames {
     }
 
     /// The frame nearest to a stamp, within the tolerance.
-    pub fn nearest(&self, stamp_ns: i64, tolerance_ns: i64) -> Option<&Arc<RgbImage>> {
+    pub(crate) fn nearest(&self, stamp_ns: i64, tolerance_ns: i64) -> Option<&Arc<RgbImage>> {
         let tolerance_ns = tolerance_ns.max(0);
         let range = stamp_ns.saturating_sub(tolerance_ns)..=stamp_ns.saturating_add(tolerance_ns);
         let nearest = self
@@ -79,11 +79,11 @@ impl Frames {
     }
 
     /// The newest stamp.
-    pub fn newest_ns(&self) -> Option<i64> {
+    pub(crate) fn newest_ns(&self) -> Option<i64> {
         self.frames.last_key_value().map(|(stamp_ns, _)| *stamp_ns)
     }
 
-    pub fn clear(&mut self) {
+    pub(crate) fn clear(&mut self) {
         self.frames.clear();
         self.bytes = 0;
     }

@@ -12,7 +12,7 @@ pub(super) struct Times {
 }
 
 impl Times {
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         // Two significant digits give percentiles within 1 %. The bounds are constants that the crate accepts.
         Self {
             histogram: Histogram::new_with_bounds(1_000, LIMIT_NS, 2).ok(),
@@ -20,7 +20,7 @@ impl Times {
     }
 
     /// Counts a duration unless it is negative or longer than an hour.
-    pub fn record(&mut self, time_ns: i64) {
+    pub(crate) fn record(&mut self, time_ns: i64) {
         let time_ns = u64::try_from(time_ns)
             .ok()
             .filter(|time_ns| *time_ns <= LIMIT_NS);
@@ -29,7 +29,7 @@ impl Times {
         }
     }
 
-    pub fn percentiles(&self) -> Option<Percentiles> {
+    pub(crate) fn percentiles(&self) -> Option<Percentiles> {
         let histogram = self
             .histogram
             .as_ref()

@@ -23,7 +23,7 @@ use wm_msgs::{
 
 /// The cap on one picture's PSNR \[dB\]. Rounding to 8 bits alone gives 58.9 dB, so beyond the cap pictures are equal,
 /// and an infinite value would decide a mean.
-pub const PSNR_CAP_DB: f64 = 60.0;
+pub(crate) const PSNR_CAP_DB: f64 = 60.0;
 
 /// The most pictures that wait for their frame.
 const WAITING_LIMIT: usize = 512;

@@ -27,7 +27,7 @@ const INK: Rgb<u8> = Rgb([230, 230, 230]);
 /// Rows: real, predicted, difference. Columns: the observation and every compared step, with the PSNR of the prediction
 /// and of the persistence baseline, and a legend. `period_s`: duration of a step.
 #[must_use]
-pub fn picture_strip(rollout: &ShownRollout, period_s: f64) -> RgbImage {
+pub(crate) fn picture_strip(rollout: &ShownRollout, period_s: f64) -> RgbImage {
     let scale = LEAST_SIDE.div_ceil(rollout.observed.width().max(1)).max(1);
     let (cell_width, cell_height) = (
         rollout.observed.width() * scale,

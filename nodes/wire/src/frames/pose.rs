@@ -73,7 +73,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_no_pose_is_named() {
+    fn invalid_poses_are_named() {
         let mut turn = geometry_msgs::Quaternion {
             w: 1.0005,
             ..Default::default()

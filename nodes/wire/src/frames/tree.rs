@@ -18,7 +18,6 @@ const MOST_IN_CHAIN: usize = 256;
 
 /// Why a transform is dropped.
 #[derive(Clone, Debug, Error, PartialEq)]
-#[expect(missing_docs, reason = "the messages explain variants and fields")]
 pub enum TransformError {
     /// It is older than its predecessor.
     #[error("a transform is {before_s:.3} s older than its predecessor")]
@@ -147,7 +146,7 @@ impl Frames {
         tool: &str,
     ) -> Result<(Option<i64>, Isometry3<f64>), LookupError> {
         let (base, tool) = (bare(base), bare(tool));
-        let (of_base, of_tool) = (self.above(base)?, self.above(tool)?);
+        let (mut of_base, mut of_tool) = (self.above(base)?, self.above(tool)?);
         // the common part of both chains does not matter
         let mut shared = 0;
         let mut from_root = of_base.iter().rev().zip(of_tool.iter().rev());
@@ -155,6 +154,7 @@ impl Frames {
             shared += 1;
         }
         if shared == 0 {
+            // a chain contains at least the frame itself
             let root = of_tool.last().copied().unwrap_or(tool);
             return Err(LookupError::Chain {
                 base: base.to_owned(),
@@ -162,10 +162,10 @@ impl Frames {
                 root: root.to_owned(),
             });
         }
-        let below = |chain: &[&str]| chain.len().saturating_sub(shared);
-        let up = of_base.get(..below(&of_base)).unwrap_or_default();
-        let down = of_tool.get(..below(&of_tool)).unwrap_or_default();
-        let moving = up.iter().chain(down).filter_map(|name| {
+        for chain in [&mut of_base, &mut of_tool] {
+            chain.truncate(chain.len() - shared);
+        }
+        let moving = of_base.iter().chain(&of_tool).filter_map(|name| {
             let edge = self.edges.get(*name)?;
             let (newest_ns, _) = edge.known.back()?;
             (!edge.is_static).then_some(*newest_ns)
@@ -178,7 +178,7 @@ impl Frames {
                     .ok_or_else(|| LookupError::Time((*name).to_owned()))
             })
         };
-        let (base_in_shared, tool_in_shared) = (along(up)?, along(down)?);
+        let (base_in_shared, tool_in_shared) = (along(&of_base)?, along(&of_tool)?);
         Ok((stamp_ns, base_in_shared.inverse() * tool_in_shared))
     }
 

@@ -2,10 +2,10 @@
 //! multicast group on these only. The kernel drops the membership with the address. So after a change, a participant
 //! would silently receive nothing.
 
-use crate::{Environment, Error, Interface, Reach};
+use crate::{Environment, Error, Interface, Reach, dds::lock::lock};
 use std::{
     net::{IpAddr, Ipv4Addr},
-    sync::{Mutex, PoisonError},
+    sync::Mutex,
 };
 
 /// The addresses that a participant uses.
@@ -67,8 +67,7 @@ impl Addresses {
     }
 
     fn change(&self, now: &[Interface]) -> Option<Error> {
-        // no invariant spans the lock
-        let mut changes = self.changes.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut changes = lock(&self.changes);
         for used in &self.used {
             if !now.contains(used) && !changes.missing.contains(used) {
                 tracing::warn!(

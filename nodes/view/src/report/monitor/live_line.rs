@@ -22,12 +22,12 @@ pub(super) struct LiveLine {
 const AN_HOUR_MS: f64 = 3_600_000.0;
 
 impl LiveLine {
-    pub fn frame(&mut self, now: Instant) {
+    pub(crate) fn frame(&mut self, now: Instant) {
         push(&mut self.frames, now);
     }
 
     /// A prediction of step `step`, `latency_ns` after its observation was captured.
-    pub fn prediction(&mut self, step: u32, latency_ns: i64, now: Instant) {
+    pub(crate) fn prediction(&mut self, step: u32, latency_ns: i64, now: Instant) {
         push(&mut self.predictions, now);
         if step == 1 {
             push(&mut self.latencies, (now, latency_ns as f64 / 1e6));
@@ -35,12 +35,12 @@ impl LiveLine {
     }
 
     /// A plan with this cost, found in `time_ns`.
-    pub fn plan(&mut self, cost: f32, time_ns: i64) {
+    pub(crate) fn plan(&mut self, cost: f32, time_ns: i64) {
         self.plan = Some((cost, time_ns as f64 / 1e6));
     }
 
     /// `error_ratio`: the last one of k = 1. `drops`: the nodes' total.
-    pub fn text(&mut self, now: Instant, error_ratio: Option<f32>, drops: u64) -> String {
+    pub(crate) fn text(&mut self, now: Instant, error_ratio: Option<f32>, drops: u64) -> String {
         let is_old = |then: Instant| now.saturating_duration_since(then) > WINDOW;
         while self.frames.front().is_some_and(|then| is_old(*then)) {
             self.frames.pop_front();

@@ -55,7 +55,7 @@ pub(super) struct Rollouts {
 
 impl Rollouts {
     /// Counts the observations that predictions start from.
-    pub fn observed(&mut self, observed_ns: i64) {
+    pub(crate) fn observed(&mut self, observed_ns: i64) {
         if self.recent.contains(&observed_ns) {
             return;
         }
@@ -66,12 +66,12 @@ impl Rollouts {
         self.observations += 1;
     }
 
-    pub fn observations(&self) -> u64 {
+    pub(crate) fn observations(&self) -> u64 {
         self.observations
     }
 
     /// Adds a picture and the frame of the same time.
-    pub fn picture(
+    pub(crate) fn picture(
         &mut self,
         observed_ns: i64,
         step: u32,
@@ -100,7 +100,7 @@ impl Rollouts {
         }
     }
 
-    pub fn best(&self) -> Option<&ShownRollout> {
+    pub(crate) fn best(&self) -> Option<&ShownRollout> {
         let candidates = self.best.iter().chain(self.open.values());
         candidates.reduce(|best, next| {
             if next.is_better_than(best) {
@@ -111,7 +111,7 @@ impl Rollouts {
         })
     }
 
-    pub fn flush(&mut self) {
+    pub(crate) fn flush(&mut self) {
         for (_, rollout) in std::mem::take(&mut self.open) {
             self.consider(rollout);
         }

@@ -53,13 +53,13 @@ impl Default for StepScore {
 }
 
 impl StepScore {
-    pub fn prediction(&mut self, ready_after_ns: i64, received_after_ns: i64) {
+    pub(crate) fn prediction(&mut self, ready_after_ns: i64, received_after_ns: i64) {
         self.predictions += 1;
         self.ready.record(ready_after_ns);
         self.received.record(received_after_ns);
     }
 
-    pub fn latent_error(&mut self, mse: f32, persistence_mse: f32) {
+    pub(crate) fn latent_error(&mut self, mse: f32, persistence_mse: f32) {
         if mse.is_finite() && persistence_mse.is_finite() {
             self.latent_mse.add(f64::from(mse));
             self.latent_persistence_mse.add(f64::from(persistence_mse));
@@ -67,7 +67,7 @@ impl StepScore {
     }
 
     /// Scores a picture and the baseline. If sizes differ, which a frame that cannot be resized causes, neither counts.
-    pub fn compare(&mut self, predicted: &RgbImage, real: &RgbImage, observed: &RgbImage) {
+    pub(crate) fn compare(&mut self, predicted: &RgbImage, real: &RgbImage, observed: &RgbImage) {
         let scores = (
             psnr(predicted, real),
             psnr(observed, real),
@@ -88,7 +88,7 @@ impl StepScore {
         }
     }
 
-    pub fn figures(&self, step: u32, observations: u64) -> StepFigures {
+    pub(crate) fn figures(&self, step: u32, observations: u64) -> StepFigures {
         let persistence = self.latent_persistence_mse.get().filter(|mse| *mse > 0.0);
         StepFigures {
             step,

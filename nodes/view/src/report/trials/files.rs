@@ -13,7 +13,7 @@ use wm_metrics::findings::ClosedLoop;
 ///
 /// # Errors
 /// Names the file that cannot be written.
-pub fn write<A: Serialize>(
+pub(crate) fn write<A: Serialize>(
     folder: &Path,
     task: &str,
     findings: &ClosedLoop<A>,

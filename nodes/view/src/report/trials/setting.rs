@@ -9,7 +9,7 @@ use wm_ros::{Client, Node, RemoteParameters};
 use wm_sim::GoalKind;
 
 /// The services of these nodes.
-pub struct Setting {
+pub(crate) struct Setting {
     table: Client<Reset>,
     parameters: RemoteParameters,
     planner: Client<Reset>,
@@ -21,7 +21,7 @@ impl Setting {
     ///
     /// # Errors
     /// They cannot be created.
-    pub fn new(node: &Node) -> Result<Self> {
+    pub(crate) fn new(node: &Node) -> Result<Self> {
         Ok(Self {
             table: node.client("sim_arm/reset")?,
             parameters: RemoteParameters::new(node, "sim_arm")?,
@@ -31,7 +31,7 @@ impl Setting {
     }
 
     /// Waits until all services exist.
-    pub async fn wait(&self) {
+    pub(crate) async fn wait(&self) {
         self.table.wait_for_service().await;
         self.parameters.wait_for_service().await;
         self.planner.wait_for_service().await;
@@ -42,7 +42,7 @@ impl Setting {
     ///
     /// # Errors
     /// The task is unknown, or a node does not reply.
-    pub async fn lay(&self, task: GoalKind, seed: u64) -> Result<()> {
+    pub(crate) async fn lay(&self, task: GoalKind, seed: u64) -> Result<()> {
         let name = task.name().to_owned();
         if let Err(reason) = self.parameters.set("task", name).await? {
             bail!("sim_arm does not take the task {task}: {reason}");
@@ -54,7 +54,7 @@ impl Setting {
     ///
     /// # Errors
     /// It does not reply, or refuses.
-    pub async fn plan_anew(&self, seed: u64) -> Result<()> {
+    pub(crate) async fn plan_anew(&self, seed: u64) -> Result<()> {
         reset(&self.planner, "planner", seed).await
     }
 
@@ -62,7 +62,7 @@ impl Setting {
     ///
     /// # Errors
     /// The executor does not reply, or refuses for another reason.
-    pub async fn arm(&self, is_armed: bool) -> Result<()> {
+    pub(crate) async fn arm(&self, is_armed: bool) -> Result<()> {
         for _ in 0..MOST_REQUESTS {
             let answer = self.executor.call(&SetBoolRequest { data: is_armed }).await;
             let answer = answer.context("executor")?;

@@ -18,7 +18,7 @@ const ROWS: [&str; 3] = ["seen", "imagined", "goal"];
 
 /// Rows: the camera's picture, the imagined outcome of the current plan, the goal. Columns: times of the episode.
 /// `None` without pictures.
-pub fn strip(shots: &Shots, goal: Option<&RgbImage>, title: &str) -> Option<RgbImage> {
+pub(crate) fn strip(shots: &Shots, goal: Option<&RgbImage>, title: &str) -> Option<RgbImage> {
     let shown = shots.evenly(COLUMNS);
     if shown.is_empty() {
         return None;
