@@ -9,7 +9,7 @@ use wm_ros::{Component, NodeArgs, NodeDefinition};
 type Definition = NodeDefinition<anyhow::Error>;
 
 /// All nodes, in the order of the help.
-pub fn definitions() -> impl Iterator<Item = &'static Definition> {
+pub(crate) fn definitions() -> impl Iterator<Item = &'static Definition> {
     wm_model_nodes::NODES
         .iter()
         .chain(wm_robot_nodes::NODES)
@@ -29,12 +29,12 @@ fn definition(name: &str) -> Option<&'static Definition> {
     definitions().find(|definition| definition.name == name)
 }
 
-pub fn is_node(name: &str) -> bool {
+pub(crate) fn is_node(name: &str) -> bool {
     definition(name).is_some()
 }
 
 /// Several nodes in one process.
-pub const TOGETHER: &str = "run";
+pub(crate) const TOGETHER: &str = "run";
 const LIST: &str = "nodes";
 
 const ARGUMENTS: &str = "arguments";
@@ -43,7 +43,7 @@ const TOPICS: &str = "topics";
 
 /// Runs nodes, or lists them.
 #[derive(Clone)]
-pub enum NodeCommand {
+pub(crate) enum NodeCommand {
     /// Runs one node, with the arguments before `--ros-args`.
     One(&'static Definition, Vec<String>),
     /// Runs several in one process.
@@ -186,12 +186,12 @@ fn table() -> String {
 
 impl NodeCommand {
     /// Whether `--ros-args` may follow.
-    pub fn takes_ros_args(&self) -> bool {
+    pub(crate) fn takes_ros_args(&self) -> bool {
         matches!(self, Self::One(..) | Self::Together(_))
     }
 
     /// Runs the node until a signal or its end.
-    pub fn run(self, ros_args: Vec<String>) -> Result<ExitCode> {
+    pub(crate) fn run(self, ros_args: Vec<String>) -> Result<ExitCode> {
         let args = |own: Vec<String>| NodeArgs::parse(own.into_iter().chain(ros_args));
         match self {
             Self::One(node, own) => return (node.run)(&args(own)?),

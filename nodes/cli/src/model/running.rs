@@ -13,7 +13,7 @@ use wm_zoo::kinds::{Kind, Tensors};
 
 /// Files and engine of a model.
 #[derive(Args, Debug)]
-pub struct RunningArgs {
+pub(super) struct RunningArgs {
     /// Configuration in JSON: a Hugging Face config.json, or wm's own format (`wm model forward --help`)
     #[arg(long, value_name = "FILE")]
     config: PathBuf,
@@ -41,7 +41,7 @@ pub struct RunningArgs {
 }
 
 /// A model's files in memory, and its compute engine.
-pub struct Files {
+pub(super) struct Files {
     /// JSON.
     pub config: String,
     pub checkpoint: Checkpoint,
@@ -52,7 +52,7 @@ pub struct Files {
 
 impl RunningArgs {
     /// Opens the device and reads the files of a model of `kind`.
-    pub fn read(&self, kind: Kind) -> Result<Files> {
+    pub(super) fn read(&self, kind: Kind) -> Result<Files> {
         let compute = self.device.clone();
         compute.device()?;
         let compute = compute.with_kernels(self.engine)?.with_format(self.dtype)?;
@@ -73,7 +73,7 @@ impl RunningArgs {
     }
 
     /// Writes the output and prints its shapes.
-    pub fn write(&self, outputs: Tensors) -> Result<()> {
+    pub(super) fn write(&self, outputs: Tensors) -> Result<()> {
         for (name, tensor) in &outputs {
             print(format_args!("{name} {:?}\n", tensor.dims()))?;
         }
