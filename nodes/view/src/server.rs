@@ -15,7 +15,7 @@ use crate::{
     picture::{Label, MAX_BYTES, Picture, Source},
     socket,
     state::State,
-    status::{self, Heard, View},
+    status::{self, InputTopic, View},
     subprotocol::Subprotocol,
 };
 use axum::{
@@ -56,7 +56,7 @@ pub struct Shared {
     /// Changes when a client may have something to send.
     news: watch::Sender<u64>,
     /// Commands for the node.
-    commands: mpsc::Sender<Asked>,
+    commands: mpsc::Sender<ClientCommand>,
     clients: AtomicUsize,
     refused: Arc<AtomicU64>,
     settings: Settings,
@@ -85,13 +85,13 @@ pub struct Known {
     /// What the view knows.
     pub state: State,
     /// The topics that are heard.
-    pub heard: Vec<Heard>,
+    pub heard: Vec<InputTopic>,
     /// The last message `status`.
     pub status: Status,
 }
 
 /// A command that a client has sent.
-pub struct Asked {
+pub struct ClientCommand {
     /// The number of its answer.
     pub number: u32,
     /// What it asks for.
@@ -104,9 +104,9 @@ impl Shared {
     /// Nothing known but the state as it begins.
     pub fn new(
         state: State,
-        heard: Vec<Heard>,
+        heard: Vec<InputTopic>,
         settings: Settings,
-        commands: mpsc::Sender<Asked>,
+        commands: mpsc::Sender<ClientCommand>,
     ) -> Self {
         Self {
             known: Mutex::new(Known {
@@ -143,7 +143,7 @@ impl Shared {
     }
 
     /// Where commands go.
-    pub fn commands(&self) -> &mpsc::Sender<Asked> {
+    pub fn commands(&self) -> &mpsc::Sender<ClientCommand> {
         &self.commands
     }
 

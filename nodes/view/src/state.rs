@@ -74,9 +74,9 @@ const LIVE_BYTES: usize = 8 << 20;
 /// Events of a bag: an hour at 5 Hz.
 const BAG_BYTES: usize = 64 << 20;
 
-/// What is left out, by reason.
+/// Why a message is dropped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Left {
+pub enum DropReason {
     /// A predicted picture of which it cannot be told of which prediction it is.
     Unpaired,
     /// A prediction whose step or period is out of bounds.
@@ -89,7 +89,7 @@ pub enum Left {
     BadFit,
 }
 
-impl Left {
+impl DropReason {
     /// As it is counted in the diagnostics.
     pub const fn reason(self) -> &'static str {
         match self {
@@ -200,7 +200,7 @@ impl State {
         source: Source,
         stamp_ns: i64,
         now_ns: i64,
-    ) -> Result<Option<Label>, Left> {
+    ) -> Result<Option<Label>, DropReason> {
         self.heard(Topic::of(source), now_ns);
         match source {
             Source::Predicted => match self.pairings.pictured(stamp_ns, now_ns) {
@@ -211,7 +211,7 @@ impl State {
                     stamp_ns,
                     observed_ns: awaited.observed_ns,
                 })),
-                Pairing::Late => Err(Left::Unpaired),
+                Pairing::Late => Err(DropReason::Unpaired),
                 // Of a rollout that was under way when the view began, or that came raw too.
                 Pairing::Unknown => Ok(None),
             },
@@ -244,13 +244,13 @@ impl State {
     ///
     /// # Errors
     /// Its step or period is out of bounds, or a time is invalid.
-    pub fn prediction(&mut self, prediction: &Prediction, now_ns: i64) -> Result<(), Left> {
+    pub fn prediction(&mut self, prediction: &Prediction, now_ns: i64) -> Result<(), DropReason> {
         self.heard(Topic::Predicted, now_ns);
         // A message of a node of this process was not decoded.
-        let nanos = |stamp: Time| stamp.checked_nanos().map_err(|_| Left::BadPrediction);
+        let nanos = |stamp: Time| stamp.checked_nanos().map_err(|_| DropReason::BadPrediction);
         let period_ns = prediction.step_period.checked_nanos().unwrap_or(0);
         if prediction.step == 0 || prediction.step > STEP_LIMIT || period_ns <= 0 {
-            return Err(Left::BadPrediction);
+            return Err(DropReason::BadPrediction);
         }
         nanos(prediction.ready_stamp)?;
         self.pairings.predicted(Awaited {
@@ -308,8 +308,8 @@ impl State {
     ///
     /// # Errors
     /// There is no such fit.
-    pub fn fit(&mut self, fit: &Text) -> Result<(), Left> {
-        self.fit = fit.data.parse().map_err(|_| Left::BadFit)?;
+    pub fn fit(&mut self, fit: &Text) -> Result<(), DropReason> {
+        self.fit = fit.data.parse().map_err(|_| DropReason::BadFit)?;
         Ok(())
     }
 
@@ -327,11 +327,11 @@ impl State {
         &mut self,
         candidates: Arc<ActionCandidates>,
         now_ns: i64,
-    ) -> Result<(), Left> {
+    ) -> Result<(), DropReason> {
         self.heard(Topic::Candidates, now_ns);
         let chunks = candidates.chunks.iter();
         if chunks.map(|chunk| chunk.actions.len()).sum::<usize>() > MAX_OFFERED {
-            return Err(Left::LargeOffer);
+            return Err(DropReason::LargeOffer);
         }
         self.journal.add(&Event::candidates(&candidates), now_ns);
         if self.offers.len() == MAX_OFFERS {
@@ -416,7 +416,7 @@ pub(crate) mod tests {
         assert!(state.album.find(&expected).is_some());
         assert_eq!(state.label(Source::Predicted, 17, 18), Ok(None));
         let late = state.label(Source::Predicted, STEP_NS, 9 * STEP_NS);
-        assert_eq!(late, Err(Left::Unpaired));
+        assert_eq!(late, Err(DropReason::Unpaired));
     }
 
     #[test]
@@ -458,7 +458,7 @@ pub(crate) mod tests {
                 ..prediction(0, 1)
             },
         ] {
-            assert_eq!(state.prediction(&bad, 1), Err(Left::BadPrediction));
+            assert_eq!(state.prediction(&bad, 1), Err(DropReason::BadPrediction));
         }
         let chunk = ActionChunk {
             actions: vec![Action::default(); MAX_OFFERED],
@@ -471,7 +471,7 @@ pub(crate) mod tests {
                 ..ActionCandidates::default()
             })
         };
-        assert_eq!(state.candidates(offer(2), 1), Err(Left::LargeOffer));
+        assert_eq!(state.candidates(offer(2), 1), Err(DropReason::LargeOffer));
         assert_eq!(state.candidates(offer(1), 1), Ok(()));
         assert!(state.offered(7, 0).is_some() && state.offered(7, 1).is_none());
         assert!(state.offered(8, 0).is_none());

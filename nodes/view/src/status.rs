@@ -147,14 +147,14 @@ pub struct Missing {
     text: String,
 }
 
-/// A topic that is heard, or looked for in a bag.
+/// A topic that the view subscribes to, or reads from a bag.
 #[derive(Clone, Debug)]
-pub struct Heard {
+pub struct InputTopic {
     /// Which.
     pub topic: Topic,
     /// Its absolute name.
     pub name: String,
-    /// Publishers that there are; none where that means nothing, in a bag.
+    /// Number of publishers; `None` in a bag.
     pub publishers: Option<usize>,
 }
 
@@ -183,7 +183,7 @@ struct Message<'a> {
 }
 
 /// The message `status`.
-pub fn message(state: &mut State, heard: &[Heard], view: &View, now_ns: i64) -> String {
+pub fn message(state: &mut State, heard: &[InputTopic], view: &View, now_ns: i64) -> String {
     let missing = missing(state, heard, now_ns);
     let topics = heard.iter().map(|heard| {
         let rate = state.rate(heard.topic);
@@ -216,7 +216,7 @@ pub fn message(state: &mut State, heard: &[Heard], view: &View, now_ns: i64) -> 
 }
 
 /// What is missing, for whoever wonders why a panel is empty.
-fn missing(state: &mut State, heard: &[Heard], now_ns: i64) -> Vec<Missing> {
+fn missing(state: &mut State, heard: &[InputTopic], now_ns: i64) -> Vec<Missing> {
     let find = |topic: Topic| heard.iter().find(|heard| heard.topic == topic);
     let name = |topic: Topic| find(topic).map_or("", |heard| heard.name.as_str());
     let is_bag = |topic: Topic| find(topic).is_none_or(|heard| heard.publishers.is_none());
@@ -309,7 +309,7 @@ mod tests {
     use crate::{picture::Source, state::tests::prediction};
     use wm_msgs::diagnostic_msgs::KeyValue;
 
-    fn heard(publishers: Option<usize>) -> Vec<Heard> {
+    fn heard(publishers: Option<usize>) -> Vec<InputTopic> {
         let topics = [
             (Topic::Camera, "/camera/image_raw"),
             (Topic::Predicted, "/wm/predicted"),
@@ -317,7 +317,7 @@ mod tests {
             (Topic::Action, "/wm/action"),
             (Topic::Plan, "/wm/plan"),
         ];
-        let heard = |(topic, name): (Topic, &str)| Heard {
+        let heard = |(topic, name): (Topic, &str)| InputTopic {
             topic,
             name: name.to_owned(),
             publishers,

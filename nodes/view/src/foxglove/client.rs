@@ -2,7 +2,7 @@
 
 use super::{
     hub::{Guest, Hub},
-    message::{self, Asked, Level, Told},
+    message::{self, ClientMessage, Level, ServerMessage},
 };
 use crate::socket::{PING_PERIOD, deliver};
 use axum::extract::ws::{Message, WebSocket};
@@ -42,7 +42,7 @@ pub async fn serve(socket: WebSocket, hub: &Arc<Hub>, is_bag: bool) {
 }
 
 fn told(level: Level, message: &str) -> String {
-    Told::Status { level, message }.text()
+    ServerMessage::Status { level, message }.text()
 }
 
 async fn send(
@@ -90,20 +90,20 @@ async fn receive(
     let answer = |level, text: &str| drop(answers.try_send(told(level, text)));
     while let Some(message) = stream.next().await {
         match message.map_err(|error| error.to_string())? {
-            Message::Text(text) => match Asked::parse(&text)? {
-                Asked::Subscribe { subscriptions } => {
+            Message::Text(text) => match ClientMessage::parse(&text)? {
+                ClientMessage::Subscribe { subscriptions } => {
                     for subscription in subscriptions {
                         if let Err(error) = guest.subscribe(subscription) {
                             answer(Level::Error, &error.to_string());
                         }
                     }
                 }
-                Asked::Unsubscribe { subscription_ids } => {
+                ClientMessage::Unsubscribe { subscription_ids } => {
                     for id in subscription_ids {
                         guest.unsubscribe(id);
                     }
                 }
-                Asked::Other => answer(Level::Warning, NOT_OFFERED),
+                ClientMessage::Other => answer(Level::Warning, NOT_OFFERED),
             },
             // What a client publishes, or a call of a service.
             Message::Binary(_) => answer(Level::Warning, NOT_OFFERED),

@@ -3,7 +3,7 @@
 use super::{
     channel::Channels,
     feed::Feed,
-    message::{Subscription, Told},
+    message::{ServerMessage, Subscription},
     offer::Offer,
     outbox::{Outbox, Sample, SubscribeError},
 };
@@ -118,7 +118,7 @@ impl Hub {
 
     /// The first message of each client.
     pub fn server_info(&self) -> String {
-        Told::server_info(&self.session).text()
+        ServerMessage::server_info(&self.session).text()
     }
 
     /// Says once that a web application was refused, since its user cannot see why.
@@ -168,18 +168,18 @@ impl News {
             for id in &gone {
                 self.outbox.remove(*id);
             }
-            news.push(Told::Unadvertise { channel_ids: &gone }.text());
+            news.push(ServerMessage::Unadvertise { channel_ids: &gone }.text());
         }
         let new = known.channels.iter();
         let new = new.filter(|channel| !self.advertised.contains(&channel.id));
         let new: Vec<_> = new.collect();
         for batch in new.chunks(BATCH) {
             let channels = batch.iter().map(|channel| channel.advertised()).collect();
-            news.push(Told::Advertise { channels }.text());
+            news.push(ServerMessage::Advertise { channels }.text());
         }
         if std::mem::take(&mut self.is_first) && new.is_empty() {
             let channels = Vec::new();
-            news.push(Told::Advertise { channels }.text());
+            news.push(ServerMessage::Advertise { channels }.text());
         }
         self.advertised = there;
         news

@@ -18,7 +18,7 @@ const HEADER_LEN: usize = 1 + 4 + 8;
 /// What the server says, but for data.
 #[derive(Debug, Serialize)]
 #[serde(tag = "op", rename_all = "camelCase")]
-pub enum Told<'a> {
+pub enum ServerMessage<'a> {
     /// First of all.
     #[serde(rename_all = "camelCase")]
     ServerInfo {
@@ -101,7 +101,7 @@ impl<'a> Advertised<'a> {
     }
 }
 
-impl<'a> Told<'a> {
+impl<'a> ServerMessage<'a> {
     /// The first message.
     pub fn server_info(session_id: &'a str) -> Self {
         Self::ServerInfo {
@@ -123,7 +123,7 @@ impl<'a> Told<'a> {
 /// What a client asks for.
 #[derive(Debug, PartialEq, Eq, Deserialize)]
 #[serde(tag = "op", rename_all = "camelCase")]
-pub enum Asked {
+pub enum ClientMessage {
     /// The messages of channels.
     Subscribe {
         /// Each.
@@ -150,7 +150,7 @@ pub struct Subscription {
     pub channel_id: u32,
 }
 
-impl Asked {
+impl ClientMessage {
     /// Reads what a client has sent.
     ///
     /// # Errors
@@ -176,7 +176,7 @@ mod tests {
     use proptest::{collection::vec, prelude::*};
     use serde_json::{Value, json};
 
-    fn json_of(told: &Told<'_>) -> Value {
+    fn json_of(told: &ServerMessage<'_>) -> Value {
         serde_json::from_str(&told.text()).unwrap()
     }
 
@@ -184,7 +184,7 @@ mod tests {
     #[test]
     fn what_is_told_is_what_the_specification_says() {
         assert_eq!(
-            json_of(&Told::server_info("7")),
+            json_of(&ServerMessage::server_info("7")),
             json!({
                 "op": "serverInfo", "name": "wm view", "capabilities": [], "supportedEncodings": ["cdr"],
                 "metadata": {"ROS_DISTRO": "kilted"}, "sessionId": "7",
@@ -197,7 +197,7 @@ mod tests {
             "string data\n",
         )];
         assert_eq!(
-            json_of(&Told::Advertise { channels }),
+            json_of(&ServerMessage::Advertise { channels }),
             json!({"op": "advertise", "channels": [{
                 "id": 3, "topic": "/a", "encoding": "cdr", "schemaName": "std_msgs/msg/String",
                 "schemaEncoding": "ros2msg", "schema": "string data\n",
@@ -205,12 +205,12 @@ mod tests {
         );
         let channel_ids = &[1, 2];
         assert_eq!(
-            json_of(&Told::Unadvertise { channel_ids }),
+            json_of(&ServerMessage::Unadvertise { channel_ids }),
             json!({"op": "unadvertise", "channelIds": [1, 2]})
         );
         for (level, number) in [(Level::Info, 0), (Level::Warning, 1), (Level::Error, 2)] {
             assert_eq!(
-                json_of(&Told::Status {
+                json_of(&ServerMessage::Status {
                     level,
                     message: "so"
                 }),
@@ -226,7 +226,11 @@ mod tests {
             r#"{"op":"advertise","channels":[{"id":1,"topic":"/a","encoding":"cdr","schemaName":"b"}]}"#,
             r#"{"op":"subscribeConnectionGraph"}"#,
         ] {
-            assert_eq!(Asked::parse(other), Ok(Asked::Other), "{other}");
+            assert_eq!(
+                ClientMessage::parse(other),
+                Ok(ClientMessage::Other),
+                "{other}"
+            );
         }
         for none in [
             "",
@@ -237,7 +241,7 @@ mod tests {
             r#"{"op":"subscribe","subscriptions":[{"id":-1,"channelId":1}]}"#,
             r#"{"op":"unsubscribe","subscriptionIds":[4294967296]}"#,
         ] {
-            assert!(Asked::parse(none).is_err(), "{none}");
+            assert!(ClientMessage::parse(none).is_err(), "{none}");
         }
     }
 
@@ -258,24 +262,24 @@ mod tests {
             let written: Vec<_> = pairs.iter().map(|(id, channel)| json!({"id": id, "channelId": channel})).collect();
             let text = json!({"op": "subscribe", "subscriptions": written}).to_string();
             let subscriptions = pairs.iter().map(|&(id, channel_id)| Subscription { id, channel_id }).collect();
-            prop_assert_eq!(Asked::parse(&text), Ok(Asked::Subscribe { subscriptions }));
+            prop_assert_eq!(ClientMessage::parse(&text), Ok(ClientMessage::Subscribe { subscriptions }));
             let subscription_ids: Vec<u32> = pairs.iter().map(|(id, _)| *id).collect();
             let text = json!({"op": "unsubscribe", "subscriptionIds": subscription_ids}).to_string();
-            prop_assert_eq!(Asked::parse(&text), Ok(Asked::Unsubscribe { subscription_ids }));
+            prop_assert_eq!(ClientMessage::parse(&text), Ok(ClientMessage::Unsubscribe { subscription_ids }));
         }
 
         #[test]
         fn whatever_is_told_is_json(text in "\\PC*", id: u32) {
             let channels = vec![Advertised::new(id, &text, &text, &text)];
-            let told = json_of(&Told::Advertise { channels });
+            let told = json_of(&ServerMessage::Advertise { channels });
             prop_assert_eq!(&told["channels"][0]["schema"], &text);
             prop_assert_eq!(&told["channels"][0]["id"], id);
         }
 
         #[test]
         fn whatever_comes_is_judged(text in "\\PC{0,80}", inner in "[a-zA-Z0-9:,\\[\\]{}\"]{0,60}") {
-            let _ = Asked::parse(&text);
-            let _ = Asked::parse(&format!("{{\"op\":\"subscribe\",{inner}}}"));
+            let _ = ClientMessage::parse(&text);
+            let _ = ClientMessage::parse(&format!("{{\"op\":\"subscribe\",{inner}}}"));
         }
     }
 }

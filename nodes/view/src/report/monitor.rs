@@ -6,4 +6,4 @@
 mod live_line;
 mod node;
 
-pub use node::{NODE, run};
+pub use node::NODE;
