@@ -13,11 +13,7 @@ pub(crate) fn definitions() -> impl Iterator<Item = &'static Definition> {
     wm_model_nodes::NODES
         .iter()
         .chain(wm_robot_nodes::NODES)
-        .chain([
-            &wm_view::report::monitor::NODE,
-            &wm_view::report::trials::NODE,
-            &wm_view::NODE,
-        ])
+        .chain(wm_view::NODES)
 }
 
 /// The nodes without a command of their own with flags.
@@ -93,7 +89,7 @@ fn command(definition: &Definition) -> Command {
 
 /// The nodes that can share a process.
 fn composable() -> String {
-    let nodes = definitions().filter(|definition| definition.component.is_some());
+    let nodes = definitions().filter(|definition| !definition.runs_alone);
     nodes
         .map(|definition| definition.name)
         .collect::<Vec<_>>()
@@ -155,16 +151,17 @@ impl FromArgMatches for NodeCommand {
     }
 }
 
-/// The node of this name, to share a process; ends the process if there is none.
+/// The node of this name, for a process with others; ends the process if there is none.
 fn component(name: &str) -> Component<anyhow::Error> {
-    let Some(component) = definition(name).and_then(|definition| definition.component) else {
-        let message = format!(
-            "`{name}` cannot run in one process with others; these can: {}\n",
-            composable()
-        );
-        clap::Error::raw(ErrorKind::InvalidValue, message).exit()
-    };
-    component()
+    definition(name)
+        .and_then(Definition::component)
+        .unwrap_or_else(|| {
+            let message = format!(
+                "`{name}` cannot run in one process with others; these can: {}\n",
+                composable()
+            );
+            clap::Error::raw(ErrorKind::InvalidValue, message).exit()
+        })
 }
 
 fn run_together(args: &NodeArgs) -> Result<()> {

@@ -86,6 +86,6 @@ impl PlayCommand {
             parameters.remap(rule);
         }
         parameters.log_level(self.log_level);
-        Ok(player::run(&NodeArgs::parse(parameters.with(ros_args))?)?.into())
+        (player::NODE.run)(&NodeArgs::parse(parameters.with(ros_args))?)
     }
 }

@@ -94,6 +94,6 @@ impl RecordCommand {
         self.flags.parameters(&mut parameters)?;
         parameters.set("use_sim_time", self.use_sim_time)?;
         parameters.log_level(self.log_level);
-        Ok(recorder::run(&NodeArgs::parse(parameters.with(ros_args))?)?.into())
+        (recorder::NODE.run)(&NodeArgs::parse(parameters.with(ros_args))?)
     }
 }

@@ -27,7 +27,7 @@ pub(super) const CHUNK_TIME: Duration = Duration::from_secs(1);
 /// Finished chunks are on the disk after this much time at the latest: with the open chunk, what a power cut may lose.
 pub(super) const SYNC_INTERVAL: Duration = Duration::from_secs(5);
 
-/// What the node sends to the bag's thread.
+/// An entry for the bag's thread.
 pub(super) enum Entry {
     /// A topic that is recorded from now on.
     Topic {
@@ -60,7 +60,7 @@ pub(super) struct Recording {
 
 /// Messages that wait for a snapshot.
 #[derive(Default)]
-struct Held {
+struct SnapshotBuffer {
     messages: VecDeque<Entry>,
     bytes: usize,
     latched_topics: HashSet<Arc<str>>,
@@ -68,7 +68,7 @@ struct Held {
     latched: LatchedMessages<Bytes>,
 }
 
-impl Held {
+impl SnapshotBuffer {
     /// Keeps a latched message that leaves the queue.
     fn keep(&mut self, entry: &Entry) {
         if let Entry::Message { topic, data, .. } = entry
@@ -112,7 +112,7 @@ pub(super) struct Queue {
     /// Most bytes that may wait; a message that is larger by itself may wait alone.
     limit: usize,
     /// In snapshot mode: the latest messages, of at most `limit` bytes, which go to the disk when they are asked for.
-    held: Option<Arc<Mutex<Held>>>,
+    held: Option<Arc<Mutex<SnapshotBuffer>>>,
     failure: Arc<Mutex<Option<String>>>,
 }
 
@@ -177,7 +177,7 @@ impl Queue {
         let failure = self.failure.lock().unwrap_or_else(PoisonError::into_inner);
         anyhow!(
             "the bag cannot be written: {}",
-            failure.as_deref().unwrap_or_default()
+            failure.as_deref().unwrap_or("its thread has ended")
         )
     }
 }
