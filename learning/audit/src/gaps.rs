@@ -77,11 +77,6 @@ impl Gaps {
         }
         (missing, longest_s)
     }
-
-    /// The number of gaps.
-    pub fn count(&self) -> u64 {
-        self.count
-    }
 }
 
 #[cfg(test)]
@@ -113,7 +108,7 @@ mod tests {
         assert_eq!(gaps.missing().0, 1 + 3);
         gaps.push(60_000_000_000);
         let (missing, longest_s) = gaps.missing();
-        assert_eq!((missing, gaps.count()), (4, 53));
+        assert_eq!((missing, gaps.count), (4, 53));
         assert!((longest_s - 60.0).abs() < 1e-6);
     }
 
@@ -121,7 +116,7 @@ mod tests {
     fn gaps_that_are_not_positive_are_ignored() {
         let gaps = of_milliseconds([0, -5, 100]);
         assert_eq!(
-            (gaps.count(), gaps.median_s(), gaps.missing()),
+            (gaps.count, gaps.median_s(), gaps.missing()),
             (1, None, (0, 0.0))
         );
         assert!(

@@ -206,7 +206,7 @@ fn collect_parts<'a>(
 ) -> Vec<(&'a Recording, Part)> {
     let spans = recordings.iter().zip(silences);
     let all = spans.flat_map(|(span, silences)| {
-        let parts = span.collect_parts(silences).into_iter();
+        let parts = span.parts(silences).into_iter();
         parts.map(move |part| (span, part))
     });
     let mut all: Vec<(&Recording, Part)> = all.collect();

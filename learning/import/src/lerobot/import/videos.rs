@@ -76,7 +76,7 @@ impl Videos {
     }
 
     fn open_video(&self, file: &Path, fps: f64) -> Result<OpenVideo, LeRobotError> {
-        let video = Video::open_video(file)?;
+        let video = Video::open(file)?;
         let times: Vec<f64> = (0..video.frame_count())
             .filter_map(|frame| video.time_s(frame))
             .collect();
