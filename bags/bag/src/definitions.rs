@@ -131,7 +131,7 @@ fn field_types(type_name: &str, definition: &str) -> Vec<String> {
         let field_type = field_type.split(['[', '<', '=']).next().unwrap_or_default();
         match field_type.split('/').collect::<Vec<_>>().as_slice() {
             [package, name] | [package, "msg", name] => {
-                field_types.push(format!("{package}/msg/{name}"))
+                field_types.push(format!("{package}/msg/{name}"));
             }
             // Message types begin with a capital, primitives do not.
             [name] if name.starts_with(|c: char| c.is_ascii_uppercase()) => match *name {

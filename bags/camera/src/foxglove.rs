@@ -1,8 +1,9 @@
 //! Pictures in Foxglove's types (<https://docs.foxglove.dev/docs/sdk/schemas>): in protobuf; CompressedVideo also in CDR.
 
-use serde::{Deserialize, Serialize};
-use wm_bag::{BagError, BagMessage, MessageEncoding, Schema};
-use wm_msgs::{Message as _, builtin_interfaces::Time, cdr, sensor_msgs, std_msgs::Header};
+use wm_bag::{BagError, BagMessage, MessageEncoding};
+use wm_msgs::{
+    builtin_interfaces::Time, cdr, foxglove_msgs::CompressedVideo, sensor_msgs, std_msgs::Header,
+};
 
 /// The protobuf type of sensor_msgs/CompressedImage.
 pub(crate) const COMPRESSED_IMAGE: &str = "foxglove.CompressedImage";
@@ -16,48 +17,20 @@ pub(crate) const ROS_VIDEO: [&str; 2] = [
     "foxglove/msg/CompressedVideo",
 ];
 
-/// foxglove_msgs/CompressedVideo.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct CompressedVideo {
-    /// Capture time.
-    pub timestamp: Time,
-    /// Optical frame.
-    pub frame_id: String,
-    /// Compressed bytes.
-    #[serde(with = "serde_bytes")]
-    pub data: Vec<u8>,
-    /// The codec.
-    pub format: String,
-}
-
-impl CompressedVideo {
-    /// The definition of foxglove_msgs.
-    #[must_use]
-    pub fn schema() -> Schema {
-        Schema::ros2msg(format!(
-            "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format\n{}\nMSG: \
-             builtin_interfaces/Time\n{}",
-            "=".repeat(80),
-            Time::DEFINITION
-        ))
-    }
-
-    /// Decodes a bag's message in CDR or protobuf.
-    ///
-    /// # Errors
-    /// The type is another one, or the bytes are not of it.
-    pub fn of_bag(message: &BagMessage) -> Result<Self, BagError> {
-        let type_name = &*message.type_name;
-        match message.encoding {
-            MessageEncoding::Protobuf => protobuf::<Video>(message)?.into_ros(message),
-            MessageEncoding::Cdr if ROS_VIDEO.contains(&type_name) => {
-                cdr::from_bytes(&message.data).map_err(|reason| BagError::Cdr {
-                    topic: message.topic.to_string(),
-                    reason,
-                })
-            }
-            MessageEncoding::Cdr => Err(wrong_type(message, ROS_VIDEO[0])),
-        }
+/// The packet of video that a bag's message holds, in either encoding.
+///
+/// # Errors
+/// The message has another type, or its bytes do not fit the type.
+pub fn compressed_video(message: &BagMessage) -> Result<CompressedVideo, BagError> {
+    let type_name = &*message.type_name;
+    match message.encoding {
+        MessageEncoding::Protobuf => protobuf::<Video>(message)?.into_ros(message),
+        MessageEncoding::Cdr if ROS_VIDEO.contains(&type_name) => cdr::from_bytes(&message.data)
+            .map_err(|reason| BagError::Cdr {
+                topic: message.topic.to_string(),
+                reason,
+            }),
+        MessageEncoding::Cdr => Err(wrong_type(message, ROS_VIDEO[0])),
     }
 }
 

@@ -7,10 +7,11 @@ use wm_bag::{
 };
 use wm_msgs::{
     Message as _, cdr,
+    foxglove_msgs::CompressedVideo,
     sensor_msgs::{CompressedImage, Image},
 };
 
-use crate::foxglove::{self, CompressedVideo};
+use crate::foxglove;
 
 /// Converts protobuf pictures to ROS messages on topics of the same names: `foxglove.CompressedImage` and
 /// `foxglove.RawImage` to sensor_msgs, `foxglove.CompressedVideo` to foxglove_msgs.
@@ -40,8 +41,8 @@ impl Transform for ProtobufTopics {
                 }),
                 foxglove::PROTOBUF_VIDEO => (
                     foxglove::ROS_VIDEO[0].to_owned(),
-                    CompressedVideo::schema(),
-                    |message| bytes(CompressedVideo::of_bag(message)),
+                    type_schema::<CompressedVideo>(),
+                    |message| bytes(foxglove::compressed_video(message)),
                 ),
                 _ => return None,
             };

@@ -4,6 +4,9 @@
 //! need their flags. A program whose `main` begins with [`describe_if_requested`] prints its definition as JSON, and
 //! [`query`] converts it to a [`Command`].
 //!
+//! clap_complete's dynamic completion is not used: it is an unstable feature, starts a program at each press of Tab, and gives
+//! no man pages, which need the definition anyway.
+//!
 //! The definition has what people read and shells complete: names, help, values and their numbers. It lacks conflicts of
 //! arguments and value parsers, so the command serves only for documentation.
 

@@ -519,7 +519,7 @@ mod tests {
 
     /// A change of 1 cm at the middle of the bundled camera's view, on each axis.
     #[test]
-    fn the_default_axes_are_those_of_the_bundled_camera() {
+    fn default_axes_fit_the_bundled_camera() {
         let camera = Camera::beside_the_arm();
         let middle = [0.262, 0.0, 0.095];
         let pixel = |point: [f64; 3]| camera.pixel(&point.into()).unwrap();

@@ -42,14 +42,14 @@ pub(crate) mod token_layers;
 pub(crate) mod vectorised;
 
 pub use activation::{gelu_exact, gelu_tanh, silu};
-pub use attention::{AttentionPattern, Axis, HEAD_DIM_MULTIPLE, attention};
+pub(crate) use attention::{AttentionPattern, Axis, HEAD_DIM_MULTIPLE, attention};
 pub use conv::{
     ConvShape, Fused, GridSize, PackedConv, conv2d, conv2d_input_gradient, conv2d_weight_gradient,
 };
 pub use dense_attention::{AttentionShape, HeadRows, ScoreMask, dense_attention};
 pub use element::PackedFormat;
 pub use engine::Engine;
-pub use gated_residual::gated_residual;
+pub(crate) use gated_residual::gated_residual;
 pub use group_norm::{
     Activation, Normalisation, differentiable_group_norm, group_norm, group_normalisations,
 };
@@ -59,8 +59,8 @@ pub use linear::{linear, scale_and_add_rows};
 pub use packed_linear::{PackedLinear, packed_layout};
 pub use panel_values::MappedBytes;
 pub use peak::peak_rate;
-pub use rms_norm_modulate::rms_norm_modulate;
-pub(crate) use rotary::normalise_and_rotate_plain;
-pub use rotary::{RopeLayout, RotaryTable};
+pub(crate) use rms_norm_modulate::rms_norm_modulate;
+pub use rotary::RopeLayout;
+pub(crate) use rotary::{RotaryTable, normalise_and_rotate_plain};
 pub use smoothing::Smoothing;
 pub use swiglu::swiglu;

@@ -2,7 +2,7 @@
 //!
 //! Paper: appendix B.7, "VLA success classifier probe"; layer by layer in `docs/architecture.md#success-probe`. It
 //! reads a whole episode of an encoder's latents, pooled to 4x4 tokens a frame, and the features of the instruction's
-//! tokens ([`crate::vit::siglip_text`]), and gives one logit. [`SuccessClassifier`] is all of it together: words and
+//! tokens (`vit/siglip_text.rs`), and gives one logit. [`SuccessClassifier`] is all of it together: words and
 //! latents in, a probability out.
 //!
 //! Each block is attention within a frame, attention over time at each place, attention to the text and a SwiGLU

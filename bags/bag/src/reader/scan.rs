@@ -1,4 +1,7 @@
-//! Indexes a file by reading its records.
+//! Finding the messages of a file by walking its records.
+//!
+//! `mcap::sans_io::LinearReader` is not used. It gives no offsets of records, which segments need; it starts at the front of
+//! a file, and the gaps between indexed chunks do not; it reads attachments whole; and it ends at the first damaged record.
 
 use std::{
     collections::BTreeSet,

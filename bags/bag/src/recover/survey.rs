@@ -1,4 +1,6 @@
-//! Finds the undamaged parts of a file by reading all of it.
+//! Finds the undamaged parts of a file by scanning all of it.
+//!
+//! `mcap::sans_io::LinearReader` is not used: it ends at the first damaged record, and the sound chunks after it are wanted.
 
 use std::{
     fs::File,

@@ -78,7 +78,7 @@ fn converted_bag_has_the_same_pictures_in_cdr() {
         for (old, new) in old.iter().zip(new) {
             assert_eq!(old.log_time_ns, new.log_time_ns);
             if topic == "/camera/video" {
-                let both = [old, new].map(|message| CompressedVideo::of_bag(message).unwrap());
+                let both = [old, new].map(|message| compressed_video(message).unwrap());
                 assert_eq!(both[0], both[1]);
                 assert_eq!(both[0].format, "h264");
                 continue;
@@ -88,7 +88,7 @@ fn converted_bag_has_the_same_pictures_in_cdr() {
             assert_eq!(both[0].fingerprint(), both[1].fingerprint());
         }
     }
-    let description = CompressedVideo::schema().description(ROS_VIDEO[0]);
+    let description = wm_bag::type_schema::<CompressedVideo>().description(ROS_VIDEO[0]);
     assert_eq!(description.unwrap().unwrap().described.fields.len(), 4);
 }
 
@@ -158,11 +158,11 @@ fn times_outside_the_range_of_ros_are_rejected() {
             ..Video::default()
         };
         message.data = video.encode_to_vec().into();
-        let read = CompressedVideo::of_bag(&message);
+        let read = compressed_video(&message);
         assert_eq!(read.is_ok(), is_good, "{seconds} s {nanos} ns: {read:?}");
     }
     message.data = Video::default().encode_to_vec().into();
-    let read = CompressedVideo::of_bag(&message).unwrap();
+    let read = compressed_video(&message).unwrap();
     assert_eq!(read.timestamp, Time::default());
 }
 
@@ -173,7 +173,7 @@ proptest! {
         for topic in ["/camera/jpeg", "/camera/raw", "/camera/video"] {
             let mut message = messages(&reader, topic).remove(0);
             message.data = bytes.clone().into();
-            let _ = CompressedVideo::of_bag(&message);
+            let _ = compressed_video(&message);
             let _ = CameraFrame::of_bag(&message).map(|frame| frame.decode());
         }
     }

@@ -4,7 +4,7 @@ use serde::Deserialize;
 use wm_bag::{BagError, BagMessage};
 use wm_msgs::{cdr, std_msgs::Header};
 
-use crate::{foxglove::CompressedVideo, transport::FFMPEG};
+use crate::{foxglove::compressed_video, transport::FFMPEG};
 
 /// A picture of a video, or a part of it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -50,7 +50,7 @@ impl VideoPacket {
                 (packet.header, packet.encoding, packet.data)
             }
             _ => {
-                let video = CompressedVideo::of_bag(message)?;
+                let video = compressed_video(message)?;
                 let header = Header {
                     stamp: video.timestamp,
                     frame_id: video.frame_id,

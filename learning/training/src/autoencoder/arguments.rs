@@ -1,16 +1,13 @@
 use std::path::PathBuf;
 
-use anyhow::{Result, ensure};
+use anyhow::{Context as _, Result, ensure};
 use clap::Args;
 use serde_json::json;
 use wm_dataset::{Dataset, HeldOutArgs};
-use wm_model::{Autoencoder, AutoencoderConfig, Encoder as _, Fit, Framing, NumberFormat};
+use wm_model::{AutoencoderConfig, Encoder as _, Fit, Framing, NumberFormat};
 use wm_zoo::ModelFolder;
 
-use super::{
-    AutoencoderRecipe, RECIPES, evaluate, picture,
-    trainer::{AutoencoderTask, TrainingError},
-};
+use super::{AutoencoderRecipe, RECIPES, evaluate, picture, trainer::AutoencoderTask};
 use crate::{
     arguments::RunArgs,
     recipe::Override,
@@ -111,7 +108,7 @@ pub struct EvaluateAutoencoderArgs {
     /// What to measure on.
     #[command(flatten)]
     pub on: HeldOutArgs,
-    /// Weights: a file, or a folder with `autoencoder.safetensors` or with the two published TAEF2 files.
+    /// The autoencoder: `tiny`, a model folder, or a file of weights.
     #[arg(long)]
     pub autoencoder: PathBuf,
     /// Maximum number of frames, spread over all bags.
@@ -127,16 +124,21 @@ impl EvaluateAutoencoderArgs {
     ///
     /// # Errors
     /// When the weights or the bags cannot be read, or the picture cannot be written.
-    pub fn run(&self) -> Result<(), TrainingError> {
-        let autoencoder = Autoencoder::open(&self.autoencoder)?;
+    pub fn run(&self) -> Result<()> {
+        let name = self.autoencoder.to_string_lossy();
+        let model = ModelFolder::open(&name)?;
+        let Some(trained) = model.trained() else {
+            anyhow::bail!(
+                "--autoencoder {name}: expected an autoencoder, found published networks"
+            );
+        };
+        let autoencoder = trained.autoencoder()?;
         let dataset = self.on.open(autoencoder.framing())?;
         println!("{}", evaluate(&autoencoder, &dataset, self.frames)?);
         if let Some(path) = &self.picture {
             let picture = picture(&autoencoder, &dataset, 8)?;
-            picture.save(path).map_err(|error| TrainingError::Io {
-                path: path.clone(),
-                source: std::io::Error::other(error),
-            })?;
+            let saved = picture.save(path);
+            saved.with_context(|| path.display().to_string())?;
         }
         Ok(())
     }

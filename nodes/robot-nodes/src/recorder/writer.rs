@@ -14,7 +14,8 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 use tokio::sync::oneshot;
 use wm_bag::{
-    BagSummary, BagWriter, Durability, LatchedMessages, QosProfile, Schema, WriterOptions, known_qos,
+    BagSummary, BagWriter, Durability, LatchedMessages, QosProfile, Schema, WriterOptions,
+    known_qos,
 };
 
 /// Bytes of messages that may wait for the disk, unless told otherwise: forty raw 1080p pictures.

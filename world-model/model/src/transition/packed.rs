@@ -27,9 +27,7 @@ use super::{Transition, TransitionConfig};
 use crate::Result;
 use crate::ops::block_attention::TokenBlocks;
 use crate::ops::{PackedFormat, PackedLinear, RotaryTable};
-use crate::transition::block::{Block, blocks};
-use crate::transition::condition::ConditionEmbedding;
-use crate::transition::head::Head;
+use crate::transition::network::Network;
 pub(crate) use frame_context::FrameContext;
 pub(crate) use modulation::Modulation;
 pub use pass::NewFrame;
@@ -53,9 +51,7 @@ struct Layers {
     grid: RotaryTable,
     /// Patches (p * p * C, values in the order row, column, channel) to tokens.
     embedding: PackedLinear,
-    condition: ConditionEmbedding<PackedLinear>,
-    sub_blocks: Vec<Block<PackedLinear>>,
-    head: Head<PackedLinear>,
+    network: Network<PackedLinear>,
 }
 
 impl PackedTransition {
@@ -75,16 +71,17 @@ impl PackedTransition {
     /// If the configuration cannot be built, `source` fails, or it gives weights of another shape.
     pub fn build(config: TransitionConfig, source: &dyn PackedSource) -> Result<Self> {
         config.validate()?;
-        let mut named = NamedLayers::new(&config, source);
+        let mut named = NamedLayers {
+            config: &config,
+            source,
+        };
         let (rows, columns) = config.grid();
         let layers = Layers {
             format: source.format(),
             blocks: TokenBlocks::new(rows * columns, config.heads, config.head_dim()),
             grid: config.rotary(),
             embedding: named.patches()?,
-            condition: ConditionEmbedding::new(&mut named)?,
-            sub_blocks: blocks(config.depth, &mut named)?,
-            head: Head::new(&config, &mut named)?,
+            network: Network::new(&config, &mut named)?,
         };
         Ok(Self {
             config: Arc::new(config),

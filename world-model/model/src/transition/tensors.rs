@@ -239,8 +239,14 @@ impl TensorTransition {
         let mut layers = TensorLayers::new(ENGINE, batch);
         let mut tokens = model.embedding.tokens(&mut layers, &patches)?;
         let mut block_layers = layers.in_format(model.embedding.patch_weight.dtype());
-        let mut kept = Vec::with_capacity(model.blocks.len());
-        for (index, (block, earlier)) in model.blocks.iter().zip(earlier.layers()).enumerate() {
+        let mut kept = Vec::with_capacity(model.network.blocks.len());
+        for (index, (block, earlier)) in model
+            .network
+            .blocks
+            .iter()
+            .zip(earlier.layers())
+            .enumerate()
+        {
             let (layers, [spatial, temporal]) = (&mut block_layers, block);
             let by_space = modulation.sub_blocks.get(2 * index)?;
             let qkv = spatial.project(layers, &tokens, &by_space)?;
@@ -266,6 +272,7 @@ impl TensorTransition {
         );
         let of_head = of_head.transpose()?;
         let patches = model
+            .network
             .head
             .forward(&mut layers, &tokens, of_head.as_ref(), &time)?;
         let output = Patches::into_grid(&patches, (batch, count), c)?;

@@ -134,7 +134,7 @@ pub struct ProbePart {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TextPart {
-    /// A [`SiglipTextConfig`](crate::vit::SiglipTextConfig).
+    /// Hugging Face's config.json (Siglip).
     pub config: Configuration,
     /// Its checkpoint, relative to the folder; it may hold the vision tower as well.
     pub weights: String,

@@ -82,7 +82,7 @@ struct FromLerobot {
     /// Folder for the bags, one per episode
     output: PathBuf,
     /// Import only these episodes: FIRST..LAST (with LAST), or one number
-    #[arg(long, value_parser = episodes)]
+    #[arg(long, value_parser = parse_episodes)]
     episodes: Option<RangeInclusive<i64>>,
     /// Action space of the data set: a JSON file with name, rate in Hz and dimensions, like "space" in model.json. The bags
     /// keep it. Without it, only Bridge V2's names (dx dy dz droll dpitch dyaw gripper) are recognised
@@ -183,7 +183,11 @@ impl ImportCommand {
             Self::Lerobot(from) => {
                 let options = wm_import::lerobot::ImportOptions {
                     episodes: from.episodes,
-                    action_space: from.action_space.as_deref().map(action_space).transpose()?,
+                    action_space: from
+                        .action_space
+                        .as_deref()
+                        .map(read_action_space)
+                        .transpose()?,
                     jpeg_quality: from.common.jpeg_quality,
                     shard: from.common.shard,
                     actions: from.common.mapping.mapping(),

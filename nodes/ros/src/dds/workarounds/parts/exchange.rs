@@ -1,16 +1,21 @@
-//! Carries out the decisions of the parts protocol: sends them to other participants, and hands messages to the readers
-//! here.
+//! Connects the parts protocol with DDS and with the readers in this process.
 
 use super::{
-    super::{codec::Raw, local::is_same_participant, lock::lock, shared::Shared},
-    Mail, Offered, Peer, Postbox, State, TYPE,
-    inbox::Whole,
-    message::PartMessage,
-    peer_of, profile, topic_of,
+    Postbox, State, TYPE,
+    inbox::WholeMessage,
+    message::{Mail, PartMessage},
+    outbox::OfferOutcome,
+    profile, topic_of,
 };
 use crate::{
     Error,
-    backend::{EndpointId, Sample},
+    backend::{EndpointId, Sample, participant_of},
+    dds::{
+        codec::Raw,
+        identity::{Peer, is_same_participant},
+        lock::lock,
+        shared::Shared,
+    },
     payload::Payload,
 };
 use bytes::Bytes;
@@ -22,19 +27,19 @@ use rustdds::{
 use std::{collections::BTreeSet, sync::Arc, time::Instant};
 
 impl Shared {
-    /// The reader of what others say to this participant.
+    /// The reader of messages to this participant.
     pub(in crate::dds) fn parts_reader(
         &self,
         own: &EndpointId,
     ) -> Result<SimpleDataReader<Bytes, Raw>, Error> {
-        let name = topic_of(&peer_of(own));
+        let name = topic_of(&participant_of(own));
         let topic = self.parts_topic(name.clone())?;
         self.subscriber
             .create_simple_datareader_no_key(&topic, Some(profile()))
             .map_err(|error| Error::middleware(format!("subscribe to {name}"), error))
     }
 
-    /// The participants that take this writer's messages in parts, and whether there are readers that do not.
+    /// The participants that take this writer's messages in parts, and whether other readers exist.
     pub(in crate::dds) fn readers_in_parts(&self, writer: &EndpointId) -> (BTreeSet<Peer>, bool) {
         let state = lock(&self.parts.state);
         self.split(&state, writer)
@@ -42,20 +47,23 @@ impl Shared {
 
     fn split(&self, state: &State, writer: &EndpointId) -> (BTreeSet<Peer>, bool) {
         let matches = lock(&self.matches);
-        let readers = matches.get(writer).into_iter().flatten().map(peer_of);
+        let readers = matches
+            .get(writer)
+            .into_iter()
+            .flatten()
+            .map(participant_of);
         let (with, without): (BTreeSet<Peer>, BTreeSet<Peer>) =
             readers.partition(|peer| state.postboxes.contains_key(peer));
         (with, !without.is_empty())
     }
 
-    /// Offers a message to those who take it in parts.
     pub(in crate::dds) fn offer(
         &self,
         writer: &EndpointId,
         bytes: &Bytes,
         copy: i64,
         peers: BTreeSet<Peer>,
-    ) -> Option<Offered> {
+    ) -> Option<OfferOutcome> {
         let (now, mut mail) = (Instant::now(), Vec::new());
         let mut state = lock(&self.parts.state);
         let offered = state
@@ -67,19 +75,19 @@ impl Shared {
         offered
     }
 
-    /// Something came for this participant.
+    /// Handles a message from another participant.
     fn take(&self, from: &EndpointId, message: PartMessage) {
         let (now, mut mail) = (Instant::now(), Vec::new());
-        let peer = peer_of(from);
-        let speaker = message.speaker();
-        if speaker.is_some_and(|writer| !is_same_participant(from, writer)) {
-            tracing::debug!("not a part: its writer is another participant's");
+        let peer = participant_of(from);
+        let sender = message.required_sender();
+        if sender.is_some_and(|writer| !is_same_participant(from, writer)) {
+            tracing::debug!("dropping a part: its writer belongs to another participant");
             return;
         }
         let mut state = lock(&self.parts.state);
         match message {
             PartMessage::Offer { of, first, head } => {
-                // no reader: none yet, or no more; the writer will know or ask again
+                // without a reader, the writer drops this participant or repeats the offer
                 if let Some(depth) = self.depth(&state, &of.id.writer) {
                     let offer = (of, first, head);
                     state.inbox.offered(now, peer, offer, depth, &mut mail);
@@ -98,7 +106,7 @@ impl Shared {
         self.send(&mut state, mail);
     }
 
-    /// Does what is due; when there is more to do.
+    /// Does everything that is due. Returns when the next action is due.
     fn advance(&self) -> Option<Instant> {
         let (now, mut mail) = (Instant::now(), Vec::new());
         let mut state = lock(&self.parts.state);
@@ -118,7 +126,7 @@ impl Shared {
             .min()
     }
 
-    /// The depth of the deepest reader here that is connected to this writer.
+    /// The depth of the deepest connected reader of this writer in this process.
     fn depth(&self, state: &State, writer: &EndpointId) -> Option<usize> {
         let matches = lock(&self.matches);
         let readers = state.readers.iter().filter(|(id, _)| {
@@ -129,16 +137,16 @@ impl Shared {
         readers.map(|(_, reader)| reader.depth).max()
     }
 
-    fn hand_over(&self, state: &State, whole: Whole) {
-        let Whole { of, bytes } = whole;
+    fn hand_over(&self, state: &State, whole: WholeMessage) {
+        let WholeMessage { of, bytes } = whole;
         let writer = of.id.writer;
         let matches = lock(&self.matches);
         for (id, reader) in &state.readers {
             let is_connected = matches
                 .get(id)
                 .is_some_and(|writers| writers.contains(&writer));
-            let heard = state.heard.get(&(*id, writer));
-            let has_copy = of.copy > 0 && heard.is_some_and(|heard| *heard >= of.copy);
+            let last = state.last_on_topic.get(&(*id, writer));
+            let has_copy = of.copy > 0 && last.is_some_and(|last| *last >= of.copy);
             if is_connected && !has_copy {
                 reader.inbox.push(Sample {
                     payload: Payload::Cdr(bytes.clone()),
@@ -150,7 +158,7 @@ impl Shared {
         }
     }
 
-    /// Sends what can be sent: what is lost is said again.
+    /// Sends to connected participants. The protocol repeats lost messages.
     fn send(&self, state: &mut State, mail: Vec<Mail>) {
         for Mail { to, message } in mail {
             let Some(postbox) = state.postboxes.get_mut(&to) else {
@@ -158,13 +166,13 @@ impl Shared {
             };
             let reader = postbox.reader;
             if postbox.writer.is_none() && self.catch_up.is_pending() {
-                continue; // not yet
+                continue; // a new endpoint has to wait
             }
             let sent = self.writer_of(postbox, &to).and_then(|writer| {
                 let matches = lock(&self.matches);
                 let connected = matches.get(&writer.guid().to_bytes());
                 if !connected.is_some_and(|others| others.contains(&reader.to_bytes())) {
-                    return Ok(()); // not yet
+                    return Ok(()); // not connected yet
                 }
                 drop(matches);
                 let bytes = message.encode()?;
@@ -212,7 +220,7 @@ impl Shared {
     }
 }
 
-/// Reads what others say to this participant, and keeps the times at which something is said again.
+/// Receives the messages to this participant, and repeats messages when due.
 pub(in crate::dds) async fn exchange(reader: SimpleDataReader<Bytes, Raw>, shared: Arc<Shared>) {
     let mut samples = std::pin::pin!(reader.as_async_stream());
     loop {
@@ -230,10 +238,10 @@ pub(in crate::dds) async fn exchange(reader: SimpleDataReader<Bytes, Raw>, share
                     let from = change.writer_guid().to_bytes();
                     match PartMessage::decode(&change.into_value()) {
                         Ok(message) => shared.take(&from, message),
-                        Err(error) => tracing::debug!("not a part: {error}"),
+                        Err(error) => tracing::debug!("dropping an invalid part: {error}"),
                     }
                 }
-                Some(Err(error)) => tracing::debug!("not a part: {error}"),
+                Some(Err(error)) => tracing::debug!("dropping an invalid part: {error}"),
             },
             () = wait => {}
             () = shared.parts.is_earlier.notified() => {}

@@ -1,52 +1,47 @@
-//! The readers' side of messages in parts: asks for the parts, a few at a time, and puts them together.
+//! The readers' side of the parts protocol: requests parts, a few at a time, and assembles messages.
 
-use super::{
-    Mail, Peer,
-    message::{MessageId, Outline, PartMessage},
-};
-use crate::backend::EndpointId;
+use super::message::{Mail, MessageId, Outline, PartMessage};
+use crate::{backend::EndpointId, dds::identity::Peer};
 use bytes::{Bytes, BytesMut};
 use std::{
     collections::{BTreeMap, VecDeque},
     time::{Duration, Instant},
 };
 
-/// Parts that a participant has on the way at once: three fit into half of Linux's default receive buffer of 208 KiB,
-/// which counts for twice as much, so that there is room for all else.
-const FLYING: usize = 3;
+/// Parts requested at once per participant. Three fit into half of Linux's default receive buffer of 208 KiB; the
+/// kernel counts them twice.
+const MOST_REQUESTS: usize = 3;
 
-/// A part that does not come is requested again after this time, or twice as long as parts of its writer take, and then
-/// after twice the last (as RFC 6298 has it for TCP): on a slow network what is late is not lost, and to ask for it
-/// again would make it later.
+/// The wait before a part is requested again: this, or twice as long as parts of its writer take, and then twice the
+/// last wait (as in RFC 6298 for TCP). On a slow network, further requests would delay a late part more.
 const PATIENCE: Duration = Duration::from_millis(20);
 const LONGEST_PATIENCE: Duration = Duration::from_millis(500);
 
-/// A message of which nothing comes for this long is given up.
+/// A message without progress for this long is dropped.
 const GIVE_UP: Duration = Duration::from_secs(5);
 
-/// A whole message.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Whole {
+pub(super) struct WholeMessage {
     pub(super) of: Outline,
     pub(super) bytes: Bytes,
 }
 
 #[derive(Clone, Copy)]
-struct Wanted {
+struct PartRequest {
     since: Instant,
     again: Instant,
-    /// Whether it has been asked for more than once.
+    /// Whether it was requested more than once.
     is_late: bool,
 }
 
-/// A message on its way.
+/// An incomplete message.
 struct Assembly {
     number: i64,
-    /// `None` until something of it came: that it is there is known from the numbers of the others.
+    /// `None` until a part or an offer arrives: the numbers of other messages show that this one exists.
     of: Option<Outline>,
     parts: BTreeMap<u32, Bytes>,
-    wanted: BTreeMap<u32, Wanted>,
-    /// The last sign of it.
+    wanted: BTreeMap<u32, PartRequest>,
+    /// When something of it last arrived.
     seen: Instant,
 }
 
@@ -67,7 +62,7 @@ impl Assembly {
             .is_some_and(|of| self.parts.len() >= of.parts() as usize)
     }
 
-    fn whole(&self) -> Option<Whole> {
+    fn whole(&self) -> Option<WholeMessage> {
         let of = self.of.filter(|_| self.is_whole())?;
         let mut parts = self.parts.values();
         let bytes = match (self.parts.len(), parts.next()) {
@@ -81,10 +76,10 @@ impl Assembly {
                 bytes.freeze()
             }
         };
-        Some(Whole { of, bytes })
+        Some(WholeMessage { of, bytes })
     }
 
-    /// A part to ask for that is neither here nor on its way.
+    /// The next part to request.
     fn next(&self) -> Option<u32> {
         let parts = self.of.map_or(1, |of| of.parts());
         (0..parts).find(|index| !self.parts.contains_key(index) && !self.wanted.contains_key(index))
@@ -94,26 +89,26 @@ impl Assembly {
 struct Stream {
     peer: Peer,
     base: i64,
-    /// Everything up to this is taken or given up.
+    /// Every message up to this number is delivered or dropped.
     settled: i64,
     patience: Duration,
-    /// In order; the first is on its way.
+    /// In order; only the first is requested.
     queue: VecDeque<Assembly>,
 }
 
-/// The writers of other participants whose messages come in parts.
+/// The remote writers that use parts.
 #[derive(Default)]
 pub(super) struct Inbox {
     streams: BTreeMap<EndpointId, Stream>,
 }
 
 impl Inbox {
-    /// The last number of this writer whose sample on the topic counts, where its messages come in parts.
+    /// If this writer uses parts: its last number on the topic that counts.
     pub(super) fn base(&self, writer: &EndpointId) -> Option<i64> {
         self.streams.get(writer).map(|stream| stream.base)
     }
 
-    /// A message is offered, and with it all from `first` on. `depth`: how many may wait.
+    /// An offer arrived, which implies all messages from `first` on. `depth`: how many may wait.
     pub(super) fn offered(
         &mut self,
         now: Instant,
@@ -126,17 +121,17 @@ impl Inbox {
         let stream = self.streams.entry(writer).or_insert_with(|| Stream {
             peer: from,
             base: of.base,
-            // a reader begins where the writer first knew of it
+            // a reader begins with the first message that the writer keeps for it
             settled: first.saturating_sub(1),
             patience: PATIENCE,
             queue: VecDeque::new(),
         });
-        // what the writer does not keep for this reader any more will not come
+        // the writer has dropped these for this reader
         stream
             .queue
             .retain(|assembly| assembly.number >= first || assembly.is_whole());
         if stream.queue.is_empty() {
-            // what went by while nobody read here
+            // messages that passed without a reader
             stream.settled = stream.settled.max(first.saturating_sub(1));
         }
         if number <= stream.settled {
@@ -154,7 +149,7 @@ impl Inbox {
         stream
             .queue
             .extend(new.map(|number| Assembly::new(number, now)));
-        // what is on its way stays, or a reader that is slow for long would get nothing
+        // keep the incomplete message, or a slow reader would get none
         while stream.queue.len() > depth.max(1) + 1 {
             stream.queue.remove(1);
         }
@@ -172,7 +167,7 @@ impl Inbox {
         }
     }
 
-    /// A part came.
+    /// A part arrived.
     pub(super) fn came(&mut self, now: Instant, of: Outline, index: u32, bytes: Bytes) {
         let Some(stream) = self.streams.get_mut(&of.id.writer) else {
             return;
@@ -191,14 +186,14 @@ impl Inbox {
         assembly.seen = now;
         assembly.parts.insert(index, bytes);
         if !wanted.is_late {
-            // of a part that was asked for twice, nobody knows which came
+            // after two requests it is unclear which one this part replies to
             let took = now.saturating_duration_since(wanted.since);
             let patience = (stream.patience + 2 * took) / 2;
             stream.patience = patience.clamp(PATIENCE, LONGEST_PATIENCE);
         }
     }
 
-    /// The writer does not keep the message any more.
+    /// The writer has dropped the message.
     pub(super) fn gone(&mut self, id: &MessageId) {
         if let Some(stream) = self.streams.get_mut(&id.writer) {
             stream.queue.retain(|assembly| assembly.number != id.number);
@@ -208,8 +203,8 @@ impl Inbox {
         }
     }
 
-    /// Takes what is whole, in each writer's order, and asks for what is not.
-    pub(super) fn advance(&mut self, now: Instant, mail: &mut Vec<Mail>) -> Vec<Whole> {
+    /// Takes complete messages, in each writer's order, and requests missing parts.
+    pub(super) fn advance(&mut self, now: Instant, mail: &mut Vec<Mail>) -> Vec<WholeMessage> {
         let mut wholes = Vec::new();
         for (writer, stream) in &mut self.streams {
             let before = stream.settled;
@@ -222,7 +217,7 @@ impl Inbox {
                 stream.queue.pop_front();
                 wholes.extend(whole);
                 if let Some(next) = stream.queue.front_mut() {
-                    next.seen = now; // its turn begins
+                    next.seen = now; // its requests begin now
                 }
             }
             if stream.settled != before {
@@ -244,29 +239,29 @@ impl Inbox {
         }
         let all = self.streams.values().flat_map(|stream| &stream.queue);
         let wanted = all.flat_map(|assembly| assembly.wanted.values());
-        // what is late is not on its way, or a writer that has stopped would hold up all others
-        let mut flying = wanted.filter(|wanted| !wanted.is_late).count();
+        // late parts do not count, or a stopped writer would block all others
+        let mut requests = wanted.filter(|wanted| !wanted.is_late).count();
         for (writer, stream) in &mut self.streams {
             let Some(first) = stream.queue.front_mut() else {
                 continue;
             };
-            while flying < FLYING
+            while requests < MOST_REQUESTS
                 && let Some(index) = first.next()
             {
-                let wanted = Wanted {
+                let wanted = PartRequest {
                     since: now,
                     again: now + stream.patience,
                     is_late: false,
                 };
                 first.wanted.insert(index, wanted);
-                flying += 1;
+                requests += 1;
                 mail.push(want(stream.peer, *writer, (first.number, index)));
             }
         }
         wholes
     }
 
-    /// When [`advance`](Self::advance) has something to do by itself.
+    /// When [`advance`](Self::advance) is due next.
     pub(super) fn due(&self) -> Option<Instant> {
         let firsts = self
             .streams

@@ -1,27 +1,27 @@
-//! How large an answer rustdds may send. rustdds 0.15.1 spoils the inline QoS of fragmented samples (it writes one byte
-//! too many in front), which only answers to calls have: no client takes such a fragment. What would be fragmented is
-//! therefore sent by [`super::wire`].
+//! The largest response that rustdds may send. rustdds 0.15.1 corrupts the inline QoS of fragments (it writes a byte
+//! too many in front). Only responses have inline QoS, so no client receives a fragmented response. [`super::wire`]
+//! sends these.
 
 use std::{fs, path::Path};
 
-/// What rustdds 0.15.1 reserves of an MTU before it sends fragments \[byte\]: 48 for headers, 32 for a heartbeat, 48 for
-/// the submessage; and the header of the payload.
+/// Bytes of an MTU that rustdds 0.15.1 reserves: 48 for headers, 32 for a heartbeat, 48 for the submessage, and the
+/// header of the payload.
 const OVERHEAD: usize = 48 + 32 + 48 + 4;
-/// Where the system does not tell.
+/// If the system does not list the MTUs.
 const ETHERNET_MTU: usize = 1500;
-/// Loopback's datagrams hold as much as UDP allows.
+/// The limit of UDP.
 const LOOPBACK_MTU: usize = 65_500;
 /// From `linux/if.h`.
 const IFF_UP: u32 = 1;
 const IFF_LOOPBACK: u32 = 8;
 
-/// The largest answer that rustdds sends whole to a client that announces any address of this host or another \[byte\].
-pub(super) fn largest_answer() -> usize {
+/// The largest response that rustdds sends unfragmented through any interface \[byte\].
+pub(in crate::dds) fn largest_answer() -> usize {
     smallest_mtu(Path::new("/sys/class/net")) - OVERHEAD
 }
 
-/// The largest answer that rustdds sends whole between participants on loopback \[byte\].
-pub(super) const LARGEST_ON_LOOPBACK: usize = LOOPBACK_MTU - OVERHEAD;
+/// The largest response that rustdds sends unfragmented on loopback \[byte\].
+pub(in crate::dds) const LARGEST_ON_LOOPBACK: usize = LOOPBACK_MTU - OVERHEAD;
 
 fn smallest_mtu(interfaces: &Path) -> usize {
     let Ok(entries) = fs::read_dir(interfaces) else {
@@ -35,6 +35,7 @@ fn smallest_mtu(interfaces: &Path) -> usize {
         is_used.then(|| read("mtu")?.trim().parse().ok())?
     };
     let smallest = entries.filter_map(Result::ok).filter_map(mtu).min();
+    // without another interface, only loopback is used
     smallest.unwrap_or(LOOPBACK_MTU).clamp(576, LOOPBACK_MTU)
 }
 
@@ -43,7 +44,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_smallest_interface_that_is_up_counts() {
+    fn smallest_mtu_of_active_interfaces_counts() {
         let folder = tempfile::tempdir().unwrap();
         let add = |name: &str, flags: &str, mtu: &str| {
             let path = folder.path().join(name);

@@ -1,36 +1,33 @@
-//! A pause before endpoints are announced, while a participant of Fast DDS catches up with those that exist.
+//! A pause in announcing endpoints, while a Fast DDS participant catches up with the existing ones.
 //!
-//! A participant that has just been discovered asks for the announcements of all endpoints so far. rustdds sends a new one
-//! at once, which then arrives before them, and without a timestamp, as all of rustdds 0.15.1's announcements. Fast DDS
-//! sorts what it holds by timestamps alone (`ReaderHistory::add_change`), so these stay in the order of arrival; it looks
-//! for one by its number, and gives up at a larger one of the same writer (`History::get_change_nts`). So it never looks at
-//! the earlier announcements, and acknowledges them all the same: its nodes never hear of these endpoints. Here nothing is
-//! announced until it has what there is.
+//! A participant that was just discovered requests the announcements of all endpoints. If rustdds sends a new
+//! announcement at once, it arrives earlier than those. rustdds 0.15.1 sends announcements without timestamps. Fast DDS
+//! sorts by timestamps alone (`ReaderHistory::add_change`), so the order of arrival stays. It searches for an
+//! announcement by number, and stops at a larger number of the same writer (`History::get_change_nts`). So it never
+//! reads the earlier announcements, but acknowledges them: its nodes never discover these endpoints.
 
 use std::{
     sync::Mutex,
     time::{Duration, Instant},
 };
 
-use super::lock::lock;
-use crate::backend::EndpointId;
+use crate::{backend::EndpointId, dds::lock::lock};
 
-/// eProsima's identifier (<https://www.omg.org/dds/vendor-ids/>), with which the identities of its participants begin.
+/// eProsima's identifier (<https://www.omg.org/dds/vendor-ids/>), the first bytes of its participants' identities.
 const EPROSIMA: [u8; 2] = [0x01, 0x0f];
-/// How long one takes to catch up: some 30 ms, and on a busy machine longer.
+/// Catching up takes about 30 ms, and longer on a busy machine.
 const CATCHING_UP: Duration = Duration::from_millis(250);
-/// How long endpoints wait at most, where participants come one after the other.
+/// The longest pause, if participants arrive one after the other.
 const LONGEST: Duration = Duration::from_secs(1);
 
-/// Since when, and until when, others catch up.
+/// When the current pause began and when it ends.
 #[derive(Debug, Default)]
-pub(super) struct CatchUp {
+pub(in crate::dds) struct CatchUp {
     span: Mutex<Option<(Instant, Instant)>>,
 }
 
 impl CatchUp {
-    /// A participant was discovered.
-    pub(super) fn discovered(&self, id: &EndpointId, now: Instant) {
+    pub(in crate::dds) fn discovered(&self, id: &EndpointId, now: Instant) {
         if !id.starts_with(&EPROSIMA) {
             return;
         }
@@ -42,7 +39,6 @@ impl CatchUp {
         *span = Some((since, (now + CATCHING_UP).min(since + LONGEST)));
     }
 
-    /// How long to wait before the next endpoint is announced.
     fn remaining(&self, now: Instant) -> Duration {
         let span = *lock(&self.span);
         span.map_or(Duration::ZERO, |(_, until)| {
@@ -51,12 +47,12 @@ impl CatchUp {
     }
 
     /// Whether endpoints have to wait.
-    pub(super) fn is_pending(&self) -> bool {
+    pub(in crate::dds) fn is_pending(&self) -> bool {
         !self.remaining(Instant::now()).is_zero()
     }
 
-    /// Holds the thread until an endpoint may be announced: endpoints are made while a node starts, and rarely after.
-    pub(super) fn wait(&self) {
+    /// Blocks the thread until an endpoint may be announced. Nodes rarely make endpoints after their start.
+    pub(in crate::dds) fn wait(&self) {
         loop {
             let remaining = self.remaining(Instant::now());
             if remaining.is_zero() {
@@ -78,7 +74,7 @@ mod tests {
     }
 
     #[test]
-    fn endpoints_wait_for_a_participant_of_fast_dds_and_for_no_other() {
+    fn endpoints_wait_for_fast_dds_participants_only() {
         let (catch_up, begin) = (CatchUp::default(), Instant::now());
         catch_up.discovered(&of_vendor(0x12), begin);
         assert_eq!(catch_up.remaining(begin), Duration::ZERO);
@@ -88,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn many_that_come_one_after_the_other_hold_nobody_up_for_long() {
+    fn pause_is_bounded_if_many_participants_arrive() {
         let (catch_up, begin) = (CatchUp::default(), Instant::now());
         let step = CATCHING_UP / 2;
         for number in 0..7 {

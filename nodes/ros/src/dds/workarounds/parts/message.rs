@@ -1,6 +1,6 @@
-//! The messages between participants about messages in parts.
+//! The messages of the parts protocol.
 
-use crate::backend::EndpointId;
+use crate::{backend::EndpointId, dds::identity::Peer};
 use bytes::Bytes;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
@@ -9,26 +9,33 @@ use wm_msgs::cdr::{self, CdrError};
 /// The largest part \[byte\]: with its headers it fills one datagram of loopback.
 pub(super) const PART: usize = 60_000;
 
-/// The largest message that goes in parts \[byte\].
+/// The largest message in parts \[byte\].
 pub(in crate::dds) const LARGEST: usize = 256 << 20;
 
-/// A message of a writer, by its place in the writer's numbering.
+/// A message to a participant.
+#[derive(Clone, Debug)]
+pub(super) struct Mail {
+    pub(super) to: Peer,
+    pub(super) message: PartMessage,
+}
+
+/// A message, by its number at its writer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct MessageId {
     pub(super) writer: EndpointId,
     pub(super) number: i64,
 }
 
-/// What is told of a message with its offer and with each part.
+/// The data about a message that each offer and each part contains.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Outline {
     pub(super) id: MessageId,
-    /// All of it \[byte\], 1 to [`LARGEST`].
+    /// The whole message \[byte\], 1 to [`LARGEST`].
     pub(super) len: usize,
-    /// The last number that the writer used on its topic before it went over to parts: what comes there later has come
+    /// The last number that the writer used on its topic before it switched to parts. Later samples of the topic arrive
     /// in parts too.
     pub(super) base: i64,
-    /// The number under which the same message went out on the topic; 0 where it did not.
+    /// The number of the same message on the topic; 0 if it was not sent there.
     pub(super) copy: i64,
 }
 
@@ -47,24 +54,24 @@ impl Outline {
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum PartMessage {
-    /// From the writer: there is a message. The first part is with it, the first time. `first`: the first message that
-    /// this reader has not settled.
+    /// From the writer: a message exists. The first offer contains the first part. `first`: the oldest message that the
+    /// writer keeps for this reader.
     Offer {
         of: Outline,
         first: i64,
         head: Bytes,
     },
-    /// From a reader: send this part.
+    /// From a reader: requests a part.
     Want { id: MessageId, index: u32 },
-    /// From the writer: here it is.
+    /// From the writer: a part.
     Part {
         of: Outline,
         index: u32,
         bytes: Bytes,
     },
-    /// From the writer: the message is not kept any more.
+    /// From the writer: it no longer keeps the message.
     Gone { id: MessageId },
-    /// From a reader: everything up to this number is taken, or given up.
+    /// From a reader: it has taken or dropped every message up to this number.
     Settled { id: MessageId },
 }
 
@@ -77,7 +84,7 @@ enum Kind {
     Settled,
 }
 
-/// As it is sent: one shape for all, so that it is read without knowing what it is.
+/// The encoding: one layout for all kinds.
 #[derive(Serialize, Deserialize)]
 struct Wire {
     kind: u8,
@@ -92,7 +99,6 @@ struct Wire {
     bytes: Vec<u8>,
 }
 
-/// Why bytes are not such a message.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum PartError {
     #[error(transparent)]
@@ -111,9 +117,8 @@ pub(super) enum PartError {
 }
 
 impl PartMessage {
-    /// Whose participant alone may say this: the writer's, where it is about what a writer has. Readers' messages are
-    /// anybody's.
-    pub(super) fn speaker(&self) -> Option<&EndpointId> {
+    /// The writer whose participant alone may send this; `None` for messages of readers.
+    pub(super) fn required_sender(&self) -> Option<&EndpointId> {
         match self {
             Self::Offer { of, .. } | Self::Part { of, .. } => Some(&of.id.writer),
             Self::Gone { id } => Some(&id.writer),
@@ -190,7 +195,7 @@ impl PartMessage {
 }
 
 impl Outline {
-    /// Of a message of which nothing but its name is told.
+    /// Of a message whose data is not sent.
     const fn only(id: MessageId) -> Self {
         let (len, base, copy) = (0, 0, 0);
         Self {
@@ -258,20 +263,20 @@ mod tests {
         #![proptest_config(ProptestConfig::with_cases(64))]
 
         #[test]
-        fn what_is_encoded_is_decoded(message in message()) {
+        fn encoded_messages_are_decoded(message in message()) {
             let bytes = message.clone().encode().unwrap();
             prop_assert_eq!(PartMessage::decode(&bytes).unwrap(), message);
         }
 
         #[test]
-        fn any_bytes_are_a_message_or_an_error(mut bytes in prop::collection::vec(any::<u8>(), 0..99), kind in 0u8..6) {
+        fn arbitrary_bytes_do_not_panic(mut bytes in prop::collection::vec(any::<u8>(), 0..99), kind in 0u8..6) {
             bytes.splice(0..bytes.len().min(5), [0, 1, 0, 0, kind]);
             PartMessage::decode(&bytes).ok();
         }
     }
 
     #[test]
-    fn parts_that_do_not_fit_their_message_are_refused() {
+    fn parts_of_the_wrong_size_are_refused() {
         let id = MessageId {
             writer: [1; 16],
             number: 1,

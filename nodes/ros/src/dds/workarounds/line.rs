@@ -1,14 +1,16 @@
 //! The DDS writers of a publisher, one after the other.
 //!
-//! A reliable writer of rustdds 0.15.1 keeps every sample until its last reader has acknowledged it, and takes no more
-//! samples once its window is full. One reader that stops would silence the topic for all. rustdds can neither drop
-//! that reader nor the samples, and its window only closes. So a publisher whose slowest reader has fallen behind
-//! starts a new DDS writer, which no reader holds up, and drops the old one when the other readers have had time to
-//! take its last samples. The new writer is used as soon as all readers of the old one are connected to it: rustdds
-//! repairs for these whatever they miss.
+//! A reliable writer of rustdds 0.15.1 keeps each sample until its last reader has acknowledged it, and stops when its
+//! window is full. It can drop neither a reader nor samples. So one stopped reader would silence the topic for all. A
+//! publisher whose slowest reader falls behind therefore starts a new DDS writer. It uses this writer as soon as all
+//! readers of the old one are connected to it. It drops the old writer when the other readers have had time to take its
+//! last samples.
 
-use super::{codec::Raw, lock::lock, window::Window};
-use crate::backend::{EndpointId, RequestId};
+use super::window::Window;
+use crate::{
+    backend::{EndpointId, RequestId},
+    dds::{codec::Raw, lock::lock},
+};
 use bytes::Bytes;
 use futures::{FutureExt as _, future::BoxFuture, task::noop_waker_ref};
 use rustdds::{
@@ -25,40 +27,40 @@ use std::{
     time::Duration,
 };
 
-/// How far the slowest reader may fall behind before a new writer is started \[samples\].
+/// How far the slowest reader may fall behind \[samples\].
 const PATIENCE: usize = 256;
-/// It has also acknowledged nothing for this long: acknowledgements of a burst are under way.
-pub(super) const LULL: Duration = Duration::from_millis(100);
-/// And at most, where one reader lets writer after writer go by: each is announced to all participants.
+/// The slowest reader has also acknowledged nothing for this long: after a burst, acknowledgements are on their way.
+pub(in crate::dds) const LULL: Duration = Duration::from_millis(100);
+/// The upper bound if one reader lets writer after writer pass: each is announced to all participants.
 const MOST_PATIENCE: usize = 2048;
 
-/// How long the writer before is kept, for what the other readers have not taken from it.
-pub(super) const RETIREMENT: Duration = Duration::from_secs(2);
+/// How long the previous writer stays, for samples that other readers have not taken.
+pub(in crate::dds) const RETIREMENT: Duration = Duration::from_secs(2);
 
 /// Makes the DDS writers of a publisher.
-pub(super) struct Maker {
-    pub(super) publisher: Publisher,
-    pub(super) topic: Topic,
-    pub(super) qos: QosPolicies,
+pub(in crate::dds) struct Maker {
+    pub(in crate::dds) publisher: Publisher,
+    pub(in crate::dds) topic: Topic,
+    pub(in crate::dds) qos: QosPolicies,
 }
 
 impl Maker {
-    pub(super) fn make(&self) -> CreateResult<DataWriter<Bytes, Raw>> {
+    pub(in crate::dds) fn make(&self) -> CreateResult<DataWriter<Bytes, Raw>> {
         let qos = Some(self.qos.clone());
         self.publisher.create_datawriter_no_key(&self.topic, qos)
     }
 }
 
-/// A DDS writer and what its readers have acknowledged.
-pub(super) struct Line {
+/// A DDS writer and its unacknowledged samples.
+pub(in crate::dds) struct Line {
     writer: Arc<DataWriter<Bytes, Raw>>,
-    pub(super) window: Window,
-    /// The number of the last sample when the wait began, and the wait until all readers have it.
+    pub(in crate::dds) window: Window,
+    /// The number of the last sample at the start of the wait, and the wait until all readers have it.
     wait: Option<(i64, BoxFuture<'static, ()>)>,
 }
 
 impl Line {
-    pub(super) fn new(writer: DataWriter<Bytes, Raw>) -> Self {
+    pub(in crate::dds) fn new(writer: DataWriter<Bytes, Raw>) -> Self {
         Self {
             writer: Arc::new(writer),
             window: Window::default(),
@@ -66,16 +68,16 @@ impl Line {
         }
     }
 
-    pub(super) fn id(&self) -> EndpointId {
+    pub(in crate::dds) fn id(&self) -> EndpointId {
         self.writer.guid().to_bytes()
     }
 
-    pub(super) const fn writer(&self) -> &Arc<DataWriter<Bytes, Raw>> {
+    pub(in crate::dds) const fn writer(&self) -> &Arc<DataWriter<Bytes, Raw>> {
         &self.writer
     }
 
-    /// Sends a sample; its number.
-    pub(super) fn write(
+    /// Sends a sample and returns its number.
+    pub(in crate::dds) fn write(
         &mut self,
         sample: &Bytes,
         answers: Option<RequestId>,
@@ -95,15 +97,15 @@ impl Line {
         Ok(number)
     }
 
-    /// Updates the window by what the readers have acknowledged; whether they have acknowledged something.
-    pub(super) fn look(&mut self) -> bool {
+    /// Updates the window from acknowledgements. Returns whether there were new ones.
+    pub(in crate::dds) fn update(&mut self) -> bool {
         let mut context = Context::from_waker(noop_waker_ref());
         let mut is_acknowledged = false;
         while self.window.unacknowledged() > 0 {
             let (number, wait) = self.wait.get_or_insert_with(|| {
                 let writer = Arc::clone(&self.writer);
                 let wait = async move {
-                    // an error means that there is no reader to wait for
+                    // an error means that there are no readers
                     writer.async_wait_for_acknowledgments().await.ok();
                 };
                 (self.window.last(), wait.boxed())
@@ -120,9 +122,9 @@ impl Line {
     }
 }
 
-/// How long a publisher waits for its slowest reader.
+/// How far the slowest reader may fall behind \[samples\].
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Patience(usize);
+pub(in crate::dds) struct Patience(usize);
 
 impl Default for Patience {
     fn default() -> Self {
@@ -131,24 +133,24 @@ impl Default for Patience {
 }
 
 impl Patience {
-    pub(super) const fn samples(self) -> usize {
+    pub(in crate::dds) const fn samples(self) -> usize {
         self.0
     }
 
-    /// A writer was given up.
-    pub(super) fn grow(&mut self) {
+    /// A writer was replaced.
+    pub(in crate::dds) fn grow(&mut self) {
         self.0 = (self.0 * 2).min(MOST_PATIENCE);
     }
 
-    /// All readers have everything.
-    pub(super) const fn reset(&mut self) {
+    /// All readers have all samples.
+    pub(in crate::dds) const fn reset(&mut self) {
         self.0 = PATIENCE;
     }
 }
 
-/// Which DDS writer stands for which publisher. A publisher is known in this process by its first DDS writer.
+/// The current DDS writer of each publisher. The first DDS writer identifies the publisher in this process.
 #[derive(Default)]
-pub(super) struct Lines {
+pub(in crate::dds) struct Lines {
     table: Mutex<Table>,
 }
 
@@ -159,31 +161,31 @@ struct Table {
 }
 
 impl Lines {
-    /// From now on `line` stands for `publisher`.
-    pub(super) fn set_current(&self, publisher: EndpointId, line: EndpointId) {
+    /// Makes `line` the current DDS writer of `publisher`.
+    pub(in crate::dds) fn set_current(&self, publisher: EndpointId, line: EndpointId) {
         lock(&self.table).current.insert(publisher, line);
     }
 
-    /// `line` is a DDS writer of `publisher`.
-    pub(super) fn add(&self, publisher: EndpointId, line: EndpointId) {
+    /// Adds a DDS writer of `publisher`.
+    pub(in crate::dds) fn add(&self, publisher: EndpointId, line: EndpointId) {
         lock(&self.table).publishers.insert(line, publisher);
     }
 
-    pub(super) fn remove(&self, line: &EndpointId) {
+    pub(in crate::dds) fn remove(&self, line: &EndpointId) {
         lock(&self.table).publishers.remove(line);
     }
 
-    pub(super) fn remove_publisher(&self, publisher: &EndpointId) {
+    pub(in crate::dds) fn remove_publisher(&self, publisher: &EndpointId) {
         lock(&self.table).current.remove(publisher);
     }
 
-    /// The publisher that a DDS writer stands for; any other endpoint stands for itself.
-    pub(super) fn publisher_of(&self, line: &EndpointId) -> EndpointId {
+    /// The publisher of a DDS writer; any other endpoint stands for itself.
+    pub(in crate::dds) fn publisher_of(&self, line: &EndpointId) -> EndpointId {
         *lock(&self.table).publishers.get(line).unwrap_or(line)
     }
 
-    /// The DDS writer that stands for a publisher now; any other endpoint stands for itself.
-    pub(super) fn current(&self, publisher: &EndpointId) -> EndpointId {
+    /// The current DDS writer of a publisher; any other endpoint stands for itself.
+    pub(in crate::dds) fn current(&self, publisher: &EndpointId) -> EndpointId {
         *lock(&self.table)
             .current
             .get(publisher)
@@ -196,7 +198,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_publisher_is_known_by_its_first_writer() {
+    fn first_writer_identifies_the_publisher() {
         let lines = Lines::default();
         let [first, second, other] = [1, 2, 3].map(|byte| [byte; 16]);
         assert_eq!(
@@ -217,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn patience_grows_to_a_bound() {
+    fn patience_grows_up_to_a_bound() {
         let mut patience = Patience::default();
         assert_eq!(patience.samples(), PATIENCE);
         (0..9).for_each(|_| patience.grow());

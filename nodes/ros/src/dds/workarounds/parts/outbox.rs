@@ -1,37 +1,34 @@
-//! The writers' side of messages in parts: what is kept for the readers that have not taken it.
+//! The writers' side of the parts protocol: keeps messages until the readers have taken them.
 
-use super::{
-    Mail, Peer,
-    message::{MessageId, Outline, PartMessage},
-};
-use crate::backend::EndpointId;
+use super::message::{Mail, MessageId, Outline, PartMessage};
+use crate::{backend::EndpointId, dds::identity::Peer};
 use bytes::Bytes;
 use std::{
     collections::{BTreeMap, BTreeSet, VecDeque},
     time::{Duration, Instant},
 };
 
-/// An offer that nobody answers is repeated after this time, and then after twice the last.
+/// The pause before an offer without a reply is repeated; it doubles each time.
 const PAUSE: Duration = Duration::from_millis(10);
 const LONGEST_PAUSE: Duration = Duration::from_secs(1);
 
-/// What a writer keeps for a reader that does not take it, whatever its depth \[byte\]; one message it keeps in any case.
+/// The most that a writer keeps for slow readers \[byte\]; it always keeps one message.
 const MOST_BYTES: usize = 64 << 20;
 
-/// A reader that has asked for nothing for this long while messages wait for it is silent: only the newest is kept for
-/// it, until it is heard again.
+/// A reader that requests nothing for this long is silent: only the newest message is kept for it, until it sends
+/// something.
 const SILENCE: Duration = Duration::from_secs(5);
 
 /// How much a writer keeps.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::dds) enum Keep {
-    /// The last messages, at most this many, whoever has not taken the others.
+pub(in crate::dds) enum Retention {
+    /// The last messages, at most this many, even if readers lack older ones.
     Last(usize),
-    /// All, at most this many: then the oldest are dropped for the readers that have not taken them.
+    /// All messages, at most this many: then readers that lack the oldest lose them.
     All(usize),
 }
 
-impl Keep {
+impl Retention {
     const fn most(self) -> usize {
         match self {
             Self::Last(number) | Self::All(number) => number,
@@ -39,15 +36,14 @@ impl Keep {
     }
 }
 
-/// What became of a message that was offered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in crate::dds) struct Offered {
+pub(in crate::dds) struct OfferOutcome {
     pub(in crate::dds) number: i64,
     /// Older messages that were dropped for readers of a reliable writer, once for each reader.
     pub(in crate::dds) dropped: u64,
 }
 
-struct Kept {
+struct KeptMessage {
     of: Outline,
     bytes: Bytes,
     waiting: BTreeSet<Peer>,
@@ -57,11 +53,11 @@ struct Kept {
 }
 
 struct Stream {
-    keep: Keep,
+    keep: Retention,
     base: i64,
     last: i64,
-    kept: VecDeque<Kept>,
-    /// Since when each reader that messages wait for has been silent.
+    kept: VecDeque<KeptMessage>,
+    /// Since when each reader with waiting messages has been silent.
     silent_since: BTreeMap<Peer, Instant>,
 }
 
@@ -73,19 +69,19 @@ impl Stream {
         silent.map(|(peer, _)| *peer).collect()
     }
 
-    /// The reader has said something, or nothing waits for it.
-    fn heard(&mut self, now: Instant, peer: &Peer) {
+    /// The reader has sent something.
+    fn restart_silence(&mut self, now: Instant, peer: &Peer) {
         if let Some(since) = self.silent_since.get_mut(peer) {
             *since = now;
         }
     }
 
-    /// Whether more is kept than may be.
+    /// Whether the limits are exceeded.
     fn is_over(&self, number: usize, bytes: usize) -> bool {
         number > self.keep.most() || bytes > MOST_BYTES
     }
 
-    /// Drops what is too much, and what is kept for silent readers beside the newest; how much that is.
+    /// Drops messages above the limits, and all but the newest for silent readers. Returns how many.
     fn trim(&mut self, now: Instant) -> u64 {
         let mut dropped = 0;
         let silent = self.silent(now);
@@ -111,26 +107,26 @@ impl Stream {
             dropped += oldest.waiting.len();
         }
         match self.keep {
-            Keep::Last(_) => 0, // as is said of best effort
-            Keep::All(_) => dropped as u64,
+            Retention::Last(_) => 0, // best effort does not count losses
+            Retention::All(_) => dropped as u64,
         }
     }
 }
 
-/// The writers of this participant that have gone over to parts.
+/// The writers of this participant that use parts.
 #[derive(Default)]
 pub(super) struct Outbox {
     streams: BTreeMap<EndpointId, Stream>,
 }
 
 impl Outbox {
-    /// Whether this writer's messages go in parts.
+    /// Whether this writer uses parts.
     pub(super) fn has(&self, writer: &EndpointId) -> bool {
         self.streams.contains_key(writer)
     }
 
-    /// From now on this writer's messages go in parts. `last` is the last number that it used on its topic.
-    pub(super) fn open(&mut self, writer: EndpointId, keep: Keep, last: i64) {
+    /// Switches this writer to parts. `last`: the last number that it used on its topic.
+    pub(super) fn open(&mut self, writer: EndpointId, keep: Retention, last: i64) {
         let kept = VecDeque::new();
         self.streams.entry(writer).or_insert(Stream {
             keep,
@@ -141,16 +137,16 @@ impl Outbox {
         });
     }
 
-    /// Whether one more message would drop one that a reader still asks for.
+    /// Whether one more message would drop one that a reader still requests.
     pub(super) fn is_full(&self, now: Instant, writer: &EndpointId) -> bool {
         let Some(stream) = self.streams.get(writer) else {
             return false;
         };
-        if matches!(stream.keep, Keep::Last(_)) {
+        if matches!(stream.keep, Retention::Last(_)) {
             return false;
         }
         let silent = stream.silent(now);
-        let waits = |kept: &&Kept| !kept.waiting.is_subset(&silent);
+        let waits = |kept: &&KeptMessage| !kept.waiting.is_subset(&silent);
         let (number, bytes) = stream
             .kept
             .iter()
@@ -159,7 +155,7 @@ impl Outbox {
         number >= stream.keep.most() || bytes >= MOST_BYTES
     }
 
-    /// Offers a message. `copy`: the number under which it went out on the topic, 0 where it did not.
+    /// Offers a message. `copy`: its number on the topic, 0 if it was not sent there.
     pub(super) fn offer(
         &mut self,
         now: Instant,
@@ -168,7 +164,7 @@ impl Outbox {
         copy: i64,
         peers: BTreeSet<Peer>,
         mail: &mut Vec<Mail>,
-    ) -> Option<Offered> {
+    ) -> Option<OfferOutcome> {
         let stream = self.streams.get_mut(writer)?;
         stream.last += 1;
         let of = Outline {
@@ -184,7 +180,7 @@ impl Outbox {
             for peer in &peers {
                 stream.silent_since.entry(*peer).or_insert(now);
             }
-            stream.kept.push_back(Kept {
+            stream.kept.push_back(KeptMessage {
                 of,
                 bytes: bytes.clone(),
                 waiting: peers.clone(),
@@ -202,10 +198,10 @@ impl Outbox {
             mail.push(stream.offer(of, head, peer));
         }
         let number = stream.last;
-        Some(Offered { number, dropped })
+        Some(OfferOutcome { number, dropped })
     }
 
-    /// A reader wants a part.
+    /// A reader requests a part.
     pub(super) fn wanted(
         &mut self,
         now: Instant,
@@ -215,15 +211,15 @@ impl Outbox {
         mail: &mut Vec<Mail>,
     ) {
         let stream = self.streams.get_mut(&id.writer);
-        // only who was offered a message may ask for it
+        // only readers that received the offer may request parts
         let kept = stream.and_then(|stream| {
-            stream.heard(now, &from);
+            stream.restart_silence(now, &from);
             let mut kept = stream.kept.iter_mut();
             kept.find(|kept| kept.of.id == id && kept.waiting.contains(&from))
         });
         let message = match kept {
             Some(kept) if index < kept.of.parts() => {
-                kept.again = now + kept.pause; // it is being taken
+                kept.again = now + kept.pause; // the reader is active
                 PartMessage::Part {
                     of: kept.of,
                     index,
@@ -235,10 +231,10 @@ impl Outbox {
         mail.push(Mail { to: from, message });
     }
 
-    /// A reader has taken, or given up, everything up to this.
+    /// A reader has taken or dropped every message up to this one.
     pub(super) fn settled(&mut self, now: Instant, from: Peer, id: MessageId) {
         if let Some(stream) = self.streams.get_mut(&id.writer) {
-            stream.heard(now, &from);
+            stream.restart_silence(now, &from);
             stream.release(|kept| {
                 if kept.of.id.number <= id.number {
                     kept.waiting.remove(&from);
@@ -248,7 +244,7 @@ impl Outbox {
         }
     }
 
-    /// Whether every reader that is not silent has everything up to this number.
+    /// Whether every reader that is not silent has all messages up to this number.
     pub(super) fn is_settled(&self, now: Instant, writer: &EndpointId, number: i64) -> bool {
         self.streams.get(writer).is_none_or(|stream| {
             let silent = stream.silent(now);
@@ -262,8 +258,8 @@ impl Outbox {
         self.streams.get(writer).map(|stream| stream.last)
     }
 
-    /// Repeats the offers that nobody has answered, without their first part: the answer may only be slow. `peers` tells
-    /// who is still connected to a writer.
+    /// Repeats offers without a reply, but not their first part: the reader may be slow. `peers`: the readers that are
+    /// still connected to a writer.
     pub(super) fn repeat(
         &mut self,
         now: Instant,
@@ -288,7 +284,7 @@ impl Outbox {
         }
     }
 
-    /// When [`repeat`](Self::repeat) has something to do.
+    /// When [`repeat`](Self::repeat) is due next.
     pub(super) fn due(&self) -> Option<Instant> {
         let kept = self.streams.values().flat_map(|stream| &stream.kept);
         kept.map(|kept| kept.again).min()
@@ -317,13 +313,13 @@ impl Stream {
         Mail { to, message }
     }
 
-    /// Changes who waits, and lets go of what nobody waits for.
-    fn release(&mut self, change: impl Fn(&mut Kept)) {
+    /// Changes the waiting readers, and drops messages that no reader waits for.
+    fn release(&mut self, change: impl Fn(&mut KeptMessage)) {
         self.kept.iter_mut().for_each(change);
         self.kept.retain(|kept| !kept.waiting.is_empty());
     }
 
-    /// Nobody is silent for whom nothing waits.
+    /// Readers without waiting messages are not silent.
     fn forget_settled(&mut self) {
         let kept = &self.kept;
         let waits = |peer: &Peer| kept.iter().any(|kept| kept.waiting.contains(peer));

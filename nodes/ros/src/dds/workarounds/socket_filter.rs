@@ -1,10 +1,9 @@
-//! Keeps datagrams from elsewhere out. rustdds 0.15.1 binds its sockets to every address of the host, whichever
-//! networks it is told to use, and processes everything that arrives. So the kernel is asked to drop, before rustdds
-//! sees it, what did not come by an interface that was requested: a classic BPF program on each of the sockets, which
-//! needs no privilege.
+//! Drops datagrams from other networks. rustdds 0.15.1 binds its sockets to every address of the host, and processes
+//! everything that arrives. So a classic BPF program on each socket lets the kernel drop datagrams from interfaces that
+//! were not requested. It needs no privilege.
 //!
-//! What comes from this host's own addresses is let in whatever its interface: multicast that a neighbour process sends
-//! by Ethernet comes back by Ethernet. The kernel itself drops such a source on packets of other hosts.
+//! Datagrams from this host's own addresses pass on any interface: multicast of a neighbour process on Ethernet returns
+//! by Ethernet. The kernel itself drops packets of other hosts with such a source.
 
 use socket2::{SockFilter, SockRef, Type};
 use std::{
@@ -17,28 +16,28 @@ use std::{
 /// Instructions of classic BPF (`linux/bpf_common.h`, `linux/filter.h`).
 mod bpf {
     /// Load a word.
-    pub(super) const LOAD: u16 = 0x20;
+    pub(in crate::dds) const LOAD: u16 = 0x20;
     /// Jump where the accumulator equals the constant.
-    pub(super) const JUMP_EQUAL: u16 = 0x15;
+    pub(in crate::dds) const JUMP_EQUAL: u16 = 0x15;
     /// Bitwise and with the constant.
-    pub(super) const AND: u16 = 0x54;
-    pub(super) const RETURN: u16 = 0x06;
+    pub(in crate::dds) const AND: u16 = 0x54;
+    pub(in crate::dds) const RETURN: u16 = 0x06;
     /// The index of the receiving interface.
-    pub(super) const INTERFACE: u32 = 0xffff_f000 + 8;
+    pub(in crate::dds) const INTERFACE: u32 = 0xffff_f000 + 8;
     /// The source address in the IPv4 header.
-    pub(super) const SOURCE: u32 = 0xfff0_0000 + 12;
+    pub(in crate::dds) const SOURCE: u32 = 0xfff0_0000 + 12;
     /// The whole packet.
-    pub(super) const ALL: u32 = u32::MAX;
+    pub(in crate::dds) const ALL: u32 = u32::MAX;
 }
 
 /// The RTPS ports of a participant (DDSI-RTPS 2.5, 9.6.2.3).
-pub(super) struct Ports {
+pub(in crate::dds) struct Ports {
     domain: u16,
     participant: u16,
 }
 
 impl Ports {
-    pub(super) fn new(domain: u16, participant: u16) -> Self {
+    pub(in crate::dds) fn new(domain: u16, participant: u16) -> Self {
         Self {
             domain,
             participant,
@@ -49,19 +48,19 @@ impl Ports {
         7400 + 250 * self.domain
     }
 
-    /// Whether there are such ports.
-    pub(super) fn fit(&self) -> bool {
+    /// Whether the ports exist.
+    pub(in crate::dds) fn fit(&self) -> bool {
         let last = 7400 + 250 * u32::from(self.domain) + 11 + 2 * u32::from(self.participant);
         u16::try_from(last).is_ok()
     }
 
-    /// Where others' discovery traffic comes in.
-    pub(super) const fn discovery(&self) -> u16 {
+    /// The port for discovery.
+    pub(in crate::dds) const fn discovery(&self) -> u16 {
         self.base() + 10 + 2 * self.participant
     }
 
-    /// Where others' samples come in, unless another program has the port.
-    pub(super) const fn user(&self) -> u16 {
+    /// The port for samples, unless another program has it.
+    pub(in crate::dds) const fn user(&self) -> u16 {
         self.base() + 11 + 2 * self.participant
     }
 
@@ -71,7 +70,7 @@ impl Ports {
 }
 
 /// The UDP sockets of this process, by file descriptor.
-pub(super) fn sockets() -> io::Result<BTreeSet<RawFd>> {
+pub(in crate::dds) fn sockets() -> io::Result<BTreeSet<RawFd>> {
     let mut found = BTreeSet::new();
     for entry in fs::read_dir("/proc/self/fd")? {
         let name = entry?.file_name();
@@ -85,15 +84,15 @@ pub(super) fn sockets() -> io::Result<BTreeSet<RawFd>> {
     Ok(found)
 }
 
-/// Runs `with` on a file descriptor of this process that another part of it owns.
+/// Runs `with` on a file descriptor that another part of this process owns.
 fn borrow<T>(fd: RawFd, with: impl FnOnce(SockRef<'_>) -> io::Result<T>) -> io::Result<T> {
-    // SAFETY: the number was just read from /proc/self/fd, and is not used beyond this call. Were it closed meanwhile,
-    // the system calls in `with` would fail, or meet another socket, whose port then decides.
+    // SAFETY: the number was just read from /proc/self/fd, and is not used after this call. If it is closed meanwhile,
+    // the system calls in `with` fail, or meet another socket, whose port then decides.
     let fd = unsafe { BorrowedFd::borrow_raw(fd) };
     with(SockRef::from(&fd))
 }
 
-/// The port of a UDP socket of IPv4 that is bound to every address; `None` for anything else.
+/// The port of a UDP socket of IPv4 that is bound to every address; `None` for any other file descriptor.
 fn port(fd: RawFd) -> Option<u16> {
     let address = borrow(fd, |socket| match socket.r#type()? {
         Type::DGRAM => socket.local_addr(),
@@ -103,10 +102,10 @@ fn port(fd: RawFd) -> Option<u16> {
     (*address.ip() == Ipv4Addr::UNSPECIFIED).then_some(address.port())
 }
 
-/// Lets in only what comes by the interfaces that have one of `addresses`, by loopback, or from this host.
+/// Accepts only datagrams by interfaces with one of `addresses`, by loopback, or from this host.
 ///
 /// `before`: the process's UDP sockets before the participant was made.
-pub(super) fn confine(
+pub(in crate::dds) fn confine(
     ports: &Ports,
     before: &BTreeSet<RawFd>,
     addresses: &[IpAddr],
@@ -132,7 +131,7 @@ pub(super) fn confine(
         .filter(|fd| port(*fd).is_some_and(|port| expected.contains(&port)))
         .collect();
     let has_user_port = of_rtps.iter().any(|fd| port(*fd) == Some(ports.user()));
-    // where another program has the port, rustdds took any other
+    // if another program has the port, rustdds chose any other
     let others = all.difference(before).filter(|_| !has_user_port);
     for fd in of_rtps.iter().chain(others) {
         borrow(*fd, |socket| socket.attach_filter(&filter))?;
@@ -140,7 +139,7 @@ pub(super) fn confine(
     Ok(())
 }
 
-/// The filter as a program: 0 bytes of what is not let in.
+/// Returns 0 bytes of each rejected datagram.
 fn program(interfaces: &BTreeSet<u32>, own: &BTreeSet<Ipv4Addr>) -> Vec<SockFilter> {
     const LOOPBACK: u32 = 0x7f00_0000;
     let accept = || SockFilter::new(bpf::RETURN, 0, 0, bpf::ALL);
@@ -167,10 +166,9 @@ mod tests {
     use super::*;
     use std::{net::UdpSocket, time::Duration};
 
-    /// The kernel itself runs the program on a datagram of loopback, once as one that is let in and once as one that is
-    /// not.
+    /// The kernel runs the program on datagrams of loopback.
     #[test]
-    fn the_kernel_drops_what_the_program_refuses() {
+    fn kernel_drops_datagrams_that_the_program_rejects() {
         let listener = UdpSocket::bind("127.0.0.1:0").unwrap();
         listener
             .set_read_timeout(Some(Duration::from_secs(5)))
@@ -202,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn only_udp_sockets_on_every_address_are_found() {
+    fn only_udp_sockets_on_all_addresses_are_found() {
         use std::os::fd::AsRawFd as _;
         let [any, one] = ["0.0.0.0:0", "127.0.0.1:0"].map(|at| UdpSocket::bind(at).unwrap());
         let tcp = std::net::TcpListener::bind("0.0.0.0:0").unwrap();

@@ -1,18 +1,16 @@
 //! Large samples for readers of other DDS implementations.
 //!
-//! rustdds 0.15.1 sends a sample of 512 KiB over Ethernet in 400 datagrams at once. These overflow the receive buffers of
-//! Linux: readers of this suite take large samples in parts instead ([`super::parts`]). rustdds then repairs eight
-//! fragments of 256 bytes in 10 ms, which is less than five such samples a second need. So a sample that is not
-//! acknowledged is sent again from here, in the name of its own writer and in datagrams as large as those of Fast DDS.
-//! The samples after it are sent so before rustdds sends them too. Readers ignore the fragments that they have.
+//! rustdds 0.15.1 sends a sample of 512 KiB over Ethernet in 400 datagrams at once, which overflow the receive buffers
+//! of Linux. Readers of this suite take parts instead ([`super::parts`]). rustdds repairs eight fragments of 256 bytes
+//! in 10 ms, too slowly for five such samples a second. So this module repeats unacknowledged samples in datagrams as
+//! large as those of Fast DDS. It also sends the samples after them once before rustdds does. Readers ignore fragments
+//! that they have.
 
-use super::{
-    answers::WaitingRoom,
-    codec::Raw,
-    rtps::{self, Fragments},
-    shared::{Shared, is_foreign},
+use super::rtps::{self, Fragments};
+use crate::{
+    backend::EndpointId,
+    dds::{codec::Raw, identity::is_foreign, shared::Shared},
 };
-use crate::backend::EndpointId;
 use bytes::Bytes;
 use rustdds::{Timestamp, no_key::DataWriter};
 use std::{
@@ -23,33 +21,44 @@ use std::{
     },
     time::Duration,
 };
+use tokio::sync::Semaphore;
 
-/// Smaller samples fit into the receive buffer of Linux (208 KiB, with what a datagram takes besides its bytes).
+/// Smaller samples fit into the receive buffer of Linux (208 KiB, with the overhead of datagrams).
 const LARGE: usize = 64 * 1024;
-/// How long each transmission has to be acknowledged: rustdds asks for it with the sample, and every 100 ms.
+/// How long each transmission has to be acknowledged: rustdds requests it with the sample, and every 100 ms.
 const PAUSES: [Duration; 3] = [
     Duration::from_millis(30),
     Duration::from_millis(300),
     Duration::from_millis(600),
 ];
-/// Fragments of a datagram.
+/// Fragments per datagram.
 const FRAGMENTS: u16 = 240;
 /// Between two datagrams of a repetition: the receive buffer holds two.
 const BETWEEN: Duration = Duration::from_millis(1);
-/// So many samples are sent twice from the start after one was not acknowledged.
+/// Samples that are sent twice from the start, after one was not acknowledged.
 const CAREFUL: u32 = 256;
 
-/// What is known of the readers of a publisher's large samples.
-#[derive(Default)]
-pub(super) struct Care {
-    /// Samples that are not acknowledged yet.
-    places: WaitingRoom,
+/// Large samples of one publisher that wait for acknowledgement at once.
+const MOST_PENDING: usize = 64;
+
+/// Acknowledgements of a publisher's large samples.
+pub(in crate::dds) struct RepeatState {
+    /// Limits the samples that wait for acknowledgement.
+    pending: Arc<Semaphore>,
     /// Samples that will be sent twice from the start.
     careful: Arc<AtomicU32>,
 }
 
-/// A sample that is sent.
-pub(super) struct LargeSample {
+impl Default for RepeatState {
+    fn default() -> Self {
+        Self {
+            pending: Arc::new(Semaphore::new(MOST_PENDING)),
+            careful: Arc::default(),
+        }
+    }
+}
+
+pub(in crate::dds) struct LargeSample {
     line: EndpointId,
     number: i64,
     time: Timestamp,
@@ -58,8 +67,8 @@ pub(super) struct LargeSample {
 }
 
 impl LargeSample {
-    /// The sample that the DDS writer `line` sends under this number; `None` if it needs no care.
-    pub(super) fn of(
+    /// `line`: its DDS writer, with the number there. `None` if it is small.
+    pub(in crate::dds) fn of(
         line: EndpointId,
         number: i64,
         time: Timestamp,
@@ -73,7 +82,6 @@ impl LargeSample {
         })
     }
 
-    /// The datagrams for a reader.
     fn datagrams(&self, reader: &EndpointId) -> impl Iterator<Item = Bytes> {
         let fragments = self.sample.len().div_ceil(rtps::FRAGMENT) as u32; // of at most some MiB
         let firsts = (1..=fragments).step_by(usize::from(FRAGMENTS));
@@ -90,18 +98,18 @@ impl LargeSample {
 }
 
 impl Shared {
-    /// Of other implementations.
+    /// Readers of other implementations.
     fn foreign_readers(&self, line: &EndpointId) -> BTreeSet<EndpointId> {
         let mut readers = self.matched(line);
         readers.retain(|reader| is_foreign(line, reader));
         readers
     }
 
-    /// Sends a sample before rustdds does, if samples before it were not acknowledged.
-    pub(super) fn send_ahead(&self, large: &LargeSample, care: &Care) {
+    /// Sends a sample before rustdds does, if earlier samples were not acknowledged.
+    pub(in crate::dds) fn send_ahead(&self, large: &LargeSample, state: &RepeatState) {
         let less = |careful: u32| careful.checked_sub(1);
         let order = Ordering::Relaxed;
-        if care.careful.fetch_update(order, order, less).is_err() {
+        if state.careful.fetch_update(order, order, less).is_err() {
             return;
         }
         for (reader, addresses) in self.addresses_of(&self.foreign_readers(&large.line)) {
@@ -113,24 +121,24 @@ impl Shared {
         }
     }
 
-    /// Sends a sample again for as long as the readers have not acknowledged it, a few times.
-    pub(super) fn resend(
+    /// Repeats a sample a few times until the readers have acknowledged it.
+    pub(in crate::dds) fn resend(
         self: &Arc<Self>,
         writer: Weak<DataWriter<Bytes, Raw>>,
         large: LargeSample,
-        care: &Care,
+        state: &RepeatState,
     ) {
         if self.foreign_readers(&large.line).is_empty() {
             return;
         }
-        // rustdds repairs what has no place
-        let Some(place) = care.places.enter() else {
+        // without a permit, rustdds repairs the sample
+        let Ok(permit) = Arc::clone(&state.pending).try_acquire_owned() else {
             return;
         };
-        let (shared, careful) = (Arc::clone(self), Arc::clone(&care.careful));
+        let (shared, careful) = (Arc::clone(self), Arc::clone(&state.careful));
         self.failure
             .watch(&self.runtime, "large samples", async move {
-                let _place = place;
+                let _permit = permit;
                 for pause in PAUSES {
                     {
                         let Some(writer) = writer.upgrade() else {
@@ -164,12 +172,12 @@ mod tests {
     const LINE: EndpointId = [1, 0x18, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 0, 0, 2, 3];
     const READER: EndpointId = [1, 0x0f, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 0, 0, 1, 4];
 
-    /// The message's header, INFO_DST, INFO_TS, and DATA_FRAG without its payload.
+    /// The header, INFO_DST, INFO_TS, and DATA_FRAG without its payload.
     const HEADERS: usize = 20 + 16 + 12 + 36;
 
     proptest! {
         #[test]
-        fn the_datagrams_hold_the_whole_sample(len in LARGE + 1..LARGE + 5000) {
+        fn datagrams_contain_the_whole_sample(len in LARGE + 1..LARGE + 5000) {
             let sample: Vec<u8> = (0..len).map(|index| (index / 7) as u8).collect();
             let sample = Bytes::from(sample);
             let sent = LargeSample::of(LINE, 3, Timestamp::now(), &sample).unwrap();
@@ -183,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn small_samples_are_left_to_rustdds() {
+    fn small_samples_are_not_repeated() {
         let sample = Bytes::from(vec![0; LARGE]);
         assert!(LargeSample::of(LINE, 3, Timestamp::now(), &sample).is_none());
     }

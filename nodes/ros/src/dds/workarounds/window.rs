@@ -1,37 +1,37 @@
-//! The samples of a reliable DDS writer that its slowest reader has not acknowledged.
+//! The unacknowledged samples of a reliable DDS writer.
 
 use std::collections::VecDeque;
 
-/// A reader that lacks this much has fallen behind, however few samples that are \[byte\].
+/// A reader that lacks this much has fallen behind, even if it lacks few samples \[byte\].
 const PATIENCE_BYTES: usize = 16 << 20;
-/// Samples and bytes that are kept at most; more are refused.
+/// The largest window; further samples are refused.
 const MOST: usize = 4096;
 const MOST_BYTES: usize = 64 << 20;
 
 /// Numbers and sizes of the samples of one DDS writer.
 #[derive(Debug, Default)]
-pub(super) struct Window {
+pub(in crate::dds) struct Window {
     last: i64,
-    /// Sizes of the unacknowledged samples, oldest first \[byte\].
+    /// Of the unacknowledged samples, oldest first \[byte\].
     sizes: VecDeque<usize>,
     bytes: usize,
 }
 
 impl Window {
-    /// The number of the last sample, 0 before the first.
-    pub(super) const fn last(&self) -> i64 {
+    /// The number of the last sample; 0 before the first.
+    pub(in crate::dds) const fn last(&self) -> i64 {
         self.last
     }
 
-    /// A sample was written.
-    pub(super) fn wrote(&mut self, number: i64, len: usize) {
+    pub(in crate::dds) fn wrote(&mut self, number: i64, len: usize) {
         self.last = number;
         self.sizes.push_back(len);
         self.bytes += len;
     }
 
     /// All readers have every sample up to `number`.
-    pub(super) fn acknowledged(&mut self, number: i64) {
+    pub(in crate::dds) fn acknowledged(&mut self, number: i64) {
+        // rustdds acknowledges no sample that was not written
         let left = usize::try_from(self.last - number).unwrap_or(0);
         while self.sizes.len() > left
             && let Some(len) = self.sizes.pop_front()
@@ -40,18 +40,17 @@ impl Window {
         }
     }
 
-    /// How many samples some reader has not acknowledged.
-    pub(super) fn unacknowledged(&self) -> usize {
+    pub(in crate::dds) fn unacknowledged(&self) -> usize {
         self.sizes.len()
     }
 
-    /// Whether no more samples may be kept.
-    pub(super) fn is_full(&self) -> bool {
+    /// Whether further samples are refused.
+    pub(in crate::dds) fn is_full(&self) -> bool {
         self.sizes.len() >= MOST || self.bytes >= MOST_BYTES
     }
 
-    /// Whether some reader has fallen behind by more than `patience` samples, or by too many bytes.
-    pub(super) fn is_behind(&self, patience: usize) -> bool {
+    /// Whether some reader is `patience` samples or too many bytes behind.
+    pub(in crate::dds) fn is_behind(&self, patience: usize) -> bool {
         self.sizes.len() >= patience || self.bytes >= PATIENCE_BYTES
     }
 }
@@ -70,7 +69,7 @@ mod tests {
         assert!(window.is_behind(10) && !window.is_behind(11));
         window.acknowledged(4);
         assert_eq!(window.unacknowledged(), 6);
-        // an acknowledgement of less than is known already changes nothing
+        // an older acknowledgement changes nothing
         window.acknowledged(2);
         assert_eq!(window.unacknowledged(), 6);
         window.wrote(11, PATIENCE_BYTES);

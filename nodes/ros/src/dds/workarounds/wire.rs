@@ -1,33 +1,37 @@
-//! Datagrams that this runtime sends beside rustdds 0.15.1, always in the name of their sender.
+//! Large responses, and the socket for all datagrams that do not pass rustdds 0.15.1.
 //!
-//! **An answer of more than one datagram of rustdds never arrives**: rustdds misplaces the inline QoS of fragments by
-//! one byte, and the inline QoS names the request. So such an answer is sent from here, whole, in one datagram that the
-//! kernel fragments. rustdds sends its own fragments after it, and clients ignore them as a repetition.
+//! rustdds misplaces the inline QoS of fragments by one byte, and the inline QoS names the request: **a fragmented
+//! response never arrives.** So such a response leaves from here in one datagram, which the kernel fragments. rustdds
+//! sends its own fragments after it, which clients ignore as a repetition.
 
 use super::rtps;
 use crate::backend::{EndpointId, RequestId};
 use bytes::Bytes;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
 
-/// The socket that these datagrams leave from.
-pub(super) struct Wire {
+pub(in crate::dds) struct Wire {
     socket: UdpSocket,
 }
 
 impl Wire {
-    pub(super) fn open() -> std::io::Result<Self> {
+    pub(in crate::dds) fn open() -> std::io::Result<Self> {
         let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0))?;
         socket.set_nonblocking(true)?;
         Ok(Self { socket })
     }
 
     /// For announcements.
-    pub(super) fn socket(&self) -> std::io::Result<UdpSocket> {
+    pub(in crate::dds) fn socket(&self) -> std::io::Result<UdpSocket> {
         self.socket.try_clone()
     }
 
-    /// Sends an answer to one reader.
-    pub(super) fn answer(&self, answer: &Answer, reader: &EndpointId, addresses: &[SocketAddr]) {
+    /// Sends a response to one reader.
+    pub(in crate::dds) fn answer(
+        &self,
+        answer: &Answer,
+        reader: &EndpointId,
+        addresses: &[SocketAddr],
+    ) {
         let Answer {
             writer,
             number,
@@ -41,29 +45,29 @@ impl Wire {
         }
     }
 
-    /// A lost datagram is repeated by the caller, or does no harm.
-    pub(super) fn send(&self, message: &[u8], to: SocketAddr) {
+    /// The caller repeats lost datagrams, if it matters.
+    pub(in crate::dds) fn send(&self, message: &[u8], to: SocketAddr) {
         if let Err(error) = self.socket.send_to(message, to) {
             tracing::debug!("cannot send {} bytes to {to}: {error}", message.len());
         }
     }
 }
 
-/// An answer that leaves from here.
+/// A large response.
 #[derive(Clone)]
-pub(super) struct Answer {
-    pub(super) writer: EndpointId,
+pub(in crate::dds) struct Answer {
+    pub(in crate::dds) writer: EndpointId,
     /// In the writer's numbering.
-    pub(super) number: i64,
-    pub(super) request: RequestId,
+    pub(in crate::dds) number: i64,
+    pub(in crate::dds) request: RequestId,
     /// When it was written \[ns since 1970\].
-    pub(super) nanos: i64,
-    pub(super) sample: Bytes,
+    pub(in crate::dds) nanos: i64,
+    pub(in crate::dds) sample: Bytes,
 }
 
-/// Those of a reader's addresses at which it is reached. `own`: the addresses of this host. A loopback address counts
-/// only for readers on this host; `is_on_loopback`: no others are asked for.
-pub(super) fn usable(
+/// The addresses at which a reader is reached. `own`: the addresses of this host. A loopback address counts only for
+/// readers on this host; if `is_on_loopback`, only these are reached.
+pub(in crate::dds) fn usable(
     announced: impl IntoIterator<Item = SocketAddr>,
     own: &[IpAddr],
     is_on_loopback: bool,
@@ -81,7 +85,7 @@ pub(super) fn usable(
         true => true,
         false => !is_on_loopback && !address.ip().is_loopback(),
     });
-    // on this host, one is as good as all
+    // on this host, one address suffices
     if is_neighbor {
         usable.truncate(1);
     }
@@ -93,7 +97,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_reader_is_reached_where_it_really_is() {
+    fn loopback_addresses_count_only_on_this_host() {
         let address = |text: &str| text.parse::<SocketAddr>().unwrap();
         let own = ["10.0.0.1".parse().unwrap()];
         let [lo, eth, other, group] = [

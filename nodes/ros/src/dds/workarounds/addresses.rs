@@ -1,37 +1,36 @@
-//! Addresses of this host that change while a participant uses them. rustdds 0.15.1 announces the addresses that it
-//! finds at its start, and joins the multicast group on these only. The kernel forgets the membership with the address.
-//! So a participant whose interface gets another address, or gets its address back, would be mute without an error.
+//! Changes of this host's addresses. rustdds 0.15.1 announces the addresses that it finds at its start, and joins the
+//! multicast group on these only. The kernel drops the membership with the address. So after a change, a participant
+//! would silently receive nothing.
 
-use crate::{Environment, Error, Interface, Reach};
+use crate::{Environment, Error, Interface, Reach, dds::lock::lock};
 use std::{
     net::{IpAddr, Ipv4Addr},
-    sync::{Mutex, PoisonError},
+    sync::Mutex,
 };
 
 /// The addresses that a participant uses.
-pub(super) struct Addresses {
-    /// Not those of loopback, which do not change.
+pub(in crate::dds) struct Addresses {
+    /// Without loopback, whose addresses do not change.
     used: Vec<Interface>,
     /// Whether it uses every interface.
     is_subnet: bool,
     changes: Mutex<Changes>,
 }
 
-/// Changes so far.
 #[derive(Default)]
 struct Changes {
-    /// Addresses in use that are gone.
+    /// Used addresses that are gone.
     missing: Vec<Interface>,
-    /// Addresses that are not in use, and were reported.
+    /// New addresses that are not used, and were reported.
     unused: Vec<Interface>,
 }
 
 impl Addresses {
-    /// Those of the interfaces that the environment names.
+    /// The addresses of the interfaces that the environment names.
     ///
     /// # Errors
     /// The system does not list the interfaces.
-    pub(super) fn of(environment: &Environment) -> Result<Self, Error> {
+    pub(in crate::dds) fn of(environment: &Environment) -> Result<Self, Error> {
         let addresses = environment.addresses();
         let is_used = |found: &Interface| match &addresses {
             Some(addresses) => addresses.contains(&found.address),
@@ -45,16 +44,16 @@ impl Addresses {
         })
     }
 
-    /// One of them; `None` where only loopback is used.
-    pub(super) fn first(&self) -> Option<Ipv4Addr> {
+    /// The first IPv4 address; `None` if only loopback is used.
+    pub(in crate::dds) fn first(&self) -> Option<Ipv4Addr> {
         self.used.iter().find_map(|used| match used.address {
             IpAddr::V4(address) => Some(address),
             IpAddr::V6(_) => None,
         })
     }
 
-    /// How an address in use has changed, if one has; a loss is logged once, and waited for.
-    pub(super) fn check(&self) -> Option<Error> {
+    /// The change of a used address. A lost address is logged once; it may return.
+    pub(in crate::dds) fn check(&self) -> Option<Error> {
         if self.used.is_empty() && !self.is_subnet {
             return None;
         }
@@ -68,8 +67,7 @@ impl Addresses {
     }
 
     fn change(&self, now: &[Interface]) -> Option<Error> {
-        // no invariant spans the lock
-        let mut changes = self.changes.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut changes = lock(&self.changes);
         for used in &self.used {
             if !now.contains(used) && !changes.missing.contains(used) {
                 tracing::warn!(
@@ -84,7 +82,7 @@ impl Addresses {
         for missing in &changes.missing {
             let mut of_same = now.iter().filter(|found| found.name == missing.name);
             let found = of_same.find(|found| *found == missing || is_new(found));
-            // on every interface, one network may come in the place of another
+            // with every interface in use, one network may replace another
             let other = now.iter().find(|found| self.is_subnet && is_new(found));
             if let Some(found) = found.or(other) {
                 return Some(Error::AddressChanged {
@@ -137,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn another_address_of_the_interface_is_a_change() {
+    fn new_address_of_the_interface_is_a_change() {
         let (before, now) = (interface("eth0", "10.0.0.1"), interface("eth0", "10.0.0.5"));
         let other = interface("wlan0", "10.0.1.1");
         let addresses = addresses(std::slice::from_ref(&before), false);
@@ -154,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn an_address_that_returns_is_a_change() {
+    fn returning_address_is_a_change() {
         let used = interface("eth0", "10.0.0.1");
         let addresses = addresses(std::slice::from_ref(&used), true);
         assert!(addresses.change(&[]).is_none());
@@ -162,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn a_second_network_is_no_change_while_the_first_works() {
+    fn second_network_is_no_change_while_the_first_works() {
         let (used, new) = (interface("eth0", "10.0.0.1"), interface("tun0", "10.8.0.2"));
         let addresses = addresses(std::slice::from_ref(&used), true);
         assert!(addresses.change(&[used, new.clone()]).is_none());

@@ -1,19 +1,21 @@
-//! Connections to participants that return after their lease has run out.
+//! Connections to participants that return after their lease ran out.
 //!
-//! rustdds 0.15.1 remembers the endpoints of such a participant, but connects its own endpoints to them only when they
-//! are announced anew. That does not happen: the other side has announced them already. rustdds also tries to connect
-//! all endpoints of a topic when this process makes a new one on it. So an endpoint is made on each topic that lacks a
-//! connection, and dropped again. The connections get back their old identities and numbers, so that no sample is
-//! received twice.
+//! rustdds 0.15.1 remembers the endpoints of such a participant, but connects to them only when they are announced
+//! anew, which the other side does not do. rustdds also connects all endpoints of a topic when this process makes a new
+//! one on it. So a temporary endpoint is made on each topic that lacks a connection. The connections keep their
+//! identities and numbers, so readers receive no sample twice.
 
-use super::{
-    codec::Raw,
-    lock::lock,
-    qos::for_reader,
-    reconcile::Own,
-    shared::{Second, Shared},
+use crate::{
+    Error, Qos,
+    backend::EndpointId,
+    dds::{
+        codec::Raw,
+        lock::lock,
+        own_endpoints::OwnEndpoint,
+        qos::for_reader,
+        shared::{SecondParticipant, Shared},
+    },
 };
-use crate::{Error, Qos, backend::EndpointId};
 use bytes::Bytes;
 use rustdds::{
     DomainParticipant, Publisher, RTPSEntity as _, TopicKind,
@@ -21,10 +23,10 @@ use rustdds::{
 };
 use std::{collections::BTreeSet, sync::Arc, time::Duration};
 
-/// How long such an endpoint stays: rustdds connects it within milliseconds.
+/// How long a temporary endpoint stays: rustdds connects it within milliseconds.
 const STAY: Duration = Duration::from_secs(1);
 
-/// An endpoint that is made to be dropped.
+/// An endpoint that only triggers connections.
 enum Temporary {
     Writer(DataWriter<Bytes, Raw>),
     Reader(SimpleDataReader<Bytes, Raw>),
@@ -40,11 +42,14 @@ impl Temporary {
 }
 
 impl Shared {
-    /// Has rustdds connect these endpoints of this process with all that they fit.
-    pub(super) fn rematch(self: &Arc<Self>, ids: &BTreeSet<EndpointId>) {
+    /// Makes rustdds connect these own endpoints with all that match.
+    pub(in crate::dds) fn rematch(self: &Arc<Self>, ids: &BTreeSet<EndpointId>) {
         let mut topics = BTreeSet::new();
         let mut temporary = Vec::new();
-        for (id, own) in self.own_of(ids) {
+        for (id, own) in self.own_endpoints() {
+            if !ids.contains(&id) {
+                continue;
+            }
             let is_of_first = id.starts_with(&self.first);
             if !topics.insert((own.topic.clone(), own.is_writer, is_of_first)) {
                 continue;
@@ -69,7 +74,7 @@ impl Shared {
     }
 
     /// `None` once the participant is closed.
-    fn temporary(&self, own: &Own, is_of_first: bool) -> Result<Option<Temporary>, Error> {
+    fn temporary(&self, own: &OwnEndpoint, is_of_first: bool) -> Result<Option<Temporary>, Error> {
         let first = lock(&self.participant);
         let second = lock(&self.second);
         let (participant, publisher): (Option<&DomainParticipant>, Option<&Publisher>) =
@@ -77,7 +82,7 @@ impl Shared {
                 (true, _) => (first.as_ref(), Some(&self.publisher)),
                 (
                     false,
-                    Some(Second {
+                    Some(SecondParticipant {
                         participant,
                         publisher,
                     }),
@@ -88,7 +93,7 @@ impl Shared {
             return Ok(None);
         };
         let failed = |error| Error::middleware(format!("connect {}", own.topic), error);
-        // A best-effort, volatile reader fits every writer. A writer has to offer the own one's quality of service.
+        // A best-effort, volatile reader matches every writer. A writer has to offer the QoS of the own one.
         let qos = for_reader(Qos::best_effort(1));
         let (name, type_name) = (own.topic.clone(), own.type_name.clone());
         let topic = participant

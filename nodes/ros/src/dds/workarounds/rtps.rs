@@ -1,8 +1,10 @@
-//! The RTPS messages that this runtime writes itself (DDSI-RTPS 2.5, chapter 9.4), for gaps of rustdds 0.15.1. The
-//! modules [`super::wire`], [`super::resend`], [`super::introduction`] and [`super::lease`] send them and give the reasons.
+//! RTPS messages (DDSI-RTPS 2.5, chapter 9.4) that rustdds 0.15.1 cannot send. [`super::wire`], [`super::resend`],
+//! [`super::introduction`] and [`super::lease`] send them and explain why.
 
-use super::parts::{Peer, peer_of};
-use crate::backend::{EndpointId, RequestId};
+use crate::{
+    backend::{EndpointId, RequestId, participant_of},
+    dds::identity::Peer,
+};
 use bytes::{BufMut as _, Bytes, BytesMut};
 use rustdds::Timestamp;
 use std::net::Ipv4Addr;
@@ -23,7 +25,7 @@ const PAYLOAD: u8 = 0x04;
 /// DATA: the key of a disposed instance follows.
 const KEY: u8 = 0x08;
 
-/// Which request a sample answers (DDS-RPC 1.0), and the number that Fast DDS used for it first and still sends.
+/// The request of a response (DDS-RPC 1.0): the standard's number, and an older one that Fast DDS still sends.
 const PID_RELATED_SAMPLE_IDENTITY: [u16; 2] = [0x0083, 0x800f];
 const PID_SENTINEL: u16 = 0x0001;
 
@@ -35,15 +37,15 @@ const PID_DEFAULT_UNICAST_LOCATOR: u16 = 0x0031;
 const PID_METATRAFFIC_UNICAST_LOCATOR: u16 = 0x0032;
 const PID_PARTICIPANT_GUID: u16 = 0x0050;
 const PID_BUILTIN_ENDPOINT_SET: u16 = 0x0058;
-/// The endpoints that every participant of rustdds 0.15.1 has for discovery (`BuiltinEndpointSet`).
+/// The discovery endpoints of every rustdds 0.15.1 participant (`BuiltinEndpointSet`).
 const BUILTIN_ENDPOINTS: u32 = 0x1800_0c3f;
-/// What rustdds announces (`Discovery::spdp_publish`) \[s\].
+/// As in rustdds' `Discovery::spdp_publish` \[s\].
 const LEASE: u32 = 50;
-/// The writer of announcements (9.3.1.3), and its readers: any.
+/// The writer of announcements (9.3.1.3); any reader.
 const SPDP_WRITER: [u8; 4] = [0, 1, 0, 0xc2];
 const ANY_READER: [u8; 4] = [0; 4];
 const SPDP_READER: [u8; 4] = [0, 1, 0, 0xc7];
-/// The end of a participant's identity.
+/// The last bytes of a participant's identity.
 const PARTICIPANT: [u8; 4] = [0, 0, 1, 0xc1];
 /// A parameter list in little-endian CDR.
 const PL_CDR_LE: [u8; 4] = [0, 3, 0, 0];
@@ -52,21 +54,21 @@ const UDP_V4: u32 = 1;
 /// Bytes of a DATA submessage between its field of that name and the inline QoS.
 const OCTETS_TO_INLINE_QOS: u16 = 16;
 
-/// The same of a DATA_FRAG submessage.
+/// The same in a DATA_FRAG submessage.
 const OCTETS_TO_INLINE_QOS_OF_FRAGMENTS: u16 = 28;
-/// The fragments of rustdds 0.15.1 \[byte\].
-pub(super) const FRAGMENT: usize = 256;
+/// The fragment size of rustdds 0.15.1 \[byte\].
+pub(in crate::dds) const FRAGMENT: usize = 256;
 
-/// The largest datagram that Fast DDS and Cyclone DDS receive \[byte\]; UDP itself takes 7 bytes more.
+/// The largest datagram that Fast DDS and Cyclone DDS receive \[byte\]; UDP allows 7 bytes more.
 const LARGEST_DATAGRAM: usize = 65_500;
-/// Everything in [`answer`] but the sample.
+/// [`answer`] without the sample.
 const ANSWER_OVERHEAD: usize = 20 + 16 + 12 + 24 + 2 * 28 + 4;
-/// The largest sample that fits into one [`answer`], its CDR header included \[byte\].
-pub(super) const LARGEST_ANSWER: usize = LARGEST_DATAGRAM - ANSWER_OVERHEAD;
+/// The largest sample that fits into one [`answer`], with its CDR header \[byte\].
+pub(in crate::dds) const LARGEST_ANSWER: usize = LARGEST_DATAGRAM - ANSWER_OVERHEAD;
 
-/// The answer `sample` (CDR with its header) to a request, for `reader`. `number`: of the sample in the numbering of
-/// `writer`. `nanos`: when it was written \[ns since 1970\].
-pub(super) fn answer(
+/// The response `sample` (CDR with its header) to a request, for `reader`. `number`: of the sample at `writer`.
+/// `nanos`: when it was written \[ns since 1970\].
+pub(in crate::dds) fn answer(
     writer: &EndpointId,
     number: i64,
     reader: &EndpointId,
@@ -74,12 +76,12 @@ pub(super) fn answer(
     nanos: i64,
     sample: &[u8],
 ) -> Bytes {
-    let mut message = begin(writer, &peer_of(reader));
+    let mut message = begin(writer, &participant_of(reader));
     submessage(&mut message, INFO_TS, LITTLE_ENDIAN, 8);
-    message.put_u32_le(nanos.div_euclid(1_000_000_000) as u32); // until 2106
+    message.put_u32_le(nanos.div_euclid(1_000_000_000) as u32); // the year 2106
     let fraction = (nanos.rem_euclid(1_000_000_000) as u64) << 32;
     message.put_u32_le((fraction / 1_000_000_000) as u32);
-    // 0: as far as the message goes, which may be longer than 16 bits count
+    // 0: until the end of the message, whose length may exceed 16 bits
     submessage(&mut message, DATA, LITTLE_ENDIAN | INLINE_QOS | PAYLOAD, 0);
     message.put_u16_le(0);
     message.put_u16_le(OCTETS_TO_INLINE_QOS);
@@ -99,19 +101,19 @@ pub(super) fn answer(
 }
 
 /// Some fragments of a sample.
-pub(super) struct Fragments {
-    /// In the writer's numbering.
-    pub(super) number: i64,
+pub(in crate::dds) struct Fragments {
+    /// The sample's number at its writer.
+    pub(in crate::dds) number: i64,
     /// When the sample was written.
-    pub(super) time: Timestamp,
-    /// Number of the first fragment; that of the sample's first is 1.
-    pub(super) first: u32,
-    /// Fragments; the sample may end before.
-    pub(super) count: u16,
+    pub(in crate::dds) time: Timestamp,
+    /// The number of the first fragment; the sample begins with fragment 1.
+    pub(in crate::dds) first: u32,
+    /// How many; the sample may end earlier.
+    pub(in crate::dds) count: u16,
 }
 
-/// Fragments of `sample` (CDR with its header) for `reader` (8.3.8.3), empty past its end.
-pub(super) fn fragments(
+/// Fragments of `sample` (CDR with its header) for `reader` (8.3.8.3); empty past its end.
+pub(in crate::dds) fn fragments(
     writer: &EndpointId,
     reader: &EndpointId,
     fragments: &Fragments,
@@ -127,12 +129,12 @@ pub(super) fn fragments(
     let rest = sample.get(begin_at..).unwrap_or_default();
     let payload = rest.get(..FRAGMENT * usize::from(*count)).unwrap_or(rest);
     let count = payload.len().div_ceil(FRAGMENT) as u16; // at most `count`
-    let mut message = begin(writer, &peer_of(reader));
+    let mut message = begin(writer, &participant_of(reader));
     submessage(&mut message, INFO_TS, LITTLE_ENDIAN, 8);
     let ticks = time.to_ticks();
     message.put_u32_le((ticks >> 32) as u32);
     message.put_u32_le(ticks as u32);
-    // 0: as far as the message goes
+    // 0: until the end of the message
     submessage(&mut message, DATA_FRAG, LITTLE_ENDIAN, 0);
     message.put_u16_le(0);
     message.put_u16_le(OCTETS_TO_INLINE_QOS_OF_FRAGMENTS);
@@ -142,13 +144,13 @@ pub(super) fn fragments(
     message.put_u32_le(*first);
     message.put_u16_le(count);
     message.put_u16_le(FRAGMENT as u16);
-    message.put_u32_le(sample.len() as u32); // what RTPS can express
+    message.put_u32_le(sample.len() as u32); // a limit of RTPS
     message.put_slice(payload);
     message.freeze()
 }
 
-/// The first announcement of the participant `own`, which is reached on loopback at these ports (8.5.3).
-pub(super) fn announcement(own: &EndpointId, discovery: u16, user: u16) -> Bytes {
+/// The first announcement of the participant `own` on loopback, with these ports (8.5.3).
+pub(in crate::dds) fn announcement(own: &EndpointId, discovery: u16, user: u16) -> Bytes {
     let mut message = header(own);
     let data = participant(own, BUILTIN_ENDPOINTS, LEASE, Some([discovery, user]));
     announced(&mut message, ANY_READER, PAYLOAD, &data, 1);
@@ -187,14 +189,14 @@ fn locator(port: u16) -> BytesMut {
     locator
 }
 
-/// A sign of life of the participant `own`: an announcement without content.
-pub(super) fn life_sign(own: &EndpointId) -> Bytes {
+/// Renews the lease of the participant `own`: an announcement without content.
+pub(in crate::dds) fn life_sign(own: &EndpointId) -> Bytes {
     let mut message = header(own);
     announced(&mut message, SPDP_READER, 0, &[], 1);
     message.freeze()
 }
 
-/// The identity of a fictitious participant, which only the own participant discovers.
+/// A fictitious participant that only the own participant discovers.
 fn fictitious(own: &EndpointId) -> EndpointId {
     let mut id = *own;
     id[2..12].fill(0xff);
@@ -202,8 +204,8 @@ fn fictitious(own: &EndpointId) -> EndpointId {
     id
 }
 
-/// The fictitious participant joins and leaves: announcements of this number and the next.
-pub(super) fn visit(own: &EndpointId, number: i64) -> Bytes {
+/// The fictitious participant joins and leaves; uses this number and the next.
+pub(in crate::dds) fn visit(own: &EndpointId, number: i64) -> Bytes {
     let id = fictitious(own);
     let mut message = header(&id);
     let data = participant(&id, 0, 1, None);
@@ -213,7 +215,7 @@ pub(super) fn visit(own: &EndpointId, number: i64) -> Bytes {
 }
 
 /// The fictitious participant leaves, once for each of `numbers`.
-pub(super) fn departures(own: &EndpointId, numbers: impl Iterator<Item = i64>) -> Bytes {
+pub(in crate::dds) fn departures(own: &EndpointId, numbers: impl Iterator<Item = i64>) -> Bytes {
     let id = fictitious(own);
     let mut message = header(&id);
     for number in numbers {
@@ -222,8 +224,8 @@ pub(super) fn departures(own: &EndpointId, numbers: impl Iterator<Item = i64>) -
     message.freeze()
 }
 
-/// The lease of the participant `peer` ends within a second.
-pub(super) fn expiry(own: &EndpointId, peer: &Peer, number: i64) -> Bytes {
+/// Ends the lease of the participant `peer` within a second.
+pub(in crate::dds) fn expiry(own: &EndpointId, peer: &Peer, number: i64) -> Bytes {
     let mut id = fictitious(own);
     let mut message = header(&id);
     id[..12].copy_from_slice(peer);
@@ -243,7 +245,6 @@ fn key(participant: &EndpointId) -> BytesMut {
     key
 }
 
-/// An announcement of this number.
 fn announced(message: &mut BytesMut, reader: [u8; 4], flags: u8, payload: &[u8], number: i64) {
     const HEADER: u16 = 4 + OCTETS_TO_INLINE_QOS;
     let len = HEADER + payload.len() as u16; // at most 120
@@ -256,7 +257,7 @@ fn announced(message: &mut BytesMut, reader: [u8; 4], flags: u8, payload: &[u8],
     message.put_slice(payload);
 }
 
-/// The header of a message of the participant of `from`.
+/// The header of a message from the participant of `from`.
 fn header(from: &EndpointId) -> BytesMut {
     let mut message = BytesMut::new();
     message.put_slice(&MAGIC);
@@ -265,7 +266,7 @@ fn header(from: &EndpointId) -> BytesMut {
     message
 }
 
-/// A message from the participant of `from` to the participant `to`.
+/// The header of a message from the participant of `from` to the participant `to`.
 fn begin(from: &EndpointId, to: &Peer) -> BytesMut {
     let mut message = header(from);
     submessage(&mut message, INFO_DST, LITTLE_ENDIAN, 12);
@@ -279,7 +280,7 @@ fn submessage(message: &mut BytesMut, kind: u8, flags: u8, len: u16) {
     message.put_u16_le(len);
 }
 
-/// A SequenceNumber_t: the high word first, whatever the byte order.
+/// A SequenceNumber_t: the high word comes first in either byte order.
 fn put_number(message: &mut BytesMut, number: i64) {
     message.put_i32_le((number >> 32) as i32);
     message.put_u32_le(number as u32);
@@ -293,7 +294,7 @@ mod tests {
     const WRITER: EndpointId = [1, 0x18, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 0, 0, 2, 0x03];
 
     #[test]
-    fn departures_are_of_the_fictitious_participant() {
+    fn departures_come_from_the_fictitious_participant() {
         let message = departures(&READER, [64, 128].into_iter());
         assert_eq!(message[8..20], [&READER[..2], &[0xff; 10]].concat());
         assert_eq!(message.len(), 20 + 2 * 52);
@@ -307,7 +308,7 @@ mod tests {
     }
 
     #[test]
-    fn the_largest_answer_fills_a_datagram() {
+    fn largest_answer_fills_a_datagram() {
         let request = RequestId {
             client: READER,
             sequence: 3,

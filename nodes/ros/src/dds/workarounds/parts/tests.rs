@@ -1,12 +1,11 @@
-//! Writer's and readers' sides against each other, over a network that loses, repeats and mixes up, with a clock of its
-//! own: no DDS, no threads.
+//! Both sides of the parts protocol over a simulated network that loses, repeats and reorders, with a simulated clock.
 
 use super::{
-    Mail, Peer,
-    inbox::{Inbox, Whole},
-    message::{MessageId, PART, PartMessage},
-    outbox::{Keep, Outbox},
+    inbox::{Inbox, WholeMessage},
+    message::{Mail, MessageId, PART, PartMessage},
+    outbox::{Outbox, Retention},
 };
+use crate::dds::identity::Peer;
 use bytes::Bytes;
 use proptest::prelude::*;
 use std::{
@@ -24,15 +23,15 @@ struct Network {
     now: Instant,
     outbox: Outbox,
     inboxes: BTreeMap<Peer, Inbox>,
-    /// Readers that have stopped: nothing comes to them, nothing from them.
+    /// Readers that neither receive nor send.
     stopped: BTreeSet<Peer>,
     depth: usize,
-    /// What is on its way to whom, from whom.
+    /// Receiver, and mail with its sender.
     flying: Vec<(Peer, Mail)>,
-    got: BTreeMap<Peer, Vec<Whole>>,
-    /// Says of each delivery what becomes of it.
+    got: BTreeMap<Peer, Vec<WholeMessage>>,
+    /// Decides the fate of each delivery.
     fate: Box<dyn FnMut() -> Fate>,
-    /// The most parts that a reader had on the way at once.
+    /// The most parts that one reader had requested at once.
     most: usize,
 }
 
@@ -45,7 +44,12 @@ enum Fate {
 }
 
 impl Network {
-    fn new(keep: Keep, depth: usize, readers: u8, fate: impl FnMut() -> Fate + 'static) -> Self {
+    fn new(
+        keep: Retention,
+        depth: usize,
+        readers: u8,
+        fate: impl FnMut() -> Fate + 'static,
+    ) -> Self {
         let mut outbox = Outbox::default();
         outbox.open(WRITER, keep, 10);
         Self {
@@ -63,7 +67,7 @@ impl Network {
         }
     }
 
-    /// How many messages were dropped for readers that are behind.
+    /// Returns how many messages were dropped for slow readers.
     fn publish(&mut self, bytes: &Bytes) -> u64 {
         let (peers, mut mail) = (self.inboxes.keys().copied().collect(), Vec::new());
         let offered = self
@@ -79,7 +83,7 @@ impl Network {
         self.outbox.is_settled(self.now, &WRITER, i64::MAX)
     }
 
-    /// A millisecond: what is due is done, and what was on its way arrives, or not.
+    /// Advances by a millisecond: does what is due, and delivers or loses mail.
     fn step(&mut self) {
         self.now += STEP;
         let mut mail = Vec::new();
@@ -100,7 +104,7 @@ impl Network {
             if self.stopped.contains(&from) || self.stopped.contains(&to) {
                 continue;
             }
-            // as it is on the wire
+            // as on the wire
             let message = PartMessage::decode(&message.encode().unwrap()).unwrap();
             match (message, self.inboxes.get_mut(&to)) {
                 (PartMessage::Offer { of, first, head }, Some(inbox)) => {
@@ -144,7 +148,7 @@ fn message(index: usize, len: usize) -> Bytes {
     (0..len.max(1)).map(|at| (at / 7 + index) as u8).collect()
 }
 
-/// One in four is lost, comes twice, or comes behind the others; by a generator of Steele, Lea and Flood (SplitMix64).
+/// Loses, repeats or delays one delivery in four, by the generator of Steele, Lea and Flood (SplitMix64).
 fn weather(mut seed: u64) -> impl FnMut() -> Fate {
     move || {
         seed = seed.wrapping_add(0x9e37_79b9_7f4a_7c15);
@@ -162,14 +166,13 @@ fn weather(mut seed: u64) -> impl FnMut() -> Fate {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Whatever the network does: every message of a reliable writer comes once, whole and in order, and then nothing
-    /// is kept of it.
+    /// Readers receive every message of a reliable writer once, whole and in order; then nothing is kept.
     #[test]
     fn reliable_messages_come_once_and_in_order(
         lengths in prop::collection::vec(1..4 * PART, 1..6),
         seed in any::<u64>(),
     ) {
-        let mut network = Network::new(Keep::All(9), 9, 2, weather(seed));
+        let mut network = Network::new(Retention::All(9), 9, 2, weather(seed));
         for (index, len) in lengths.iter().enumerate() {
             prop_assert_eq!(network.publish(&message(index, *len)), 0);
             network.step();
@@ -189,13 +192,13 @@ proptest! {
         }
     }
 
-    /// A best-effort writer keeps its last messages only: what comes, comes whole, once and in order, the last among it.
+    /// Readers receive messages of a best-effort writer whole, once and in order, the last one included.
     #[test]
-    fn of_best_effort_the_last_comes(
+    fn best_effort_messages_arrive_in_order_with_the_last(
         number in 1usize..20,
         seed in any::<u64>(),
     ) {
-        let mut network = Network::new(Keep::Last(DEPTH), DEPTH, 1, weather(seed));
+        let mut network = Network::new(Retention::Last(DEPTH), DEPTH, 1, weather(seed));
         for index in 0..number {
             network.publish(&message(index, 3 * PART));
             network.step();
@@ -213,8 +216,8 @@ proptest! {
 }
 
 #[test]
-fn no_more_comes_at_once_than_a_receive_buffer_holds() {
-    let mut network = Network::new(Keep::Last(DEPTH), DEPTH, 1, || Fate::Arrives);
+fn requested_parts_fit_into_a_receive_buffer() {
+    let mut network = Network::new(Retention::Last(DEPTH), DEPTH, 1, || Fate::Arrives);
     for index in 0..DEPTH {
         network.publish(&message(index, 9 * PART));
     }
@@ -226,11 +229,11 @@ fn no_more_comes_at_once_than_a_receive_buffer_holds() {
 }
 
 #[test]
-fn on_a_slow_network_parts_are_not_asked_for_again_and_again() {
+fn parts_are_rarely_requested_twice_on_a_slow_network() {
     const LATE: Duration = Duration::from_millis(70);
     let (mut inbox, mut outbox, mut now) = (Inbox::default(), Outbox::default(), Instant::now());
     let (reader, mut mail) = ([1; 12], Vec::new());
-    outbox.open(WRITER, Keep::Last(DEPTH), 0);
+    outbox.open(WRITER, Retention::Last(DEPTH), 0);
     let bytes = message(0, 40 * PART);
     outbox
         .offer(now, &WRITER, &bytes, 0, [reader].into(), &mut mail)
@@ -261,8 +264,8 @@ fn on_a_slow_network_parts_are_not_asked_for_again_and_again() {
 }
 
 #[test]
-fn a_reader_that_has_stopped_holds_up_nobody_and_costs_what_the_writer_keeps() {
-    let mut network = Network::new(Keep::Last(DEPTH), DEPTH, 2, || Fate::Arrives);
+fn stopped_reader_delays_no_other_and_costs_the_kept_messages() {
+    let mut network = Network::new(Retention::Last(DEPTH), DEPTH, 2, || Fate::Arrives);
     network.stopped.insert([1; 12]);
     for index in 0..50 {
         network.publish(&message(index, 2 * PART));
@@ -271,7 +274,7 @@ fn a_reader_that_has_stopped_holds_up_nobody_and_costs_what_the_writer_keeps() {
         }
     }
     assert_eq!(network.numbers(0), (11..61).collect::<Vec<_>>());
-    // it goes on: from the first that the writer still keeps
+    // it goes on from the first message that the writer keeps
     network.stopped.clear();
     for _ in 0..3_000 {
         network.step();
@@ -281,9 +284,9 @@ fn a_reader_that_has_stopped_holds_up_nobody_and_costs_what_the_writer_keeps() {
 }
 
 #[test]
-fn of_very_large_messages_fewer_are_kept_than_the_depth_says() {
+fn very_large_messages_are_kept_up_to_the_byte_limit() {
     let (mut outbox, now, mut mail) = (Outbox::default(), Instant::now(), Vec::new());
-    outbox.open(WRITER, Keep::Last(DEPTH), 0);
+    outbox.open(WRITER, Retention::Last(DEPTH), 0);
     let bytes = message(0, 30 << 20);
     for _ in 0..3 {
         let reader = [1; 12];
@@ -307,9 +310,9 @@ fn of_very_large_messages_fewer_are_kept_than_the_depth_says() {
 }
 
 #[test]
-fn a_reader_of_a_reliable_writer_that_has_stopped_loses_the_oldest_and_the_others_nothing() {
+fn stopped_reliable_reader_loses_the_oldest_messages() {
     const COUNT: usize = 40;
-    let mut network = Network::new(Keep::All(9), 9, 2, || Fate::Arrives);
+    let mut network = Network::new(Retention::All(9), 9, 2, || Fate::Arrives);
     network.stopped.insert([1; 12]);
     let mut dropped = 0;
     for index in 0..COUNT {
@@ -326,7 +329,7 @@ fn a_reader_of_a_reliable_writer_that_has_stopped_loses_the_oldest_and_the_other
     assert!(network.outbox.is_full(network.now, &WRITER));
     assert!(!network.is_settled());
 
-    // silent for seconds: it is not waited for, and only the newest is kept
+    // after seconds of silence, only the newest is kept
     for _ in 0..5_000 {
         network.step();
     }
@@ -349,9 +352,9 @@ fn a_reader_of_a_reliable_writer_that_has_stopped_loses_the_oldest_and_the_other
 }
 
 #[test]
-fn parts_are_for_those_they_were_offered_to() {
+fn parts_go_only_to_readers_with_an_offer() {
     let (mut outbox, now, mut mail) = (Outbox::default(), Instant::now(), Vec::new());
-    outbox.open(WRITER, Keep::Last(DEPTH), 0);
+    outbox.open(WRITER, Retention::Last(DEPTH), 0);
     let (reader, stranger) = ([1; 12], [2; 12]);
     let bytes = message(0, 3 * PART);
     outbox.offer(now, &WRITER, &bytes, 0, [reader].into(), &mut mail);
@@ -369,9 +372,9 @@ fn parts_are_for_those_they_were_offered_to() {
 }
 
 #[test]
-fn who_reads_no_more_is_not_waited_for() {
+fn departed_reader_is_not_awaited() {
     let mut outbox = Outbox::default();
-    outbox.open(WRITER, Keep::All(9), 0);
+    outbox.open(WRITER, Retention::All(9), 0);
     let (mut mail, now) = (Vec::new(), Instant::now());
     outbox
         .offer(
@@ -390,11 +393,11 @@ fn who_reads_no_more_is_not_waited_for() {
 }
 
 #[test]
-fn a_writer_that_has_stopped_does_not_hold_up_the_others() {
+fn stopped_writer_delays_no_other() {
     let (mut inbox, mut now, mut mail) = (Inbox::default(), Instant::now(), Vec::new());
     let mut outboxes = [Outbox::default(), Outbox::default()];
     for (outbox, byte) in outboxes.iter_mut().zip([1, 2]) {
-        outbox.open([byte; 16], Keep::Last(1), 0);
+        outbox.open([byte; 16], Retention::Last(1), 0);
         let bytes = message(0, 9 * PART);
         outbox
             .offer(now, &[byte; 16], &bytes, 0, [HOME].into(), &mut mail)
@@ -440,9 +443,9 @@ fn a_writer_that_has_stopped_does_not_hold_up_the_others() {
 }
 
 #[test]
-fn only_the_writers_participant_speaks_of_what_it_has() {
+fn only_the_writers_participant_may_offer_and_send() {
     let (mut outbox, mut mail) = (Outbox::default(), Vec::new());
-    outbox.open(WRITER, Keep::Last(1), 0);
+    outbox.open(WRITER, Retention::Last(1), 0);
     let (now, bytes) = (Instant::now(), message(0, PART + 1));
     outbox
         .offer(now, &WRITER, &bytes, 0, [[1; 12]].into(), &mut mail)
@@ -452,13 +455,16 @@ fn only_the_writers_participant_speaks_of_what_it_has() {
     };
     outbox.wanted(now, [1; 12], of.id, 1, &mut mail);
     outbox.wanted(now, [1; 12], of.id, 2, &mut mail);
-    let speakers: Vec<_> = mail.iter().map(|mail| mail.message.speaker()).collect();
+    let senders: Vec<_> = mail
+        .iter()
+        .map(|mail| mail.message.required_sender())
+        .collect();
     assert_eq!(
-        speakers,
+        senders,
         [Some(&WRITER); 3],
         "an offer, a part, and what is gone"
     );
     let id = of.id;
-    assert_eq!(PartMessage::Want { id, index: 0 }.speaker(), None);
-    assert_eq!(PartMessage::Settled { id }.speaker(), None);
+    assert_eq!(PartMessage::Want { id, index: 0 }.required_sender(), None);
+    assert_eq!(PartMessage::Settled { id }.required_sender(), None);
 }

@@ -1,30 +1,31 @@
-//! One order of a latched topic's samples over the DDS writers of its publisher.
+//! One order for a latched topic's samples from several DDS writers of a publisher.
 //!
-//! A publisher that starts a new DDS writer ([`super::line`]) sends its last samples again, for late readers. A late
-//! reader may be connected to the writer before too, which keeps older samples. So the samples of a publisher carry
-//! times that increase, and that say which publisher of the participant wrote them. Readers of this suite take no
-//! sample twice, and none that is older than one that they took from a later writer.
+//! A publisher that starts a new DDS writer ([`super::line`]) repeats its last samples for late readers. A late reader
+//! may also be connected to the previous writer, which keeps older samples. So the samples of a publisher carry
+//! increasing times that contain the number of the publisher. Readers of this suite drop repeated samples, and samples
+//! older than one from a later writer.
 
-use super::parts::{Peer, peer_of};
-use crate::backend::EndpointId;
+use crate::{
+    backend::{EndpointId, participant_of},
+    dds::identity::Peer,
+};
 use rustdds::Timestamp;
 use std::collections::BTreeMap;
 
-/// Low bits of a time that hold the publisher's number. A time is counted in 2^-32 s (DDSI-RTPS 2.5, 9.3.2.1), so it
-/// stays right within a microsecond.
+/// Low bits of a time that hold the publisher's number. The unit is 2^-32 s (DDSI-RTPS 2.5, 9.3.2.1), so the error is
+/// less than a microsecond.
 const BITS: u32 = 12;
 const MASK: u64 = (1 << BITS) - 1;
 
-/// The times of a publisher's samples.
-pub(super) struct Stamps {
+pub(in crate::dds) struct Stamps {
     publisher: u64,
     last: u64,
 }
 
 impl Stamps {
-    /// For the publisher with this first DDS writer.
-    pub(super) fn new(publisher: &EndpointId) -> Self {
-        // The entity key (DDSI-RTPS 2.5, 9.3.1.2), which rustdds counts up.
+    /// `publisher`: its first DDS writer.
+    pub(in crate::dds) fn new(publisher: &EndpointId) -> Self {
+        // the entity key (DDSI-RTPS 2.5, 9.3.1.2), which rustdds counts up
         let number = publisher.iter().skip(12).take(3);
         let number = number.fold(0, |number, byte| number << 8 | u64::from(*byte));
         let publisher = number & MASK;
@@ -34,27 +35,26 @@ impl Stamps {
         }
     }
 
-    /// The time of the next sample: `now`, or just after the sample before if the system's clock was set back.
-    pub(super) fn next(&mut self, now: Timestamp) -> Timestamp {
+    /// The time of the next sample: `now`, or just after the last sample if the wall clock was set back.
+    pub(in crate::dds) fn next(&mut self, now: Timestamp) -> Timestamp {
         let time = now.to_ticks() & !MASK | self.publisher;
         self.last = time.max(self.last + MASK + 1);
         Timestamp::from_ticks(self.last)
     }
 }
 
-/// Publishers that a reader remembers: more than a topic has. Participants of others that use rustdds have times without
-/// a number.
+/// Publishers that a reader remembers: more than a topic has. Other programs with rustdds have times without a number.
 const MOST: usize = 256;
 
-/// The latest sample that was taken of each publisher, and its DDS writer.
+/// The latest sample of each publisher, and its DDS writer.
 #[derive(Default)]
-pub(super) struct Latest(BTreeMap<(Peer, u64), (EndpointId, Timestamp)>);
+pub(in crate::dds) struct Latest(BTreeMap<(Peer, u64), (EndpointId, Timestamp)>);
 
 impl Latest {
-    /// Whether a sample that `writer` wrote at `time` was taken from another DDS writer of its publisher, or is older
-    /// than one that was.
-    pub(super) fn supersedes(&mut self, writer: EndpointId, time: Timestamp) -> bool {
-        let publisher = (peer_of(&writer), time.to_ticks() & MASK);
+    /// Whether this sample is a repetition by another DDS writer of its publisher, or older than a sample from a later
+    /// writer.
+    pub(in crate::dds) fn supersedes(&mut self, writer: EndpointId, time: Timestamp) -> bool {
+        let publisher = (participant_of(&writer), time.to_ticks() & MASK);
         if self.0.len() >= MOST && !self.0.contains_key(&publisher) {
             self.0.pop_first();
         }
@@ -86,7 +86,7 @@ mod tests {
     }
 
     #[test]
-    fn times_increase_though_the_clock_is_set_back() {
+    fn times_increase_if_the_clock_is_set_back() {
         let mut stamps = Stamps::new(&writer(1));
         let times = [at(5), at(5), at(3), at(6)].map(|now| stamps.next(now));
         assert!(times.is_sorted_by(|a, b| a < b), "{times:?}");
@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sample_is_taken_from_one_writer_of_its_publisher() {
+    fn sample_is_taken_from_one_writer_of_its_publisher() {
         let (mut stamps, mut latest) = (Stamps::new(&writer(1)), Latest::default());
         let times: Vec<_> = (1..6).map(|second| stamps.next(at(second))).collect();
         assert!(!latest.supersedes(writer(1), times[0]));
@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn publishers_of_a_participant_do_not_disturb_each_other() {
+    fn publishers_of_a_participant_are_independent() {
         let [mut one, mut other] = [1, 9].map(|key| Stamps::new(&writer(key)));
         let mut latest = Latest::default();
         assert!(!latest.supersedes(writer(1), one.next(at(8))));
@@ -134,7 +134,7 @@ mod tests {
     }
 
     proptest! {
-        /// Two writers of a publisher, whose samples arrive in any order between them.
+        /// Two writers of a publisher, whose samples arrive interleaved in any way.
         #[test]
         fn samples_arrive_in_order_and_once(order in prop::collection::vec(any::<bool>(), 40), copies in 0_usize..5) {
             let (mut stamps, mut latest) = (Stamps::new(&writer(1)), Latest::default());
