@@ -11,79 +11,44 @@ use crate::{
 };
 
 /// A fault of a bag that does not prevent reading it.
+#[expect(missing_docs, reason = "fields are named after their content")]
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum BagWarning {
     /// The file ends early: killed recorder or incomplete copy.
     Truncated {
-        /// The file.
         file: PathBuf,
         /// Bytes after the last whole record, which are not read.
         lost_bytes: u64,
     },
     /// The summary is missing or invalid although the file is complete; its records were read instead.
-    NoSummary {
-        /// The file.
-        file: PathBuf,
-        /// The fault.
-        reason: String,
-    },
+    NoSummary { file: PathBuf, reason: String },
     /// Part of the file is damaged; its messages are missing from the counts.
     Damaged {
-        /// The file.
         file: PathBuf,
-        /// First byte of the damaged record.
         offset: u64,
-        /// The fault.
         reason: String,
     },
     /// Further damaged places of the file.
-    MoreDamaged {
-        /// The file.
-        file: PathBuf,
-        /// Their number.
-        places: u64,
-    },
+    MoreDamaged { file: PathBuf, places: u64 },
     /// Further chunks and messages that were not copied.
-    MoreSkipped {
-        /// Their number.
-        count: u64,
-    },
+    MoreSkipped { count: u64 },
     /// A folder without `metadata.yaml`; its files were found by name.
-    NoMetadata {
-        /// The bag.
-        dir: PathBuf,
-    },
+    NoMetadata { dir: PathBuf },
     /// `metadata.yaml` is invalid (for example empty, after a power cut); the files were found by name.
-    BadMetadata {
-        /// The `metadata.yaml`.
-        file: PathBuf,
-        /// The fault.
-        reason: String,
-    },
+    BadMetadata { file: PathBuf, reason: String },
     /// The summary contradicts the messages, which are read.
-    WrongSummary {
-        /// The file.
-        file: PathBuf,
-        /// The differences.
-        reason: String,
-    },
+    WrongSummary { file: PathBuf, reason: String },
     /// An unreadable channel was skipped.
     ChannelSkipped {
-        /// The file.
         file: PathBuf,
-        /// The topic.
         topic: String,
-        /// Number of its messages.
         messages: u64,
-        /// The reason.
         reason: String,
     },
     /// The bag's definition of a type has other fields than this version's; they are matched by name.
     OtherFields {
-        /// The topic.
         topic: String,
-        /// The type.
         type_name: String,
         /// Fields that the bag lacks; they get default values.
         missing: Vec<String>,
@@ -92,78 +57,51 @@ pub enum BagWarning {
     },
     /// The bag's definition of a type does not fit this version's: messages can be copied and played, not decoded.
     Undecodable {
-        /// The topic.
         topic: String,
-        /// The type.
         type_name: String,
-        /// The mismatch.
         reason: String,
     },
     /// The bag's definition of a type is invalid: messages are decoded as this version's type if they have exactly its
     /// length.
     UnreadableDefinition {
-        /// The topic.
         topic: String,
-        /// The type.
         type_name: String,
         /// The fault of the definition.
         reason: String,
     },
     /// A compressed file was decompressed to a temporary file.
     Decompressed {
-        /// The compressed file.
         file: PathBuf,
-        /// The folder of the temporary file.
         folder: PathBuf,
-        /// Size of the temporary file.
         bytes: u64,
     },
     /// The end of a compressed file is damaged or missing.
     CompressedEnd {
-        /// The compressed file.
         file: PathBuf,
-        /// Number of decompressed bytes.
         bytes: u64,
-        /// The decoder's error.
         reason: String,
     },
     /// The recorder of an sqlite3 file was killed: its journal was applied to a temporary copy.
     Journal {
-        /// The file.
         file: PathBuf,
-        /// The folder of the copy.
         folder: PathBuf,
-        /// Size of the copy.
         bytes: u64,
     },
     /// Another form of this file (compressed, for example) was read instead.
-    Twice {
-        /// The file.
-        file: PathBuf,
-    },
+    Twice { file: PathBuf },
     /// A message was not copied.
     MessageSkipped(String),
     /// Messages of a topic were not converted.
     Omitted {
-        /// The topic in the old bag.
         topic: String,
-        /// Their number.
         messages: u64,
-        /// The reason.
         reason: String,
     },
     /// A file that `metadata.yaml` lists is missing.
-    MissingFile {
-        /// The bag.
-        dir: PathBuf,
-        /// The file.
-        file: PathBuf,
-    },
+    MissingFile { dir: PathBuf, file: PathBuf },
     /// Messages are more than a day from most others.
     Apart {
-        /// The bag.
         path: PathBuf,
-        /// Their number.
         messages: u64,
         /// First and last log time of all messages \[ns\].
         all_ns: (u64, u64),
@@ -172,32 +110,26 @@ pub enum BagWarning {
     },
     /// Gaps without messages.
     Gaps {
-        /// The bag.
         path: PathBuf,
-        /// Their number.
         gaps: u64,
         /// Log times before and after the longest gap \[ns\].
         longest_ns: (u64, u64),
     },
     /// The log times step back, in the order of writing.
     StepsBack {
-        /// The bag.
         path: PathBuf,
-        /// Their number.
         steps: u64,
         /// Log times before and after the first step \[ns\].
         first_ns: (u64, u64),
     },
     /// All messages have the same log time.
     OneTime {
-        /// The bag.
         path: PathBuf,
         /// The time \[ns\].
         log_time_ns: u64,
     },
     /// `metadata.yaml` and the files have different message counts.
     CountDiffers {
-        /// The bag.
         dir: PathBuf,
         /// The count in `metadata.yaml`.
         metadata: u64,
@@ -254,7 +186,6 @@ impl BagWarning {
         }
     }
 
-    /// Warnings about log times.
     pub(crate) fn of_times(path: &Path, times: &Times, stretches: &[Stretch]) -> Vec<Self> {
         let path = || path.to_owned();
         let mut warnings = Vec::new();

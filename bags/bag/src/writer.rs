@@ -230,9 +230,6 @@ impl BagWriter {
     }
 
     /// Writes a message. A new topic gets the QoS [`QosProfile::reliable`].
-    ///
-    /// # Errors
-    /// See [`write_raw`](Self::write_raw).
     pub fn write<M: Message>(
         &mut self,
         topic: &str,

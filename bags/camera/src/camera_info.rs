@@ -12,24 +12,17 @@ pub fn info_topic(images: &str) -> String {
 }
 
 /// A fault of a camera_info message.
+#[expect(missing_docs, reason = "the error texts describe variants and fields")]
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 #[non_exhaustive]
 pub enum CameraInfoError {
     /// Focal lengths of 0 (REP 104: not calibrated), or a picture without pixels.
     #[error("the camera is not calibrated: its focal lengths are 0")]
     NotCalibrated,
-    /// A matrix or a distortion with NaN or infinity.
     #[error("camera_info has values that are not finite")]
     NotFinite,
-    /// A region of interest outside the sensor.
     #[error("camera_info has a region of interest beyond its {width}x{height} pixels")]
-    Region {
-        /// Columns of the sensor.
-        width: u32,
-        /// Rows of the sensor.
-        height: u32,
-    },
-    /// Another picture size.
+    Region { width: u32, height: u32 },
     #[error(
         "camera_info describes pictures of {}x{} pixels, after binning and region of interest; the camera's have {}x{}",
         .expected.0, .expected.1, .found.0, .found.1
@@ -43,9 +36,6 @@ pub enum CameraInfoError {
 }
 
 /// Checks that `info` fits pictures of this size.
-///
-/// # Errors
-/// [`CameraInfoError`].
 pub fn check(info: &CameraInfo, picture: (u32, u32)) -> Result<(), CameraInfoError> {
     let expected = picture_size(info)?;
     // Drivers round odd sizes up or down.

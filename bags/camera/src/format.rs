@@ -50,7 +50,6 @@ impl Format {
     }
 }
 
-/// Names an unsupported codec.
 fn name_codec(data: &[u8]) -> &'static str {
     match data {
         [] => "empty",

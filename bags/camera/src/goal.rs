@@ -17,49 +17,36 @@ const QUALITY: u8 = 95;
 const TAIL_NS: u64 = 5_000_000_000;
 
 /// A bag without a goal image.
+#[expect(missing_docs, reason = "the error texts describe variants and fields")]
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum GoalError {
-    /// The bag has no camera.
     #[error(
         "the bag {bag} has no camera images (no topic of sensor_msgs/msg/Image or CompressedImage); its topics: {topics}{advice}"
     )]
     NoCamera {
-        /// The bag.
         bag: String,
-        /// Its topics.
         topics: String,
         /// What to do about topics with pictures that are not read.
         advice: String,
     },
-    /// The topic is missing or not a camera's.
     #[error(
         "the bag {bag} has no camera images on {topic} or {topic}/compressed; it has them on: {cameras}{advice}"
     )]
     Topic {
-        /// The requested topic.
         topic: String,
-        /// The bag.
         bag: String,
-        /// Its camera topics.
         cameras: String,
         /// What to do about topics with pictures that are not read.
         advice: String,
     },
-    /// The camera's topic is empty.
     #[error("topic {0:?} has no readable messages")]
     Empty(String),
     /// The bag cannot be read.
     #[error(transparent)]
     Bag(#[from] BagError),
-    /// The last frame cannot be decoded.
     #[error("the last frame of {topic:?}: {source}")]
-    Image {
-        /// The camera's topic.
-        topic: String,
-        /// The fault.
-        source: ImageError,
-    },
+    Image { topic: String, source: ImageError },
 }
 
 /// Selects a camera topic of a bag: `wanted` or its sibling `/compressed`; if `wanted` is empty, the first by name, with

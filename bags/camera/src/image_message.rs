@@ -44,9 +44,6 @@ pub fn decode_compressed(image: &CompressedImage) -> Result<RgbImage, ImageError
 }
 
 /// Decodes a JPEG or PNG with the checks of [`decode_compressed`].
-///
-/// # Errors
-/// As [`decode_compressed`].
 pub fn decode_picture(data: Vec<u8>) -> Result<RgbImage, ImageError> {
     decode_compressed(&CompressedImage {
         data,
@@ -56,9 +53,6 @@ pub fn decode_picture(data: Vec<u8>) -> Result<RgbImage, ImageError> {
 
 /// Checks that [`decode_compressed`] decodes this message; returns its codec, columns and rows. Far faster for JPEG, which
 /// is not decoded.
-///
-/// # Errors
-/// As [`decode_compressed`].
 pub fn check_compressed(image: &CompressedImage) -> Result<(Format, (u32, u32)), ImageError> {
     let format = Format::of(image)?;
     let size = match format {

@@ -16,37 +16,25 @@ use crate::limits::MAX_SIDE;
 use survey::{Survey, survey};
 
 /// A fault of a JPEG.
+#[expect(missing_docs, reason = "the error texts describe variants and fields")]
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum JpegError {
-    /// Bytes are missing.
     #[error("the JPEG is incomplete: data are missing")]
     Incomplete,
-    /// Bytes are invalid.
     #[error("the JPEG is damaged: {0}")]
     Damaged(String),
-    /// An unsupported layout.
     #[error(
         "JPEG with {0} is not supported; expected 8 bits a sample, baseline or progressive, grey or three colours"
     )]
     Layout(&'static str),
-    /// No pixels, or too many.
     #[error("JPEG of {width}x{height} pixels; each side must be 1 to {MAX_SIDE}")]
-    Size {
-        /// Columns.
-        width: u32,
-        /// Rows.
-        height: u32,
-    },
-    /// The decoder failed on a complete picture.
+    Size { width: u32, height: u32 },
     #[error("the JPEG decoder failed: {0}")]
     Decoder(String),
 }
 
 /// Decodes a JPEG; ignores bytes after its end.
-///
-/// # Errors
-/// [`JpegError`].
 pub fn decode(data: &[u8]) -> Result<RgbImage, JpegError> {
     let survey = survey(data)?;
     // The survey found the end within the data.
@@ -58,9 +46,6 @@ pub fn decode(data: &[u8]) -> Result<RgbImage, JpegError> {
 }
 
 /// Checks that [`decode`] decodes a JPEG; returns its columns and rows.
-///
-/// # Errors
-/// [`JpegError`].
 pub fn check(data: &[u8]) -> Result<(u32, u32), JpegError> {
     survey(data).map(|Survey { frame, .. }| (frame.width, frame.height))
 }

@@ -2,9 +2,7 @@
 
 use image::RgbImage;
 
-/// Limit of grid columns.
 const COLUMNS: u32 = 32;
-/// Limit of grid rows.
 const ROWS: u32 = 24;
 /// Minimum side of a cell \[px\], so that noise averages out.
 const LEAST_SIDE: u32 = 8;

@@ -17,30 +17,20 @@ pub use stream::{DropCounts, VideoPicture, VideoStream};
 pub use topics::VideoTopics;
 
 /// A fault of a video.
+#[expect(missing_docs, reason = "the error texts describe variants and fields")]
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum VideoError {
-    /// An unsupported codec.
     #[error("video in \"{0}\" is not supported; expected h264")]
     Codec(String),
-    /// An unsupported layout.
     #[error("h264 with {0} is not supported; expected 8 bits and 4:2:0 chroma (yuv420p)")]
     Layout(&'static str),
-    /// Bytes are invalid.
     #[error("the h264 stream is damaged: {0}")]
     Damaged(&'static str),
-    /// No pixels, or more than any camera has.
     #[error("expected frames of 1 to {MAX_SIDE} pixels per side, got {width} x {height}")]
-    Size {
-        /// Columns.
-        width: usize,
-        /// Rows.
-        height: usize,
-    },
-    /// A picture depends on a missing packet.
+    Size { width: usize, height: usize },
     #[error("packets are missing: a picture depends on one that was not received")]
     Missing,
-    /// The decoder failed.
     #[error("h264: {0}")]
     Decoder(String),
     /// The decoder returned an incomplete picture.

@@ -64,7 +64,6 @@ struct BagAudit {
     pace: Pace,
     /// Signature of the last frame.
     shown: Option<Signature>,
-    /// Decoders of video cameras.
     #[cfg(feature = "video")]
     videos: video::Videos,
     /// Number of unreadable messages, and the first reason, by topic.

@@ -32,7 +32,6 @@ const FAST_SHARE: f64 = 0.1;
 /// Name of the check of the gripper's range.
 const GRIPPER: &str = "gripper";
 
-/// Checks the actions alone.
 pub(crate) fn check(all: Episodes<'_>) -> Vec<Finding> {
     let mut findings = vec![check_idle(all)];
     findings.extend(check_last_action(all));

@@ -237,7 +237,6 @@ impl Clocks {
         findings
     }
 
-    /// Checks for missing messages.
     pub(crate) fn check_gaps(&self) -> Option<Finding> {
         let (missing, longest_s) = self.gaps.missing();
         (missing > 0).then(|| {

@@ -225,7 +225,6 @@ impl Episodes<'_> {
         }
     }
 
-    /// Number of frames.
     pub(crate) fn frames(&self) -> usize {
         self.episodes.iter().map(Episode::len).sum()
     }

@@ -34,7 +34,6 @@ pub(crate) const IDLE: f32 = 0.05;
 /// up to 7 %.
 const MISSING: f64 = 0.08;
 
-/// Difference between successive pictures.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Change {
     /// The bytes differ; the pictures were not compared.

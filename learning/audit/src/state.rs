@@ -8,7 +8,6 @@ use wm_msgs::{Message as _, geometry_msgs::PoseStamped, sensor_msgs::JointState}
 
 /// Limit of samples of a joint or the pose: an hour at 50 Hz.
 const SAMPLES_LIMIT: usize = 180_000;
-/// Limit of joints.
 const JOINTS_LIMIT: usize = 64;
 /// Samples further than this do not count at a time \[ns\].
 const NEAR_NS: i64 = 500_000_000;

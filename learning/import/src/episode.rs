@@ -24,7 +24,6 @@ const BASE_FRAME: &str = "base_link";
 pub(crate) trait UnreadEpisode {
     /// Reads actions and states, without pictures.
     fn recorded(&self, mapping: &ActionMapping) -> Result<Trajectory, ImportError>;
-    /// Reads the whole episode.
     fn read(&self, mapping: &ActionMapping) -> Result<Episode, ImportError>;
 }
 
@@ -75,7 +74,6 @@ pub(crate) struct Camera {
     pub frames: Vec<Vec<u8>>,
 }
 
-/// Angles of joints.
 #[derive(Debug)]
 pub(crate) struct Joints {
     pub names: Vec<String>,
@@ -83,7 +81,6 @@ pub(crate) struct Joints {
     pub positions: Vec<Vec<f64>>,
 }
 
-/// A decoded episode.
 #[derive(Debug, Default)]
 pub(crate) struct Episode {
     /// The source file.

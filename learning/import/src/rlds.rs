@@ -173,7 +173,6 @@ impl RldsEpisode {
     }
 }
 
-/// Actions, states and joints.
 fn read_content(example: &Example, mapping: &ActionMapping) -> Result<Content, String> {
     if droid::is_droid(example) {
         return droid::read_content(example, mapping);

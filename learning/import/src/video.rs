@@ -190,9 +190,6 @@ impl Video {
     }
 
     /// Decodes frames and encodes them as JPEG of this quality, 1 to 100.
-    ///
-    /// # Errors
-    /// See [`decode`](Self::decode).
     pub fn jpegs(&self, frames: Range<usize>, quality: u8) -> Result<Vec<Vec<u8>>, ImportError> {
         let mut jpegs = Vec::with_capacity(frames.len());
         self.decode(frames, |frame| {

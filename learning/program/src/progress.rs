@@ -22,7 +22,6 @@ use std::fmt::Write;
 use std::io::IsTerminal as _;
 use std::time::{Duration, Instant};
 
-/// Period of log lines.
 const LOG_PERIOD: Duration = Duration::from_secs(10);
 /// Period of the status line's updates.
 const TICK_PERIOD: Duration = Duration::from_millis(250);

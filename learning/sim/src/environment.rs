@@ -316,7 +316,6 @@ impl Environment {
     }
 }
 
-/// Limits an action.
 fn limit_action(action: &EndEffectorAction) -> Result<EndEffectorAction, Error> {
     let values = action.translation.iter().chain(action.rotation.iter());
     if !values

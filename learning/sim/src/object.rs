@@ -17,38 +17,24 @@ pub enum Shape {
         half_x: f64,
         /// Half length along y.
         half_y: f64,
-        /// Height.
         height: f64,
     },
     /// An upright cylinder.
-    Cylinder {
-        /// Radius.
-        radius: f64,
-        /// Height.
-        height: f64,
-    },
+    Cylinder { radius: f64, height: f64 },
     /// A ball.
-    Ball {
-        /// Radius.
-        radius: f64,
-    },
+    Ball { radius: f64 },
     /// An upright truncated cone.
     Cone {
         /// Radius at the foot.
         radius: f64,
-        /// Height.
         height: f64,
     },
     /// A thin round mat: a place for objects, which cannot be pushed or grasped.
-    Mat {
-        /// Radius.
-        radius: f64,
-    },
+    Mat { radius: f64 },
     /// An open bowl, wider than the open fingers.
     Bowl {
         /// Radius of the rim.
         radius: f64,
-        /// Height.
         height: f64,
     },
 }

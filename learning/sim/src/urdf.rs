@@ -175,7 +175,6 @@ pub fn link_frames(base: &str, positions: &[f64; 8]) -> Vec<LinkFrame> {
     joints(base).iter().map(of).collect()
 }
 
-/// Escapes an XML attribute.
 fn escape(text: &str) -> String {
     text.replace('&', "&amp;")
         .replace('<', "&lt;")

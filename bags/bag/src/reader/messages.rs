@@ -167,7 +167,6 @@ struct LatchedOriginal {
     data: Bytes,
 }
 
-/// An open file.
 #[derive(Debug)]
 enum OpenFile {
     Mcap(Arc<File>),
@@ -405,7 +404,6 @@ impl Messages {
         Ok(bytes.into())
     }
 
-    /// Opens an sqlite3 file.
     fn rows(&mut self, number: usize, index: &FileIndex) -> Result<&Rows, BagError> {
         if !matches!(&self.open, Some((known, OpenFile::Sqlite(_))) if *known == number) {
             let rows = Rows::open(&index.file)?;
@@ -522,7 +520,6 @@ pub(crate) struct StoredMessage {
     pub data: Bytes,
 }
 
-/// Iterates over [`StoredMessage`]s.
 #[derive(Debug)]
 pub(crate) struct StoredMessages(pub Messages);
 

@@ -39,7 +39,6 @@ struct Topic {
     type_hash: String,
 }
 
-/// An open file.
 #[derive(Debug)]
 pub(super) struct Rows {
     connection: Connection,

@@ -47,7 +47,6 @@ pub(super) struct BagFile {
     message_count: u64,
 }
 
-/// A finished file.
 pub(super) struct WrittenFile {
     pub path: PathBuf,
     pub size_bytes: u64,
@@ -225,7 +224,6 @@ impl BagFile {
     }
 }
 
-/// Extends a time span.
 fn extend_span(span: Option<(u64, u64)>, time_ns: u64) -> (u64, u64) {
     span.map_or((time_ns, time_ns), |(start, end)| {
         (start.min(time_ns), end.max(time_ns))

@@ -13,7 +13,6 @@ use super::{
 };
 use crate::limits::MAX_SIDE;
 
-/// Decodes a complete picture.
 pub(super) fn decode(data: &[u8], survey: &Survey) -> Result<RgbImage, JpegError> {
     let frame = &survey.frame;
     // libjpeg repeats the colours of such narrow pictures instead of interpolating them.

@@ -94,7 +94,6 @@ impl Frame {
         })
     }
 
-    /// The largest sampling factors.
     pub(super) fn most_factors(&self) -> (u32, u32) {
         let most = |of: fn(&Component) -> u8| {
             let factors = self.components.iter().map(of);

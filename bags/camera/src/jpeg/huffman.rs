@@ -180,7 +180,6 @@ impl<'a> Bits<'a> {
         Ok(())
     }
 
-    /// Reads a symbol.
     #[inline]
     pub(super) fn symbol(&mut self, table: &Table) -> Result<u8, JpegError> {
         self.fill();

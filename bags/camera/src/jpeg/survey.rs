@@ -43,9 +43,6 @@ struct State {
 }
 
 /// Examines a JPEG.
-///
-/// # Errors
-/// See [`JpegError`].
 pub(super) fn survey(data: &[u8]) -> Result<Survey, JpegError> {
     let mut state = State::default();
     // After the start marker, which the caller has checked.

@@ -83,9 +83,6 @@ impl H264Decoder {
     }
 
     /// Returns the remaining pictures.
-    ///
-    /// # Errors
-    /// As [`feed`](Self::feed).
     pub fn finish(&mut self) -> Result<Vec<RgbImage>, VideoError> {
         let pictures = self.decoder.flush_remaining();
         let pictures = pictures.map_err(|error| VideoError::Decoder(error.to_string()))?;

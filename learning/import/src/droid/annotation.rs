@@ -7,7 +7,6 @@ use serde::Deserialize;
 
 use crate::{ImportError, mapping::VALUES};
 
-/// Joints of the arm.
 const JOINTS: usize = 7;
 
 /// A checked annotation of an episode.

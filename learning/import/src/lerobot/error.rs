@@ -5,37 +5,30 @@ use wm_bag::BagError;
 use wm_motion::actions::ActionError;
 
 /// A failure to read or write a data set. Each text names the file and the field, or the bag and the topic.
+#[expect(missing_docs, reason = "the error texts describe variants and fields")]
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum LeRobotError {
-    /// A file is invalid.
     #[error("{file}: {reason}")]
     Corrupt {
-        /// The file.
         file: PathBuf,
         /// The expected and the actual content, with the field.
         reason: String,
     },
-    /// A bag lacks content for a data set.
     #[error("{bag}: {reason}")]
     Unsuited {
-        /// The bag.
         bag: PathBuf,
         /// The expected and the actual content, with the topic.
         reason: String,
     },
-    /// The output exists and is not an empty folder.
     #[error(
         "{0} already exists and is not an empty folder; data sets are never overwritten, so choose another path"
     )]
     Exists(PathBuf),
-    /// Nothing was requested.
     #[error("{0}")]
     Nothing(String),
-    /// An error of the operating system.
     #[error("{file}: {reason}")]
     Io {
-        /// The file or folder.
         file: PathBuf,
         /// The error. Not a `source`, since the text contains it.
         reason: std::io::Error,

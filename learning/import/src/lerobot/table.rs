@@ -14,7 +14,6 @@ use parquet::{
 use crate::lerobot::LeRobotError;
 pub(crate) use writer::{Column, TableWriter};
 
-/// An open table.
 pub(crate) struct Table {
     path: PathBuf,
     reader: SerializedFileReader<File>,
@@ -137,7 +136,6 @@ impl Table {
     }
 }
 
-/// A whole number.
 pub(crate) fn integer(name: &str, cell: Option<&Field>) -> Result<i64, String> {
     match cell {
         Some(Field::Long(value)) => Ok(*value),
@@ -215,7 +213,6 @@ pub(crate) fn boolean(name: &str, cell: Option<&Field>) -> Result<bool, String> 
     }
 }
 
-/// A text.
 pub(crate) fn text(name: &str, cell: Option<&Field>) -> Result<String, String> {
     match cell {
         Some(Field::Str(text)) => Ok(text.clone()),
@@ -262,7 +259,6 @@ pub(crate) fn picture(name: &str, cell: Option<&Field>) -> Result<Picture, Strin
     })
 }
 
-/// Describes a cell.
 fn describe(cell: Option<&Field>) -> String {
     match cell {
         None => "nothing".to_owned(),

@@ -13,7 +13,6 @@ use zip::ZipArchive;
 /// Limit of an array \[bytes\]; those of episodes are far smaller.
 const MAX_BYTES: u64 = 64 << 20;
 
-/// An open `.npz`.
 pub(super) struct Arrays {
     archive: ZipArchive<BufReader<File>>,
 }
@@ -24,7 +23,6 @@ pub(super) struct Numbers {
     pub values: Vec<f32>,
 }
 
-/// A scalar label.
 #[derive(Debug, PartialEq)]
 pub(super) enum Label {
     Number(f64),

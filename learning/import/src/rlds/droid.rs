@@ -22,7 +22,6 @@ const IMAGES: [&str; 3] = [
 ];
 /// DROID is recorded at 15 Hz (arXiv 2403.12945, section 3).
 const PERIOD_S: f64 = 1.0 / 15.0;
-/// Joints of the arm.
 const JOINT_COUNT: usize = 7;
 
 pub(super) fn is_droid(example: &Example) -> bool {

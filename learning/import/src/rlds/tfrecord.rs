@@ -23,7 +23,6 @@ pub(super) struct TfRecords {
     end: u64,
 }
 
-/// A located record.
 pub(super) struct Record {
     stream: Rc<Stream>,
     start: u64,

@@ -6,7 +6,6 @@ use super::Decoder;
 /// Start code of NAL units in an elementary stream (H.264 annex B).
 const START_CODE: [u8; 4] = [0, 0, 0, 1];
 
-/// Decodes h264 in mp4.
 pub(super) struct H264Decoder {
     decoder: StreamDecoder,
     /// Size of the length before each NAL unit \[bytes\].

@@ -35,7 +35,6 @@ pub(super) enum Codec {
     Av1,
 }
 
-/// An encoded frame.
 #[derive(Debug)]
 pub(super) struct Sample {
     /// Its bytes, within the file.

@@ -83,7 +83,6 @@ mod tests {
     use super::*;
     use indicatif::ProgressDrawTarget;
 
-    /// Sends each written piece.
     struct LineSender(Sender<String>);
 
     impl Write for LineSender {

@@ -40,7 +40,6 @@ pub struct Surroundings {
 
 #[cfg(test)]
 impl Surroundings {
-    /// A plain room.
     pub(crate) fn plain() -> Self {
         Self {
             table_srgb: [0.7, 0.7, 0.65],

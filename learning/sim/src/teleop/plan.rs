@@ -16,7 +16,6 @@ pub enum Aim {
     Point(Vector3<f64>),
     /// An offset from the present foot of an object.
     Object {
-        /// The object.
         index: usize,
         /// Offset, metres.
         offset: Vector3<f64>,
@@ -28,7 +27,6 @@ pub enum Aim {
 pub enum Move {
     /// Move the tool to a pose.
     Go {
-        /// Destination.
         aim: Aim,
         /// Roll, pitch and yaw, radians.
         rpy: Vector3<f64>,
@@ -43,19 +41,12 @@ pub enum Move {
     Grip {
         /// 0 closed to 1 open.
         to: f64,
-        /// For how many actions.
         frames: usize,
     },
     /// Stay near this place and turn the hand.
-    Linger {
-        /// For how many actions.
-        frames: usize,
-    },
+    Linger { frames: usize },
     /// Move freely.
-    Drift {
-        /// For how many actions.
-        frames: usize,
-    },
+    Drift { frames: usize },
 }
 
 /// Directions of pushes: in words, and as components to the viewer's right and away from the viewer.

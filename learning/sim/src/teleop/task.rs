@@ -94,22 +94,13 @@ pub enum Task {
     /// Free motion.
     Explore,
     /// Move the hand over an object.
-    Reach {
-        /// The object.
-        object: usize,
-    },
+    Reach { object: usize },
     /// Lift an object.
-    PickUp {
-        /// The object.
-        object: usize,
-    },
+    PickUp { object: usize },
     /// Put an object near another.
     Place {
-        /// The object to carry.
         object: usize,
-        /// The other object.
         other: usize,
-        /// The relation.
         relation: Relation,
         /// To the viewer's right, and away from the viewer: horizontal unit vectors.
         viewer: [Vector3<f64>; 2],
@@ -118,9 +109,7 @@ pub enum Task {
     },
     /// Push an object over the table.
     Push {
-        /// The object.
         object: usize,
-        /// Direction in words.
         direction_words: &'static str,
         /// Direction, a horizontal unit vector.
         direction: Vector3<f64>,

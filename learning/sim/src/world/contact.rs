@@ -125,7 +125,6 @@ impl World {
         }
     }
 
-    /// Separates overlapping objects.
     pub(super) fn objects_push_each_other(&mut self) {
         let held = self.held();
         for first in 0..self.objects.len() {

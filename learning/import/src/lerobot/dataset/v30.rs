@@ -94,7 +94,6 @@ pub(super) fn read(
     Ok((tasks, entries.collect::<Result<_, LeRobotError>>()?))
 }
 
-/// A row of `meta/episodes`.
 struct Row {
     index: i64,
     length: u64,

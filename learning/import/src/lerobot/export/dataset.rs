@@ -46,7 +46,6 @@ pub(super) struct DatasetWriter {
     data_place: Place,
     data: Option<TableWriter>,
     tasks: Vec<String>,
-    /// Rows of `meta/episodes`.
     episodes: Vec<Vec<(String, Column)>>,
     stats: Vec<BTreeMap<String, Stats>>,
 }

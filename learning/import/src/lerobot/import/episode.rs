@@ -22,7 +22,6 @@ use crate::lerobot::{
 /// Limit of a picture's file, larger than any camera's frame \[bytes\].
 const PICTURE_BYTES_LIMIT: u64 = 64 << 20;
 
-/// A decoded episode.
 #[derive(Debug)]
 pub(super) struct Episode {
     pub timing: Timing,
