@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 use wm_motion::actions::ActionError;
-use wm_msgs::builtin_interfaces::InvalidNanoseconds;
+use wm_msgs::InvalidNanoseconds;
 use wm_wire::latent_message::LatentError;
 
 use super::seconds_of;
