@@ -32,6 +32,7 @@ mod config;
 mod embedding;
 mod head;
 mod loaded;
+mod network;
 mod packed;
 mod parameters;
 mod parametrisation;
@@ -57,12 +58,12 @@ pub(crate) use values::Batched;
 
 pub use crate::ops::token_layers::WeightGradients;
 use crate::ops::token_layers::{Linear, TensorLayers};
-use crate::ops::{AttentionPattern, Axis, Engine, PackedFormat};
-use crate::{Compute, Error, Result, Weights};
-use block::{Block, blocks, run_clips};
+use crate::ops::{AttentionPattern, Axis};
+use crate::{Compute, Error, Kernels, NumberFormat, Result, Weights};
+use block::run_clips;
 use condition::Condition;
 use embedding::{Embedding, Patches};
-use head::Head;
+use network::Network;
 use taped_blocks::taped_blocks;
 
 /// Metadata entry of a weights file that holds the [`TransitionConfig`] as JSON.
@@ -77,10 +78,9 @@ pub const ACTIONS_KEY: &str = "actions";
 pub struct Transition {
     config: Arc<TransitionConfig>,
     embedding: Embedding,
-    blocks: Vec<Block<Linear>>,
-    head: Head<Linear>,
+    network: Network<Linear>,
     spatial: Arc<AttentionPattern>,
-    engine: Engine,
+    kernels: Kernels,
     /// All tensors by their names, to be packed; layers share them.
     parameters: Arc<BTreeMap<String, Tensor>>,
     /// Where the gradients by the blocks' weights go, if not to candle.
@@ -104,15 +104,13 @@ impl Transition {
         let spatial =
             AttentionPattern::new(Axis::Space, config.heads, config.rotary(), |_, _| true)?;
         let embedding = Embedding::new(&mut tensors)?;
-        let blocks = blocks(config.depth, &mut tensors)?;
-        let head = Head::new(&config, &mut tensors)?;
+        let network = Network::new(&config, &mut tensors)?;
         Ok(Self {
             config: Arc::new(config),
             embedding,
-            blocks,
-            head,
+            network,
             spatial: Arc::new(spatial),
-            engine: Engine::default(),
+            kernels: Kernels::default(),
             parameters,
             gradients: None,
         })
@@ -133,7 +131,7 @@ impl Transition {
     #[must_use]
     pub fn plain(self) -> Self {
         Self {
-            engine: Engine::Candle,
+            kernels: Kernels::Candle,
             ..self
         }
     }
@@ -221,26 +219,30 @@ impl Transition {
             let reason = format!("{last}, expected 1 to {t}");
             return Err(Error::config("number of last frames", reason));
         }
-        let engine = self.engine;
+        let kernels = self.kernels;
         let temporal = Arc::new(pattern.attention(self.config.heads, self.config.head_dim())?);
         let patches = Patches::of(x, self.config.patch)?;
-        let mut layers = TensorLayers::new(engine, b);
+        let mut layers = TensorLayers::new(kernels, b);
         let tokens = self.embedding.tokens(&mut layers, &patches)?;
         let (tau, action) = (tau.flatten_all()?, action.flatten_to(1)?);
-        let condition = self.embedding.condition(&mut layers, &tau, &action)?;
+        let waves = self.embedding.waves(&tau)?;
+        let Network {
+            condition,
+            blocks,
+            head,
+        } = &self.network;
+        let condition = condition.at(&mut layers, &waves, &action)?;
         let (patterns, activated) = ([&self.spatial, &temporal], &condition.activated);
         let tokens = match &self.gradients {
-            Some(gradients) if engine.takes_kernel(&tokens) => {
+            Some(gradients) if kernels.takes_kernel(&tokens) => {
                 let inputs = (&tokens, activated);
-                taped_blocks(&self.blocks, inputs, patterns, last, gradients)?
+                taped_blocks(blocks, inputs, patterns, last, gradients)?
             }
-            _ => run_clips(&self.blocks, &mut layers, tokens, activated, patterns, last)?,
+            _ => run_clips(blocks, &mut layers, tokens, activated, patterns, last)?,
         };
         let Condition { time, activated } = condition.last_frames(&mut layers, last)?;
-        let modulation = self.head.plain_modulation(&mut layers, &activated)?;
-        let out = self
-            .head
-            .forward(&mut layers, &tokens, modulation.as_ref(), &time)?;
+        let modulation = head.plain_modulation(&mut layers, &activated)?;
+        let out = head.forward(&mut layers, &tokens, modulation.as_ref(), &time)?;
         Patches::into_grid(&out, (b, last), &self.config)
     }
 
@@ -261,7 +263,7 @@ impl Transition {
     /// # Errors
     /// If its tensors cannot be read.
     pub fn pack(&self) -> Result<LoadedTransition> {
-        Ok(PackedTransition::new(self, PackedFormat::F32)?.into())
+        Ok(PackedTransition::new(self, NumberFormat::F32)?.into())
     }
 }
 

@@ -80,15 +80,3 @@ pub(crate) trait ClipLayers: TokenLayers {
     /// The rows of the last `last` frames of each clip.
     fn last_frames(&mut self, x: Self::Value, last: usize) -> Result<Self::Value>;
 }
-
-/// Makes linear layers of a network's weights.
-pub(crate) trait LinearSource {
-    /// The weights of a linear layer.
-    type Linear;
-
-    /// The layer of a name, with a bias if the network has one of that name.
-    fn linear(&mut self, name: &str) -> Result<Self::Linear>;
-
-    /// The same of a layer that is sensitive to rounding.
-    fn sensitive(&mut self, name: &str) -> Result<Self::Linear>;
-}

@@ -2,9 +2,12 @@
 
 use std::sync::Arc;
 
+use super::TransitionConfig;
+use super::network::{LinearLayer, LinearSource};
+use super::parameters::Initialisation::{Xavier, Zero};
 use crate::Result;
 use crate::ops::AttentionPattern;
-use crate::ops::token_layers::{ClipLayers, LinearSource, TokenLayers};
+use crate::ops::token_layers::{ClipLayers, TokenLayers};
 
 /// Chunks of a sub-block's modulation, of each half: shift, which scale follows, and gate.
 const ATTENTION: (usize, usize) = (0, 2);
@@ -21,19 +24,6 @@ pub(super) struct SubBlock<W> {
     out: W,
     up: W,
     down: W,
-}
-
-/// The blocks of a model of this depth.
-pub(super) fn blocks<S: LinearSource>(
-    depth: usize,
-    source: &mut S,
-) -> Result<Vec<Block<S::Linear>>> {
-    let mut part = |name: String| SubBlock::new(&name, source);
-    let blocks = (0..depth).map(|index| {
-        let spatial = part(format!("blocks.{index}.s_block"))?;
-        Ok([spatial, part(format!("blocks.{index}.t_block"))?])
-    });
-    blocks.collect()
 }
 
 /// The tokens of the last `last` frames after all `blocks`, for frames whose modulations start from `activated`. The
@@ -63,14 +53,20 @@ pub(super) fn run_clips<L: ClipLayers>(
 }
 
 impl<W> SubBlock<W> {
-    fn new(name: &str, source: &mut impl LinearSource<Linear = W>) -> Result<Self> {
+    pub(super) fn new(
+        name: &str,
+        config: &TransitionConfig,
+        source: &mut impl LinearSource<Linear = W>,
+    ) -> Result<Self> {
+        let (d, h) = (config.hidden, config.ffn_hidden());
+        let layer = LinearLayer::new;
+        let mut linear = |part: &str, layer| source.linear(&format!("{name}.{part}"), layer);
         Ok(Self {
-            // Its outputs act on every token of a frame.
-            modulation: source.sensitive(&format!("{name}.adaLN_modulation.1"))?,
-            qkv: source.linear(&format!("{name}.attn.qkv_proj"))?,
-            out: source.linear(&format!("{name}.attn.out_proj"))?,
-            up: source.linear(&format!("{name}.ffwd.w12"))?,
-            down: source.linear(&format!("{name}.ffwd.w3"))?,
+            modulation: linear("adaLN_modulation.1", layer(6 * d, d, Zero).sensitive())?,
+            qkv: linear("attn.qkv_proj", layer(3 * d, d, Xavier).without_bias())?,
+            out: linear("attn.out_proj", layer(d, d, Xavier))?,
+            up: linear("ffwd.w12", layer(2 * h, d, Xavier))?,
+            down: linear("ffwd.w3", layer(d, h, Xavier))?,
         })
     }
 

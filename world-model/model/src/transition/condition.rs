@@ -1,8 +1,13 @@
 //! From noise levels and actions to the modulation of the layers.
 
-use super::parameters::FREQUENCIES;
+use super::TransitionConfig;
+use super::network::{LinearLayer, LinearSource};
+use super::parameters::Initialisation::{Normal, Xavier};
 use crate::Result;
-use crate::ops::token_layers::{ClipLayers, HeadLayers, LinearSource};
+use crate::ops::token_layers::{ClipLayers, HeadLayers};
+
+/// Frequencies of the noise level's sinusoid; it has a cosine and a sine of each.
+pub(super) const FREQUENCIES: usize = 128;
 
 /// Ratio of the highest frequency to that which follows the lowest.
 const FREQUENCY_RANGE: f64 = 10_000.0;
@@ -37,14 +42,23 @@ pub(super) fn frequencies() -> Vec<f32> {
 }
 
 impl<W> ConditionEmbedding<W> {
-    pub(super) fn new(source: &mut impl LinearSource<Linear = W>) -> Result<Self> {
-        // The outputs act on every token of a frame.
+    pub(super) fn new(
+        config: &TransitionConfig,
+        source: &mut impl LinearSource<Linear = W>,
+    ) -> Result<Self> {
+        let d = config.hidden;
+        let mut linear = |name, inputs, initialisation| {
+            source.linear(
+                name,
+                LinearLayer::new(d, inputs, initialisation).sensitive(),
+            )
+        };
         Ok(Self {
             time: [
-                source.sensitive("timestep_mlp.0")?,
-                source.sensitive("timestep_mlp.2")?,
+                linear("timestep_mlp.0", 2 * FREQUENCIES, Normal(0.02))?,
+                linear("timestep_mlp.2", d, Normal(0.02))?,
             ],
-            action: source.sensitive("action_embedder")?,
+            action: linear("action_embedder", config.action_dim, Xavier)?,
         })
     }
 

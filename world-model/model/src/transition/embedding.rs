@@ -1,20 +1,19 @@
-//! From latents, noise levels and actions to tokens and conditioning.
+//! From latents and noise levels to patches, tokens and waves, on tensors.
 
 use candle_core::{D, Device, Tensor};
 
 use super::TransitionConfig;
-use super::condition::{Condition, ConditionEmbedding, frequencies};
-use super::parameters::{FREQUENCIES, Tensors};
+use super::condition::{FREQUENCIES, frequencies};
+use super::parameters::Tensors;
 use crate::Result;
 use crate::ops::token_layers::{Linear, TensorLayers, TokenLayers as _};
 
-/// Patch embedding, time embedding and action embedding.
+/// The patch embedding, and the frequencies of the noise levels.
 #[derive(Clone, Debug)]
 pub(super) struct Embedding {
     /// (d, C, p, p), as a convolution's.
     pub(super) patch_weight: Tensor,
     patch_bias: Tensor,
-    condition: ConditionEmbedding<Linear>,
     /// (1, FREQUENCIES).
     frequencies: Tensor,
 }
@@ -27,7 +26,6 @@ impl Embedding {
             frequencies: Tensor::from_vec(frequencies(), shape, patch_weight.device())?,
             patch_weight,
             patch_bias: tensors.take("x_proj.bias")?,
-            condition: ConditionEmbedding::new(tensors)?,
         })
     }
 
@@ -47,18 +45,13 @@ impl Embedding {
         layers.linear(&linear, patches)
     }
 
-    /// `tau` (frames) and `action` (frames, A).
-    pub(super) fn condition(
-        &self,
-        layers: &mut TensorLayers,
-        tau: &Tensor,
-        action: &Tensor,
-    ) -> Result<Condition<Tensor>> {
+    /// Cosines and sines of the noise levels `tau` (frames): (frames, 2 frequencies).
+    pub(super) fn waves(&self, tau: &Tensor) -> Result<Tensor> {
         let angles = tau.unsqueeze(1)?.broadcast_mul(&self.frequencies)?;
-        let waves = Tensor::cat(&[angles.cos()?, angles.sin()?], D::Minus1)?;
-        self.condition.at(layers, &waves, action)
+        Ok(Tensor::cat(&[angles.cos()?, angles.sin()?], D::Minus1)?)
     }
 }
+
 /// Between latents and patches.
 pub(super) struct Patches;
 

@@ -3,7 +3,9 @@
 use candle_core::Tensor;
 
 use super::TransitionConfig;
-use crate::ops::token_layers::{HeadLayers, Linear, LinearSource, TensorLayers};
+use super::network::{LinearLayer, LinearSource};
+use super::parameters::Initialisation::{Xavier, Zero};
+use crate::ops::token_layers::{HeadLayers, Linear, TensorLayers};
 use crate::{Error, Result};
 
 /// The last layers.
@@ -20,15 +22,20 @@ impl<W> Head<W> {
         config: &TransitionConfig,
         source: &mut impl LinearSource<Linear = W>,
     ) -> Result<Self> {
-        let name = match config.wide_head {
-            Some(_) => "head_final_layer",
-            None => "final_layer",
+        let (name, width) = match config.wide_head {
+            Some(width) => ("head_final_layer", width),
+            None => ("final_layer", config.hidden),
         };
-        let wide = config.wide_head.map(|_| source.linear("s_projector"));
+        let layer = LinearLayer::new;
+        let projection = layer(width, config.hidden, Xavier);
+        let modulation = layer(2 * width, width, Zero).sensitive();
+        let linear = layer(config.patch_values(), width, Zero).sensitive();
+        let wide = config.wide_head;
+        let wide = wide.map(|_| source.linear("s_projector", projection));
         Ok(Self {
             wide: wide.transpose()?,
-            modulation: source.sensitive(&format!("{name}.adaLN_modulation.1"))?,
-            linear: source.sensitive(&format!("{name}.linear"))?,
+            modulation: source.linear(&format!("{name}.adaLN_modulation.1"), modulation)?,
+            linear: source.linear(&format!("{name}.linear"), linear)?,
         })
     }
 

@@ -24,12 +24,11 @@ use std::sync::Arc;
 use candle_core::{Device, Tensor};
 
 use super::{Transition, TransitionConfig};
+use crate::NumberFormat;
 use crate::Result;
 use crate::ops::block_attention::TokenBlocks;
-use crate::ops::{PackedFormat, PackedLinear, RotaryTable};
-use crate::transition::block::{Block, blocks};
-use crate::transition::condition::ConditionEmbedding;
-use crate::transition::head::Head;
+use crate::ops::{PackedLinear, RotaryTable};
+use crate::transition::network::Network;
 pub(crate) use frame_context::FrameContext;
 pub(crate) use modulation::Modulation;
 pub use pass::NewFrame;
@@ -47,15 +46,13 @@ pub struct PackedTransition {
 #[derive(Debug)]
 struct Layers {
     /// What weights are packed in.
-    format: PackedFormat,
+    format: NumberFormat,
     blocks: TokenBlocks,
     /// Angles of the tokens of a frame.
     grid: RotaryTable,
     /// Patches (p * p * C, values in the order row, column, channel) to tokens.
     embedding: PackedLinear,
-    condition: ConditionEmbedding<PackedLinear>,
-    sub_blocks: Vec<Block<PackedLinear>>,
-    head: Head<PackedLinear>,
+    network: Network<PackedLinear>,
 }
 
 impl PackedTransition {
@@ -63,7 +60,7 @@ impl PackedTransition {
     ///
     /// # Errors
     /// If its tensors cannot be read.
-    pub fn new(model: &Transition, format: PackedFormat) -> Result<Self> {
+    pub fn new(model: &Transition, format: NumberFormat) -> Result<Self> {
         let config = model.config.as_ref().clone();
         Self::build(config, &OfTransition { model, format })
     }
@@ -75,16 +72,17 @@ impl PackedTransition {
     /// If the configuration cannot be built, `source` fails, or it gives weights of another shape.
     pub fn build(config: TransitionConfig, source: &dyn PackedSource) -> Result<Self> {
         config.validate()?;
-        let mut named = NamedLayers::new(&config, source);
+        let mut named = NamedLayers {
+            config: &config,
+            source,
+        };
         let (rows, columns) = config.grid();
         let layers = Layers {
             format: source.format(),
             blocks: TokenBlocks::new(rows * columns, config.heads, config.head_dim()),
             grid: config.rotary(),
             embedding: named.patches()?,
-            condition: ConditionEmbedding::new(&mut named)?,
-            sub_blocks: blocks(config.depth, &mut named)?,
-            head: Head::new(&config, &mut named)?,
+            network: Network::new(&config, &mut named)?,
         };
         Ok(Self {
             config: Arc::new(config),
@@ -98,7 +96,7 @@ impl PackedTransition {
     }
 
     /// What weights are packed in.
-    pub fn format(&self) -> PackedFormat {
+    pub fn format(&self) -> NumberFormat {
         self.layers.format
     }
 

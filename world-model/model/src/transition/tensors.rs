@@ -23,8 +23,9 @@ use candle_core::{DType, Device, DeviceLocation, Tensor};
 use super::embedding::Patches;
 use super::values::Batched;
 use super::{Transition, TransitionConfig};
+use crate::Kernels;
+use crate::ops::RotaryTable;
 use crate::ops::token_layers::{ClipLayers as _, TensorLayers};
-use crate::ops::{Engine, RotaryTable};
 use crate::{Error, Result};
 use attention::{Angles, Heads};
 pub(super) use context::FrameContext;
@@ -34,7 +35,7 @@ use modulation::OfFrames;
 use replays::Replays;
 
 /// What computes.
-const ENGINE: Engine = Engine::Candle;
+const ENGINE: Kernels = Kernels::Candle;
 
 /// The transition model on tensor operations. Clones share everything.
 #[derive(Clone, Debug)]
@@ -239,8 +240,14 @@ impl TensorTransition {
         let mut layers = TensorLayers::new(ENGINE, batch);
         let mut tokens = model.embedding.tokens(&mut layers, &patches)?;
         let mut block_layers = layers.in_format(model.embedding.patch_weight.dtype());
-        let mut kept = Vec::with_capacity(model.blocks.len());
-        for (index, (block, earlier)) in model.blocks.iter().zip(earlier.layers()).enumerate() {
+        let mut kept = Vec::with_capacity(model.network.blocks.len());
+        for (index, (block, earlier)) in model
+            .network
+            .blocks
+            .iter()
+            .zip(earlier.layers())
+            .enumerate()
+        {
             let (layers, [spatial, temporal]) = (&mut block_layers, block);
             let by_space = modulation.sub_blocks.get(2 * index)?;
             let qkv = spatial.project(layers, &tokens, &by_space)?;
@@ -266,6 +273,7 @@ impl TensorTransition {
         );
         let of_head = of_head.transpose()?;
         let patches = model
+            .network
             .head
             .forward(&mut layers, &tokens, of_head.as_ref(), &time)?;
         let output = Patches::into_grid(&patches, (batch, count), c)?;

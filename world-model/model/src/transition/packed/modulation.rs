@@ -79,10 +79,10 @@ impl PackedTransition {
             Rows::shared(2 * frequencies.len(), &waves),
             Rows::shared(width, &actions),
         );
-        let network = &self.layers;
+        let network = &self.layers.network;
         let mut layers = PackedLayers::default();
         let condition = network.condition.at(&mut layers, &waves, &actions)?;
-        let parts = network.sub_blocks.par_iter().flatten();
+        let parts = network.blocks.par_iter().flatten();
         let sub_blocks = parts.map(|part| {
             let rows = PackedLayers::default().linear(&part.modulation, &condition.activated)?;
             Ok(rows.to_vec())

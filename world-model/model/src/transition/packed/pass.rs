@@ -189,7 +189,11 @@ where
         let depth = self.model.config.depth;
         let mut kept = Kept::new(self.model.layers.clone(), depth, tasks, self.keep);
 
-        let mut pairs = layers.sub_blocks.iter().zip(modulations.chunks_exact(2));
+        let mut pairs = layers
+            .network
+            .blocks
+            .iter()
+            .zip(modulations.chunks_exact(2));
         let mut pair = pairs.next();
         if let Some(([spatial, _], [modulation, _])) = pair {
             xs.par_chunks_mut(tasks.rows() * d)
@@ -239,7 +243,14 @@ where
         let outputs = if self.first_output < tasks.times {
             let first = self.first_output;
             let (modulation, entries) = (self.modulation, &self.entries);
-            let patches = head::patches(&layers.head, (&xs, d), tasks, first, modulation, entries);
+            let patches = head::patches(
+                &layers.network.head,
+                (&xs, d),
+                tasks,
+                first,
+                modulation,
+                entries,
+            );
             self.assemble(&patches?)
         } else {
             Vec::new()

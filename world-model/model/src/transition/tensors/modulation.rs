@@ -60,9 +60,10 @@ impl Modulation {
         let tau = Tensor::from_vec(taus, entries * batch, model.device())?;
         let actions = Tensor::cat(&actions, 0)?;
         let mut layers = TensorLayers::new(ENGINE, batch);
-        let condition = model.embedding.condition(&mut layers, &tau, &actions)?;
+        let waves = model.embedding.waves(&tau)?;
+        let condition = model.network.condition.at(&mut layers, &waves, &actions)?;
         let by_entry = |rows: &Tensor| rows.reshape((entries, batch, ()));
-        let parts = model.blocks.iter().flatten();
+        let parts = model.network.blocks.iter().flatten();
         let sub_blocks = parts
             .map(|part| {
                 let rows = layers.linear(&part.modulation, &condition.activated)?;
@@ -70,6 +71,7 @@ impl Modulation {
             })
             .collect::<Result<Vec<_>>>()?;
         let head = model
+            .network
             .head
             .plain_modulation(&mut layers, &condition.activated)?
             .map(|rows| by_entry(&rows))
