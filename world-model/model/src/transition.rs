@@ -153,7 +153,7 @@ impl Transition {
     ///
     /// # Errors
     /// As [`Self::from_weights`]; and if the device has no memory for them.
-    pub fn from_weights_on(weights: Weights, compute: &Compute) -> Result<Self> {
+    pub(crate) fn from_weights_on(weights: Weights, compute: &Compute) -> Result<Self> {
         let config: TransitionConfig = weights.json(CONFIG_KEY)?;
         let model = Self::build(config, &mut |p| {
             compute.tensor(&weights.tensor(&p.name, &p.shape)?, DType::F32)

@@ -12,7 +12,7 @@ use crate::Kernels;
 ///
 /// # Errors
 /// If the shapes do not fit.
-pub fn gated_residual(
+pub(crate) fn gated_residual(
     kernels: Kernels,
     x: &Tensor,
     branch: &Tensor,

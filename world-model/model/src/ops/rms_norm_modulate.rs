@@ -17,7 +17,7 @@ const EPSILON: f32 = 1e-6;
 ///
 /// # Errors
 /// If the shapes do not fit.
-pub fn rms_norm_modulate(
+pub(crate) fn rms_norm_modulate(
     kernels: Kernels,
     x: &Tensor,
     modulation: &Tensor,

@@ -35,7 +35,7 @@ use modulation::OfFrames;
 use replays::Replays;
 
 /// What computes.
-const ENGINE: Kernels = Kernels::Candle;
+const KERNELS: Kernels = Kernels::Candle;
 
 /// The transition model on tensor operations. Clones share everything.
 #[derive(Clone, Debug)]
@@ -237,7 +237,7 @@ impl TensorTransition {
         let at = |angles: &Tensor| angles.narrow(0, earlier.frames(), frames);
         let in_time = (at(&in_time.0)?, at(&in_time.1)?);
         let patches = Patches::of(&inputs.latents, c.patch)?;
-        let mut layers = TensorLayers::new(ENGINE, batch);
+        let mut layers = TensorLayers::new(KERNELS, batch);
         let mut tokens = model.embedding.tokens(&mut layers, &patches)?;
         let mut block_layers = layers.in_format(model.embedding.patch_weight.dtype());
         let mut kept = Vec::with_capacity(model.network.blocks.len());
