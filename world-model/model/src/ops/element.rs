@@ -11,9 +11,9 @@ use super::vectorised::vectorised;
 /// The largest absolute value of a weight, and of an input, of 8 bits. -128 does not occur: it has no opposite.
 pub(crate) const INT8_MOST: f32 = 127.0;
 
-pub use crate::compute::NumberFormat as PackedFormat;
+use crate::NumberFormat;
 
-impl PackedFormat {
+impl NumberFormat {
     /// What multiplies bf16, if the format allows inputs to be rounded to it and the processor has it.
     pub(crate) fn bf16_unit(self) -> Option<Bf16Unit> {
         match self {
@@ -195,14 +195,14 @@ mod tests {
 
     #[test]
     fn kernels_are_named() {
-        let of_f32 = PackedFormat::F32.kernels();
+        let of_f32 = NumberFormat::F32.kernels();
         assert_eq!(of_f32, InstructionSet::detect().name());
-        for format in [PackedFormat::Bf16, PackedFormat::Int8] {
+        for format in [NumberFormat::Bf16, NumberFormat::Int8] {
             let names = format.kernels();
             assert!(names.starts_with(&of_f32), "{names}");
             let bf16 = Bf16Unit::detect().is_none_or(|unit| names.contains(unit.name()));
             let int8 = names.ends_with(Int8Unit::detect().name());
-            assert!(bf16 && int8 == (format == PackedFormat::Int8), "{names}");
+            assert!(bf16 && int8 == (format == NumberFormat::Int8), "{names}");
         }
     }
 
