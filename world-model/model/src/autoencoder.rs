@@ -161,8 +161,8 @@ impl Autoencoder {
     /// # Errors
     /// If the device has no memory for the weights.
     pub fn on_tensors(mut self, device: &Device) -> Result<Self> {
-        self.encoder.to_tensors(device)?;
-        self.decoder.to_tensors(device)?;
+        self.encoder.place_on(device)?;
+        self.decoder.place_on(device)?;
         Ok(self)
     }
 

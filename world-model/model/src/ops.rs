@@ -11,7 +11,7 @@ mod attention;
 pub(crate) mod block_attention;
 pub(crate) mod buffer;
 mod conv;
-pub mod conv_layers;
+pub(crate) mod conv_layers;
 mod dense_attention;
 pub(crate) mod element;
 mod engine;
@@ -46,6 +46,7 @@ pub(crate) use attention::{AttentionPattern, Axis, HEAD_DIM_MULTIPLE, attention}
 pub use conv::{
     ConvShape, Fused, GridSize, PackedConv, conv2d, conv2d_input_gradient, conv2d_weight_gradient,
 };
+pub use conv_layers::{Conv, ConvGradients, Tape};
 pub use dense_attention::{AttentionShape, HeadRows, ScoreMask, dense_attention};
 pub use element::PackedFormat;
 pub use engine::Engine;
