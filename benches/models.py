@@ -6,7 +6,8 @@ usage: benches/models.py [--device cuda] [--rounds N] [--seconds S] [--no-compil
 Builds `learning/training/examples/model_speed.rs`, and for each case writes random weights and an input to a temporary
 folder, then runs ours and PyTorch (eager, and with torch.compile) in turns, round by round, on all threads of each. Of
 all runs it prints the medians, of the rounds' ratios of ours to the faster PyTorch the median and the range (below 1:
-ours is faster), and how far our output and that of eager are from eager's in f32 (relative, Euclidean). `at the peak` is
+ours is faster), and how far our output and that of eager are from eager's in f32 (relative, Euclidean). `candle` is the
+same network on candle's own CPU operations, with its time divided by ours. `at the peak` is
 the time of eager's multiplications and additions at the measured peak of the processor for the format, if ours computes
 the same ones: no arrangement of them is faster, but convolutions take fewer. Needs cargo, a C++ compiler, and the packages
 of world-model/zoo/fixtures/requirements.txt.
@@ -59,6 +60,8 @@ from reference import dit, pixel_decoder, vjepa  # noqa: E402
 FORMATS = {"f32": torch.float32, "bf16": torch.bfloat16}
 # Of models whose time is that of matrices; on the CPU only.
 MATRIX_FORMATS = (*FORMATS, "int8")
+# The place of candle's own operations on the CPU, for model_speed.
+CANDLE = ("candle",)
 DIT_S = dit.DIT_L_SD3 | dict(hidden=384, depth=12, heads=6)
 EULER_STEPS, CONTEXT_TAU = 10, 0.01
 
@@ -366,8 +369,9 @@ def ours(what, folder, number_format, runs, warm=1, place=("cpu",), cache=None):
     binary = ROOT / "target/release/examples/model_speed"
     kept = [f"--keep={cache}"] if cache else []
     arguments = [binary, what, folder, number_format, str(runs + warm if runs else 0), *place, *kept]
-    # As the program `wm` sets them for itself.
-    environment = os.environ | dict(CANDLE_NUM_THREADS="1", MIMALLOC_PURGE_DELAY="1000")
+    # As the program `wm` sets them for itself; candle's own operations get all cores.
+    threads = len(os.sched_getaffinity(0)) if place == CANDLE else 1
+    environment = os.environ | dict(CANDLE_NUM_THREADS=str(threads), MIMALLOC_PURGE_DELAY="1000")
     result = subprocess.run(arguments, check=True, capture_output=True, text=True, env=environment)
     lines = {}
     for line in result.stdout.splitlines():
@@ -472,7 +476,11 @@ def compare(name, case, folder, arguments, place, peaks):
         runs = max(1, min(10, int(arguments.seconds / slowest)))
         rounds = 1 if slowest > arguments.seconds else arguments.rounds
         all_ours, theirs, ratios = [], {peer: [] for peer in peers}, []
+        candles, gains = [], []
         for _ in range(rounds):
+            # Before ours, whose output is compared.
+            has_candle = not place and number_format in FORMATS
+            candle = ours(case.ours, folder, number_format, min(runs, 3), place=CANDLE)["run_ms"] if has_candle else []
             # Of recorded passes, the first two are not repeated ones.
             a = ours(case.ours, folder, number_format, runs, warm=3 if place else 1, place=place)["run_ms"]
             b = {peer: [ms * case.share for ms in timed(of.step, runs)] for peer, of in peers.items()}
@@ -480,6 +488,9 @@ def compare(name, case, folder, arguments, place, peaks):
             for peer, times in b.items():
                 theirs[peer] += times
             ratios.append(statistics.median(a) / min(map(statistics.median, b.values())))
+            if candle:
+                candles += candle
+                gains.append(statistics.median(candle) / statistics.median(a))
         output = load_file(folder / "output.safetensors")[case.output].float()[: len(reference)]
         output = output.to(reference.device)
         differences = [
@@ -491,6 +502,7 @@ def compare(name, case, folder, arguments, place, peaks):
         cells = [f"{m:.1f}" if m else "-" for m in (statistics.median(all_ours), *medians)]
         ratio = f"{statistics.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})"
         if not place:
+            cells.append(f"{statistics.median(candles):.1f} ({statistics.median(gains):.2f})" if candles else "-")
             peak = peaks[number_format]
             cells.append(f"{1e3 * operations / peak:.1f}" if operations and peak else "-")
         row = [name, number_format, *cells, ratio, *differences, f"{rounds} x {runs}"]
@@ -570,9 +582,9 @@ def main():
     card = f"{torch.cuda.get_device_name()}, CUDA {torch.version.cuda}, " if on_cuda else ""
     print(f"{card}{processor()}, {flags}, {cores} cores, {datetime.date.today()}, torch {torch.__version__}\n")
     peaks = {} if on_cuda else processor_peaks(cores)
-    more = " TensorRT p50 ms |" if on_cuda else " at the peak ms |"
+    more = " TensorRT p50 ms |" if on_cuda else " candle p50 ms (to ours) | at the peak ms |"
     print(f"| case | format | ours p50 ms | eager p50 ms | compile p50 ms |{more} ratio to the fastest | difference | eager's | runs |")
-    print("|---" * 10 + "|")
+    print("|---" * (10 if on_cuda else 11) + "|")
     place = () if not on_cuda else ("cuda",) if arguments.no_graphs else ("cuda", "recorded")
     cases = arguments.cases or known
     for name in cases:

@@ -5,12 +5,20 @@
 //! cargo run --release -p wm_training --features cuda --example model_speed -- velocity FOLDER bf16 5 cuda recorded
 //! ```
 //!
-//! What is timed, a folder with `config.json`, `weights.safetensors` and `input.safetensors`, f32, bf16 or int8, how many runs,
-//! maybe a device, and whether passes are recorded and repeated there. With `--keep=FOLDER`, packed weights are kept in
-//! that folder and found again. Prints the time of loading, the memory that it took at most, and the time of each run, a
-//! line each (`load_ms`, `peak_mib`, `run_ms`), and writes `output.safetensors` of the last run into the folder. What is
-//! timed is
-//! any kind of `wm model forward`, or of the transition model
+//! Arguments:
+//!
+//! - what is timed, see below;
+//! - a folder with `config.json`, `weights.safetensors` and `input.safetensors`;
+//! - the number format: f32, bf16 or int8;
+//! - the number of runs;
+//! - optionally a device, or `candle` for candle's operations on the CPU in place of our kernels;
+//! - `recorded`, to record passes on that device and repeat them;
+//! - `--keep=FOLDER`, to keep packed weights in that folder and find them again.
+//!
+//! It prints the time of loading, the most memory that loading took, and the time of each run, a line each (`load_ms`,
+//! `peak_mib`, `run_ms`). It writes `output.safetensors` of the last run into the folder.
+//!
+//! Any kind of `wm model forward` can be timed, and of the transition model
 //!
 //! - `velocity`: `x` (B,T,H,W,C), `tau` (B,T), `action` (B,T,A) as for `dit`, but only the last frame, after T - 1 of which
 //!   keys and values are cached; gives its `velocity` (B,1,H,W,C);
@@ -25,7 +33,7 @@ use std::time::Instant;
 use candle_core::{Device, Tensor};
 use wm_model::sampler::{Given, Rollout};
 use wm_model::transition::{LoadedTransition, NewFrame};
-use wm_model::{Compute, NumberFormat};
+use wm_model::{Compute, Kernels, NumberFormat};
 use wm_zoo::kinds::{DitConfig, Kind, Loaded, Tensors};
 use wm_zoo::packed_cache::CacheLimits;
 use wm_zoo::{Checkpoint, PackedCache};
@@ -46,12 +54,15 @@ fn main() -> Result<()> {
     let cache = kept.first().and_then(|kept| kept.strip_prefix(KEEP));
     let [what, folder, format, runs, place @ ..] = rest.as_slice() else {
         return Err(
-            "expected KIND FOLDER f32|bf16|int8 RUNS [DEVICE [recorded]] [--keep=FOLDER]".into(),
+            "expected KIND FOLDER f32|bf16|int8 RUNS [DEVICE|candle [recorded]] [--keep=FOLDER]"
+                .into(),
         );
     };
-    let compute: Compute = place
-        .first()
-        .map_or(Ok(Compute::default()), |name| name.parse())?;
+    let compute = match place.first().map(|name| name.as_str()) {
+        None => Compute::default(),
+        Some("candle") => Compute::on_cpu(Kernels::Candle),
+        Some(device) => device.parse()?,
+    };
     let is_recorded = place.get(1).is_some_and(|word| *word == "recorded");
     let format: NumberFormat = format.parse()?;
     let compute = compute.recording(is_recorded).with_format(format)?;
