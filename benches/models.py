@@ -3,26 +3,27 @@
 
 usage: benches/models.py [--device cuda] [--rounds N] [--seconds S] [--no-compile] [CASE ...]
 
-Builds `world-model/zoo/examples/model_speed.rs`, and for each case writes random weights and an input to a temporary
+Builds `learning/training/examples/model_speed.rs`, and for each case writes random weights and an input to a temporary
 folder, then runs ours and PyTorch (eager, and with torch.compile) in turns, round by round, on all threads of each. Of
 all runs it prints the medians, of the rounds' ratios of ours to the faster PyTorch the median and the range (below 1:
-ours is faster), and how far our output and that of eager are from eager's in f32 (relative, Euclidean). `at the peak` is
-how long eager's multiplications and additions take at the peak that the processor was measured to have for the format,
-where ours computes the same: no arrangement of them is faster, but convolutions take fewer. Needs cargo, a C++ compiler, and
-what world-model/zoo/fixtures/requirements.txt names.
+ours is faster), and how far our output and that of eager are from eager's in f32 (relative, Euclidean). `candle` is the
+same network on candle's own CPU operations, with its time divided by ours. `at the peak` is
+the time of eager's multiplications and additions at the measured peak of the processor for the format, if ours computes
+the same ones: no arrangement of them is faster, but convolutions take fewer. Needs cargo, a C++ compiler, and the packages
+of world-model/zoo/fixtures/requirements.txt.
 
-Cases: velocity-dit-s, velocity-dit-l: one velocity of a new frame after nine frames of which keys and values are
-cached, by both. frame-dit-s: a predicted frame, ten Euler steps in a full window of ten, ours with its exact cache, the
+Cases: velocity-dit-s, velocity-dit-l: one velocity of a new frame after nine frames with cached keys and values, on both
+sides. frame-dit-s: a predicted frame, ten Euler steps in a full window of ten, ours with its exact cache, the
 reference's loop without. plan-dit-s: the same for 64 candidates after two frames; the peers compute two of them, and
 their time counts 32 times. vit-l, sd3-encode, sd3-decode, pixel: one picture of 256 x 256. Those of one velocity and vit-l
 also in int8, beside PyTorch's dynamic quantisation. Last, load: time and memory to load a model of 300 M parameters, packing
 its weights (first) and finding them packed (kept).
 
-With --device cuda, all on an NVIDIA GPU: cargo needs nvcc then (tests/setup_cuda has one), and PyTorch its own CUDA. Ours
-repeats recorded passes (CUDA graphs) where few tokens are computed, unless --no-graphs is given. TensorRT is one more peer
-where torch_tensorrt is installed. There is one more case, step-dit-l, and no load: one velocity of 64 candidates of DiT-L
-in one batch, without a peer, with the share of the card's peak that its operations are, and by how much the card's free
-memory shrinks meanwhile. The peak is that of a product of 8192 x 8192 matrices in PyTorch, bf16, in the same run.
+With --device cuda, all on an NVIDIA GPU: cargo then needs nvcc (tests/setup_cuda installs one), and PyTorch its own CUDA.
+Ours repeats recorded passes (CUDA graphs) of few tokens, unless --no-graphs is given. TensorRT is one more peer if
+torch_tensorrt is installed. One more case is step-dit-l, and load is skipped: one velocity of 64 candidates of DiT-L in
+one batch, without a peer, with the share of the card's peak that its operations are, and the loss of free memory of the
+card. The peak is that of a product of 8192 x 8192 matrices in PyTorch, bf16, in the same run.
 """
 
 import argparse
@@ -59,6 +60,8 @@ from reference import dit, pixel_decoder, vjepa  # noqa: E402
 FORMATS = {"f32": torch.float32, "bf16": torch.bfloat16}
 # Of models whose time is that of matrices; on the CPU only.
 MATRIX_FORMATS = (*FORMATS, "int8")
+# The place of candle's own operations on the CPU, for model_speed.
+CANDLE = ("candle",)
 DIT_S = dit.DIT_L_SD3 | dict(hidden=384, depth=12, heads=6)
 EULER_STEPS, CONTEXT_TAU = 10, 0.01
 
@@ -77,11 +80,11 @@ class Case:
 
     ours = output = None
     formats = tuple(FORMATS)
-    # How much more of the same ours computes than the peers, whose times count as often.
+    # The factor of work of ours over the peers', by which their times are multiplied.
     share = 1
-    # Of ours in a run, where a share of the card's peak is asked for.
+    # Operations of ours in a run, for the share of the card's peak.
     operations = None
-    # Whether the peers compute what ours does, operation by operation.
+    # Whether the peers compute the same operations as ours.
     same_operations = True
 
     def __init__(self):
@@ -102,7 +105,7 @@ class Case:
         return other
 
     def ready(self):
-        """What does not belong to the time of a step."""
+        """Preparation that is not part of the time of a step."""
 
     def weights(self):
         """By the names of a published checkpoint."""
@@ -141,7 +144,7 @@ class Velocity(Case):
         row, column = torch.arange(rows).repeat_interleave(columns), torch.arange(columns).repeat(rows)
         angles = self.module.axis_angles
         turn = lambda a: (a.cos().to(dtype), a.sin().to(dtype))
-        # As a careful user would: what does not change is computed once.
+        # As a careful user does: constants are computed once.
         self.space = turn(torch.cat((angles(row, self.dim // 2), angles(column, self.dim // 2)), -1))
         self.times = [turn(angles(torch.tensor([t]), self.dim)) for t in range(self.cached + 1)]
         self.frequencies = torch.exp(-torch.log(torch.tensor(10000.0)) * torch.arange(128) / 128)
@@ -228,7 +231,7 @@ class Frame(Case):
     """The reference's loop: every Euler step computes the whole window of every candidate."""
 
     ours, output, same_operations = "frame", "predicted", False
-    # In f32 only: the loop takes minutes in PyTorch's bf16 where the processor has no such arithmetic.
+    # In f32 only: on a processor without bf16 arithmetic, the loop takes minutes in PyTorch's bf16.
     formats = ("f32",)
 
     def __init__(self, observed, candidates):
@@ -362,12 +365,13 @@ def write(case, folder):
 
 
 def ours(what, folder, number_format, runs, warm=1, place=("cpu",), cache=None):
-    """The lines of model_speed, by their names; its first run fills caches and is left out, unless `warm` is 0."""
+    """The lines of model_speed, by their names; its first run fills caches and is skipped, unless `warm` is 0."""
     binary = ROOT / "target/release/examples/model_speed"
     kept = [f"--keep={cache}"] if cache else []
     arguments = [binary, what, folder, number_format, str(runs + warm if runs else 0), *place, *kept]
-    # As the program `wm` sets them for itself.
-    environment = os.environ | dict(CANDLE_NUM_THREADS="1", MIMALLOC_PURGE_DELAY="1000")
+    # As the program `wm` sets them for itself; candle's own operations get all cores.
+    threads = len(os.sched_getaffinity(0)) if place == CANDLE else 1
+    environment = os.environ | dict(CANDLE_NUM_THREADS=str(threads), MIMALLOC_PURGE_DELAY="1000")
     result = subprocess.run(arguments, check=True, capture_output=True, text=True, env=environment)
     lines = {}
     for line in result.stdout.splitlines():
@@ -409,7 +413,7 @@ def operations_of(case):
 
 
 class CardMemory:
-    """How much less memory the card has at some time than at the beginning, at most, in MiB."""
+    """The greatest loss of free memory of the card since the beginning, in MiB."""
 
     def __enter__(self):
         self.least = self.before = torch.cuda.mem_get_info()[0]
@@ -439,7 +443,7 @@ def card_peak():
 
 
 def step_on_card(name, case, folder, place, runs=10):
-    """A row of its own: nothing to compare with, but the card."""
+    """A row of its own, compared only with the card's peak."""
     with CardMemory() as memory:
         ms = statistics.median(ours(case.ours, folder, "bf16", runs, warm=3, place=place)["run_ms"])
     rate, peak = case.operations / (ms / 1e3), card_peak()
@@ -472,7 +476,11 @@ def compare(name, case, folder, arguments, place, peaks):
         runs = max(1, min(10, int(arguments.seconds / slowest)))
         rounds = 1 if slowest > arguments.seconds else arguments.rounds
         all_ours, theirs, ratios = [], {peer: [] for peer in peers}, []
+        candles, gains = [], []
         for _ in range(rounds):
+            # Before ours, whose output is compared.
+            has_candle = not place and number_format in FORMATS
+            candle = ours(case.ours, folder, number_format, min(runs, 3), place=CANDLE)["run_ms"] if has_candle else []
             # Of recorded passes, the first two are not repeated ones.
             a = ours(case.ours, folder, number_format, runs, warm=3 if place else 1, place=place)["run_ms"]
             b = {peer: [ms * case.share for ms in timed(of.step, runs)] for peer, of in peers.items()}
@@ -480,6 +488,9 @@ def compare(name, case, folder, arguments, place, peaks):
             for peer, times in b.items():
                 theirs[peer] += times
             ratios.append(statistics.median(a) / min(map(statistics.median, b.values())))
+            if candle:
+                candles += candle
+                gains.append(statistics.median(candle) / statistics.median(a))
         output = load_file(folder / "output.safetensors")[case.output].float()[: len(reference)]
         output = output.to(reference.device)
         differences = [
@@ -491,13 +502,14 @@ def compare(name, case, folder, arguments, place, peaks):
         cells = [f"{m:.1f}" if m else "-" for m in (statistics.median(all_ours), *medians)]
         ratio = f"{statistics.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})"
         if not place:
+            cells.append(f"{statistics.median(candles):.1f} ({statistics.median(gains):.2f})" if candles else "-")
             peak = peaks[number_format]
             cells.append(f"{1e3 * operations / peak:.1f}" if operations and peak else "-")
         row = [name, number_format, *cells, ratio, *differences, f"{rounds} x {runs}"]
         print("| " + " | ".join(row) + " |", flush=True)
 
 
-# PyTorch maps the file: what it has loaded is there when the values have been read once.
+# PyTorch maps the file: it is loaded once the values have been read.
 LOAD = """
 import pathlib, sys, time, torch
 from transformers import Dinov2Model
@@ -557,7 +569,7 @@ def main():
         parser.error(f"no such case: {', '.join(sorted(unknown))}; there are: {', '.join(known)}")
     if on_cuda and not torch.cuda.is_available():
         parser.error("--device cuda: PyTorch sees no GPU")
-    build = ["cargo", "build", "--release", "-p", "wm_zoo", "--example", "model_speed"]
+    build = ["cargo", "build", "--release", "-p", "wm_training", "--example", "model_speed"]
     build += ["--features", "cuda"] if on_cuda else []
     subprocess.run(build, cwd=ROOT, check=True)
     if not on_cuda:
@@ -570,9 +582,9 @@ def main():
     card = f"{torch.cuda.get_device_name()}, CUDA {torch.version.cuda}, " if on_cuda else ""
     print(f"{card}{processor()}, {flags}, {cores} cores, {datetime.date.today()}, torch {torch.__version__}\n")
     peaks = {} if on_cuda else processor_peaks(cores)
-    more = " TensorRT p50 ms |" if on_cuda else " at the peak ms |"
+    more = " TensorRT p50 ms |" if on_cuda else " candle p50 ms (to ours) | at the peak ms |"
     print(f"| case | format | ours p50 ms | eager p50 ms | compile p50 ms |{more} ratio to the fastest | difference | eager's | runs |")
-    print("|---" * 10 + "|")
+    print("|---" * (10 if on_cuda else 11) + "|")
     place = () if not on_cuda else ("cuda",) if arguments.no_graphs else ("cuda", "recorded")
     cases = arguments.cases or known
     for name in cases:

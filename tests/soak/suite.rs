@@ -51,7 +51,7 @@ impl Arm {
                 .build();
             runtime
                 .expect("a runtime")
-                .block_on(sim_arm::body(of_arm))
+                .block_on((sim_arm::NODE.body)(of_arm))
                 .expect("the arm");
         });
         let args = NodeArgs::parse(std::iter::empty::<&str>()).expect("no arguments");

@@ -69,12 +69,12 @@ enum Subcommands {
 }
 
 /// The command line, for completions and man pages.
-pub fn definition() -> clap::Command {
+pub(crate) fn definition() -> clap::Command {
     Cli::command()
 }
 
 /// A command with its arguments for ROS.
-pub struct Command {
+pub(crate) struct Command {
     command: Subcommands,
     ros_args: Vec<String>,
 }
@@ -82,7 +82,7 @@ pub struct Command {
 /// Parses the command line. On wrong usage, prints an error and ends the process with exit code 2.
 ///
 /// A program that is called by a node's name, for example by a link `lib/wm_nodes/encoder`, is that node.
-pub fn parse() -> Command {
+pub(crate) fn parse() -> Command {
     let mut arguments: Vec<String> = std::env::args_os()
         .map(|argument| argument.to_string_lossy().into_owned())
         .collect();
@@ -141,7 +141,7 @@ impl Command {
     ///
     /// # Errors
     /// The failure, for the user.
-    pub fn run(self) -> anyhow::Result<ExitCode> {
+    pub(crate) fn run(self) -> anyhow::Result<ExitCode> {
         match self.command {
             Subcommands::Launch(command) => command.run(),
             Subcommands::Doctor(command) => command.run(),
@@ -168,7 +168,7 @@ fn done(result: anyhow::Result<()>) -> anyhow::Result<ExitCode> {
 }
 
 /// 2 if the user's arguments are wrong, a node's parameters included; otherwise 1.
-pub fn failure_code(error: &anyhow::Error) -> ExitCode {
+pub(crate) fn failure_code(error: &anyhow::Error) -> ExitCode {
     let is_usage = error.is::<ArgsError>()
         || error.downcast_ref().is_some_and(wm_ros::Error::is_usage)
         || error.downcast_ref().is_some_and(DoctorError::is_usage)

@@ -23,14 +23,14 @@ enum ShellName {
     wm completions bash > ~/.local/share/bash-completion/completions/wm\n  \
     wm completions zsh > ~/.zfunc/_wm          # with fpath+=~/.zfunc before compinit in ~/.zshrc\n  \
     wm completions fish > ~/.config/fish/completions/wm.fish")]
-pub struct CompletionsCommand {
+pub(crate) struct CompletionsCommand {
     /// The shell
     #[arg(value_enum)]
     shell: ShellName,
 }
 
 impl CompletionsCommand {
-    pub fn run(self) -> Result<()> {
+    pub(crate) fn run(self) -> Result<()> {
         let Described { command, left_out } = external::described(cli::definition())?;
         for left in left_out {
             eprintln!("wm: without its commands: {left}; run this again then");

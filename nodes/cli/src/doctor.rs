@@ -17,7 +17,7 @@ use wm_ros::{Environment, NodeArgs};
     their rates, stamps and pictures; and whether the model fits them. Each finding suggests a fix.\n\n\
     Exit codes: 0 no error was found, 1 an error was found, 2 wrong usage."
 )]
-pub struct DoctorCommand {
+pub(crate) struct DoctorCommand {
     #[command(flatten)]
     pub listening: Listening,
     /// Print JSON
@@ -27,7 +27,7 @@ pub struct DoctorCommand {
 
 /// Options of the commands that listen to the graph.
 #[derive(Args, Debug)]
-pub struct Listening {
+pub(crate) struct Listening {
     /// Image topic of the camera; without it, the default or the first that sends pictures
     #[arg(long, value_name = "TOPIC", value_parser = parse_camera)]
     pub camera: Option<String>,
@@ -60,7 +60,7 @@ fn parse_seconds(text: &str) -> Result<f64, String> {
 
 impl Listening {
     /// The topics that the user named.
-    pub fn topics(&self) -> (Option<&str>, Option<&str>) {
+    pub(crate) fn topics(&self) -> (Option<&str>, Option<&str>) {
         (self.camera.as_deref(), self.action.as_deref())
     }
 
@@ -73,7 +73,7 @@ impl Listening {
     }
 
     /// Reads the machine's facts, and listens to the graph.
-    pub fn listen(&self) -> Result<(Machine, Survey)> {
+    pub(crate) fn listen(&self) -> Result<(Machine, Survey)> {
         let args = self.args()?;
         let environment = Environment::from_env(&args).map_err(DoctorError::from)?;
         let machine = Machine::look(&environment)?;
@@ -84,7 +84,7 @@ impl Listening {
     }
 
     /// Runs the model on the camera's pictures.
-    pub fn examine_model(&self, survey: &Survey) -> Result<ModelFacts, DoctorError> {
+    pub(crate) fn examine_model(&self, survey: &Survey) -> Result<ModelFacts, DoctorError> {
         let _progress = Progress::open_ended("running the model", "parts");
         let camera = survey.camera(self.camera.as_deref());
         let pictures = camera
@@ -95,7 +95,7 @@ impl Listening {
 }
 
 impl DoctorCommand {
-    pub fn run(self) -> Result<ExitCode> {
+    pub(crate) fn run(self) -> Result<ExitCode> {
         let (machine, survey) = self.listening.listen()?;
         let model = self.listening.examine_model(&survey);
         // the chain of causes, as for other errors of this program

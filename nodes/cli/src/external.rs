@@ -13,7 +13,7 @@ use std::{
 
 /// Arguments that are passed on unread.
 #[derive(Args, Debug)]
-pub struct Arguments {
+pub(crate) struct Arguments {
     /// Arguments of the program; its `--help` lists them once it is built
     #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
     own: Vec<OsString>,
@@ -24,7 +24,7 @@ impl Arguments {
     ///
     /// # Errors
     /// The program is missing (the error contains the build command), or cannot be started.
-    pub fn exec<const N: usize>(
+    pub(crate) fn exec<const N: usize>(
         self,
         program: &str,
         before: [&str; N],
@@ -60,7 +60,7 @@ const DESCRIBED_COMMANDS: [DescribedCommand; 5] = [
 ];
 
 /// A command line, and the programs missing from it.
-pub struct Described {
+pub(crate) struct Described {
     /// With the arguments of the available programs.
     pub command: clap::Command,
     /// Programs that are missing or failed, each with a remedy.
@@ -71,9 +71,9 @@ pub struct Described {
 ///
 /// # Errors
 /// The folder of this program is unknown.
-pub fn described(command: clap::Command) -> Result<Described> {
+pub(crate) fn described(command: clap::Command) -> Result<Described> {
     let beside = std::env::current_exe()?;
-    let asked = |program: &Path| wm_program::command_line::ask(program);
+    let asked = |program: &Path| wm_program::command_line::query(program);
     Ok(described_by(command, &beside, &folders(&beside), asked))
 }
 
@@ -135,7 +135,7 @@ fn replaced(command: clap::Command, words: &[&str], own: &clap::Command) -> clap
 ///
 /// # Errors
 /// The folder of this program is unknown.
-pub fn program(name: &str) -> Result<Option<PathBuf>> {
+pub(crate) fn program(name: &str) -> Result<Option<PathBuf>> {
     let beside = std::env::current_exe()?;
     Ok(find(name, &folders(&beside)))
 }
@@ -151,7 +151,7 @@ fn folders(beside: &Path) -> Vec<PathBuf> {
 ///
 /// # Errors
 /// It is missing (the error contains the build command), or cannot be started.
-pub fn exec(program: &str, args: impl IntoIterator<Item = OsString>) -> Result<ExitCode> {
+pub(crate) fn exec(program: &str, args: impl IntoIterator<Item = OsString>) -> Result<ExitCode> {
     let beside = std::env::current_exe()?;
     let Some(found) = find(program, &folders(&beside)) else {
         bail!(
@@ -247,7 +247,7 @@ mod tests {
 
         // of another version
         let left_out = described_by(wm(), beside, &folders, |program| {
-            Err(wm_program::command_line::Error::NoAnswer {
+            Err(wm_program::command_line::Error::InvalidDescription {
                 program: program.to_owned(),
                 reason: "exit status: 2".to_owned(),
             })

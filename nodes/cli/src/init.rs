@@ -15,7 +15,7 @@ use wm_doctor::Setup;
     starts the action adapter too. Existing files are never overwritten.\n\n\
     Exit codes: 0 done, 1 failed, 2 wrong usage, also where --camera or --action has to choose."
 )]
-pub struct InitCommand {
+pub(crate) struct InitCommand {
     /// Folder for the files; made if it does not exist
     folder: PathBuf,
     #[command(flatten)]
@@ -23,7 +23,7 @@ pub struct InitCommand {
 }
 
 impl InitCommand {
-    pub fn run(mut self) -> Result<ExitCode> {
+    pub(crate) fn run(mut self) -> Result<ExitCode> {
         // the launch may start in another folder
         if Path::new(&self.listening.model).exists() {
             let path = std::path::absolute(&self.listening.model)?;

@@ -18,7 +18,7 @@ const CAMERA: &str = "/camera/image_raw";
 
 /// Starts the nodes of a launch file.
 #[derive(Args, Debug)]
-pub struct LaunchCommand {
+pub(crate) struct LaunchCommand {
     /// Launch file in ROS 2's YAML launch format
     file: PathBuf,
     /// Launch arguments
@@ -40,7 +40,7 @@ fn parse_argument(text: &str) -> Result<(String, String), String> {
 }
 
 impl LaunchCommand {
-    pub fn run(self) -> Result<ExitCode> {
+    pub(crate) fn run(self) -> Result<ExitCode> {
         let file = wm_launch::read(&self.file, &System)?;
         if self.show_args {
             print(wm_launch::describe_arguments(&file))?;
@@ -157,7 +157,7 @@ fn describe(plan: &Plan) -> Result<String> {
 }
 
 /// Quotes a word for a shell.
-pub fn quote(word: &str) -> String {
+pub(crate) fn quote(word: &str) -> String {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "_-./:=+,@%".contains(c);
     if !word.is_empty() && word.chars().all(is_plain) {
         word.to_owned()

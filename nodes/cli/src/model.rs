@@ -15,7 +15,7 @@ use std::process::ExitCode;
 
 /// The model library.
 #[derive(Debug, Subcommand)]
-pub enum ModelCommand {
+pub(crate) enum ModelCommand {
     /// List the parts of a model; or count parameters and operations of the paper's systems
     Info(info::InfoCommand),
     /// Load a model as the nodes do, run it once, and report its properties or its faults
@@ -34,7 +34,7 @@ pub enum ModelCommand {
 }
 
 impl ModelCommand {
-    pub fn run(self) -> Result<ExitCode> {
+    pub(crate) fn run(self) -> Result<ExitCode> {
         match self {
             Self::Info(command) => command.run()?,
             Self::Check(command) => command.run()?,

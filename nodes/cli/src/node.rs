@@ -9,15 +9,11 @@ use wm_ros::{Component, NodeArgs, NodeDefinition};
 type Definition = NodeDefinition<anyhow::Error>;
 
 /// All nodes, in the order of the help.
-pub fn definitions() -> impl Iterator<Item = &'static Definition> {
+pub(crate) fn definitions() -> impl Iterator<Item = &'static Definition> {
     wm_model_nodes::NODES
         .iter()
         .chain(wm_robot_nodes::NODES)
-        .chain([
-            &wm_view::report::monitor::NODE,
-            &wm_view::report::trials::NODE,
-            &wm_view::NODE,
-        ])
+        .chain(wm_view::NODES)
 }
 
 /// The nodes without a command of their own with flags.
@@ -29,12 +25,12 @@ fn definition(name: &str) -> Option<&'static Definition> {
     definitions().find(|definition| definition.name == name)
 }
 
-pub fn is_node(name: &str) -> bool {
+pub(crate) fn is_node(name: &str) -> bool {
     definition(name).is_some()
 }
 
 /// Several nodes in one process.
-pub const TOGETHER: &str = "run";
+pub(crate) const TOGETHER: &str = "run";
 const LIST: &str = "nodes";
 
 const ARGUMENTS: &str = "arguments";
@@ -43,7 +39,7 @@ const TOPICS: &str = "topics";
 
 /// Runs nodes, or lists them.
 #[derive(Clone)]
-pub enum NodeCommand {
+pub(crate) enum NodeCommand {
     /// Runs one node, with the arguments before `--ros-args`.
     One(&'static Definition, Vec<String>),
     /// Runs several in one process.
@@ -93,7 +89,7 @@ fn command(definition: &Definition) -> Command {
 
 /// The nodes that can share a process.
 fn composable() -> String {
-    let nodes = definitions().filter(|definition| definition.component.is_some());
+    let nodes = definitions().filter(|definition| !definition.runs_alone);
     nodes
         .map(|definition| definition.name)
         .collect::<Vec<_>>()
@@ -155,16 +151,17 @@ impl FromArgMatches for NodeCommand {
     }
 }
 
-/// The node of this name, to share a process; ends the process if there is none.
+/// The node of this name, for a process with others; ends the process if there is none.
 fn component(name: &str) -> Component<anyhow::Error> {
-    let Some(component) = definition(name).and_then(|definition| definition.component) else {
-        let message = format!(
-            "`{name}` cannot run in one process with others; these can: {}\n",
-            composable()
-        );
-        clap::Error::raw(ErrorKind::InvalidValue, message).exit()
-    };
-    component()
+    definition(name)
+        .and_then(Definition::component)
+        .unwrap_or_else(|| {
+            let message = format!(
+                "`{name}` cannot run in one process with others; these can: {}\n",
+                composable()
+            );
+            clap::Error::raw(ErrorKind::InvalidValue, message).exit()
+        })
 }
 
 fn run_together(args: &NodeArgs) -> Result<()> {
@@ -186,12 +183,12 @@ fn table() -> String {
 
 impl NodeCommand {
     /// Whether `--ros-args` may follow.
-    pub fn takes_ros_args(&self) -> bool {
+    pub(crate) fn takes_ros_args(&self) -> bool {
         matches!(self, Self::One(..) | Self::Together(_))
     }
 
     /// Runs the node until a signal or its end.
-    pub fn run(self, ros_args: Vec<String>) -> Result<ExitCode> {
+    pub(crate) fn run(self, ros_args: Vec<String>) -> Result<ExitCode> {
         let args = |own: Vec<String>| NodeArgs::parse(own.into_iter().chain(ros_args));
         match self {
             Self::One(node, own) => return (node.run)(&args(own)?),

@@ -11,14 +11,14 @@ use std::{collections::BTreeMap, marker::PhantomData};
 use wm_ros::{Kind, ParameterSpec};
 
 /// The parameters of a command's node, and how they become flags.
-pub trait Flagged {
+pub(crate) trait Flagged {
     fn specs() -> Vec<ParameterSpec>;
 
     /// The flag of the parameter `name`; `None` if the command has another option for it.
     fn flag(name: &str, flag: Arg) -> Option<Arg>;
 }
 
-pub struct ParameterFlags<F> {
+pub(crate) struct ParameterFlags<F> {
     given: BTreeMap<&'static str, Json>,
     of: PhantomData<F>,
 }
@@ -30,12 +30,12 @@ impl<F> std::fmt::Debug for ParameterFlags<F> {
 }
 
 impl<F> ParameterFlags<F> {
-    pub fn has(&self, name: &str) -> bool {
+    pub(crate) fn has(&self, name: &str) -> bool {
         self.given.contains_key(name)
     }
 
     /// Adds `texts` to a list.
-    pub fn extend(&mut self, name: &'static str, texts: Vec<String>) {
+    pub(crate) fn extend(&mut self, name: &'static str, texts: Vec<String>) {
         if texts.is_empty() {
             return;
         }
@@ -46,7 +46,7 @@ impl<F> ParameterFlags<F> {
     }
 
     /// The given flags as parameters; others keep their defaults.
-    pub fn parameters(&self, parameters: &mut Parameters) -> Result<()> {
+    pub(crate) fn parameters(&self, parameters: &mut Parameters) -> Result<()> {
         for (name, value) in &self.given {
             parameters.set(name, value)?;
         }

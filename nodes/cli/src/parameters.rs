@@ -5,15 +5,15 @@ use serde::Serialize;
 
 /// Arguments for a node, after `--ros-args`.
 #[derive(Debug)]
-pub struct Parameters(Vec<String>);
+pub(crate) struct Parameters(Vec<String>);
 
 impl Parameters {
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self(vec!["--ros-args".to_owned()])
     }
 
     /// Adds a parameter; JSON is valid YAML.
-    pub fn set(&mut self, name: &str, value: impl Serialize) -> Result<()> {
+    pub(crate) fn set(&mut self, name: &str, value: impl Serialize) -> Result<()> {
         self.0.extend([
             "-p".to_owned(),
             format!("{name}:={}", serde_json::to_string(&value)?),
@@ -22,22 +22,22 @@ impl Parameters {
     }
 
     /// Adds a parameter if it is given.
-    pub fn set_some(&mut self, name: &str, value: Option<impl Serialize>) -> Result<()> {
+    pub(crate) fn set_some(&mut self, name: &str, value: Option<impl Serialize>) -> Result<()> {
         value.map_or(Ok(()), |value| self.set(name, value))
     }
 
     /// A remapping rule, `from:=to`.
-    pub fn remap(&mut self, rule: &str) {
+    pub(crate) fn remap(&mut self, rule: &str) {
         self.0.extend(["-r".to_owned(), rule.to_owned()]);
     }
 
-    pub fn log_level(&mut self, level: Option<String>) {
+    pub(crate) fn log_level(&mut self, level: Option<String>) {
         let words = level.map(|level| ["--log-level".to_owned(), level]);
         self.0.extend(words.into_iter().flatten());
     }
 
     /// The arguments, followed by the user's, which take precedence.
-    pub fn with(mut self, ros_args: Vec<String>) -> Vec<String> {
+    pub(crate) fn with(mut self, ros_args: Vec<String>) -> Vec<String> {
         self.0.extend(ros_args.into_iter().skip(1));
         self.0
     }

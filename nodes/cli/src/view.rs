@@ -15,7 +15,7 @@ use wm_view::NODE;
 /// Serves the page.
 #[derive(Args, Debug)]
 #[command(after_help = NODE.help())]
-pub struct ViewCommand {
+pub(crate) struct ViewCommand {
     /// Bag to show, its folder or a single .mcap file; without one, the live topics
     bag: Option<PathBuf>,
     #[command(flatten)]
@@ -52,12 +52,12 @@ impl Flagged for View {
 
 impl ViewCommand {
     /// Whether `--ros-args` may follow.
-    pub fn takes_ros_args(&self) -> bool {
+    pub(crate) fn takes_ros_args(&self) -> bool {
         !self.print_params
     }
 
     /// Serves the page until a signal.
-    pub fn run(self, ros_args: Vec<String>) -> Result<ExitCode> {
+    pub(crate) fn run(self, ros_args: Vec<String>) -> Result<ExitCode> {
         if self.print_params {
             print(NODE.params_file())?;
             return Ok(ExitCode::SUCCESS);

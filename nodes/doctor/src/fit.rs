@@ -43,10 +43,8 @@ pub fn gather(name: &str, pictures: &[&Picture]) -> Result<ModelFacts, DoctorErr
     let trial = parts.try_out()?;
     let framing = parts.encoder.framing();
     let encode = |picture: &Picture| -> wm_zoo::Result<f32> {
-        let latent = parts
-            .encoder
-            .encode(&parts.encoder.prepare(&picture.pixels)?)?;
-        Ok(part_far_out(&latent.flatten_all()?.to_vec1::<f32>()?))
+        let image = parts.encoder.prepare(&picture.pixels)?;
+        Ok(part_far_out(&parts.encoder.values(&image)?))
     };
     let mut sum = 0.0;
     for picture in pictures {

@@ -10,8 +10,8 @@ use std::path::{Path, PathBuf};
 /// A launch file: its actions in order.
 #[derive(Clone, Debug)]
 pub struct LaunchFile {
-    pub path: PathBuf,
-    pub actions: Vec<Action>,
+    pub(crate) path: PathBuf,
+    pub(crate) actions: Vec<Action>,
 }
 
 /// One entry.

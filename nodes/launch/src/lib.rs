@@ -27,7 +27,7 @@ pub use error::LaunchError;
 pub use plan::{Plan, Process, Program, Surroundings, System};
 pub use runner::run;
 
-use file::LaunchFile;
+pub use file::LaunchFile;
 use std::fmt::Write as _;
 use std::path::Path;
 

@@ -3,8 +3,8 @@
 use crate::{
     picture::{Label, Picture, Source},
     server::Shared,
-    state::{Left, State, Topic},
-    status::Heard,
+    state::{DropReason, State, Topic},
+    status::InputTopic,
 };
 use anyhow::Result;
 use std::{
@@ -14,7 +14,7 @@ use std::{
 };
 use tokio::sync::Semaphore;
 use wm_bag::{BagError, BagMessage, BagReader};
-use wm_camera::{camera_frame::CameraFrame, camera_info::topic_beside};
+use wm_camera::{camera_frame::CameraFrame, camera_info::info_topic};
 use wm_msgs::{
     diagnostic_msgs::DiagnosticArray,
     sensor_msgs::CameraInfo,
@@ -59,12 +59,12 @@ enum Unusable {
     #[error(transparent)]
     Bag(#[from] BagError),
     #[error("{}", .0.text())]
-    Left(Left),
+    Dropped(DropReason),
 }
 
-impl From<Left> for Unusable {
-    fn from(left: Left) -> Self {
-        Self::Left(left)
+impl From<DropReason> for Unusable {
+    fn from(left: DropReason) -> Self {
+        Self::Dropped(left)
     }
 }
 
@@ -73,7 +73,7 @@ impl Bag {
     ///
     /// # Errors
     /// It cannot be read.
-    pub fn open(path: &Path, heard: &[Heard]) -> Result<Self, BagError> {
+    pub fn open(path: &Path, heard: &[InputTopic]) -> Result<Self, BagError> {
         let reader = BagReader::open(path)?;
         for warning in reader.warnings() {
             tracing::warn!("{warning}");
@@ -84,7 +84,7 @@ impl Bag {
                 .is_some_and(|topic| topic.message_count > 0)
         };
         let mut topics = BTreeMap::new();
-        for Heard { topic, name, .. } in heard {
+        for InputTopic { topic, name, .. } in heard {
             let compressed = format!("{name}/compressed");
             let is_picture = Source::ALL
                 .into_iter()
@@ -96,7 +96,7 @@ impl Bag {
             }
         }
         let camera = heard.iter().find(|heard| heard.topic == Topic::Camera);
-        let camera_info = camera.map(|camera| topic_beside(&camera.name));
+        let camera_info = camera.map(|camera| info_topic(&camera.name));
         let camera_info = camera_info.unwrap_or_default();
         // goals of another kind have a topic of their own, which counts as the same
         if let Some((name, _)) = topics.iter().find(|(_, topic)| **topic == Topic::Goal) {

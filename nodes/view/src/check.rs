@@ -1,6 +1,6 @@
 //! Checks before the start.
 
-use crate::{NODE, ViewError, node::PORT};
+use crate::{NODE, ViewError, parameters::PORT};
 use anyhow::Result;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener};
 use wm_ros::{NAMESPACE, NodeArgs};

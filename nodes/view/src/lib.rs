@@ -25,10 +25,12 @@ mod cursor;
 mod error;
 mod event;
 mod foxglove;
+mod inputs;
 mod journal;
 mod listener;
 mod node;
 mod page;
+mod parameters;
 mod picture;
 mod picture_subscription;
 mod rate;
@@ -43,3 +45,9 @@ mod subprotocol;
 pub use check::check;
 use error::ViewError;
 pub use node::NODE;
+
+use wm_ros::NodeDefinition;
+
+/// All nodes of this crate.
+pub const NODES: &[NodeDefinition<anyhow::Error>] =
+    &[report::monitor::NODE, report::trials::NODE, NODE];

@@ -1,8 +1,8 @@
 //! Projects a plan's path into the camera's picture.
 
-use crate::state::Left;
+use crate::state::DropReason;
 use nalgebra::Point3;
-use wm_camera::camera_info::{check, resized};
+use wm_camera::camera_info::{check, scale};
 use wm_msgs::{
     geometry_msgs::Point,
     sensor_msgs::CameraInfo,
@@ -38,7 +38,7 @@ struct Pinhole {
 
 impl Pinhole {
     fn of(info: &CameraInfo) -> Option<Self> {
-        let unit = resized(info, (1, 1)).ok()?;
+        let unit = scale(info, (1, 1)).ok()?;
         let [fx, skew, cx, _, fy, cy, ..] = unit.k;
         Some(Self {
             frame: unit.header.frame_id,
@@ -92,8 +92,8 @@ impl Scene {
     /// Takes transforms between frames.
     ///
     /// # Errors
-    /// Some are dropped; the others count.
-    pub fn transforms(&mut self, message: &TFMessage, is_static: bool) -> Result<(), Left> {
+    /// Some of them are left out; the others count.
+    pub fn transforms(&mut self, message: &TFMessage, is_static: bool) -> Result<(), DropReason> {
         let mut taken = Ok(());
         for one in &message.transforms {
             let names = (&*one.header.frame_id, &*one.child_frame_id);
@@ -106,7 +106,7 @@ impl Scene {
                     taken.is_ok()
                 });
             if !is_taken {
-                taken = Err(Left::BadTransform);
+                taken = Err(DropReason::BadTransform);
             }
         }
         taken
@@ -215,7 +215,10 @@ mod tests {
         let message = TFMessage {
             transforms: vec![nowhere],
         };
-        assert_eq!(scene.transforms(&message, false), Err(Left::BadTransform));
+        assert_eq!(
+            scene.transforms(&message, false),
+            Err(DropReason::BadTransform)
+        );
         let eye = camera.base_from_optical().translation.vector;
         assert_eq!(scene.way(&way(&[[eye.x, eye.y, eye.z]])), None);
         assert_eq!(scene.way(&MarkerArray::default()), None);

@@ -15,7 +15,7 @@ use crate::{
     picture::{Label, MAX_BYTES, Picture, Source},
     socket,
     state::State,
-    status::{self, Heard, View},
+    status::{self, InputTopic, View},
     subprotocol::Subprotocol,
 };
 use axum::{
@@ -55,7 +55,8 @@ pub struct Shared {
     known: Mutex<SharedState>,
     /// Changes when clients may have something to send.
     news: watch::Sender<u64>,
-    commands: mpsc::Sender<Asked>,
+    /// Commands for the node.
+    commands: mpsc::Sender<ClientCommand>,
     clients: AtomicUsize,
     refused: Arc<AtomicU64>,
     settings: Settings,
@@ -75,15 +76,15 @@ pub struct Settings {
 
 pub struct SharedState {
     pub state: State,
-    /// The subscribed topics.
-    pub heard: Vec<Heard>,
+    /// The topics that are heard.
+    pub heard: Vec<InputTopic>,
     /// The last message `status`.
     pub status: Status,
 }
 
-/// A command of a client.
-pub struct Asked {
-    /// The number of its reply.
+/// A command that a client has sent.
+pub struct ClientCommand {
+    /// The number of its answer.
     pub number: u32,
     pub command: Command,
     /// Receives the reply.
@@ -93,9 +94,9 @@ pub struct Asked {
 impl Shared {
     pub fn new(
         state: State,
-        heard: Vec<Heard>,
+        heard: Vec<InputTopic>,
         settings: Settings,
-        commands: mpsc::Sender<Asked>,
+        commands: mpsc::Sender<ClientCommand>,
     ) -> Self {
         Self {
             known: Mutex::new(SharedState {
@@ -129,7 +130,8 @@ impl Shared {
         &self.settings
     }
 
-    pub fn commands(&self) -> &mpsc::Sender<Asked> {
+    /// Where commands go.
+    pub fn commands(&self) -> &mpsc::Sender<ClientCommand> {
         &self.commands
     }
 

@@ -3,7 +3,7 @@
 use crate::{
     command::Numbered,
     cursor::Cursor,
-    server::{Asked, Shared},
+    server::{ClientCommand, Shared},
 };
 use axum::{
     Error,
@@ -121,7 +121,7 @@ async fn receive(
                 } else if shared.settings().bag.is_some() {
                     Some("not possible: the view shows a bag")
                 } else {
-                    let asked = Asked {
+                    let asked = ClientCommand {
                         number,
                         command,
                         answers: answers.clone(),

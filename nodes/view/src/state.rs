@@ -76,8 +76,8 @@ const BAG_BYTES: usize = 64 << 20;
 
 /// Why a message is dropped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Left {
-    /// A predicted picture without a known prediction.
+pub enum DropReason {
+    /// A predicted picture of which it cannot be told of which prediction it is.
     Unpaired,
     /// A prediction whose step or period is out of bounds.
     BadPrediction,
@@ -89,8 +89,8 @@ pub enum Left {
     BadFit,
 }
 
-impl Left {
-    /// In the diagnostics.
+impl DropReason {
+    /// As it is counted in the diagnostics.
     pub const fn reason(self) -> &'static str {
         match self {
             Self::Unpaired => "unpaired_picture",
@@ -196,7 +196,7 @@ impl State {
         source: Source,
         stamp_ns: i64,
         now_ns: i64,
-    ) -> Result<Option<Label>, Left> {
+    ) -> Result<Option<Label>, DropReason> {
         self.heard(Topic::of(source), now_ns);
         match source {
             Source::Predicted => match self.pairings.pictured(stamp_ns, now_ns) {
@@ -207,8 +207,8 @@ impl State {
                     stamp_ns,
                     observed_ns: awaited.observed_ns,
                 })),
-                Pairing::Late => Err(Left::Unpaired),
-                // its rollout began before the view did, or it also arrived raw
+                Pairing::Late => Err(DropReason::Unpaired),
+                // Of a rollout that was under way when the view began, or that came raw too.
                 Pairing::Unknown => Ok(None),
             },
             Source::Camera if self.last_frame_ns == Some(stamp_ns) => Ok(None),
@@ -240,13 +240,13 @@ impl State {
     ///
     /// # Errors
     /// Its step or period is out of bounds, or a time is invalid.
-    pub fn prediction(&mut self, prediction: &Prediction, now_ns: i64) -> Result<(), Left> {
+    pub fn prediction(&mut self, prediction: &Prediction, now_ns: i64) -> Result<(), DropReason> {
         self.heard(Topic::Predicted, now_ns);
-        // messages within this process were not decoded, so times may be invalid
-        let nanos = |stamp: Time| stamp.checked_nanos().map_err(|_| Left::BadPrediction);
+        // A message of a node of this process was not decoded.
+        let nanos = |stamp: Time| stamp.checked_nanos().map_err(|_| DropReason::BadPrediction);
         let period_ns = prediction.step_period.checked_nanos().unwrap_or(0);
         if prediction.step == 0 || prediction.step > STEP_LIMIT || period_ns <= 0 {
-            return Err(Left::BadPrediction);
+            return Err(DropReason::BadPrediction);
         }
         nanos(prediction.ready_stamp)?;
         self.pairings.predicted(Awaited {
@@ -300,9 +300,9 @@ impl State {
     /// How the model frames the camera's pictures.
     ///
     /// # Errors
-    /// The fit is unknown.
-    pub fn fit(&mut self, fit: &Text) -> Result<(), Left> {
-        self.fit = fit.data.parse().map_err(|_| Left::BadFit)?;
+    /// There is no such fit.
+    pub fn fit(&mut self, fit: &Text) -> Result<(), DropReason> {
+        self.fit = fit.data.parse().map_err(|_| DropReason::BadFit)?;
         Ok(())
     }
 
@@ -319,11 +319,11 @@ impl State {
         &mut self,
         candidates: Arc<ActionCandidates>,
         now_ns: i64,
-    ) -> Result<(), Left> {
+    ) -> Result<(), DropReason> {
         self.heard(Topic::Candidates, now_ns);
         let chunks = candidates.chunks.iter();
         if chunks.map(|chunk| chunk.actions.len()).sum::<usize>() > MAX_OFFERED {
-            return Err(Left::LargeOffer);
+            return Err(DropReason::LargeOffer);
         }
         self.journal.add(&Event::candidates(&candidates), now_ns);
         if self.offers.len() == MAX_OFFERS {
@@ -405,7 +405,7 @@ pub(crate) mod tests {
         assert!(state.album.find(&expected).is_some());
         assert_eq!(state.label(Source::Predicted, 17, 18), Ok(None));
         let late = state.label(Source::Predicted, STEP_NS, 9 * STEP_NS);
-        assert_eq!(late, Err(Left::Unpaired));
+        assert_eq!(late, Err(DropReason::Unpaired));
     }
 
     #[test]
@@ -447,7 +447,7 @@ pub(crate) mod tests {
                 ..prediction(0, 1)
             },
         ] {
-            assert_eq!(state.prediction(&bad, 1), Err(Left::BadPrediction));
+            assert_eq!(state.prediction(&bad, 1), Err(DropReason::BadPrediction));
         }
         let chunk = ActionChunk {
             actions: vec![Action::default(); MAX_OFFERED],
@@ -460,7 +460,7 @@ pub(crate) mod tests {
                 ..ActionCandidates::default()
             })
         };
-        assert_eq!(state.candidates(offer(2), 1), Err(Left::LargeOffer));
+        assert_eq!(state.candidates(offer(2), 1), Err(DropReason::LargeOffer));
         assert_eq!(state.candidates(offer(1), 1), Ok(()));
         assert!(state.offered(7, 0).is_some() && state.offered(7, 1).is_none());
         assert!(state.offered(8, 0).is_none());

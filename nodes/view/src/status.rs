@@ -145,13 +145,14 @@ pub struct MissingInput {
     text: String,
 }
 
-/// A subscribed topic, or one searched in a bag.
+/// A topic that the view subscribes to, or reads from a bag.
 #[derive(Clone, Debug)]
-pub struct Heard {
+pub struct InputTopic {
+    /// Which.
     pub topic: Topic,
     /// Its absolute name.
     pub name: String,
-    /// The number of publishers; `None` in a bag.
+    /// Number of publishers; `None` in a bag.
     pub publishers: Option<usize>,
 }
 
@@ -179,7 +180,7 @@ struct Message<'a> {
 }
 
 /// The message `status`.
-pub fn message(state: &mut State, heard: &[Heard], view: &View, now_ns: i64) -> String {
+pub fn message(state: &mut State, heard: &[InputTopic], view: &View, now_ns: i64) -> String {
     let missing = missing(state, heard, now_ns);
     let topics = heard.iter().map(|heard| {
         let rate = state.rate(heard.topic);
@@ -211,8 +212,8 @@ pub fn message(state: &mut State, heard: &[Heard], view: &View, now_ns: i64) -> 
     serde_json::to_string(&message).unwrap_or_default()
 }
 
-/// Why panels are empty.
-fn missing(state: &mut State, heard: &[Heard], now_ns: i64) -> Vec<MissingInput> {
+/// What is missing, for whoever wonders why a panel is empty.
+fn missing(state: &mut State, heard: &[InputTopic], now_ns: i64) -> Vec<MissingInput> {
     let find = |topic: Topic| heard.iter().find(|heard| heard.topic == topic);
     let name = |topic: Topic| find(topic).map_or("", |heard| heard.name.as_str());
     let is_bag = |topic: Topic| find(topic).is_none_or(|heard| heard.publishers.is_none());
@@ -305,7 +306,7 @@ mod tests {
     use crate::{picture::Source, state::tests::prediction};
     use wm_msgs::diagnostic_msgs::KeyValue;
 
-    fn heard(publishers: Option<usize>) -> Vec<Heard> {
+    fn heard(publishers: Option<usize>) -> Vec<InputTopic> {
         let topics = [
             (Topic::Camera, "/camera/image_raw"),
             (Topic::Predicted, "/wm/predicted"),
@@ -313,7 +314,7 @@ mod tests {
             (Topic::Action, "/wm/action"),
             (Topic::Plan, "/wm/plan"),
         ];
-        let heard = |(topic, name): (Topic, &str)| Heard {
+        let heard = |(topic, name): (Topic, &str)| InputTopic {
             topic,
             name: name.to_owned(),
             publishers,

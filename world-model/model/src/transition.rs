@@ -27,16 +27,18 @@
 //! Sampling is not done here ([`crate::sampler`] does it).
 
 mod block;
+mod condition;
 mod config;
 mod embedding;
 mod head;
 mod loaded;
+mod network;
 mod packed;
 mod parameters;
 mod parametrisation;
 mod pattern;
+mod taped_blocks;
 mod tensors;
-mod trunk;
 mod values;
 
 use std::collections::BTreeMap;
@@ -52,14 +54,17 @@ pub use parameters::{Initialisation, Parameter};
 pub use parametrisation::Parametrisation;
 pub use pattern::TemporalPattern;
 pub use tensors::TensorTransition;
-pub use trunk::WeightGradients;
 pub(crate) use values::Batched;
 
-use crate::ops::{AttentionPattern, Axis, Engine, PackedFormat};
-use crate::{Error, Place, Result, Weights};
-use block::Block;
+pub use crate::ops::token_layers::WeightGradients;
+use crate::ops::token_layers::{Linear, TensorLayers};
+use crate::ops::{AttentionPattern, Axis};
+use crate::{Compute, Error, Kernels, NumberFormat, Result, Weights};
+use block::run_clips;
+use condition::Condition;
 use embedding::{Embedding, Patches};
-use head::Head;
+use network::Network;
+use taped_blocks::taped_blocks;
 
 /// Metadata entry of a weights file that holds the [`TransitionConfig`] as JSON.
 pub const CONFIG_KEY: &str = "config";
@@ -73,10 +78,9 @@ pub const ACTIONS_KEY: &str = "actions";
 pub struct Transition {
     config: Arc<TransitionConfig>,
     embedding: Embedding,
-    blocks: Vec<Block>,
-    head: Head,
+    network: Network<Linear>,
     spatial: Arc<AttentionPattern>,
-    engine: Engine,
+    kernels: Kernels,
     /// All tensors by their names, to be packed; layers share them.
     parameters: Arc<BTreeMap<String, Tensor>>,
     /// Where the gradients by the blocks' weights go, if not to candle.
@@ -100,17 +104,13 @@ impl Transition {
         let spatial =
             AttentionPattern::new(Axis::Space, config.heads, config.rotary(), |_, _| true)?;
         let embedding = Embedding::new(&mut tensors)?;
-        let blocks = (0..config.depth)
-            .map(|i| Block::new(i, &mut tensors))
-            .collect::<Result<_>>()?;
-        let head = Head::new(&config, &mut tensors)?;
+        let network = Network::new(&config, &mut tensors)?;
         Ok(Self {
             config: Arc::new(config),
             embedding,
-            blocks,
-            head,
+            network,
             spatial: Arc::new(spatial),
-            engine: Engine::default(),
+            kernels: Kernels::default(),
             parameters,
             gradients: None,
         })
@@ -131,7 +131,7 @@ impl Transition {
     #[must_use]
     pub fn plain(self) -> Self {
         Self {
-            engine: Engine::Candle,
+            kernels: Kernels::Candle,
             ..self
         }
     }
@@ -146,17 +146,17 @@ impl Transition {
     /// # Errors
     /// If the configuration or a tensor is missing or malformed, or there are tensors too many.
     pub fn from_weights(weights: Weights) -> Result<Self> {
-        Self::from_weights_on(weights, &Place::default())
+        Self::from_weights_on(weights, &Compute::default())
     }
 
-    /// As [`Self::from_weights`], with its tensors in `place`, in f32.
+    /// As [`Self::from_weights`], with its tensors on the device of `compute`, in f32.
     ///
     /// # Errors
     /// As [`Self::from_weights`]; and if the device has no memory for them.
-    pub fn from_weights_on(weights: Weights, place: &Place) -> Result<Self> {
+    pub(crate) fn from_weights_on(weights: Weights, compute: &Compute) -> Result<Self> {
         let config: TransitionConfig = weights.json(CONFIG_KEY)?;
         let model = Self::build(config, &mut |p| {
-            place.tensor(&weights.tensor(&p.name, &p.shape)?, DType::F32)
+            compute.tensor(&weights.tensor(&p.name, &p.shape)?, DType::F32)
         })?;
         weights.finish()?;
         Ok(model)
@@ -219,34 +219,30 @@ impl Transition {
             let reason = format!("{last}, expected 1 to {t}");
             return Err(Error::config("number of last frames", reason));
         }
-        let engine = self.engine;
+        let kernels = self.kernels;
         let temporal = Arc::new(pattern.attention(self.config.heads, self.config.head_dim())?);
         let patches = Patches::of(x, self.config.patch)?;
-        let mut tokens = self.embedding.tokens(engine, &patches)?;
-        let condition =
-            self.embedding
-                .condition(engine, &tau.flatten_all()?, &action.flatten_to(1)?)?;
-        match &self.gradients {
-            Some(gradients) if engine.takes_kernel(&tokens) => {
-                let (patterns, activated) = ([&self.spatial, &temporal], &condition.activated);
-                tokens = trunk::trunk(
-                    &self.blocks,
-                    patterns,
-                    gradients,
-                    (&tokens, last),
-                    activated,
-                )?;
+        let mut layers = TensorLayers::new(kernels, b);
+        let tokens = self.embedding.tokens(&mut layers, &patches)?;
+        let (tau, action) = (tau.flatten_all()?, action.flatten_to(1)?);
+        let waves = self.embedding.waves(&tau)?;
+        let Network {
+            condition,
+            blocks,
+            head,
+        } = &self.network;
+        let condition = condition.at(&mut layers, &waves, &action)?;
+        let (patterns, activated) = ([&self.spatial, &temporal], &condition.activated);
+        let tokens = match &self.gradients {
+            Some(gradients) if kernels.takes_kernel(&tokens) => {
+                let inputs = (&tokens, activated);
+                taped_blocks(blocks, inputs, patterns, last, gradients)?
             }
-            _ => {
-                for block in &self.blocks {
-                    tokens =
-                        block.forward(engine, &tokens, &condition, &self.spatial, &temporal)?;
-                }
-                tokens = tokens.narrow(1, t - last, last)?;
-            }
-        }
-        let condition = condition.of_last(last, (b, t))?;
-        let out = self.head.forward(engine, &tokens, &condition)?;
+            _ => run_clips(blocks, &mut layers, tokens, activated, patterns, last)?,
+        };
+        let Condition { time, activated } = condition.last_frames(&mut layers, last)?;
+        let modulation = head.plain_modulation(&mut layers, &activated)?;
+        let out = head.forward(&mut layers, &tokens, modulation.as_ref(), &time)?;
         Patches::into_grid(&out, (b, last), &self.config)
     }
 
@@ -267,7 +263,7 @@ impl Transition {
     /// # Errors
     /// If its tensors cannot be read.
     pub fn pack(&self) -> Result<LoadedTransition> {
-        Ok(PackedTransition::new(self, PackedFormat::F32)?.into())
+        Ok(PackedTransition::new(self, NumberFormat::F32)?.into())
     }
 }
 

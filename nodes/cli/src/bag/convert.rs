@@ -29,7 +29,7 @@ use wm_robot_nodes::ending::Ending;
     wm bag convert drive pictures --video jpeg\n\n\
     Exit codes: 0 done, 3 messages are missing: the bag is damaged, or packets have no picture; 1 failed."
 )]
-pub struct ConvertCommand {
+pub(crate) struct ConvertCommand {
     /// Folder of the bag, or one of its files
     #[arg(value_name = "IN")]
     input: PathBuf,
@@ -63,7 +63,7 @@ enum Format {
 }
 
 impl ConvertCommand {
-    pub fn run(self) -> Result<ExitCode> {
+    pub(crate) fn run(self) -> Result<ExitCode> {
         if self.video == Video::Jpeg {
             return external::exec("wm-datasets", self.arguments());
         }

@@ -23,7 +23,7 @@ const DECODER: &str = "wm-datasets";
     topics are examined by the program wm-datasets; without it, they are listed.\n\n\
     Exit codes: 0 done, also with findings; 1 failed; 2 wrong usage; 3 the bag has lost messages."
 )]
-pub struct InfoCommand {
+pub(crate) struct InfoCommand {
     /// Folder of the bag, or one of its files
     bag: PathBuf,
     /// Examine pictures, stamps, actions and state too
@@ -42,7 +42,7 @@ pub struct InfoCommand {
 }
 
 impl InfoCommand {
-    pub fn run(self) -> Result<ExitCode> {
+    pub(crate) fn run(self) -> Result<ExitCode> {
         let reader = BagReader::open(&self.bag)?;
         let summary = reader.summary();
         if !self.json {

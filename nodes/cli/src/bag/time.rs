@@ -3,7 +3,7 @@
 use std::time::{Duration, UNIX_EPOCH};
 
 /// A duration in seconds.
-pub fn parse_seconds(text: &str) -> Result<Duration, String> {
+pub(super) fn parse_seconds(text: &str) -> Result<Duration, String> {
     let seconds: f64 = text
         .parse()
         .map_err(|_| format!("expected a number of seconds, got {text:?}"))?;
@@ -11,7 +11,7 @@ pub fn parse_seconds(text: &str) -> Result<Duration, String> {
 }
 
 /// A time in ns since the epoch, from seconds with up to nine decimals, or from a date in UTC.
-pub fn parse_stamp_ns(text: &str) -> Result<u64, String> {
+pub(super) fn parse_stamp_ns(text: &str) -> Result<u64, String> {
     let stamp_ns = if text.contains(['T', '-']) {
         let date = humantime::parse_rfc3339(text).map_err(|error| error.to_string())?;
         date.duration_since(UNIX_EPOCH)

@@ -6,7 +6,7 @@ use wm_bag::TopicFilter;
 
 /// Which topics.
 #[derive(Args, Debug)]
-pub struct TopicOptions {
+pub(super) struct TopicOptions {
     /// Select these topics; all topics if neither this option nor --regex is given
     #[arg(long, value_name = "TOPIC", num_args = 1..)]
     topics: Vec<String>,
@@ -26,7 +26,7 @@ impl TopicOptions {
     ///
     /// # Errors
     /// A text is not a regular expression.
-    pub fn filter(self) -> Result<TopicFilter> {
+    pub(super) fn filter(self) -> Result<TopicFilter> {
         Ok(TopicFilter::new(
             self.topics,
             self.regex.as_deref(),

@@ -12,7 +12,7 @@ use wm_zoo::folder::Summary;
 
 /// Loads a world model as the nodes do, runs it once, and prints its properties.
 #[derive(Args, Debug)]
-pub struct CheckCommand {
+pub(crate) struct CheckCommand {
     /// A model folder, or `tiny`, as for the parameter `model` of a node
     #[arg(value_name = "DIR")]
     model: String,
@@ -30,9 +30,9 @@ fn parse_rate(text: &str) -> Result<f64, String> {
 }
 
 impl CheckCommand {
-    pub fn run(self) -> Result<()> {
+    pub(crate) fn run(self) -> Result<()> {
         let model = ModelFolder::open(&self.model)?;
-        if let ModelFolder::Described(folder) = &model {
+        if let Some(folder) = model.described() {
             print(format_args!("{}", table(&folder.summary()?)?))?;
         }
         let started = Instant::now();

@@ -23,7 +23,7 @@ use std::path::{Path, PathBuf};
 /// with `--overwrite`. An interrupted download continues where it stopped if the server still has the same file.
 #[derive(Args, Debug)]
 #[command(after_help = catalogue::names())]
-pub struct FetchCommand {
+pub(crate) struct FetchCommand {
     /// Name of the model
     #[arg(value_name = "NAME")]
     name: String,
@@ -42,7 +42,7 @@ pub struct FetchCommand {
 }
 
 impl FetchCommand {
-    pub fn run(self) -> Result<()> {
+    pub(crate) fn run(self) -> Result<()> {
         let Some(model) = MODELS.iter().find(|model| model.name == self.name) else {
             bail!("unknown model `{}`; {}", self.name, catalogue::names());
         };

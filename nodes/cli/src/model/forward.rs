@@ -35,7 +35,7 @@ Kinds, their configurations and tensors (image: N,256,256,3 in 0..1; latent: N,h
 /// Runs a model.
 #[derive(Args, Debug)]
 #[command(after_help = KINDS)]
-pub struct ForwardCommand {
+pub(crate) struct ForwardCommand {
     /// Kind of the model
     #[arg(long)]
     kind: Kind,
@@ -44,7 +44,7 @@ pub struct ForwardCommand {
 }
 
 impl ForwardCommand {
-    pub fn run(self) -> Result<()> {
+    pub(crate) fn run(self) -> Result<()> {
         let files = self.running.read(self.kind)?;
         let outputs = kinds::forward(
             self.kind,

@@ -12,7 +12,7 @@ use wm_zoo::cost::Row;
 
 /// Lists the parts of a model folder, or counts the parameters and operations of the paper's systems.
 #[derive(Args, Debug)]
-pub struct InfoCommand {
+pub(crate) struct InfoCommand {
     /// A model: `tiny`, or a folder; or a system of the paper, by the name of its row; without one, all of these
     #[arg(value_name = "MODEL")]
     name: Option<String>,
@@ -22,7 +22,7 @@ pub struct InfoCommand {
 }
 
 impl InfoCommand {
-    pub fn run(self) -> Result<()> {
+    pub(crate) fn run(self) -> Result<()> {
         let is_model = |name: &&String| !Row::NAMES.contains(&name.as_str());
         if let Some(name) = self.name.as_ref().filter(is_model) {
             let folder = Folder::open(name).with_context(|| {

@@ -17,7 +17,7 @@ and leads from it to the next frame; noise (B,K,H,W,C). Output: \
 /// Predicts frames.
 #[derive(Args, Debug)]
 #[command(after_help = TENSORS)]
-pub struct RolloutCommand {
+pub(crate) struct RolloutCommand {
     /// Kind of the model; only one kind predicts frames
     #[arg(long, default_value_t = Kind::Dit)]
     kind: Kind,
@@ -39,7 +39,7 @@ pub struct RolloutCommand {
 }
 
 impl RolloutCommand {
-    pub fn run(self) -> Result<()> {
+    pub(crate) fn run(self) -> Result<()> {
         ensure!(
             self.kind == Kind::Dit,
             "kind {} predicts no frames; expected dit",

@@ -6,13 +6,14 @@ use candle_core::Device;
 use clap::Args;
 use std::collections::HashMap;
 use std::path::PathBuf;
+use wm_model::{Compute, Kernels, NumberFormat};
+use wm_zoo::Checkpoint;
 use wm_zoo::checkpoint::Average;
 use wm_zoo::kinds::{Kind, Tensors};
-use wm_zoo::{Checkpoint, Compute, DeviceName, Engine, Precision};
 
 /// Files and engine of a model.
 #[derive(Args, Debug)]
-pub struct RunningArgs {
+pub(super) struct RunningArgs {
     /// Configuration in JSON: a Hugging Face config.json, or wm's own format (`wm model forward --help`)
     #[arg(long, value_name = "FILE")]
     config: PathBuf,
@@ -26,33 +27,35 @@ pub struct RunningArgs {
     #[arg(long, value_name = "FILE")]
     output: PathBuf,
     /// Compute engine: `cpu` (wm's own kernels) or `candle` (the reference)
-    #[arg(long, default_value_t = Engine::Cpu)]
-    engine: Engine,
+    #[arg(long, default_value_t = Kernels::Cpu)]
+    engine: Kernels,
     /// Device: `cpu`, or with `--engine candle` also `cuda` or `cuda:N`, an NVIDIA GPU
-    #[arg(long, default_value_t = DeviceName::Cpu)]
-    device: DeviceName,
+    #[arg(long, default_value = "cpu")]
+    device: Compute,
     /// Number format of the weights: f32, bf16, or with `--engine cpu` int8
-    #[arg(long, default_value_t = Precision::F32)]
-    dtype: Precision,
+    #[arg(long, default_value_t = NumberFormat::F32)]
+    dtype: NumberFormat,
     /// Take the raw weights, even if the checkpoint also has their moving average
     #[arg(long)]
     raw: bool,
 }
 
 /// A model's files in memory, and its compute engine.
-pub struct Files {
+pub(super) struct Files {
     /// JSON.
     pub config: String,
     pub checkpoint: Checkpoint,
     pub inputs: Tensors,
-    /// Engine, device and number format.
+    /// Kernels, device and number format.
     pub compute: Compute,
 }
 
 impl RunningArgs {
     /// Opens the device and reads the files of a model of `kind`.
-    pub fn read(&self, kind: Kind) -> Result<Files> {
-        let compute = Compute::new(self.engine, self.device.open()?, self.dtype)?;
+    pub(super) fn read(&self, kind: Kind) -> Result<Files> {
+        let compute = self.device.clone();
+        compute.device()?;
+        let compute = compute.with_kernels(self.engine)?.with_format(self.dtype)?;
         let config = std::fs::read_to_string(&self.config)
             .with_context(|| self.config.display().to_string())?;
         let mut checkpoint = Checkpoint::open(&self.weights)?;
@@ -70,7 +73,7 @@ impl RunningArgs {
     }
 
     /// Writes the output and prints its shapes.
-    pub fn write(&self, outputs: Tensors) -> Result<()> {
+    pub(super) fn write(&self, outputs: Tensors) -> Result<()> {
         for (name, tensor) in &outputs {
             print(format_args!("{name} {:?}\n", tensor.dims()))?;
         }

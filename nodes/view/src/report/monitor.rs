@@ -5,4 +5,4 @@
 mod live_line;
 mod node;
 
-pub use node::{NODE, run};
+pub use node::NODE;

@@ -2,13 +2,13 @@
 
 use std::{
     cell::RefCell,
-    collections::HashMap,
+    collections::BTreeMap,
     ops::{Deref, DerefMut},
 };
 
 thread_local! {
     /// Free buffers by their length.
-    static FREE: RefCell<HashMap<usize, Vec<Vec<f32>>>> = RefCell::default();
+    static FREE: RefCell<BTreeMap<usize, Vec<Vec<f32>>>> = RefCell::default();
 }
 
 /// Numbers that its owner writes before reading them: what is in a new one is left from an earlier use.

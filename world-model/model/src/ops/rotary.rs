@@ -101,13 +101,8 @@ impl RotaryTable {
         self.angles.len() / (2 * self.pairs)
     }
 
-    /// Whether there is no position.
-    pub fn is_empty(&self) -> bool {
-        self.angles.is_empty()
-    }
-
     /// Head dimension that the table is for.
-    pub fn head_dim(&self) -> usize {
+    pub(crate) fn head_dim(&self) -> usize {
         2 * self.pairs
     }
 

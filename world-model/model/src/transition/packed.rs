@@ -11,14 +11,12 @@
 //! every block, does not depend on them: it is computed once ([`FrameContext`]) and used in every
 //! integration step of every later frame, and shared by all candidates of a plan.
 
-mod condition;
 mod frame_context;
 mod head;
 mod modulation;
 mod pass;
 mod projection;
 mod source;
-mod sub_block;
 mod tasks;
 
 use std::sync::Arc;
@@ -26,18 +24,17 @@ use std::sync::Arc;
 use candle_core::{Device, Tensor};
 
 use super::{Transition, TransitionConfig};
+use crate::NumberFormat;
 use crate::Result;
 use crate::ops::block_attention::TokenBlocks;
-use crate::ops::{PackedFormat, PackedLinear, RotaryTable};
-use condition::Condition;
+use crate::ops::{PackedLinear, RotaryTable};
+use crate::transition::network::Network;
 pub(crate) use frame_context::FrameContext;
-use head::Head;
 pub(crate) use modulation::Modulation;
 pub use pass::NewFrame;
 pub(crate) use pass::PassOutput;
 pub use source::PackedSource;
 use source::{NamedLayers, OfTransition, numbers};
-use sub_block::SubBlock;
 
 /// The transition model, ready for inference. Clones share everything.
 #[derive(Clone, Debug)]
@@ -49,16 +46,13 @@ pub struct PackedTransition {
 #[derive(Debug)]
 struct Layers {
     /// What weights are packed in.
-    format: PackedFormat,
+    format: NumberFormat,
     blocks: TokenBlocks,
     /// Angles of the tokens of a frame.
     grid: RotaryTable,
     /// Patches (p * p * C, values in the order row, column, channel) to tokens.
     embedding: PackedLinear,
-    condition: Condition,
-    /// Spatial, temporal, spatial, ...
-    sub_blocks: Vec<SubBlock>,
-    head: Head,
+    network: Network<PackedLinear>,
 }
 
 impl PackedTransition {
@@ -66,7 +60,7 @@ impl PackedTransition {
     ///
     /// # Errors
     /// If its tensors cannot be read.
-    pub fn new(model: &Transition, format: PackedFormat) -> Result<Self> {
+    pub fn new(model: &Transition, format: NumberFormat) -> Result<Self> {
         let config = model.config.as_ref().clone();
         Self::build(config, &OfTransition { model, format })
     }
@@ -78,23 +72,17 @@ impl PackedTransition {
     /// If the configuration cannot be built, `source` fails, or it gives weights of another shape.
     pub fn build(config: TransitionConfig, source: &dyn PackedSource) -> Result<Self> {
         config.validate()?;
-        let named = NamedLayers::new(&config, source);
+        let mut named = NamedLayers {
+            config: &config,
+            source,
+        };
         let (rows, columns) = config.grid();
-        let mut sub_blocks = Vec::with_capacity(2 * config.depth);
-        for block in 0..config.depth {
-            for part in ["s_block", "t_block"] {
-                let name = format!("blocks.{block}.{part}");
-                sub_blocks.push(SubBlock::new(&name, &named)?);
-            }
-        }
         let layers = Layers {
             format: source.format(),
             blocks: TokenBlocks::new(rows * columns, config.heads, config.head_dim()),
             grid: config.rotary(),
             embedding: named.patches()?,
-            condition: Condition::new(&named)?,
-            sub_blocks,
-            head: Head::new(&named)?,
+            network: Network::new(&config, &mut named)?,
         };
         Ok(Self {
             config: Arc::new(config),
@@ -108,7 +96,7 @@ impl PackedTransition {
     }
 
     /// What weights are packed in.
-    pub fn format(&self) -> PackedFormat {
+    pub fn format(&self) -> NumberFormat {
         self.layers.format
     }
 

@@ -9,11 +9,10 @@ use rand_distr::{Distribution, StandardNormal};
 use sha2::{Digest, Sha256};
 
 use super::TransitionConfig;
-use crate::ops::{self, Engine};
+use super::network::{LinearLayer, LinearSource, Network};
+use crate::ops::token_layers::Linear;
 use crate::{Error, Result};
-
-/// Frequencies of the noise level's sinusoid; it has a cosine and a sine of each.
-pub(super) const FREQUENCIES: usize = 128;
+use Initialisation::{Xavier, Zero};
 
 /// Values that training starts from.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -98,94 +97,40 @@ impl Parameter {
 
 /// All parameters, in the order of the forward pass.
 pub(super) fn all(config: &TransitionConfig) -> Vec<Parameter> {
-    use Initialisation::{Normal, Xavier, Zero};
-    let (d, h) = (config.hidden, config.ffn_hidden());
-    let mut list = Vec::new();
-    let mut linear = |name: String, out: usize, inputs: usize, bias: bool, initialisation| {
-        list.push(Parameter {
-            name: format!("{name}.weight"),
-            shape: vec![out, inputs],
+    let (d, p) = (config.hidden, config.patch);
+    let mut list = List::default();
+    list.push("x_proj.weight", &[d, config.channels, p, p], Xavier);
+    list.push("x_proj.bias", &[d], Zero);
+    // A list refuses no layer.
+    Network::new(config, &mut list).ok();
+    list.0
+}
+
+#[derive(Default)]
+struct List(Vec<Parameter>);
+
+impl List {
+    fn push(&mut self, name: &str, shape: &[usize], initialisation: Initialisation) {
+        self.0.push(Parameter {
+            name: name.to_owned(),
+            shape: shape.to_vec(),
             initialisation,
         });
-        if bias {
-            list.push(Parameter {
-                name: format!("{name}.bias"),
-                shape: vec![out],
-                initialisation: Zero,
-            });
-        }
-    };
-    linear(
-        "timestep_mlp.0".into(),
-        d,
-        FREQUENCIES * 2,
-        true,
-        Normal(0.02),
-    );
-    linear("timestep_mlp.2".into(), d, d, true, Normal(0.02));
-    linear("action_embedder".into(), d, config.action_dim, true, Xavier);
-    for block in 0..config.depth {
-        for part in ["s_block", "t_block"] {
-            let name = |rest: &str| format!("blocks.{block}.{part}.{rest}");
-            linear(name("adaLN_modulation.1"), 6 * d, d, true, Zero);
-            linear(name("attn.qkv_proj"), 3 * d, d, false, Xavier);
-            linear(name("attn.out_proj"), d, d, true, Xavier);
-            linear(name("ffwd.w12"), 2 * h, d, true, Xavier);
-            linear(name("ffwd.w3"), d, h, true, Xavier);
-        }
     }
-    match config.wide_head {
-        None => {
-            linear(
-                "final_layer.adaLN_modulation.1".into(),
-                2 * d,
-                d,
-                true,
-                Zero,
-            );
-            linear(
-                "final_layer.linear".into(),
-                config.patch_values(),
-                d,
-                true,
-                Zero,
-            );
+}
+
+impl LinearSource for List {
+    type Linear = ();
+
+    fn linear(&mut self, name: &str, layer: LinearLayer) -> Result<()> {
+        let (outputs, inputs) = layer.shape;
+        let weight = format!("{name}.weight");
+        self.push(&weight, &[outputs, inputs], layer.initialisation);
+        if layer.has_bias {
+            self.push(&format!("{name}.bias"), &[outputs], Zero);
         }
-        Some(w) => {
-            linear("s_projector".into(), w, d, true, Xavier);
-            linear(
-                "head_final_layer.adaLN_modulation.1".into(),
-                2 * w,
-                w,
-                true,
-                Zero,
-            );
-            linear(
-                "head_final_layer.linear".into(),
-                config.patch_values(),
-                w,
-                true,
-                Zero,
-            );
-        }
+        Ok(())
     }
-    list.insert(
-        0,
-        Parameter {
-            name: "x_proj.weight".into(),
-            shape: vec![d, config.channels, config.patch, config.patch],
-            initialisation: Xavier,
-        },
-    );
-    list.insert(
-        1,
-        Parameter {
-            name: "x_proj.bias".into(),
-            shape: vec![d],
-            initialisation: Zero,
-        },
-    );
-    list
 }
 
 /// The tensors of a model under construction.
@@ -239,33 +184,17 @@ impl Tensors {
             expected: Vec::new(),
         })
     }
-
-    /// Hands out a Linear with bias.
-    pub(super) fn linear(&mut self, name: &str) -> Result<Linear> {
-        Ok(Linear {
-            weight: self.take(&format!("{name}.weight"))?,
-            bias: Some(self.take(&format!("{name}.bias"))?),
-        })
-    }
-
-    /// Hands out a Linear without bias.
-    pub(super) fn linear_no_bias(&mut self, name: &str) -> Result<Linear> {
-        Ok(Linear {
-            weight: self.take(&format!("{name}.weight"))?,
-            bias: None,
-        })
-    }
 }
 
-/// y = x W^T + b.
-#[derive(Clone, Debug)]
-pub(super) struct Linear {
-    pub(super) weight: Tensor,
-    pub(super) bias: Option<Tensor>,
-}
+/// Tensors are in one number format, sensitive or not.
+impl LinearSource for Tensors {
+    type Linear = Linear;
 
-impl Linear {
-    pub(super) fn forward(&self, engine: Engine, x: &Tensor) -> Result<Tensor> {
-        Ok(ops::linear(engine, x, &self.weight, self.bias.as_ref())?)
+    fn linear(&mut self, name: &str, layer: LinearLayer) -> Result<Linear> {
+        let mut take = |end| self.take(&format!("{name}.{end}"));
+        Ok(Linear {
+            weight: take("weight")?,
+            bias: layer.has_bias.then(|| take("bias")).transpose()?,
+        })
     }
 }

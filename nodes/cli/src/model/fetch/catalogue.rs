@@ -26,7 +26,7 @@ enum Config {
 
 /// A published model.
 #[derive(Debug)]
-pub struct Model {
+pub(super) struct Model {
     pub name: &'static str,
     place: Place,
     /// Paths in the repository or the folder.
@@ -41,7 +41,7 @@ pub struct Model {
 }
 
 /// All known models. The system's own checkpoints (DiT, S-VAE, pixel decoder) are not published yet.
-pub const MODELS: &[Model] = &[
+pub(super) const MODELS: &[Model] = &[
     Model {
         name: "sd3-vae",
         place: Place::HuggingFace("stabilityai/stable-diffusion-3-medium-diffusers"),
@@ -91,7 +91,7 @@ pub const MODELS: &[Model] = &[
 
 impl Model {
     /// The address of a file, at a revision of the repository; `None`: `main`.
-    pub fn url(&self, file: &str, revision: Option<&str>) -> String {
+    pub(super) fn url(&self, file: &str, revision: Option<&str>) -> String {
         match self.place {
             Place::HuggingFace(repository) => {
                 let revision = revision.unwrap_or("main");
@@ -106,7 +106,7 @@ impl Model {
         not(any(feature = "fetch", test)),
         expect(dead_code, reason = "only for downloads")
     )]
-    pub fn page(&self) -> String {
+    pub(super) fn page(&self) -> String {
         match self.place {
             Place::HuggingFace(repository) => format!("https://huggingface.co/{repository}"),
             Place::Web { page, .. } => page.to_owned(),
@@ -114,7 +114,7 @@ impl Model {
     }
 
     /// The configuration to write next to its files, if it has none of its own.
-    pub fn config(&self) -> Option<String> {
+    pub(super) fn config(&self) -> Option<String> {
         match self.config {
             Config::Published => None,
             Config::Preset(kind) => Some(format!("{:#}\n", kind.published_config()?)),
@@ -123,7 +123,7 @@ impl Model {
 }
 
 /// The models' names as a sentence.
-pub fn names() -> String {
+pub(super) fn names() -> String {
     let names: Vec<&str> = MODELS.iter().map(|model| model.name).collect();
     format!("Models: {}", names.join(", "))
 }

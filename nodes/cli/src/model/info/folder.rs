@@ -7,7 +7,7 @@ use wm_model::LatentSpace;
 use wm_zoo::{Error, IDM_FILE, ModelFolder, PROBE_FILE, Unfinished};
 
 /// A model; reads only the encoder's weights.
-pub struct Folder {
+pub(super) struct Folder {
     name: String,
     space: LatentSpace,
     /// The parts; if missing, with the consequence.
@@ -21,11 +21,11 @@ impl Folder {
     ///
     /// # Errors
     /// There is no such model, or a file cannot be used.
-    pub fn open(name: &str) -> Result<Self> {
+    pub(super) fn open(name: &str) -> Result<Self> {
         let model = ModelFolder::open(name)?;
-        let (has_decoder, has_probe) = match &model {
-            ModelFolder::Trained(_) => (true, false),
-            ModelFolder::Described(folder) => {
+        let (has_decoder, has_probe) = match model.described() {
+            None => (true, false),
+            Some(folder) => {
                 let description = folder.description();
                 (description.decoder.is_some(), description.probe.is_some())
             }
@@ -61,7 +61,7 @@ impl Folder {
     }
 
     /// For programs.
-    pub fn json(&self) -> Value {
+    pub(super) fn json(&self) -> Value {
         let parts = self.parts.iter().filter(|(_, is_there)| is_there.is_ok());
         let marks = self.unfinished.iter();
         let marks = marks.map(|mark| {

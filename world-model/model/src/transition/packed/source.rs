@@ -1,11 +1,10 @@
 //! Where packed weights come from.
 
-use std::collections::BTreeMap;
-
 use candle_core::{DType, Device, Tensor};
 
-use crate::ops::{PackedFormat, PackedLinear};
-use crate::transition::parameters;
+use crate::NumberFormat;
+use crate::ops::PackedLinear;
+use crate::transition::network::{LinearLayer, LinearSource};
 use crate::transition::{Transition, TransitionConfig};
 use crate::{Error, Result};
 
@@ -20,7 +19,7 @@ pub trait PackedSource {
         name: &str,
         shape: (usize, usize),
         is_biased: bool,
-        format: PackedFormat,
+        format: NumberFormat,
     ) -> Result<PackedLinear>;
 
     /// The values of parameter `name` in row-major order.
@@ -29,20 +28,24 @@ pub trait PackedSource {
     /// Whatever keeps it from that.
     fn values(&self, name: &str, shape: &[usize]) -> Result<Vec<f32>>;
 
-    /// What weights are packed in, but for [sensitive](PackedFormat::sensitive) ones.
-    fn format(&self) -> PackedFormat;
+    /// What weights are packed in, but for [sensitive](NumberFormat::sensitive) ones.
+    fn format(&self) -> NumberFormat;
 }
 
 /// The tensors of a model, as a source.
 pub(super) struct OfTransition<'a> {
     pub(super) model: &'a Transition,
-    pub(super) format: PackedFormat,
+    pub(super) format: NumberFormat,
 }
 
 impl OfTransition<'_> {
     fn tensor(&self, name: &str) -> Result<Vec<f32>> {
         let tensor = self.model.parameters.get(name);
-        numbers(tensor.ok_or_else(|| missing(name))?)
+        numbers(tensor.ok_or_else(|| Error::MissingTensor {
+            file: "the list of parameters".into(),
+            name: name.to_owned(),
+            expected: Vec::new(),
+        })?)
     }
 }
 
@@ -52,7 +55,7 @@ impl PackedSource for OfTransition<'_> {
         name: &str,
         shape: (usize, usize),
         is_biased: bool,
-        format: PackedFormat,
+        format: NumberFormat,
     ) -> Result<PackedLinear> {
         let weight = self.tensor(&format!("{name}.weight"))?;
         let bias = is_biased.then(|| self.tensor(&format!("{name}.bias")));
@@ -63,61 +66,18 @@ impl PackedSource for OfTransition<'_> {
         self.tensor(name)
     }
 
-    fn format(&self) -> PackedFormat {
+    fn format(&self) -> NumberFormat {
         self.format
     }
 }
 
 /// The layers of a configuration, from a source.
 pub(super) struct NamedLayers<'a> {
-    config: &'a TransitionConfig,
-    /// Shapes of all parameters.
-    shapes: BTreeMap<String, Vec<usize>>,
-    source: &'a dyn PackedSource,
+    pub(super) config: &'a TransitionConfig,
+    pub(super) source: &'a dyn PackedSource,
 }
 
-impl<'a> NamedLayers<'a> {
-    pub(super) fn new(config: &'a TransitionConfig, source: &'a dyn PackedSource) -> Self {
-        let parameters = parameters::all(config).into_iter();
-        Self {
-            config,
-            shapes: parameters.map(|p| (p.name, p.shape)).collect(),
-            source,
-        }
-    }
-
-    pub(super) fn config(&self) -> &TransitionConfig {
-        self.config
-    }
-
-    /// The Linear `name`.
-    pub(super) fn linear(&self, name: &str) -> Result<PackedLinear> {
-        self.packed(name, self.source.format())
-    }
-
-    /// The Linear `name`, which is sensitive to rounding.
-    pub(super) fn sensitive(&self, name: &str) -> Result<PackedLinear> {
-        self.packed(name, self.source.format().sensitive())
-    }
-
-    fn packed(&self, name: &str, format: PackedFormat) -> Result<PackedLinear> {
-        let weight = format!("{name}.weight");
-        let Some([outputs, inputs]) = self.shapes.get(&weight).map(Vec::as_slice) else {
-            return Err(missing(&weight));
-        };
-        let is_biased = self.shapes.contains_key(&format!("{name}.bias"));
-        let shape = (*outputs, *inputs);
-        let linear = self.source.linear(name, shape, is_biased, format)?;
-        if (linear.outputs(), linear.inputs()) != shape {
-            return Err(Error::Shape {
-                what: "a packed weight of a transition model",
-                expected: format!("({outputs}, {inputs})"),
-                found: vec![linear.outputs(), linear.inputs()],
-            });
-        }
-        Ok(linear)
-    }
-
+impl NamedLayers<'_> {
     /// What makes tokens of patches, whose values are in the order row, column, channel.
     pub(super) fn patches(&self) -> Result<PackedLinear> {
         let (d, p, channels) = (self.config.hidden, self.config.patch, self.config.channels);
@@ -132,16 +92,29 @@ impl<'a> NamedLayers<'a> {
     }
 }
 
+impl LinearSource for NamedLayers<'_> {
+    type Linear = PackedLinear;
+
+    fn linear(&mut self, name: &str, layer: LinearLayer) -> Result<PackedLinear> {
+        let format = match layer.is_sensitive {
+            true => self.source.format().sensitive(),
+            false => self.source.format(),
+        };
+        let (shape, has_bias) = (layer.shape, layer.has_bias);
+        let linear = self.source.linear(name, shape, has_bias, format)?;
+        if (linear.outputs(), linear.inputs()) != shape {
+            return Err(Error::Shape {
+                what: "a packed weight of a transition model",
+                expected: format!("{shape:?}"),
+                found: vec![linear.outputs(), linear.inputs()],
+            });
+        }
+        Ok(linear)
+    }
+}
+
 /// A tensor's values in row-major order.
 pub(super) fn numbers(tensor: &Tensor) -> Result<Vec<f32>> {
     let tensor = tensor.to_device(&Device::Cpu)?.to_dtype(DType::F32)?;
     Ok(tensor.flatten_all()?.to_vec1()?)
-}
-
-fn missing(name: &str) -> Error {
-    Error::MissingTensor {
-        file: "the list of parameters".into(),
-        name: name.to_owned(),
-        expected: Vec::new(),
-    }
 }
