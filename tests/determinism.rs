@@ -9,7 +9,7 @@ use std::{
 use wm_msgs::wm_msgs::Prediction;
 use wm_ros::Qos;
 
-use crate::harness::{Process, fresh_domain, join, wait_for_publishers, whole_suite, wm};
+use crate::harness::{Process, fresh_domain, join, wait_for_publishers, whole_suite, wm, wm_node};
 
 /// Steps of a rollout.
 const HORIZON: u32 = 4;
@@ -24,10 +24,7 @@ fn predictions() -> BTreeMap<Step, u64> {
     let horizon = format!("horizon:={HORIZON}");
     let _nodes = [
         Process::start(wm(domain, &["encoder"])),
-        Process::start(wm(
-            domain,
-            &["predictor", "--ros-args", "-p", "seed:=7", "-p", &horizon],
-        )),
+        Process::start(wm_node(domain, "predictor", &["seed:=7", &horizon])),
     ];
     wait_for_publishers(domain, &["/wm/latent", "/wm/predicted"]);
     let (context, node) = join(domain, "listener");

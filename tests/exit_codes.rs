@@ -10,7 +10,7 @@ use wm_bag::{BagReader, BagWriter, QosProfile, WriterOptions};
 use wm_msgs::wm_msgs::Prediction;
 
 use crate::harness::{
-    Process, Signal, bundled_bag, fresh_domain, root, wait_until, whole_suite, wm,
+    Process, Signal, bundled_bag, fresh_domain, root, wait_until, whole_suite, wm, wm_node,
 };
 
 /// Exit code, standard output and standard error of `wm` with these arguments.
@@ -238,7 +238,7 @@ fn node_handles_signals_before_it_joins_the_graph() {
 fn interrupted_monitor(out: &Path, bag: Option<&Path>) -> (Option<i32>, String) {
     let (domain, log) = (fresh_domain(), out.join("log"));
     let output = format!("output:={}", out.display());
-    let mut command = wm(domain, &["monitor", "--ros-args", "-p", &output]);
+    let mut command = wm_node(domain, "monitor", &[&output]);
     let file = std::fs::File::create(&log).expect("a new file");
     command.stderr(file);
     let monitor = Process::start(command);

@@ -45,6 +45,13 @@ pub fn wm(domain: u16, args: &[&str]) -> Command {
     command
 }
 
+/// The node `name` with these parameters, each `name:=value`.
+pub fn wm_node(domain: u16, name: &str, parameters: &[&str]) -> Command {
+    let parameters = parameters.iter().flat_map(|parameter| ["-p", parameter]);
+    let arguments: Vec<&str> = [name, "--ros-args"].into_iter().chain(parameters).collect();
+    wm(domain, &arguments)
+}
+
 /// Sets the ROS domain of `command`, on loopback.
 pub fn in_domain(command: &mut Command, domain: u16) {
     command

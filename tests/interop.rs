@@ -7,7 +7,7 @@ use wm_msgs::sensor_msgs::Image;
 use wm_ros::Qos;
 
 use crate::harness::{
-    Process, Signal, bundled_bag, fresh_domain, join, peers, rclpy, whole_suite, wm,
+    Process, Signal, bundled_bag, fresh_domain, join, peers, rclpy, whole_suite, wm, wm_node,
 };
 
 /// One model step of the embedded default: two frames of a 5 Hz camera.
@@ -289,22 +289,15 @@ fn late_subscriber_gets_latched_samples() {
     let domain = fresh_domain();
     let bag = format!("bag:=\"{}\"", bundled_bag().display());
     // the whole bag in a second, then silence: later messages were kept for the peer
-    let _player = Process::start(wm(
+    let _player = Process::start(wm_node(
         domain,
+        "player",
         &[
-            "player",
-            "--ros-args",
-            "-p",
             &bag,
-            "-p",
             "rate:=10.0",
-            "-p",
             "linger:=120.0",
-            "-p",
             "goal:=true",
-            "-p",
             "wait_for:=[/wm/action]",
-            "-p",
             "wait_timeout:=60.0",
         ],
     ));
@@ -435,10 +428,7 @@ fn node_reports_types_and_loggers_and_sets_atomically() {
 fn inactive_node_keeps_endpoints_and_refuses_calls() {
     let Some(peers) = peers() else { return };
     let domain = fresh_domain();
-    let _predictor = Process::start(wm(
-        domain,
-        &["predictor", "--ros-args", "-p", "autostart:=false"],
-    ));
+    let _predictor = Process::start(wm_node(domain, "predictor", &["autostart:=false"]));
     let args = ["--seconds", "20", "--rounds", "3", "/wm/predictor"];
     let peer = Process::start(rclpy(&peers, domain, "endpoints.py", &args));
     let (status, stdout) = peer.finish(Duration::from_secs(120));
@@ -464,10 +454,7 @@ fn inactive_node_keeps_endpoints_and_refuses_calls() {
 fn rclpy_drives_a_node_through_its_lifecycle() {
     let Some(peers) = peers() else { return };
     let domain = fresh_domain();
-    let encoder = Process::start(wm(
-        domain,
-        &["encoder", "--ros-args", "-p", "autostart:=false"],
-    ));
+    let encoder = Process::start(wm_node(domain, "encoder", &["autostart:=false"]));
     let asked = [
         ("activate", false, "unconfigured"),
         ("configure", true, "inactive"),

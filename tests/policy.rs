@@ -13,6 +13,7 @@ use wm_msgs::{sensor_msgs::CompressedImage, wm_msgs::Action};
 
 use crate::harness::{
     Process, bundled_bag, fresh_domain, peers, rclpy, root, wait_for_publishers, whole_suite, wm,
+    wm_node,
 };
 
 const STEPS: u64 = 50;
@@ -73,22 +74,15 @@ fn scripted_policy_plays_an_episode_by_topics() {
     let folder = tempfile::tempdir().unwrap();
     let output = format!("output:={}", folder.path().display());
     let bag = format!("bag:=\"{}\"", bundled_bag().display());
-    let env = Process::start(wm(
+    let env = Process::start(wm_node(
         domain,
+        "env",
         &[
-            "env",
-            "--ros-args",
-            "-p",
             &bag,
-            "-p",
             "bag_offset:=1.0",
-            "-p",
             "episodes:=1",
-            "-p",
             "rate:=20.0",
-            "-p",
             "seed:=5",
-            "-p",
             &output,
         ],
     ));
@@ -119,7 +113,7 @@ fn episodes_by_service_share_a_batch_and_are_identical() {
     let domain = fresh_domain();
     let folder = tempfile::tempdir().unwrap();
     let output = format!("output:={}", folder.path().display());
-    let _env = Process::start(wm(domain, &["env", "--ros-args", "-p", &output]));
+    let _env = Process::start(wm_node(domain, "env", &[&output]));
     let bag = bundled_bag();
     let steps = STEPS.to_string();
     let peer = Process::start(rclpy(
@@ -220,20 +214,10 @@ fn policy_takes_the_candidate_predicted_nearest_to_the_goal() {
     let _evaluator = Process::start(wm(domain, &patient));
     // the policy leaves the first image without looking: these two must exist before it, and the env waits for it
     wait_for_publishers(domain, &["/wm/latent", "/wm/assessment"]);
-    let env = Process::start(wm(
+    let env = Process::start(wm_node(
         domain,
-        &[
-            "env",
-            "--ros-args",
-            "-p",
-            &bag,
-            "-p",
-            "episodes:=1",
-            "-p",
-            &steps,
-            "-p",
-            &output,
-        ],
+        "env",
+        &[&bag, "episodes:=1", &steps, &output],
     ));
     wait_for_publishers(domain, &["/camera/image_raw/compressed"]);
     let images = (CHOICES + 2).to_string();

@@ -2,7 +2,6 @@
 //!
 //! Exit codes: 0 done, 1 failed, 2 wrong usage, 3 finished with data lost. Results go to standard output, logs to
 //! standard error.
-#![warn(unreachable_pub)]
 
 mod bag;
 mod cli;
