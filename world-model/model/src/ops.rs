@@ -13,7 +13,7 @@ pub(crate) mod buffer;
 #[cfg(test)]
 mod comparison;
 mod conv;
-pub mod conv_layers;
+pub(crate) mod conv_layers;
 mod dense_attention;
 pub(crate) mod element;
 pub(crate) mod exponential;
@@ -47,6 +47,7 @@ pub(crate) use attention::{AttentionPattern, Axis, HEAD_DIM_MULTIPLE, attention}
 pub use conv::{
     ConvShape, Fused, GridSize, PackedConv, conv2d, conv2d_input_gradient, conv2d_weight_gradient,
 };
+pub use conv_layers::{Conv, ConvGradients, Tape};
 pub use dense_attention::{AttentionShape, HeadRows, ScoreMask, dense_attention};
 pub(crate) use gated_residual::gated_residual;
 pub use group_norm::{

@@ -15,10 +15,7 @@ use wm_evaluation::Figure;
 use wm_model::{
     Autoencoder, AutoencoderConfig, Encoder as _,
     autoencoder::{Network, Normalisation, clamp, clamp_slope},
-    ops::{
-        GridSize,
-        conv_layers::{ConvGradients, Tape},
-    },
+    ops::{ConvGradients, GridSize, Tape},
 };
 
 use super::{

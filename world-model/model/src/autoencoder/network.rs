@@ -192,7 +192,10 @@ impl Network {
             let mut kernels = Kernels::default();
             let input = kernels.input(input, grid);
             let mut output = self.forward(&mut kernels, input)?;
-            return Ok(std::mem::take(&mut output.values));
+            let mut values = std::mem::take(&mut output.values);
+            // Its memory may have served a wider layer.
+            values.shrink_to_fit();
+            return Ok(values);
         };
         let shape = (grid.images, grid.height, grid.width, ());
         let input = Tensor::from_vec(input, shape, tensors.device())?;
