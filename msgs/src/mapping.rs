@@ -64,7 +64,7 @@ struct Source {
 }
 
 impl Mapping {
-    /// Matches the fields of a definition (`theirs`) with those of another (`ours`).
+    /// Matches the fields of two definitions: from `theirs` to `ours`.
     ///
     /// # Errors
     /// A field of both whose types do not fit, two nested types of different names, two types without a common field, or a

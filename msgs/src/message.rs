@@ -25,9 +25,9 @@ pub trait Service: 'static {
     const NAME: &'static str;
     /// The text of the `.srv` file.
     const DEFINITION: &'static str;
-    /// What a client sends.
+    /// The request, sent by a client.
     type Request: Serialize + DeserializeOwned + Clone + Send + Sync + 'static;
-    /// What a server sends.
+    /// The response, sent by a server.
     type Response: Serialize + DeserializeOwned + Clone + Send + Sync + 'static;
     /// ROS names (`package/msg/Type`) and texts of the types that [`Self::DEFINITION`] names, transitively, each once.
     fn dependencies() -> Vec<(&'static str, &'static str)>;
@@ -46,7 +46,7 @@ pub trait Action: 'static {
     const NAME: &'static str;
     /// The text of the `.action` file.
     const DEFINITION: &'static str;
-    /// What a client requests.
+    /// The goal, sent by a client.
     type Goal: Serialize + DeserializeOwned + Clone + Send + Sync + 'static;
     /// The result of a goal; the default if the server has none.
     type Result: Serialize + DeserializeOwned + Clone + Default + Send + Sync + 'static;

@@ -1,4 +1,4 @@
-//! Property tests of the CDR codec: round trips of every shape of field, and any bytes at all.
+//! Property tests of the CDR codec: round trips of every shape of field, and arbitrary bytes.
 
 #![allow(clippy::unwrap_used, clippy::expect_used)] // for the helpers of tests, which have no #[test]
 
@@ -144,7 +144,7 @@ proptest! {
         prop_assert!(cdr::from_bytes::<Prediction>(&bytes[..cut.index(bytes.len())]).is_err());
     }
 
-    /// A value or an error, never a panic, whatever the bytes; the header is made valid half of the time.
+    /// Any bytes give a value or an error, never a panic. Half of the headers are valid.
     #[test]
     fn any_bytes_give_a_message_or_an_error(mut bytes in prop::collection::vec(any::<u8>(), 0..200), valid in any::<bool>()) {
         if valid && bytes.len() >= 4 {

@@ -4,9 +4,9 @@ use std::fmt;
 const NESTED: u8 = 1;
 const UINT8: u8 = 3;
 const WSTRING: u8 = 18;
-/// What bounded strings add to their number: 17 to 21, 18 to 22.
+/// The offset of a bounded string's number: 17 to 21, 18 to 22.
 const BOUNDED_STRING: u8 = 4;
-/// What arrays, bounded and unbounded sequences add to the number of their element.
+/// Offsets from an element's number to an array, a bounded and an unbounded sequence of it.
 const ARRAY: u8 = 48;
 const BOUNDED_SEQUENCE: u8 = 96;
 const UNBOUNDED_SEQUENCE: u8 = 144;

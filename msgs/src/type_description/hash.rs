@@ -10,12 +10,6 @@ impl TypeHash {
     pub(super) fn of(description: &TypeDescription) -> Self {
         Self(Sha256::digest(json(description)).into())
     }
-
-    /// The 32 bytes of the SHA-256.
-    #[must_use]
-    pub const fn as_bytes(&self) -> &[u8; 32] {
-        &self.0
-    }
 }
 
 impl fmt::Display for TypeHash {

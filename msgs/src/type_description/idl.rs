@@ -402,7 +402,7 @@ module sensor_msgs {
     }
 
     proptest! {
-        /// Definitions or an error, never a panic, whatever the text.
+        /// Any text gives definitions or an error, never a panic.
         #[test]
         fn any_text_gives_definitions_or_an_error(
             text in "(module |struct |typedef |[a-z]{1,3} |[{};<>,:@()\\[\\]\"'#/*\n ]|1 |\u{e4}){0,40}",

@@ -16,7 +16,7 @@ fn types(text: &str) -> Vec<(u8, u64, u64, Option<String>)> {
     parsed.fields.into_iter().map(numbers).collect()
 }
 
-/// The numbers are those of `type_description_interfaces/msg/FieldType`.
+/// The numbers come from `type_description_interfaces/msg/FieldType`.
 #[test]
 fn every_form_of_a_field_has_its_number() {
     let text = "# Comment\nuint8 LIMIT=3\nstring<=5 NAME = \"a # b\"\n\nbool b true # on\nbyte[] octets\nchar[16] gid\n\
@@ -149,7 +149,7 @@ fn circular_types_are_described() {
 }
 
 proptest! {
-    /// A description or an error, never a panic, whatever the text.
+    /// Any text gives a description or an error, never a panic.
     #[test]
     fn any_text_gives_a_description_or_an_error(text in "([a-zA-Z0-9_/<=\\[\\]# \"-]{0,12}\n?|---\n){0,6}") {
         TypeDescription::message("p/msg/T", &text, []).ok();

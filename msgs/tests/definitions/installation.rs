@@ -1,4 +1,4 @@
-//! A ROS installation: that of `AMENT_PREFIX_PATH`, or the one that `tests/setup_ros2` made.
+//! The ROS installation of `AMENT_PREFIX_PATH`, else of `tests/setup_ros2`.
 
 use std::path::{Path, PathBuf};
 

@@ -1,4 +1,4 @@
-//! A model, run once.
+//! Runs a model once.
 
 use crate::{DoctorError, Times};
 use image::{Rgb, RgbImage};
@@ -8,10 +8,10 @@ use wm_model::{Decoder, Encoder, LatentSpace, WorldModel};
 use wm_zoo::ModelFolder;
 use wm_zoo::success_probe::SuccessClassifier;
 
-/// An instruction to try a success probe with that reads any text.
+/// An instruction for success probes that read any text.
 const TASK: &str = "put the cup on the plate";
 
-/// What of a model there is, loaded.
+/// The loaded parts of a model.
 pub struct Parts {
     /// Pictures to latents.
     pub encoder: Box<dyn Encoder>,
@@ -23,34 +23,34 @@ pub struct Parts {
     pub probe: Option<SuccessClassifier>,
 }
 
-/// How long each part takes here, once everything that it touches is in memory.
+/// Durations of each part after warm-up.
 #[derive(Clone, Copy, Debug)]
 pub struct Trial {
-    /// A picture to a latent.
+    /// One picture.
     pub encode: Duration,
-    /// One predicted frame; none where there is no transition model.
+    /// One predicted frame; `None` without a transition model.
     pub predict: Option<Duration>,
-    /// A latent to a picture; none where there is no decoder.
+    /// One latent; `None` without a decoder.
     pub decode: Option<Duration>,
-    /// What the success probe takes, if there is one.
-    pub judge: Option<Judging>,
-    /// Camera frames of a model step.
+    /// `None` without a success probe.
+    pub judge: Option<ProbeTimes>,
+    /// Camera frames per model step.
     pub frame_skip: usize,
 }
 
-/// How long a success probe takes.
+/// Durations of a success probe.
 #[derive(Clone, Copy, Debug)]
-pub struct Judging {
-    /// To read an instruction.
+pub struct ProbeTimes {
+    /// Reading an instruction.
     pub reading: Duration,
-    /// To judge an episode of two frames.
+    /// ProbeTimes an episode of two frames.
     pub judging: Duration,
-    /// Frames of the longest episode that it takes.
+    /// The most frames of an episode.
     pub max_frames: usize,
 }
 
 impl Trial {
-    /// The same, for a camera with `frame_period` between frames.
+    /// The verdict for a camera with `frame_period` between frames.
     #[must_use]
     pub fn at(&self, frame_period: Duration) -> Times {
         Times {
@@ -64,10 +64,10 @@ impl Trial {
 }
 
 impl Parts {
-    /// Loads them as the nodes do.
+    /// Loads the parts as the nodes do.
     ///
     /// # Errors
-    /// Names what is missing or wrong in the weights.
+    /// Names the missing or invalid weights.
     pub fn load(model: &ModelFolder) -> Result<Self, DoctorError> {
         let failed = DoctorError::of::<wm_zoo::Error>;
         Ok(Self {
@@ -85,10 +85,10 @@ impl Parts {
         })
     }
 
-    /// One grey picture through all of them.
+    /// Runs one grey picture through all parts.
     ///
     /// # Errors
-    /// A part computes nothing, by name.
+    /// Names the part that fails.
     pub fn try_out(&self) -> Result<Trial, DoctorError> {
         let failed = DoctorError::of::<wm_model::Error>;
         let (height, width) = self.encoder.input_size();
@@ -148,7 +148,7 @@ fn judging(
     probe: &SuccessClassifier,
     space: &LatentSpace,
     frames: &[&[f32]],
-) -> wm_zoo::Result<Judging> {
+) -> wm_zoo::Result<ProbeTimes> {
     let episode = space.stack(frames)?;
     let known = probe.vocabulary().and_then(|words| words.first());
     let started = Instant::now();
@@ -156,14 +156,14 @@ fn judging(
     let reading = started.elapsed();
     let started = Instant::now();
     probe.probability(&episode, &instruction)?;
-    Ok(Judging {
+    Ok(ProbeTimes {
         reading,
         judging: started.elapsed(),
         max_frames: probe.max_frames(),
     })
 }
 
-/// What `run` gives, and how long it takes once everything that it touches is in memory.
+/// The result of `run`, and its duration after warm-up.
 fn timed<T, E>(run: impl Fn() -> Result<T, E>) -> Result<(T, Duration), E> {
     run()?;
     let started = Instant::now();

@@ -12,7 +12,7 @@ mod task;
 mod tile;
 
 pub use model::{Evaluation, EvaluatorModel};
-pub use node::{NODE, body};
+pub use node::NODE;
 pub use step::{EvaluationRequest, EvaluatorError, EvaluatorSettings, EvaluatorStep};
 pub use task::Task;
 pub use tile::{shown_steps, tile};

@@ -19,7 +19,7 @@ pub use action::{ActionRun, Course, End, Heard};
 pub use error::PlannerError;
 pub use goal::{Goal, GoalError, GoalReader};
 pub use model::{Planned, PlannerModel, PlannerParts};
-pub use node::{NODE, body};
+pub use node::NODE;
 pub use setup::{MotionLimits, PlannerSetup, WorkspaceBox};
 pub use step::{Lead, PlanRequest, PlanWait, PlannerSettings, PlannerStep, Unsent};
 pub use workers::{ConnectWorkers, connect_workers_by};

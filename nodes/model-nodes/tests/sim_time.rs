@@ -98,7 +98,7 @@ async fn a_clock_that_jumps_back_flushes_the_history() {
             .enable_all()
             .build()
             .unwrap()
-            .block_on(wm_model_nodes::predictor::body(predictor))
+            .block_on((wm_model_nodes::predictor::NODE.body)(predictor))
     });
     let (here, node) = node(domain, "world", "");
     let mut world = World {

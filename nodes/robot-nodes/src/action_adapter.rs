@@ -22,7 +22,7 @@ mod step;
 mod twists;
 
 pub use gripper::GripperSource;
-pub use node::{NODE, body};
+pub use node::NODE;
 pub use problem::Problem;
 pub use speeds::Speeds;
 pub use step::{AdapterStep, Done, MotionSource, Settings};

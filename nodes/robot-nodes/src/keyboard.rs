@@ -9,6 +9,7 @@ use std::sync::{
 };
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
+use tokio::sync::mpsc;
 
 /// A key with a meaning.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -55,9 +56,46 @@ impl Decoder {
     }
 }
 
+/// Keys that may wait for the node.
+const WAITING: usize = 16;
+
+/// The keys of a node, if it has a terminal.
+pub struct Keys {
+    receiver: mpsc::Receiver<Key>,
+    keyboard: Option<Keyboard>,
+}
+
+impl Keys {
+    /// Reads the keys from now on, if they are wanted and the terminal is this process's.
+    #[must_use]
+    pub fn new(is_wanted: bool) -> Self {
+        let (sender, receiver) = mpsc::channel(WAITING);
+        // A key that finds the queue full is pressed again.
+        let on_key = move |key| {
+            sender.try_send(key).ok();
+        };
+        let keyboard = is_wanted.then(|| Keyboard::listen(on_key)).flatten();
+        Self { receiver, keyboard }
+    }
+
+    /// Whether keys are read.
+    #[must_use]
+    pub fn are_read(&self) -> bool {
+        self.keyboard.is_some()
+    }
+
+    /// The next key; pending if none are read. Cancel safe.
+    pub async fn next(&mut self) -> Key {
+        match self.receiver.recv().await {
+            Some(key) => key,
+            None => std::future::pending().await,
+        }
+    }
+}
+
 /// Reads keys without waiting for a new line and without showing them, until it is dropped; the terminal is then as it
 /// was.
-pub struct Keyboard {
+struct Keyboard {
     before: Termios,
     is_over: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
@@ -68,9 +106,8 @@ const PATIENCE_DS: u8 = 1;
 
 impl Keyboard {
     /// Calls `on_key` on a separate thread for each key. `None` if standard input is no terminal, or if another process is in
-    /// its foreground.
-    #[must_use]
-    pub fn listen(on_key: impl Fn(Key) + Send + 'static) -> Option<Self> {
+    /// the terminal's foreground.
+    fn listen(on_key: impl Fn(Key) + Send + 'static) -> Option<Self> {
         let terminal = rustix::stdio::stdin();
         let is_ours = isatty(terminal)
             && tcgetpgrp(terminal).is_ok_and(|group| group == rustix::process::getpgrp());

@@ -21,4 +21,4 @@ mod place;
 pub mod selection;
 mod writer;
 
-pub use node::{NODE, run};
+pub use node::NODE;

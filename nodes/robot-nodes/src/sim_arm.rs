@@ -23,5 +23,5 @@ mod time;
 
 pub use camera::{CameraSettings, Frame, View};
 pub use command::CommandError;
-pub use node::{NODE, body};
+pub use node::NODE;
 pub use step::{Done, Problem, Settings, SimArmStep, Tick};

@@ -162,8 +162,8 @@ impl Autoencoder {
     /// # Errors
     /// If the device has no memory for the weights.
     pub fn on_tensors(mut self, device: &Device) -> Result<Self> {
-        self.encoder.move_to(device)?;
-        self.decoder.move_to(device)?;
+        self.encoder.place_on(device)?;
+        self.decoder.place_on(device)?;
         Ok(self)
     }
 

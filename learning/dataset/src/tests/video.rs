@@ -3,9 +3,8 @@ use openh264::{
     encoder::{BitRate, Encoder, EncoderConfig, IntraFramePeriod, QpRange, RateControlMode},
     formats::{RgbSliceU8, YUVBuffer},
 };
-use serde::Serialize;
-use wm_bag::Schema;
-use wm_msgs::cdr;
+use wm_bag::type_schema;
+use wm_msgs::{Message as _, cdr, foxglove_msgs::CompressedVideo};
 
 use super::{
     super::{DataOptions, StampSource},
@@ -13,20 +12,8 @@ use super::{
     *,
 };
 
-const TYPE: &str = "foxglove_msgs/msg/CompressedVideo";
-const DEFINITION: &str =
-    "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format";
 /// Distance between keyframes.
 const GROUP: usize = 10;
-
-#[derive(Serialize)]
-struct CompressedVideo {
-    timestamp: Time,
-    frame_id: String,
-    #[serde(with = "serde_bytes")]
-    data: Vec<u8>,
-    format: String,
-}
 
 /// The grey level that identifies a frame.
 fn level(frame: usize) -> u8 {
@@ -59,7 +46,7 @@ fn write_shown(
         .num_threads(1);
     let mut encoder = Encoder::with_api_config(OpenH264API::from_source(), config).unwrap();
     let mut writer = BagWriter::create(bag, WriterOptions::default()).unwrap();
-    let schema = Schema::ros2msg(DEFINITION);
+    let schema = type_schema::<CompressedVideo>();
     for frame in 0..frames {
         let rgb = RgbImage::from_pixel(32, 32, Rgb([level(shown(frame)); 3]));
         let source = RgbSliceU8::new(rgb.as_raw(), (32, 32));
@@ -79,7 +66,13 @@ fn write_shown(
         };
         let bytes = cdr::to_bytes(&packet).unwrap();
         writer
-            .write_raw("/camera/image_raw/video", TYPE, &schema, at, &bytes)
+            .write_raw(
+                "/camera/image_raw/video",
+                &CompressedVideo::ros_name(),
+                &schema,
+                at,
+                &bytes,
+            )
             .unwrap();
         let action = Action {
             header,

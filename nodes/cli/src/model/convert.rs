@@ -12,7 +12,7 @@ use wm_zoo::folder::describe_autoencoder;
 /// Writes a checkpoint as safetensors, or the model.json of a folder without one. Of a checkpoint, only the tensors of the
 /// network are written: of `model` and `ema` the average, and no optimiser state. Nothing in a torch file is executed.
 #[derive(Args, Debug)]
-pub struct ConvertCommand {
+pub(crate) struct ConvertCommand {
     /// Checkpoint: a torch file, or safetensors; or a model folder that a training of version 0.1 wrote
     #[arg(value_name = "IN.pt|DIR")]
     input: PathBuf,
@@ -31,8 +31,7 @@ pub struct ConvertCommand {
 }
 
 impl ConvertCommand {
-    /// Runs it.
-    pub fn run(self) -> Result<()> {
+    pub(crate) fn run(self) -> Result<()> {
         if self.input.is_dir() {
             ensure!(
                 self.output.is_none(),
@@ -87,7 +86,7 @@ mod tests {
     }
 
     #[test]
-    fn the_average_is_taken_unless_told_otherwise() {
+    fn averaged_weights_are_the_default() {
         let folder = tempfile::tempdir().unwrap();
         let (input, output) = (folder.path().join("in"), folder.path().join("out"));
         let tensor = |value: f32| Tensor::new(&[value], &Device::Cpu).unwrap();

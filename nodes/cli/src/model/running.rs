@@ -1,4 +1,4 @@
-//! What every run of a model needs: its files and a compute engine.
+//! Options of all runs of a model: its files and a compute engine.
 
 use crate::output::print;
 use anyhow::{Context as _, Result};
@@ -13,7 +13,7 @@ use wm_zoo::kinds::{Kind, Tensors};
 
 /// Files and engine of a model.
 #[derive(Args, Debug)]
-pub struct RunningArgs {
+pub(super) struct RunningArgs {
     /// Configuration in JSON: a Hugging Face config.json, or wm's own format (`wm model forward --help`)
     #[arg(long, value_name = "FILE")]
     config: PathBuf,
@@ -40,13 +40,11 @@ pub struct RunningArgs {
     raw: bool,
 }
 
-/// A model's files, read, and what computes it.
-pub struct Files {
-    /// The configuration, JSON.
+/// A model's files in memory, and its compute engine.
+pub(super) struct Files {
+    /// JSON.
     pub config: String,
-    /// The weights.
     pub checkpoint: Checkpoint,
-    /// The input.
     pub inputs: Tensors,
     /// Kernels, device and number format.
     pub compute: Compute,
@@ -54,7 +52,7 @@ pub struct Files {
 
 impl RunningArgs {
     /// Opens the device and reads the files of a model of `kind`.
-    pub fn read(&self, kind: Kind) -> Result<Files> {
+    pub(super) fn read(&self, kind: Kind) -> Result<Files> {
         let compute = self.device.clone();
         compute.device()?;
         let compute = compute.with_kernels(self.engine)?.with_format(self.dtype)?;
@@ -74,8 +72,8 @@ impl RunningArgs {
         })
     }
 
-    /// Writes the output and says what it is.
-    pub fn write(&self, outputs: Tensors) -> Result<()> {
+    /// Writes the output and prints its shapes.
+    pub(super) fn write(&self, outputs: Tensors) -> Result<()> {
         for (name, tensor) in &outputs {
             print(format_args!("{name} {:?}\n", tensor.dims()))?;
         }
@@ -103,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn a_device_that_is_none_is_wrong_usage() {
+    fn unknown_device_is_wrong_usage() {
         let message = parse("gpu").unwrap_err().to_string();
         assert!(
             message.contains("expected cpu, cuda or cuda:N"),
@@ -113,7 +111,7 @@ mod tests {
 
     #[test]
     #[cfg(not(feature = "cuda"))]
-    fn a_device_that_was_not_built_is_refused_before_anything_is_read() {
+    fn unsupported_device_is_refused_before_files_are_read() {
         let error = parse("cuda:1").unwrap().read(Kind::Dit).err().unwrap();
         let message = error.to_string();
         assert!(

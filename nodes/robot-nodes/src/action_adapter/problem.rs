@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 use wm_motion::actions::ActionError;
-use wm_wire::frames::{LeftOut, pose::PoseError};
+use wm_wire::frames::{TransformError, pose::PoseError};
 
 /// A problem of a message that gives no action.
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -133,14 +133,14 @@ pub enum Problem {
     Frames(String),
 }
 
-impl From<LeftOut> for Problem {
-    fn from(left_out: LeftOut) -> Self {
+impl From<TransformError> for Problem {
+    fn from(left_out: TransformError) -> Self {
         match left_out {
-            LeftOut::Older { before_s } => Self::Older {
+            TransformError::Older { before_s } => Self::Older {
                 what: "tf",
                 before_s,
             },
-            LeftOut::TooMany(frame) => Self::Frames(frame),
+            TransformError::TooMany(frame) => Self::Frames(frame),
         }
     }
 }

@@ -9,7 +9,7 @@ use wm_msgs::{
     sensor_msgs::JointState,
     tf2_msgs::TFMessage,
 };
-use wm_wire::frames::{Frames, Unknown, bare, pose};
+use wm_wire::frames::{Frames, LookupError, bare, pose};
 
 use super::{GripperSource, Problem, Speeds, gripper::Gripper, poses::Poses, twists::Twists};
 use crate::{
@@ -207,8 +207,8 @@ impl AdapterStep {
     /// Follows the transforms to the newest known time; returns the pose of the end effector, if it is new and no leap.
     ///
     /// # Errors
-    /// [`Unknown`] says which transforms are missing.
-    pub fn follow(&mut self) -> Result<Option<(i64, Isometry3<f64>)>, Unknown> {
+    /// [`LookupError`] names the missing transforms.
+    pub fn follow(&mut self) -> Result<Option<(i64, Isometry3<f64>)>, LookupError> {
         let Course::Frames {
             frames,
             base,

@@ -85,7 +85,9 @@ impl Bounds {
                     });
                 }
                 let from = before.and_then(|before| before.as_slice().get(axis).copied());
+                // The first action has no way.
                 let way = place - from.unwrap_or(*place);
+                // A joint without a bound may not move.
                 let limit = self.joints.get(axis).copied().unwrap_or(0.0) * intervals;
                 if way.abs() > limit * (1.0 + f64::from(f32::EPSILON)) {
                     return Err(Refusal::Way {
@@ -120,6 +122,7 @@ impl Bounds {
             let limit = match dimension.kind {
                 Kind::TranslationDelta => self.translation * intervals,
                 Kind::RotationDelta => self.rotation * intervals,
+                // A joint without a bound may not move.
                 Kind::JointDelta => joints.next().copied().unwrap_or(0.0) * intervals,
                 Kind::JointPosition => continue,
                 _ if (-GRIPPER_SLACK..=1.0 + GRIPPER_SLACK).contains(value) => continue,

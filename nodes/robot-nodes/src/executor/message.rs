@@ -79,6 +79,7 @@ pub(super) fn trajectory(
         },
         joint_names: joint_names.to_vec(),
         points: vec![JointTrajectoryPoint {
+            // Empty, if the arm's places are unknown: the message has velocities alone.
             positions: places.unwrap_or_default(),
             velocities: command.velocity.as_slice().to_vec(),
             time_from_start: Duration::from_nanos(period_ns),

@@ -31,13 +31,15 @@ impl Rates {
         rates
     }
 
-    /// One an axis.
+    /// One for each axis.
     pub fn as_slice(&self) -> &[f64] {
+        // `zero` and `of` keep the count within the array.
         self.values.get(..self.count).unwrap_or_default()
     }
 
-    /// The same, to be changed.
+    /// The same, mutable.
     pub fn as_mut_slice(&mut self) -> &mut [f64] {
+        // As in `as_slice`.
         self.values.get_mut(..self.count).unwrap_or_default()
     }
 

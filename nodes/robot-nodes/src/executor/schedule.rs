@@ -226,6 +226,7 @@ impl Schedule {
             // The bounds keep the period above zero.
             let period_s = offer.period_ns as f64 / 1e9;
             let first = from_ns.saturating_sub(offer.begin_ns) / offer.period_ns.max(1);
+            // Negative: the offer begins later, so its first action counts.
             let first = usize::try_from(first).unwrap_or(0);
             for (index, values) in offer.actions.iter().enumerate().skip(first) {
                 let start_ns = offer.start_ns(index).max(from_ns);

@@ -221,7 +221,7 @@ impl Network {
     }
 
     /// Copies the weights to `device`, where candle's operations compute the network from now on.
-    pub(super) fn move_to(&mut self, device: &Device) -> Result<()> {
+    pub(super) fn place_on(&mut self, device: &Device) -> Result<()> {
         let mut tensors = Tensors::new(device);
         let mut fault = Ok(());
         self.visit(|name, shape, values| {

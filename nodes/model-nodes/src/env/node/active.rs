@@ -226,7 +226,7 @@ impl Active {
         resetter: Resetter,
         node: &EnvNode,
     ) -> Result<()> {
-        match node.parameters.start(&request, &node.model.start_root) {
+        match node.parameters.start(&request, &node.resources.start_root) {
             Err(error) => self.refuse_reset(resetter, &error),
             Ok(Start::Topic(topic)) => {
                 if self.awaited.is_some() {
@@ -438,8 +438,8 @@ impl Active {
                 self.played = Some(Played {
                     attached: Attached::new(
                         response.episode_id,
-                        node.model.encoding.clone(),
-                        node.model.timing,
+                        node.resources.encoding.clone(),
+                        node.resources.timing,
                         merging,
                         stamp,
                     ),

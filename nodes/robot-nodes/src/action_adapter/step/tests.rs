@@ -440,7 +440,7 @@ fn transforms_are_composed_at_a_time_when_all_are_known() {
         vec![frame(30, "column", "flange", &hand(30))],
     );
     // The column is not known at 30 ms, nor the flange at 0.
-    assert!(matches!(adapter.follow(), Err(Unknown::Time(_))));
+    assert!(matches!(adapter.follow(), Err(LookupError::Time(_))));
     let mut expected = Vec::new();
     for ms in (50..1000).step_by(50) {
         tell(
@@ -485,13 +485,13 @@ fn frames_that_lead_round_nowhere_or_never_move_are_named() {
         ],
     };
     adapter.transforms(&ring, false);
-    assert_eq!(adapter.follow(), Err(Unknown::Ring("tool".into())));
+    assert_eq!(adapter.follow(), Err(LookupError::Ring("tool".into())));
     let mut adapter = frames();
     let fixed = TFMessage {
         transforms: vec![frame(0, "base_link", "tool", &one)],
     };
     adapter.transforms(&fixed, true);
-    assert!(matches!(adapter.follow(), Err(Unknown::Static { .. })));
+    assert!(matches!(adapter.follow(), Err(LookupError::Static { .. })));
     let mut bad = frame(0, "base_link", "tool", &one);
     bad.transform.rotation.w = 0.5;
     let mut good = frame(10, "base_link", "tool", &one);
