@@ -4,7 +4,7 @@ use candle_core::{Device, Tensor};
 use rand::Rng;
 use sha2::{Digest, Sha256};
 
-use crate::ops::conv_layers::{Conv, ConvLayers, GroupNorm, Kernels, Tape, Tensors};
+use crate::ops::conv_layers::{Activations, Conv, ConvLayers, GroupNorm, Kernels, Tape, Tensors};
 use crate::ops::{ConvShape, GridSize};
 use crate::weights::{Precision, WeightsBuilder, hash_tensor_header};
 use crate::{Result, Weights};
@@ -43,7 +43,7 @@ struct Branch {
 
 #[derive(Clone, Debug)]
 enum Layer {
-    Conv(Conv),
+    Conv(Box<Conv>),
     Block(Box<[Conv; 3]>, Option<Box<Branch>>),
 }
 
@@ -136,7 +136,12 @@ impl Network {
                 } => {
                     // Without a ReLU behind it, half the variance keeps the level.
                     let gain = if *relu { 1.0 } else { 0.7 };
-                    Layer::Conv(source.conv(name.clone(), (*shape, *relu), *bias, gain)?)
+                    Layer::Conv(Box::new(source.conv(
+                        name.clone(),
+                        (*shape, *relu),
+                        *bias,
+                        gain,
+                    )?))
                 }
                 Stage::Block {
                     name,
@@ -184,9 +189,8 @@ impl Network {
     /// The output for `input` (grid, channels), on kernels of the CPU or on the device of its tensors.
     pub(super) fn run(&self, input: Vec<f32>, grid: GridSize) -> Result<Vec<f32>> {
         let Some(mut tensors) = self.tensors.as_ref() else {
-            let mut kernels = Kernels::default();
-            let input = kernels.input(input, grid);
-            let mut output = self.forward(&mut kernels, input)?;
+            let values = input;
+            let mut output = self.forward(&mut Kernels, Activations { values, grid })?;
             let mut values = std::mem::take(&mut output.values);
             // Its memory may have served a wider layer.
             values.shrink_to_fit();
@@ -232,7 +236,7 @@ impl Network {
     /// The convolutions in order, without those of branches.
     pub fn convs(&self) -> impl Iterator<Item = &Conv> {
         self.layers.iter().flat_map(|layer| match layer {
-            Layer::Conv(conv) => std::slice::from_ref(conv),
+            Layer::Conv(conv) => std::slice::from_ref(&**conv),
             Layer::Block(convs, _) => convs.as_slice(),
         })
     }
@@ -241,13 +245,10 @@ impl Network {
     pub fn convs_mut(&mut self) -> impl Iterator<Item = &mut Conv> {
         self.tensors = None;
         let convs = self.layers.iter_mut().flat_map(|layer| match layer {
-            Layer::Conv(conv) => std::slice::from_mut(conv),
+            Layer::Conv(conv) => std::slice::from_mut(&mut **conv),
             Layer::Block(convs, _) => convs.as_mut_slice(),
         });
-        convs.map(|conv| {
-            conv.forget_packed();
-            conv
-        })
+        convs.map(Conv::without_packed)
     }
 
     /// Number of parameters.
@@ -317,7 +318,7 @@ impl Network {
             }
         };
         let round_conv = |conv: &mut Conv| {
-            conv.forget_packed();
+            let conv = conv.without_packed();
             round(&mut conv.weight);
             conv.bias.iter_mut().for_each(round);
         };

@@ -39,9 +39,10 @@ impl Conv {
         }
     }
 
-    /// Must be called before the weights change.
-    pub(crate) fn forget_packed(&mut self) {
+    /// The same without packed weights, to change the weights.
+    pub(crate) fn without_packed(&mut self) -> &mut Self {
         self.packed.take();
+        self
     }
 
     /// The weights of a checkpoint (output, input, row, column) in the order of [`Conv::weight`].
