@@ -4,7 +4,7 @@ use candle_core::{Device, Tensor};
 use rand::Rng;
 use sha2::{Digest, Sha256};
 
-use crate::ops::conv_layers::{Conv, ConvLayers, GroupNorm, Kernels, Tape, Tensors};
+use crate::ops::conv_layers::{Activations, Conv, ConvLayers, GroupNorm, Kernels, Tape, Tensors};
 use crate::ops::{ConvShape, GridSize};
 use crate::weights::{Precision, WeightsBuilder, hash_tensor_header};
 use crate::{Result, Weights};
@@ -189,9 +189,8 @@ impl Network {
     /// The output for `input` (grid, channels), on kernels of the CPU or on the device of its tensors.
     pub(super) fn run(&self, input: Vec<f32>, grid: GridSize) -> Result<Vec<f32>> {
         let Some(mut tensors) = self.tensors.as_ref() else {
-            let mut kernels = Kernels::default();
-            let input = kernels.input(input, grid);
-            let mut output = self.forward(&mut kernels, input)?;
+            let values = input;
+            let mut output = self.forward(&mut Kernels, Activations { values, grid })?;
             let mut values = std::mem::take(&mut output.values);
             // Its memory may have served a wider layer.
             values.shrink_to_fit();
@@ -249,7 +248,7 @@ impl Network {
             Layer::Conv(conv) => std::slice::from_mut(&mut **conv),
             Layer::Block(convs, _) => convs.as_mut_slice(),
         });
-        convs.map(Conv::forget_packed)
+        convs.map(Conv::without_packed)
     }
 
     /// Number of parameters.
@@ -319,7 +318,7 @@ impl Network {
             }
         };
         let round_conv = |conv: &mut Conv| {
-            conv.forget_packed();
+            let conv = conv.without_packed();
             round(&mut conv.weight);
             conv.bias.iter_mut().for_each(round);
         };

@@ -11,7 +11,7 @@ mod tensors;
 pub use conv::Conv;
 pub use tape::{ConvGradients, Tape};
 
-pub(crate) use kernels::Kernels;
+pub(crate) use kernels::{Activations, Kernels};
 pub(crate) use tensors::Tensors;
 
 use crate::Result;

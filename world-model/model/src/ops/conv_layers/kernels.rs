@@ -1,40 +1,33 @@
 //! Networks on kernels of the CPU.
 
 use std::cell::RefCell;
-use std::rc::Rc;
 
 use super::{Conv, ConvLayers, GroupNorm};
 use crate::Result;
 use crate::ops::{Activation, GridSize, group_norm};
 
-/// Memory of activations that were dropped.
-type FreeBuffers = Rc<RefCell<Vec<Vec<f32>>>>;
-
-/// The kernels of the CPU, and the memory of one run: activations that are dropped make room for later ones.
-#[derive(Default)]
-pub(crate) struct Kernels {
-    free: FreeBuffers,
+thread_local! {
+    /// Memory of activations that were dropped. It stays until the thread ends: large memory that goes back to the
+    /// system is cleared anew for every picture.
+    static FREE: RefCell<Vec<Vec<f32>>> = RefCell::default();
 }
+
+/// The kernels of the CPU. Activations that are dropped make room for later ones of their thread.
+pub(crate) struct Kernels;
 
 /// Activations (image, row, column, channel).
 pub(crate) struct Activations {
     pub(crate) values: Vec<f32>,
     pub(crate) grid: GridSize,
-    free: FreeBuffers,
-}
-
-impl Kernels {
-    /// The input of a network.
-    pub(crate) fn input(&self, values: Vec<f32>, grid: GridSize) -> Activations {
-        let free = Rc::clone(&self.free);
-        Activations { values, grid, free }
-    }
 }
 
 impl Drop for Activations {
     fn drop(&mut self) {
         let values = std::mem::take(&mut self.values);
-        self.free.borrow_mut().push(values);
+        if values.capacity() > 0 {
+            // A thread that ends keeps none.
+            let _ = FREE.try_with(|free| free.borrow_mut().push(values));
+        }
     }
 }
 
@@ -47,10 +40,11 @@ impl ConvLayers for Kernels {
         x: &Activations,
         residual: Option<&Activations>,
     ) -> Result<Activations> {
-        let mut output = self.free.borrow_mut().pop().unwrap_or_default();
+        let mut output = FREE.with_borrow_mut(Vec::pop).unwrap_or_default();
         let residual = residual.map(|residual| residual.values.as_slice());
         let grid = conv.run(&x.values, x.grid, residual, &mut output)?;
-        Ok(self.input(output, grid))
+        let values = output;
+        Ok(Activations { values, grid })
     }
 
     fn group_norm_relu(&mut self, norm: &GroupNorm, mut x: Activations) -> Result<Activations> {
