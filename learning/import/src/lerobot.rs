@@ -15,12 +15,12 @@
 //! | `next.success` of the last frame | `/task/success` | `std_msgs/msg/Bool`, latched |
 //!
 //! ```no_run
-//! use crate::lerobot::{ExportOptions, ImportOptions, export, import};
+//! use wm_import::lerobot::{ExportOptions, ImportOptions, export, import};
 //!
 //! let imported = import("aloha".as_ref(), "bags".as_ref(), &ImportOptions::default())?;
 //! let exported = export(&imported.bags, "again".as_ref(), &ExportOptions::default())?;
 //! println!("{} episodes", exported.episodes);
-//! # Ok::<(), crate::lerobot::LeRobotError>(())
+//! # Ok::<(), wm_import::lerobot::LeRobotError>(())
 //! ```
 //!
 //! An episode that cannot be read is left out by name; the others are imported.

@@ -2,16 +2,15 @@ use std::time::Duration;
 
 use super::http_date;
 
-/// Before the first retry.
+/// Wait before the first retry.
 const FIRST: Duration = Duration::from_secs(1);
-/// A server that restarts loads a model for longer than any shorter sum of waits.
+/// Longest wait: the sum must cover a server that restarts and loads a model.
 const LONGEST: Duration = Duration::from_secs(60);
-/// What a server may ask for. More is a quota that is used up for the day: better to come back later.
+/// Longest wait requested by a server. A longer one means a daily quota is used up.
 pub(super) const MAX_RETRY_AFTER: Duration = Duration::from_secs(600);
 
-/// How long to wait before retry `retry`, counted from 0, if the server does not say: doubled each time, and between half of
-/// that and all of it, so that clients that failed together do not come back together. `seed` decides where between, so
-/// that a run is repeatable.
+/// Wait before retry `retry` (from 0) without a request of the server: doubles each time, reduced by up to half so that
+/// failed clients do not return together. `seed` makes it repeatable.
 pub(super) fn delay(retry: u32, seed: u64) -> Duration {
     let doubled = FIRST.saturating_mul(2_u32.saturating_pow(retry));
     // 32 bits are exact in f64.
@@ -19,14 +18,14 @@ pub(super) fn delay(retry: u32, seed: u64) -> Duration {
     doubled.min(LONGEST).mul_f64(0.5 + fraction / 2.0)
 }
 
-/// What a server asks for in `Retry-After`: seconds, or a date.
+/// The wait of a `Retry-After` header: seconds, or a date.
 pub(super) fn retry_after(header: &str, now_unix_s: u64) -> Option<Duration> {
     let seconds = header.trim().parse().ok();
     let seconds = seconds.or_else(|| Some(http_date::unix_s(header)?.saturating_sub(now_unix_s)));
     seconds.map(Duration::from_secs)
 }
 
-/// The last step of SplitMix64, which makes neighbours differ in half of their bits.
+/// The last step of SplitMix64: neighbours differ in half of their bits.
 fn mix(seed: u64) -> u64 {
     let z = seed.wrapping_add(0x9e37_79b9_7f4a_7c15);
     let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -52,7 +51,7 @@ mod tests {
     }
 
     #[test]
-    fn servers_ask_in_seconds_or_by_date() {
+    fn retry_after_is_seconds_or_a_date() {
         let seconds = |header| retry_after(header, 784_111_770).map(|d| d.as_secs());
         assert_eq!(seconds(" 17 "), Some(17));
         assert_eq!(seconds("Sun, 06 Nov 1994 08:49:37 GMT"), Some(7));

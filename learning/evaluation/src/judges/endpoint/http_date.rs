@@ -1,5 +1,5 @@
-/// Seconds since 1970 of a date as servers send it, `Sun, 06 Nov 1994 08:49:37 GMT`. Of the two older forms that RFC 9110
-/// asks clients to read none is sent any more.
+/// Seconds since 1970 of an HTTP date such as `Sun, 06 Nov 1994 08:49:37 GMT`. The two obsolete forms of RFC 9110 are
+/// not sent any more.
 pub(super) fn unix_s(date: &str) -> Option<u64> {
     const MONTHS: [&str; 12] = [
         "Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec",
@@ -27,8 +27,8 @@ fn number(text: &str, range: std::ops::RangeInclusive<u64>) -> Option<u64> {
     range.contains(&number).then_some(number)
 }
 
-/// Days since 1970. Counts years from March, so that the leap day ends one: "days_from_civil" of Howard Hinnant's
-/// chrono-Compatible Low-Level Date Algorithms, for years from 1970.
+/// Days since 1970, with years counted from March, so that the leap day is last: "days_from_civil" of Howard Hinnant's
+/// chrono-Compatible Low-Level Date Algorithms.
 fn days(year: u64, month: u64, day: u64) -> u64 {
     let year = if month <= 2 { year - 1 } else { year };
     let month_from_march = (month + 9) % 12;
@@ -43,7 +43,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn dates() {
+    fn dates_are_parsed() {
         let cases = [
             ("Thu, 01 Jan 1970 00:00:00 GMT", 0),
             ("Sun, 06 Nov 1994 08:49:37 GMT", 784_111_777),
