@@ -2,55 +2,53 @@ use std::{io, path::PathBuf};
 
 use wm_msgs::cdr::CdrError;
 
-/// Why a bag cannot be read or written. Each text names the file or topic, what was expected and what came.
+/// A failure to read or write a bag. Each text names the file or topic, the expected and the actual value.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum BagError {
-    /// Nothing is at this path.
+    /// The path does not exist.
     #[error(
         "no bag at {0}: no such file or directory; expected the folder of a bag, or one of its .mcap files"
     )]
     NotFound(PathBuf),
-    /// The path is neither a bag directory nor an MCAP file.
+    /// The path is neither a bag folder nor a file of a bag.
     #[error("{path} is not a bag: {reason}")]
     NotABag {
-        /// What was opened.
+        /// The path.
         path: PathBuf,
-        /// What was found instead.
+        /// The fault.
         reason: String,
     },
-    /// An empty file, or a directory with no `.mcap` in it.
-    #[error("{path} is no bag: {reason}")]
+    /// An empty file, or a folder without files of a bag.
+    #[error("{path} is not a bag: {reason}")]
     Empty {
-        /// What was opened.
+        /// The path.
         path: PathBuf,
-        /// What is missing.
+        /// The fault.
         reason: &'static str,
     },
-    /// A storage that is not read here.
+    /// A storage that the reader does not support.
     #[error(
         "{path} is stored as {storage}, expected mcap or sqlite3; convert it to mcap with `ros2 bag convert`"
     )]
     Storage {
-        /// What was opened.
+        /// The path.
         path: PathBuf,
         /// The storage identifier.
         storage: String,
     },
-    /// A bag that has to be converted before it can be recovered.
-    #[error(
-        "{path} is stored as sqlite3, and only MCAP files are recovered byte by byte; read what is left of it with `wm bag convert`"
-    )]
+    /// A storage that [`recover`](fn@crate::recover) does not support.
+    #[error("{path} is stored as sqlite3, expected MCAP; read it with `wm bag convert`")]
     NotRecoverable {
         /// The file.
         path: PathBuf,
     },
-    /// A compression of rosbag2 that is not read here.
+    /// A compression of rosbag2 that the reader does not support.
     #[error(
         "{path} uses rosbag2's {mode} compression in the format {format:?}, expected zstd; convert it with `ros2 bag convert`"
     )]
     RosbagCompression {
-        /// What was opened.
+        /// The path.
         path: PathBuf,
         /// `file` or `message`.
         mode: String,
@@ -59,7 +57,7 @@ pub enum BagError {
     },
     /// A temporary file cannot be written.
     #[error(
-        "{path} is read from a temporary file, which cannot be written in {folder}: {reason}; set TMPDIR to a folder with \
+        "{path} needs a temporary file, which cannot be written in {folder}: {reason}; set TMPDIR to a folder with \
          enough room"
     )]
     NoRoom {
@@ -67,7 +65,7 @@ pub enum BagError {
         path: PathBuf,
         /// The folder.
         folder: PathBuf,
-        /// What the system said.
+        /// The error.
         reason: String,
     },
     /// sqlite3 cannot read the file.
@@ -75,10 +73,10 @@ pub enum BagError {
     Sqlite {
         /// The file.
         path: PathBuf,
-        /// What it said.
+        /// The error.
         reason: String,
     },
-    /// A message that was compressed by itself and cannot be decompressed. The others can still be read.
+    /// A message that rosbag2 compressed cannot be decompressed. Other messages can still be read.
     #[error(
         "topic {topic}: the message of log time {log_time_ns} ns cannot be decompressed: {reason}"
     )]
@@ -87,20 +85,20 @@ pub enum BagError {
         topic: String,
         /// Its log time, in ns since the epoch.
         log_time_ns: u64,
-        /// What the decoder met.
+        /// The decoder's error.
         reason: String,
     },
-    /// `metadata.yaml` cannot be understood.
+    /// `metadata.yaml` is invalid.
     #[error("{path}: {reason}")]
     Metadata {
         /// The `metadata.yaml`.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The fault.
         reason: String,
     },
     /// A file that `metadata.yaml` lists is missing.
     #[error(
-        "{dir}: metadata.yaml lists {file}, which does not exist; put it back, or read the other files of the folder \
+        "{dir}: metadata.yaml lists {file}, which does not exist; restore it, or read the other files of the folder \
          with `wm bag recover`"
     )]
     MissingFile {
@@ -109,7 +107,7 @@ pub enum BagError {
         /// The file, relative to the bag.
         file: PathBuf,
     },
-    /// A topic whose type the file does not name.
+    /// A topic without a type.
     #[error("{path}: topic {topic} has no schema, so its type is unknown")]
     NoType {
         /// The file.
@@ -124,53 +122,53 @@ pub enum BagError {
         path: PathBuf,
         /// The topic.
         topic: String,
-        /// The type it had first.
+        /// The type of earlier messages.
         first: String,
-        /// The type it has now.
+        /// The type of this message or definition.
         second: String,
     },
-    /// A stretch of a file (a chunk, most often) is damaged. The messages after it can still be read.
+    /// A segment of a file, usually a chunk, is damaged. Messages after it can still be read.
     #[error("{path}: the chunk at byte {offset} is damaged: {reason}")]
     Chunk {
         /// The file.
         path: PathBuf,
-        /// Where the record begins.
+        /// First byte of the record.
         offset: u64,
-        /// What is wrong with it.
+        /// The fault.
         reason: String,
     },
-    /// So many chunks cover the same time that their messages cannot be put in order within bounds.
+    /// Too many chunks overlap in time to sort their messages within the memory limit.
     #[error(
-        "{path}: the chunk at byte {offset} overlaps other chunks in time, and {limit} bytes of their messages are \
-         already waiting"
+        "{path}: the chunk at byte {offset} overlaps other chunks in time, and the limit of {limit} bytes of sorted \
+         messages is reached"
     )]
     Overlap {
         /// The file.
         path: PathBuf,
-        /// Where the chunk begins.
+        /// First byte of the chunk.
         offset: u64,
-        /// How many bytes may wait.
+        /// The limit.
         limit: usize,
     },
-    /// The directory to write to holds something already.
+    /// The output exists and is not an empty folder.
     #[error(
         "{0} already exists and is not an empty directory; bags are never overwritten, so choose another path"
     )]
     Exists(PathBuf),
-    /// A type's name that is not `package/msg/Type`.
+    /// A type name that is not `package/msg/Type`.
     #[error("expected a message type as package/msg/Type, got {0:?}")]
     TypeName(String),
-    /// A topic's name that ROS does not allow in a bag.
+    /// A topic name that ROS does not allow in a bag.
     #[error("expected an absolute topic name such as /camera/image_raw, got {0:?}")]
     TopicName(String),
-    /// A time that rosbag2 cannot hold.
+    /// A time that rosbag2 cannot store.
     #[error(
         "topic {topic}: log time {log_time_ns} ns is beyond the largest time of rosbag2 (2^63 - 1)"
     )]
     LogTime {
         /// The topic.
         topic: String,
-        /// The time that was given.
+        /// The time.
         log_time_ns: u64,
     },
     /// A message that is not CDR with its header.
@@ -178,83 +176,83 @@ pub enum BagError {
     NotCdr {
         /// The topic.
         topic: String,
-        /// Bytes that were given.
+        /// Number of bytes.
         len: usize,
     },
-    /// A topic that is not there.
+    /// The bag does not have the requested topic.
     #[error("{path} has no topic {topic}; it has {}", topics.join(", "))]
     NoTopic {
         /// The bag.
         path: PathBuf,
-        /// The topic that was requested.
+        /// The requested topic.
         topic: String,
-        /// Those that are there.
+        /// The topics of the bag.
         topics: Vec<String>,
     },
-    /// Text that is no regular expression.
+    /// An invalid regular expression.
     #[error("expected a regular expression of topic names, got {text:?}: {reason}")]
     TopicRegex {
         /// The text.
         text: String,
-        /// What is wrong with it.
+        /// The fault.
         reason: String,
     },
-    /// A time in which a bag has nothing.
+    /// A time span without messages.
     #[error(
-        "{path} has no messages from {start_ns} ns to before {end_ns} ns: its messages are from {bag_start_ns} ns to \
+        "{path} has no messages from {start_ns} ns to {end_ns} ns: its messages are from {bag_start_ns} ns to \
          {bag_end_ns} ns since the epoch"
     )]
     NothingBetween {
         /// The bag.
         path: PathBuf,
-        /// The start that was requested, in ns since the epoch.
+        /// The requested start, in ns since the epoch.
         start_ns: u64,
-        /// The end that was requested, in ns since the epoch.
+        /// The requested end, exclusive, in ns since the epoch.
         end_ns: u64,
         /// Log time of the bag's first message, in ns since the epoch.
         bag_start_ns: u64,
         /// Log time of the bag's last message, in ns since the epoch.
         bag_end_ns: u64,
     },
-    /// A QoS profile that cannot be understood.
+    /// An invalid QoS profile.
     #[error("offered_qos_profiles: {0}")]
     Qos(String),
-    /// A message was asked for as another type than it has.
+    /// The requested type differs from the message's type.
     #[error("topic {topic} has messages of type {actual}, expected {expected}")]
     WrongType {
         /// The topic.
         topic: String,
-        /// The type that was requested.
+        /// The requested type.
         expected: String,
-        /// The type that the bag names.
+        /// The type in the bag.
         actual: String,
     },
-    /// A message that is not of its type, or cannot be encoded.
+    /// A message that cannot be decoded as its type, or encoded.
     #[error("topic {topic}: {reason}")]
     Cdr {
         /// The topic.
         topic: String,
-        /// What the codec met.
+        /// The error.
         reason: CdrError,
     },
-    /// A message in protobuf that is not of its type.
+    /// A protobuf message that cannot be decoded as its type.
     #[error("topic {topic}: expected {type_name} in protobuf: {reason}")]
     Protobuf {
         /// The topic.
         topic: String,
         /// The type.
         type_name: String,
-        /// What is wrong.
+        /// The fault.
         reason: String,
     },
-    /// A message whose definition in the bag does not fit the type that was requested.
+    /// The bag's definition does not fit the requested type.
     #[error("topic {topic}: the bag's definition of {type_name} does not fit: {reason}")]
     Definition {
         /// The topic.
         topic: String,
         /// The type.
         type_name: String,
-        /// What does not fit.
+        /// The mismatch.
         reason: String,
     },
     /// The MCAP library could not write.
@@ -262,21 +260,21 @@ pub enum BagError {
     Mcap {
         /// The file.
         path: PathBuf,
-        /// What it met.
+        /// The error.
         reason: mcap::McapError,
     },
-    /// The operating system refused.
+    /// An error of the operating system.
     #[error("{path}: {reason}")]
     Io {
         /// The file or directory.
         path: PathBuf,
-        /// What it said. No source, since the message has it.
+        /// The error. Not a `source`, since the text contains it.
         reason: io::Error,
     },
 }
 
 impl BagError {
-    /// An I/O error at `path`, with a missing file told apart.
+    /// Converts an I/O error at `path`; a missing file becomes [`NotFound`](Self::NotFound).
     pub(crate) fn io(path: impl Into<PathBuf>, source: io::Error) -> Self {
         let path = path.into();
         match source.kind() {

@@ -1,16 +1,16 @@
-//! Pictures in Foxglove's types (<https://docs.foxglove.dev/docs/sdk/schemas>): in protobuf, and CompressedVideo in CDR too.
+//! Pictures in Foxglove's types (<https://docs.foxglove.dev/docs/sdk/schemas>): in protobuf; CompressedVideo also in CDR.
 
 use serde::{Deserialize, Serialize};
 use wm_bag::{BagError, BagMessage, MessageEncoding, Schema};
 use wm_msgs::{Message as _, builtin_interfaces::Time, cdr, sensor_msgs, std_msgs::Header};
 
-/// The protobuf type that becomes sensor_msgs/CompressedImage.
+/// The protobuf type of sensor_msgs/CompressedImage.
 pub const COMPRESSED_IMAGE: &str = "foxglove.CompressedImage";
-/// The protobuf type that becomes sensor_msgs/Image.
+/// The protobuf type of sensor_msgs/Image.
 pub const RAW_IMAGE: &str = "foxglove.RawImage";
-/// The protobuf type that becomes [`CompressedVideo`].
+/// The protobuf type of [`CompressedVideo`].
 pub const PROTOBUF_VIDEO: &str = "foxglove.CompressedVideo";
-/// The ROS types with the fields of [`CompressedVideo`]; foxglove_msgs has the first.
+/// The ROS types with the fields of [`CompressedVideo`]; the first is that of foxglove_msgs.
 pub const ROS_VIDEO: [&str; 2] = [
     "foxglove_msgs/msg/CompressedVideo",
     "foxglove/msg/CompressedVideo",
@@ -23,7 +23,7 @@ pub struct CompressedVideo {
     pub timestamp: Time,
     /// Optical frame.
     pub frame_id: String,
-    /// Coded bytes.
+    /// Compressed bytes.
     #[serde(with = "serde_bytes")]
     pub data: Vec<u8>,
     /// The codec.
@@ -42,7 +42,7 @@ impl CompressedVideo {
         ))
     }
 
-    /// The packet that a bag's message holds, in either encoding.
+    /// Decodes a bag's message in CDR or protobuf.
     ///
     /// # Errors
     /// The type is another one, or the bytes are not of it.
@@ -77,7 +77,7 @@ pub fn raw_image(message: &BagMessage) -> Result<sensor_msgs::Image, BagError> {
     protobuf::<RawImage>(message)?.into_ros(message)
 }
 
-/// A protobuf type and the ROS type with the same contents.
+/// A protobuf type with the ROS type of the same contents.
 trait Foxglove: prost::Message + Default {
     const NAME: &str;
     type Ros;
@@ -165,7 +165,7 @@ impl Foxglove for RawImage {
             height: self.height,
             width: self.width,
             encoding: self.encoding,
-            // The type's definition has little-endian pixels alone.
+            // foxglove.RawImage is always little-endian.
             is_bigendian: 0,
             step: self.step,
             data: self.data,
@@ -194,7 +194,7 @@ fn protobuf<M: Foxglove>(message: &BagMessage) -> Result<M, BagError> {
     M::decode(&*message.data).map_err(|error| malformed(message, &error))
 }
 
-/// A time; a message without one has 0, as in ROS.
+/// Converts a time; without one it is 0, as in ROS.
 fn time(message: &BagMessage, timestamp: Option<Timestamp>) -> Result<Time, BagError> {
     let Some(Timestamp { seconds, nanos }) = timestamp else {
         return Ok(Time::default());

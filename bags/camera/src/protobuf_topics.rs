@@ -1,4 +1,4 @@
-//! ROS messages for the protobuf topics of a bag that is converted.
+//! Conversion of a bag's protobuf topics to ROS messages.
 
 use serde::Serialize;
 use wm_bag::{
@@ -12,12 +12,12 @@ use wm_msgs::{
 
 use crate::foxglove::{self, CompressedVideo};
 
-/// Converts pictures in protobuf to messages of ROS with the same contents, on topics of the same names:
-/// `foxglove.CompressedImage` and `foxglove.RawImage` to sensor_msgs, `foxglove.CompressedVideo` to foxglove_msgs.
+/// Converts protobuf pictures to ROS messages on topics of the same names: `foxglove.CompressedImage` and
+/// `foxglove.RawImage` to sensor_msgs, `foxglove.CompressedVideo` to foxglove_msgs.
 #[derive(Debug)]
 pub struct ProtobufTopics;
 
-/// A ROS type with the contents of a protobuf type.
+/// The conversion of a protobuf topic.
 struct RosTopic {
     topic: NewTopic,
     data: fn(&BagMessage) -> Result<Vec<u8>, String>,

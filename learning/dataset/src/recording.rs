@@ -3,7 +3,7 @@ use std::{
     sync::Arc,
 };
 
-use wm_audit::{ActionTrack, Finding, JOINTS_TOPIC, POSE_TOPICS, Recorded, Stamps, StateLog};
+use wm_audit::{ActionTrack, Finding, JOINTS_TOPIC, POSE_TOPICS, RecordedTopics, Stamps, StateLog};
 use wm_bag::{BagError, BagMessage, BagReader, TopicInfo};
 use wm_camera::transport::base;
 use wm_motion::actions::ActionSpace;
@@ -74,8 +74,8 @@ pub(super) struct Recording {
     /// Invalid messages: count, kind and the first fault.
     pub complaints: Vec<(u64, Thing, String)>,
     /// Stamps and pictures, for the audit.
-    pub recorded: Recorded,
-    /// State of the arm, for the audit.
+    pub recorded: RecordedTopics,
+    /// The state of the arm, for the audit.
     pub state: StateLog,
 }
 
@@ -158,7 +158,7 @@ impl Recording {
             streams.push(Stream::new(MASK));
         }
         let views = topics.iter().map(String::as_str);
-        let recorded = Recorded::new(views, action_topic);
+        let recorded = RecordedTopics::new(views, action_topic);
         let state_topics = state_topics(reader, action_topic);
         let mut recording = Self {
             recorded,

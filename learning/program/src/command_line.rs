@@ -4,6 +4,9 @@
 //! its completions and man pages need them. A program whose `main` begins with [`tell_if_asked`] tells its definition as
 //! JSON, and [`ask`] makes a [`Command`] of it again.
 //!
+//! clap_complete's dynamic completion is not used: it is an unstable feature, starts a program at each press of Tab, and gives
+//! no man pages, which need the definition anyway.
+//!
 //! What is told is what people read and shells complete: names, help, values, and how many of them. Not told: which
 //! arguments exclude one another, and what parses values, so that such a command is for documentation only.
 

@@ -1,4 +1,4 @@
-//! Writes a contact sheet: one row an episode, its frames spread over its length.
+//! Writes a contact sheet: one row per episode, with frames spread over its length.
 //!
 //! `cargo run --release -p wm_sim --example sheet -- OUT.png [FIRST_SEED [ROWS [COLUMNS [FRAMES [FAILURES]]]]]` (FAILURES in percent)
 

@@ -1,21 +1,18 @@
-//! What can go wrong.
-
-use crate::environment::GoalKind;
 use crate::world::EndEffectorAction;
 
 /// Errors of the simulator.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// A number of frames that no episode has.
+    /// An invalid number of frames.
     #[error("expected {} to {} frames per episode, got {frames}", .possible.start(), .possible.end())]
     Frames {
         /// What was requested.
         frames: usize,
-        /// What can be.
+        /// The valid range.
         possible: std::ops::RangeInclusive<usize>,
     },
-    /// A share of failures that none can be.
+    /// An invalid share of failures.
     #[error("expected a share of failures from 0 to 1, got {share}")]
     Share {
         /// What was requested.
@@ -29,16 +26,16 @@ pub enum Error {
     Seeds {
         /// Seed of the first episode.
         first_seed: u64,
-        /// How many.
+        /// Number of episodes.
         episodes: u64,
     },
-    /// A kind of goal that there is not.
+    /// An unknown kind of goal.
     #[error("expected a task, one of reach, push and pick-place, got {got:?}")]
     GoalKind {
         /// What was given.
         got: String,
     },
-    /// An action that is not a motion.
+    /// An action with values that are not finite.
     #[error(
         "expected seven finite numbers as an action (m, rad, gripper), got {:?} {:?} {}",
         .action.translation.as_slice(), .action.rotation.as_slice(), .action.gripper
@@ -47,16 +44,16 @@ pub enum Error {
         /// What was given.
         action: EndEffectorAction,
     },
-    /// A seed of which no goal came that the arm can attain.
+    /// A seed without a goal that the arm can attain.
     #[error(
         "expected a task of {kind} that can be solved from seed {seed}, got none in {tables} tables"
     )]
     Unsolvable {
-        /// What kind of goal was wanted.
-        kind: GoalKind,
+        /// Name of the requested kind of goal.
+        kind: &'static str,
         /// The seed.
         seed: u64,
-        /// How many tables were tried.
+        /// Number of tables tried.
         tables: usize,
     },
     /// A bag that cannot be written.

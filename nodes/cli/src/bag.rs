@@ -44,7 +44,6 @@ impl BagCommand {
         matches!(self, Self::Play(_) | Self::Record(_))
     }
 
-    /// Runs it.
     pub fn run(self, ros_args: Vec<String>) -> Result<ExitCode> {
         match self {
             Self::Play(command) => command.run(ros_args),

@@ -9,9 +9,9 @@ use anyhow::Result;
 use clap::{Args, ValueEnum};
 use clap_complete::{Shell, generate};
 
-/// Shells that have completion scripts.
+/// Shells with completion scripts.
 #[derive(Clone, Copy, Debug, ValueEnum)]
-enum Known {
+enum Shell {
     Bash,
     Zsh,
     Fish,
@@ -26,11 +26,10 @@ enum Known {
 pub struct CompletionsCommand {
     /// The shell
     #[arg(value_enum)]
-    shell: Known,
+    shell: Shell,
 }
 
 impl CompletionsCommand {
-    /// Runs it.
     pub fn run(self) -> Result<()> {
         let Described { command, left_out } = external::described(cli::definition())?;
         for left in left_out {
@@ -57,11 +56,11 @@ mod tests {
     use std::io::Write as _;
     use std::process::{Command, Stdio};
 
-    fn script(shell: Known) -> String {
+    fn script(shell: Shell) -> String {
         CompletionsCommand { shell }.script(cli::definition())
     }
 
-    /// What bash offers for `wm WORDS` with the cursor at its end.
+    /// The completions of bash for `wm WORDS` with the cursor at its end.
     fn offered(words: &[&str]) -> Vec<String> {
         let line = words.iter().map(|word| format!("'{word}'"));
         let line = line.collect::<Vec<_>>().join(" ");

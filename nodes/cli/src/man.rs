@@ -18,7 +18,7 @@ pub struct ManCommand {
 }
 
 impl ManCommand {
-    /// Runs it. Pages of an older version are replaced.
+    /// Replaces pages of an older version.
     pub fn run(self) -> Result<()> {
         let Described { command, left_out } = external::described(cli::definition())?;
         for left in left_out {

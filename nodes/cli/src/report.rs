@@ -20,7 +20,6 @@ pub struct ReportCommand {
 }
 
 impl ReportCommand {
-    /// Runs it.
     pub fn run(self) -> Result<ExitCode> {
         let progress = Progress::open_ended("scoring", "messages");
         let (scorer, unreadable) = score_bag(&self.bag)?;
@@ -31,7 +30,7 @@ impl ReportCommand {
             print(format_args!("{}\n", file.display()))?;
         }
         for (topic, (count, reason)) in &unreadable {
-            eprintln!("wm: {topic}: {count} message(s) ignored, the first because: {reason}");
+            eprintln!("wm: {topic}: {count} message(s) skipped, the first because: {reason}");
         }
         ensure!(
             report.frames > 0,

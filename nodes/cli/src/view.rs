@@ -16,7 +16,7 @@ use wm_view::NODE;
 #[derive(Args, Debug)]
 #[command(after_help = NODE.help())]
 pub struct ViewCommand {
-    /// Bag to show, its folder or a single .mcap file; without one, what the nodes publish
+    /// Bag to show, its folder or a single .mcap file; without one, the live topics
     bag: Option<PathBuf>,
     #[command(flatten)]
     flags: ParameterFlags<View>,
@@ -41,7 +41,7 @@ impl Flagged for View {
 
     fn flag(name: &str, flag: Arg) -> Option<Arg> {
         match name {
-            // A list of numbers is for parameter files.
+            // lists of numbers belong in parameter files
             "bag" | "axes" => None,
             "foxglove_rates" => Some(flag.value_name("REGEX=HZ")),
             "foxglove_origins" => Some(flag.value_name("ORIGIN")),

@@ -1,11 +1,11 @@
-//! One entry of a launch file while it is read: it hands out its keys by name and type, and complains about
-//! the keys that nobody asked for, as ROS 2's frontends do.
+//! One entry of a launch file while it is read. It returns values by key and type, and rejects keys that were not read,
+//! as ROS 2's frontends do.
 
 use super::{error::LaunchError, substitution::Template};
 use serde_yaml_ng::{Mapping, Value};
 use std::path::Path;
 
-/// A mapping of a launch file, with the name to blame in errors.
+/// A mapping of a launch file, with its name for errors.
 pub(super) struct Entity<'a> {
     file: &'a Path,
     /// For example `launch[3] node "encoder"`.
@@ -31,13 +31,13 @@ impl<'a> Entity<'a> {
         })
     }
 
-    /// The value of `key`, null counting as absent.
+    /// The value of `key`; null counts as missing.
     pub fn value(&mut self, key: &'static str) -> Option<&'a Value> {
         self.asked.push(key);
         self.mapping.get(key).filter(|value| !value.is_null())
     }
 
-    /// A text that must be a YAML string: ROS 2's frontend refuses `default: 1.0` without quotes.
+    /// A YAML string: ROS 2's frontend refuses `default: 1.0` without quotes.
     pub fn text(&mut self, key: &'static str) -> Result<Option<&'a str>, LaunchError> {
         match self.value(key) {
             None => Ok(None),
@@ -77,7 +77,7 @@ impl<'a> Entity<'a> {
         })
     }
 
-    /// A boolean, or a text to be resolved into one.
+    /// A boolean, or a text that resolves to one.
     pub fn boolean(&mut self, key: &'static str) -> Result<Option<Template>, LaunchError> {
         match self.value(key) {
             Some(Value::Bool(value)) => self
@@ -87,7 +87,7 @@ impl<'a> Entity<'a> {
         }
     }
 
-    /// A number that is not negative.
+    /// A number of at least 0.
     pub fn number(&mut self, key: &'static str) -> Result<Option<f64>, LaunchError> {
         let Some(value) = self.value(key) else {
             return Ok(None);
@@ -120,9 +120,10 @@ impl<'a> Entity<'a> {
         items.iter().enumerate().map(named).collect()
     }
 
-    /// Complains about the keys that nobody asked for.
+    /// Rejects the keys that were not read.
     pub fn finish(self) -> Result<(), LaunchError> {
         for key in self.mapping.keys() {
+            // keys that are not strings are unknown
             let name = key.as_str().unwrap_or_default();
             if !self.asked.contains(&name) {
                 return Err(LaunchError::UnknownKey {
@@ -151,7 +152,7 @@ impl<'a> Entity<'a> {
     }
 }
 
-/// A YAML value in words, short enough for an error message.
+/// Describes a YAML value for error messages.
 pub(super) fn describe(value: &Value) -> String {
     match value {
         Value::Null => "nothing".to_owned(),

@@ -5,7 +5,7 @@
 //! use wm_model_nodes::harness::{self, Configured, ModelNode};
 //! use wm_msgs::{std_msgs::String as Text, wm_msgs::Latent};
 //! use wm_ros::{NodeDefinition, Publisher, Qos, Subscription};
-//! use wm_zoo::PlacedModel;
+//! use wm_zoo::ModelFolder;
 //!
 //! wm_ros::parameters! {
 //!     /// Its parameters.
@@ -36,7 +36,7 @@
 //!     type Endpoints = Endpoints;
 //!     type Model = ();
 //!
-//!     fn load(_: PlacedModel, _: &Parameters) -> anyhow::Result<()> {
+//!     fn load(_: ModelFolder, _: &Parameters) -> anyhow::Result<()> {
 //!         Ok(())
 //!     }
 //!
@@ -70,12 +70,12 @@ pub use goals::{GoalInputs, Goals};
 use std::{process::ExitCode, sync::Arc};
 
 use anyhow::{Context as _, Result};
-use wm_model::trained_folder::EMBEDDED;
+use wm_model::{Compute, trained_folder::EMBEDDED};
 use wm_ros::{
     Component, EndpointSet, Lifecycle, Managed, NAMESPACE, Node, NodeArgs, NodeDefinition,
     ParameterSet, ParameterSpec,
 };
-use wm_zoo::{DeviceName, ModelFolder, PlacedModel, Placement};
+use wm_zoo::ModelFolder;
 
 /// A node that computes with the world model. The type itself is what the node holds while it is active.
 pub trait ModelNode: Sized + 'static {
@@ -102,7 +102,7 @@ pub trait ModelNode: Sized + 'static {
     ///
     /// # Errors
     /// Names what is missing or wrong.
-    fn load(model: PlacedModel, parameters: &Self::Parameters) -> Result<Self::Model>;
+    fn load(model: ModelFolder, parameters: &Self::Parameters) -> Result<Self::Model>;
 
     /// Starts with an empty history.
     ///
@@ -182,20 +182,20 @@ pub async fn body<N: ModelNode>(node: Node) -> Result<()> {
     let parameters = Arc::new(N::Parameters::declare(&node)?);
     node.seal_parameters()?;
     N::check(&parameters)?;
-    let device: DeviceName = common.device.parse()?;
+    let compute: Compute = common.device.parse()?;
     let harness = Harness::<N> {
         model: common.model,
-        placement: Placement::on(device, common.cuda_graphs),
+        compute: compute.recording(common.cuda_graphs),
         parameters,
     };
     lifecycle.run(harness).await
 }
 
 struct Harness<N: ModelNode> {
-    /// What the parameter `model` says.
+    /// The parameter `model`.
     model: String,
-    /// What `device` and `cuda_graphs` say.
-    placement: Placement,
+    /// The parameters `device` and `cuda_graphs`.
+    compute: Compute,
     parameters: Arc<N::Parameters>,
 }
 
@@ -206,14 +206,14 @@ impl<N: ModelNode> Managed for Harness<N> {
 
     async fn configure(&self, node: &Node) -> Result<Configured<N>> {
         let (name, parameters) = (self.model.clone(), Arc::clone(&self.parameters));
-        let (placement, span) = (self.placement, tracing::Span::current());
+        let (compute, span) = (self.compute.clone(), tracing::Span::current());
         let load = move || {
             let load = || {
-                let folder = ModelFolder::open(&name)?;
-                for mark in folder.unfinished()? {
+                let model = ModelFolder::open(&name)?.on(compute);
+                for mark in model.unfinished()? {
                     tracing::warn!("{name}: the training of its {} is {mark}", mark.part);
                 }
-                N::load(PlacedModel::new(folder, placement), &parameters)
+                N::load(model, &parameters)
             };
             span.in_scope(load)
                 .with_context(|| format!("parameter model is \"{name}\""))

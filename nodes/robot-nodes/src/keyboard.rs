@@ -23,7 +23,7 @@ pub enum Key {
     Down,
 }
 
-/// Finds keys in what a terminal sends, in whichever pieces it comes.
+/// Finds keys in the bytes of a terminal, in pieces of any size.
 #[derive(Debug, Default)]
 pub struct Decoder {
     /// Bytes of an escape sequence so far.
@@ -67,8 +67,8 @@ pub struct Keyboard {
 const PATIENCE_DS: u8 = 1;
 
 impl Keyboard {
-    /// Calls `on_key` on a separate thread for each key. `None` where standard input is no terminal, or one in whose
-    /// foreground another process is: that one's keys are none of ours.
+    /// Calls `on_key` on a separate thread for each key. `None` if standard input is no terminal, or if another process is in
+    /// its foreground.
     #[must_use]
     pub fn listen(on_key: impl Fn(Key) + Send + 'static) -> Option<Self> {
         let terminal = rustix::stdio::stdin();

@@ -100,11 +100,11 @@ pub use parameters::{
 };
 pub use publisher::{Publisher, RawPublisher};
 pub use qos::{Durability, Qos, Reliability};
-pub use rcl_interfaces::Log;
 pub use run::{Component, run, run_together};
 pub use service::{Call, Client, RawCall, RawClient, RawService, Service};
 pub use shutdown::Shutdown;
 pub use subscription::{Gaps, PublisherId, RawSubscription, Received, Subscription};
+pub use wm_msgs::rcl_interfaces::Log;
 
 /// The namespace of all nodes of the suite, unless `__ns` says otherwise.
 pub const NAMESPACE: &str = "/wm";

@@ -27,7 +27,7 @@ use std::{
     time::Duration,
 };
 use tokio::{sync::mpsc, time::MissedTickBehavior};
-use wm_camera::{camera_frame::CameraFrame, camera_info::topic_beside};
+use wm_camera::{camera_frame::CameraFrame, camera_info::info_topic};
 use wm_msgs::{
     diagnostic_msgs::DiagnosticArray,
     sensor_msgs::CameraInfo,
@@ -133,7 +133,7 @@ wm_ros::endpoints! {
         /// How it sees, beside its frames.
         camera_infos: Subscription<CameraInfo> = "/camera/camera_info", qos(Qos::best_effort(1)), made(|node, _, qos| {
             let images: String = node.parameter("camera_topic")?;
-            node.subscription(&topic_beside(&images), qos)
+            node.subscription(&info_topic(&images), qos)
         });
         /// Where it is, and where the arm is.
         transforms: Subscription<TFMessage> = "/tf", qos(BURST);
@@ -519,7 +519,7 @@ mod tests {
 
     /// A change of 1 cm at the middle of the bundled camera's view, on each axis.
     #[test]
-    fn the_default_axes_are_those_of_the_bundled_camera() {
+    fn default_axes_fit_the_bundled_camera() {
         let camera = Camera::beside_the_arm();
         let middle = [0.262, 0.0, 0.095];
         let pixel = |point: [f64; 3]| camera.pixel(&point.into()).unwrap();

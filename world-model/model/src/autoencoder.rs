@@ -3,14 +3,10 @@
 mod config;
 mod network;
 mod normalisation;
-mod tape;
-mod tensors;
 
 pub use config::AutoencoderConfig;
-pub use network::{Conv, Network};
+pub use network::Network;
 pub use normalisation::{MEAN, Normalisation, STD};
-pub use tape::{NetworkGradient, Tape};
-pub use tensors::TensorAutoencoder;
 
 use std::path::Path;
 
@@ -23,10 +19,6 @@ use crate::ops::GridSize;
 use crate::weights::{Precision, WeightsBuilder, hex};
 use crate::{Decoder, Encoder, Error, Framing, LatentSpace, Result, Weights};
 
-/// Name of the weights in a folder.
-const FILE: &str = "autoencoder.safetensors";
-/// Names of the published halves in a folder.
-const TAEF2_FILES: [&str; 2] = ["taef2_encoder.safetensors", "taef2_decoder.safetensors"];
 /// Height and width at which the published halves are used.
 const TAEF2_SIZE: (usize, usize) = (256, 256);
 /// Metadata entry with the configuration as JSON.
@@ -45,6 +37,11 @@ pub struct Autoencoder {
 }
 
 impl Autoencoder {
+    /// Name of the weights in a folder.
+    pub const FILE: &str = "autoencoder.safetensors";
+    /// Names of TAEF2's published halves in a folder, the encoder first.
+    pub const TAEF2_FILES: [&str; 2] = ["taef2_encoder.safetensors", "taef2_decoder.safetensors"];
+
     /// Opens a file that [`Autoencoder::save`] wrote, or a folder: of such a file called
     /// `autoencoder.safetensors`, or else of the published `taef2_encoder.safetensors` and
     /// `taef2_decoder.safetensors`, which are then used at 256x256.
@@ -56,8 +53,8 @@ impl Autoencoder {
         if !path.is_dir() {
             return Self::from_weights(Weights::open(path)?);
         }
-        let [encoder, decoder] = TAEF2_FILES.map(|name| path.join(name));
-        let whole = path.join(FILE);
+        let [encoder, decoder] = Self::TAEF2_FILES.map(|name| path.join(name));
+        let whole = path.join(Self::FILE);
         if !whole.exists() && encoder.exists() {
             return Self::from_taef2(Weights::open(encoder)?, Weights::open(decoder)?, TAEF2_SIZE);
         }
@@ -160,6 +157,16 @@ impl Autoencoder {
         ))
     }
 
+    /// The same, computed by candle's operations on `device`. Images and latents come from the CPU, and go back there.
+    ///
+    /// # Errors
+    /// If the device has no memory for the weights.
+    pub fn on_tensors(mut self, device: &Device) -> Result<Self> {
+        self.encoder.move_to(device)?;
+        self.decoder.move_to(device)?;
+        Ok(self)
+    }
+
     /// The same with all weights rounded to what `precision` can hold, as they are after saving with
     /// it.
     #[must_use]
@@ -221,7 +228,7 @@ impl Autoencoder {
     fn encode_raw(&self, images: &Tensor) -> Result<Vec<f32>> {
         let (height, width) = (self.config.height, self.config.width);
         let (values, grid) = values("images", images, (height, width, 3))?;
-        Ok(self.encoder.forward(values, grid)?.0)
+        self.encoder.run(values, grid)
     }
 }
 
@@ -261,7 +268,7 @@ impl Decoder for Autoencoder {
         for v in &mut values {
             *v = clamp(*v);
         }
-        let (mut images, _) = self.decoder.forward(values, grid)?;
+        let mut images = self.decoder.run(values, grid)?;
         for v in &mut images {
             *v = v.clamp(0.0, 1.0);
         }

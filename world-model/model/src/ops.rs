@@ -11,6 +11,7 @@ mod attention;
 pub(crate) mod block_attention;
 pub(crate) mod buffer;
 mod conv;
+pub mod conv_layers;
 mod dense_attention;
 pub(crate) mod element;
 mod engine;
@@ -37,6 +38,7 @@ mod smoothing;
 mod softmax;
 pub(crate) mod swiglu;
 pub(crate) mod temporal_attention;
+pub(crate) mod token_layers;
 pub(crate) mod vectorised;
 
 pub use activation::{gelu_exact, gelu_tanh, silu};

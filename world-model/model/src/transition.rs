@@ -27,6 +27,7 @@
 //! Sampling is not done here ([`crate::sampler`] does it).
 
 mod block;
+mod condition;
 mod config;
 mod embedding;
 mod head;
@@ -35,8 +36,8 @@ mod packed;
 mod parameters;
 mod parametrisation;
 mod pattern;
+mod taped_blocks;
 mod tensors;
-mod trunk;
 mod values;
 
 use std::collections::BTreeMap;
@@ -52,14 +53,17 @@ pub use parameters::{Initialisation, Parameter};
 pub use parametrisation::Parametrisation;
 pub use pattern::TemporalPattern;
 pub use tensors::TensorTransition;
-pub use trunk::WeightGradients;
 pub(crate) use values::Batched;
 
+pub use crate::ops::token_layers::WeightGradients;
+use crate::ops::token_layers::{Linear, TensorLayers};
 use crate::ops::{AttentionPattern, Axis, Engine, PackedFormat};
-use crate::{Error, Place, Result, Weights};
-use block::Block;
+use crate::{Compute, Error, Result, Weights};
+use block::{Block, blocks, run_clips};
+use condition::Condition;
 use embedding::{Embedding, Patches};
 use head::Head;
+use taped_blocks::taped_blocks;
 
 /// Metadata entry of a weights file that holds the [`TransitionConfig`] as JSON.
 pub const CONFIG_KEY: &str = "config";
@@ -73,8 +77,8 @@ pub const ACTIONS_KEY: &str = "actions";
 pub struct Transition {
     config: Arc<TransitionConfig>,
     embedding: Embedding,
-    blocks: Vec<Block>,
-    head: Head,
+    blocks: Vec<Block<Linear>>,
+    head: Head<Linear>,
     spatial: Arc<AttentionPattern>,
     engine: Engine,
     /// All tensors by their names, to be packed; layers share them.
@@ -100,9 +104,7 @@ impl Transition {
         let spatial =
             AttentionPattern::new(Axis::Space, config.heads, config.rotary(), |_, _| true)?;
         let embedding = Embedding::new(&mut tensors)?;
-        let blocks = (0..config.depth)
-            .map(|i| Block::new(i, &mut tensors))
-            .collect::<Result<_>>()?;
+        let blocks = blocks(config.depth, &mut tensors)?;
         let head = Head::new(&config, &mut tensors)?;
         Ok(Self {
             config: Arc::new(config),
@@ -146,17 +148,17 @@ impl Transition {
     /// # Errors
     /// If the configuration or a tensor is missing or malformed, or there are tensors too many.
     pub fn from_weights(weights: Weights) -> Result<Self> {
-        Self::from_weights_on(weights, &Place::default())
+        Self::from_weights_on(weights, &Compute::default())
     }
 
-    /// As [`Self::from_weights`], with its tensors in `place`, in f32.
+    /// As [`Self::from_weights`], with its tensors on the device of `compute`, in f32.
     ///
     /// # Errors
     /// As [`Self::from_weights`]; and if the device has no memory for them.
-    pub fn from_weights_on(weights: Weights, place: &Place) -> Result<Self> {
+    pub fn from_weights_on(weights: Weights, compute: &Compute) -> Result<Self> {
         let config: TransitionConfig = weights.json(CONFIG_KEY)?;
         let model = Self::build(config, &mut |p| {
-            place.tensor(&weights.tensor(&p.name, &p.shape)?, DType::F32)
+            compute.tensor(&weights.tensor(&p.name, &p.shape)?, DType::F32)
         })?;
         weights.finish()?;
         Ok(model)
@@ -222,31 +224,23 @@ impl Transition {
         let engine = self.engine;
         let temporal = Arc::new(pattern.attention(self.config.heads, self.config.head_dim())?);
         let patches = Patches::of(x, self.config.patch)?;
-        let mut tokens = self.embedding.tokens(engine, &patches)?;
-        let condition =
-            self.embedding
-                .condition(engine, &tau.flatten_all()?, &action.flatten_to(1)?)?;
-        match &self.gradients {
+        let mut layers = TensorLayers::new(engine, b);
+        let tokens = self.embedding.tokens(&mut layers, &patches)?;
+        let (tau, action) = (tau.flatten_all()?, action.flatten_to(1)?);
+        let condition = self.embedding.condition(&mut layers, &tau, &action)?;
+        let (patterns, activated) = ([&self.spatial, &temporal], &condition.activated);
+        let tokens = match &self.gradients {
             Some(gradients) if engine.takes_kernel(&tokens) => {
-                let (patterns, activated) = ([&self.spatial, &temporal], &condition.activated);
-                tokens = trunk::trunk(
-                    &self.blocks,
-                    patterns,
-                    gradients,
-                    (&tokens, last),
-                    activated,
-                )?;
+                let inputs = (&tokens, activated);
+                taped_blocks(&self.blocks, inputs, patterns, last, gradients)?
             }
-            _ => {
-                for block in &self.blocks {
-                    tokens =
-                        block.forward(engine, &tokens, &condition, &self.spatial, &temporal)?;
-                }
-                tokens = tokens.narrow(1, t - last, last)?;
-            }
-        }
-        let condition = condition.of_last(last, (b, t))?;
-        let out = self.head.forward(engine, &tokens, &condition)?;
+            _ => run_clips(&self.blocks, &mut layers, tokens, activated, patterns, last)?,
+        };
+        let Condition { time, activated } = condition.last_frames(&mut layers, last)?;
+        let modulation = self.head.plain_modulation(&mut layers, &activated)?;
+        let out = self
+            .head
+            .forward(&mut layers, &tokens, modulation.as_ref(), &time)?;
         Patches::into_grid(&out, (b, last), &self.config)
     }
 

@@ -79,12 +79,14 @@ impl Problem<'_> {
         self.objective.costs(self.space, candidates, &latents)
     }
 
-    /// Latents (k, h, w, C) after each action of a plan (horizon x searched values).
+    /// The latent to which the actions of a plan, horizon x searched values, lead: row-major, channels last.
     ///
     /// # Errors
-    /// If the model fails.
-    pub fn imagine(&mut self, actions: &[Vec<f32>]) -> Result<Tensor, PlanError> {
-        Ok(self.rollout(&[actions.concat()])?.squeeze(0)?)
+    /// If the model cannot compute it, or the plan has no action.
+    pub fn outcome(&mut self, actions: &[Vec<f32>]) -> Result<Vec<f32>, PlanError> {
+        let latents = self.rollout(&[actions.concat()])?.squeeze(0)?;
+        let last = latents.dim(0)?.saturating_sub(1);
+        Ok(latents.narrow(0, last, 1)?.flatten_all()?.to_vec1()?)
     }
 
     /// Latents (N, k, h, w, C) of candidates.

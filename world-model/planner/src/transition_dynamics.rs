@@ -139,6 +139,7 @@ mod tests {
     use super::*;
     use crate::{Cem, CemSettings, Objective, Planner as _, Problem, SearchSpace, Target, spread};
     use wm_model::transition::{ActionAlignment, Transition, TransitionConfig};
+    use wm_model::{Compute, Kernels, NumberFormat};
 
     fn model() -> LoadedTransition {
         let config = TransitionConfig {
@@ -198,8 +199,8 @@ mod tests {
             ..model().config().clone()
         };
         let transition = Transition::random(config, 3).unwrap();
-        let place = wm_model::Place::tensors(Device::Cpu, true);
-        let on_tensors = place.load(transition.clone(), wm_model::ops::PackedFormat::F32);
+        let recording = Compute::on_cpu(Kernels::Candle).recording(true);
+        let on_tensors = recording.load(transition.clone(), NumberFormat::F32);
         let models = [transition.pack().unwrap(), on_tensors.unwrap()];
         let past = Tensor::zeros((1, 10), DType::F32, &Device::Cpu).unwrap();
         for candidates in [3, 2049] {

@@ -4,6 +4,7 @@ use candle_core::Tensor;
 use serde::{Deserialize, Serialize};
 
 use crate::PlanError;
+use crate::goals::latent_distance;
 
 /// When to move on to the next goal.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -34,7 +35,7 @@ pub struct Waypoint {
 
 impl Waypoint {
     /// The position `passed` model steps later, in `latent` (h, w, C): skips all `goals` (h, w, C) that are reached or
-    /// goals_by_time out, but never the last.
+    /// timed out, but never the last.
     ///
     /// # Errors
     /// If shapes differ.
@@ -64,16 +65,8 @@ impl Waypoint {
     }
 }
 
-/// Mean squared error of two latents of one shape, in normalised units squared.
-///
-/// # Errors
-/// If shapes differ.
-pub fn latent_distance(a: &Tensor, b: &Tensor) -> Result<f32, PlanError> {
-    Ok((a - b)?.sqr()?.mean_all()?.to_scalar::<f32>()?)
-}
-
-/// Index of the goal that each of `horizon` model steps ends at: the first goal whose time is at most half a step over
-/// at the step's end, else the last. `times_ns` and `begin_ns` share one origin.
+/// Which of several goals with times each of `horizon` model steps is to end at: the first one whose time has not passed
+/// by more than half a step at the step's end, else the last. `times_ns` and `begin_ns` count from the same moment.
 pub fn goals_by_time(times_ns: &[i64], begin_ns: i64, step_ns: i64, horizon: usize) -> Vec<usize> {
     let last = times_ns.len().saturating_sub(1);
     let mut end_ns = begin_ns;

@@ -32,6 +32,7 @@ use std::str::FromStr;
 
 use candle_core::{Device, Tensor};
 use serde::de::DeserializeOwned;
+use wm_model::Compute;
 
 pub use dit::{DitConfig, Head};
 pub(crate) use dit::{build as build_dit, build_transition, load_transition};
@@ -39,7 +40,7 @@ pub use loaded::Loaded;
 pub use rollout::{RolloutOptions, rollout};
 
 use crate::checkpoint::Average;
-use crate::{Checkpoint, Compute, Error, Result};
+use crate::{Checkpoint, Error, Result};
 use inputs::is_finite;
 
 /// Tensors by name.

@@ -11,7 +11,7 @@ use crate::{camera_frame::CameraFrame, protobuf_topics::ProtobufTopics, transpor
 
 const START_NS: i64 = 1_750_000_000_000_000_000;
 
-/// A file of Foxglove's own libraries.
+/// Opens a file of Foxglove's own libraries.
 fn reader() -> BagReader {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/protobuf/pictures.mcap");
     BagReader::open(file).unwrap()
@@ -45,7 +45,7 @@ fn pictures_in_protobuf_are_read() {
 }
 
 #[test]
-fn other_protobuf_types_are_left_out_by_name() {
+fn other_protobuf_types_are_skipped_by_name() {
     let reader = reader();
     let [BagWarning::ChannelSkipped { topic, reason, .. }] = reader.warnings() else {
         panic!("{:?}", reader.warnings());
@@ -145,7 +145,7 @@ fn copies_keep_protobuf() {
 }
 
 #[test]
-fn times_that_ros_cannot_have_are_refused() {
+fn times_outside_the_range_of_ros_are_rejected() {
     let mut message = messages(&reader(), "/camera/video").remove(0);
     for (seconds, nanos, is_good) in [
         (5, 999_999_999, true),
@@ -168,7 +168,7 @@ fn times_that_ros_cannot_have_are_refused() {
 
 proptest! {
     #[test]
-    fn any_bytes_give_a_picture_or_an_error(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
+    fn decoder_survives_arbitrary_bytes(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
         let reader = reader();
         for topic in ["/camera/jpeg", "/camera/raw", "/camera/video"] {
             let mut message = messages(&reader, topic).remove(0);
@@ -179,7 +179,7 @@ proptest! {
     }
 
     #[test]
-    fn cut_messages_are_errors_or_shorter(share in 0.0..1.0) {
+    fn truncated_messages_are_errors_or_shorter(share in 0.0..1.0) {
         let reader = reader();
         let mut message = messages(&reader, "/camera/raw").remove(0);
         let whole = raw_image(&message).unwrap();

@@ -13,7 +13,7 @@ use wm_msgs::{builtin_interfaces::Time, std_msgs::Header};
 
 use super::*;
 
-/// A frame that needs no other comes so often.
+/// Interval of keyframes.
 pub(super) const GROUP: usize = 5;
 
 pub(super) fn level(frame: usize) -> u8 {
@@ -49,7 +49,7 @@ pub(super) fn packets(frames: usize) -> Vec<VideoPacket> {
     (0..frames).map(packet).collect()
 }
 
-/// Stamps \[0.1 s\] and grey levels of what a stream shows of packets.
+/// Decodes packets to stamps \[0.1 s\] and grey levels.
 fn shown(stream: &mut VideoStream, packets: &[VideoPacket]) -> Vec<(i64, u8)> {
     let mut shown = Vec::new();
     for packet in packets {
@@ -93,7 +93,7 @@ fn stream_begins_with_a_keyframe() {
 #[test]
 fn parameters_alone_have_no_picture() {
     let mut packets = packets(6);
-    // The first packet's units before its picture, as a packet of their own.
+    // The units before the first picture, as a separate packet.
     let data = packets[0].data.clone();
     let at = data
         .windows(4)
@@ -111,9 +111,9 @@ fn parameters_alone_have_no_picture() {
 }
 
 #[test]
-fn damaged_packets_are_counted_and_the_next_keyframe_is_shown() {
+fn decoding_resumes_at_the_keyframe_after_damage() {
     let mut packets = packets(12);
-    // All but the head of its picture.
+    // Only the head of the picture.
     packets[2].data.truncate(7);
     let mut stream = VideoStream::new();
     let shown = shown(&mut stream, &packets);
@@ -129,7 +129,7 @@ fn damaged_packets_are_counted_and_the_next_keyframe_is_shown() {
 }
 
 #[test]
-fn missing_packet_is_a_gap_up_to_the_next_keyframe() {
+fn missing_packet_is_a_gap_to_the_next_keyframe() {
     let mut packets = packets(12);
     packets.remove(GROUP + 2);
     let mut stream = VideoStream::new();
@@ -163,7 +163,7 @@ fn packet_without_units_is_damaged() {
 }
 
 #[test]
-fn other_codecs_are_refused_by_name() {
+fn other_codecs_are_rejected_by_name() {
     let packet = |codec: &str| VideoPacket {
         codec: codec.to_owned(),
         ..packets(1).remove(0)
@@ -226,9 +226,9 @@ fn packets_of_each_type_are_read() {
 }
 
 proptest! {
-    /// Whatever comes, there are pictures or an error.
+    /// Changed packets give pictures or an error.
     #[test]
-    fn changed_packets_do_not_panic(
+    fn stream_survives_changed_packets(
         changes in prop::collection::vec((0_usize..6, 0_usize..400, any::<u8>()), 1..9),
     ) {
         let mut packets = packets(6);

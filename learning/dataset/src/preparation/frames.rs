@@ -16,7 +16,7 @@ use wm_bag::BagReader;
 use wm_camera::{
     camera_frame::CameraFrame,
     signature::Signature,
-    video::{Shown as VideoPicture, VideoStream},
+    video::{VideoPicture, VideoStream},
 };
 use wm_model::{Fit, Framing, Part, PictureSize, Placement};
 use wm_msgs::builtin_interfaces::Time;

@@ -71,7 +71,8 @@ impl PolicyProcess {
         let mut line = serde_json::to_vec(request)?;
         line.push(b'\n');
         let state = self.state.lock();
-        let mut state = state.map_err(|_| anyhow!("another thread failed while it waited for an answer"))?;
+        let mut state =
+            state.map_err(|_| anyhow!("another thread failed while it waited for an answer"))?;
         if matches!(*state, State::NotStarted) {
             *state = State::RunningProgram(RunningProgram::start(&self.words)?);
         }

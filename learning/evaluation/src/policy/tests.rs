@@ -2,12 +2,8 @@
 #![allow(clippy::unwrap_used)]
 
 mod judges;
+#[allow(dead_code, reason = "the tests of the protocol use all of it")]
 #[path = "../../tests/protocol/server.rs"]
-#[allow(
-    dead_code,
-    unreachable_pub,
-    reason = "the test of the protocol uses more of it"
-)]
 mod server;
 
 use std::{fs, path::Path};

@@ -31,7 +31,7 @@ pub enum Response {
     Endless,
 }
 
-/// An answer of the test server, with `end` as its last line.
+/// An answer of the test server with this last line.
 pub fn says(end: &str) -> Response {
     let text = format!("I am a test server, not a judge. I have seen nothing.\n{end}");
     let body = json!({

@@ -5,7 +5,7 @@ use re_rav1d::dav1d::{
 };
 use wm_camera::{
     image_message::MAX_SIDE,
-    video::{ColourTags, checked_size},
+    video::{ColourTags, check_size},
     yuv::{Plane, YuvTable},
 };
 
@@ -78,7 +78,7 @@ impl Decoder for Av1Decoder {
 }
 
 fn rgb(picture: &Picture, container: ColourTags) -> Result<RgbImage, String> {
-    let size = checked_size(picture.width() as usize, picture.height() as usize);
+    let size = check_size(picture.width() as usize, picture.height() as usize);
     let size = size.map_err(|error| error.to_string())?;
     if picture.pixel_layout() != PixelLayout::I420 || picture.bit_depth() != 8 {
         return Err(format!(

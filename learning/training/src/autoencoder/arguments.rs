@@ -1,12 +1,11 @@
 use std::path::PathBuf;
 
 use anyhow::{Result, ensure};
-use candle_core::DType;
 use clap::Args;
 use serde_json::json;
 use wm_dataset::{Dataset, HeldOutArgs};
-use wm_model::{Autoencoder, AutoencoderConfig, Encoder as _, Fit, Framing};
-use wm_zoo::{DeviceName, ModelFolder};
+use wm_model::{Autoencoder, AutoencoderConfig, Encoder as _, Fit, Framing, NumberFormat};
+use wm_zoo::ModelFolder;
 
 use super::{
     AutoencoderRecipe, RECIPES, evaluate, picture,
@@ -58,7 +57,7 @@ impl TrainAutoencoderArgs {
     /// If the data, the recipe or a file is unusable.
     pub fn run(&self, stop: &Stop) -> Result<RunEnd> {
         ensure!(
-            self.run.device == DeviceName::Cpu && self.run.dtype == DType::F32,
+            self.run.device.is_cpu() && self.run.dtype == NumberFormat::F32,
             "the autoencoder trains on the CPU in f32; drop --device and --dtype"
         );
         let recipe = self.recipe()?;
@@ -82,10 +81,11 @@ pub(super) fn train_on(
     let mut recipe = recipe.clone();
     let mut old = None;
     if let Some(from) = &run.from {
-        let ModelFolder::Trained(folder) = ModelFolder::open(from)? else {
+        let folder = ModelFolder::open(from)?;
+        let Some(trained) = folder.trained() else {
             anyhow::bail!("--from {from}: expected an autoencoder that was trained here");
         };
-        let model = folder.autoencoder()?;
+        let model = trained.autoencoder()?;
         recipe.model = AutoencoderConfig {
             name: recipe.model.name,
             height: recipe.model.height,

@@ -14,8 +14,11 @@ use wm_dataset::{Dataset, DatasetError};
 use wm_evaluation::Figure;
 use wm_model::{
     Autoencoder, AutoencoderConfig, Encoder as _,
-    autoencoder::{Network, NetworkGradient, Normalisation, Tape, clamp, clamp_slope},
-    ops::GridSize,
+    autoencoder::{Network, Normalisation, clamp, clamp_slope},
+    ops::{
+        GridSize,
+        conv_layers::{ConvGradients, Tape},
+    },
 };
 
 use super::{
@@ -37,7 +40,7 @@ const VALIDATION_FRAMES: [usize; 2] = [1000, 200];
 /// Rows of the samples.
 const SAMPLES: usize = 6;
 /// File of the weights in a model's folder.
-pub(super) const FILE: &str = "autoencoder.safetensors";
+pub(super) const FILE: &str = Autoencoder::FILE;
 
 /// A failed training.
 #[derive(Debug, Error)]
@@ -93,7 +96,7 @@ pub(super) struct AutoencoderTask<'a> {
 #[derive(Default)]
 struct Half {
     tape: Tape,
-    gradient: NetworkGradient,
+    gradient: ConvGradients,
 }
 
 /// Parts of a step's loss.
@@ -146,10 +149,8 @@ impl<'a> AutoencoderTask<'a> {
 
     /// Forward and backward through both halves.
     fn gradients(&mut self, crops: &Crops, rng: &mut impl Rng) -> Result<CropLoss, TrainingError> {
-        let latents = self
-            .encoder
-            .tape
-            .forward(self.model.encoder(), &crops.values, crops.grid)?;
+        let encoder = self.model.encoder();
+        let latents = encoder.record(&mut self.encoder.tape, &crops.values, crops.grid)?;
         let factor = self.recipe.model.downsampling();
         let grid = GridSize {
             images: crops.grid.images,
@@ -163,14 +164,12 @@ impl<'a> AutoencoderTask<'a> {
                 clamp(z + self.recipe.latent_noise * noise)
             })
             .collect();
-        let pictures = self
-            .decoder
-            .tape
-            .forward(self.model.decoder(), &clamped, grid)?;
+        let decoder = self.model.decoder();
+        let pictures = decoder.record(&mut self.decoder.tape, &clamped, grid)?;
         let (squared, loss, by_picture) = picture_loss(pictures, crops, self.recipe.squared);
         let mut by_latent = Vec::new();
         self.decoder.tape.backward(
-            self.model.decoder(),
+            decoder.convs(),
             &by_picture,
             &mut self.decoder.gradient,
             Some(&mut by_latent),
@@ -182,7 +181,7 @@ impl<'a> AutoencoderTask<'a> {
             *g = *g * clamp_slope(*clamped) + 2.0 * penalty * z / count;
         }
         self.encoder.tape.backward(
-            self.model.encoder(),
+            encoder.convs(),
             &by_latent,
             &mut self.encoder.gradient,
             None,
@@ -233,7 +232,7 @@ impl<'a> AutoencoderTask<'a> {
     /// Starts from another model of equal shape, whose weights belong to the second group.
     pub(super) fn begin_with(&mut self, old: &Autoencoder, groups: Vec<Group>) {
         let named = halves(old).into_iter().flat_map(|(half, network)| {
-            network.convs().iter().flat_map(move |conv| {
+            network.convs().flat_map(move |conv| {
                 let bias = conv.bias.as_deref().map(|bias| ("bias", bias));
                 let parts = [Some(("weight", &*conv.weight)), bias];
                 let parts = parts.into_iter().flatten();
@@ -288,7 +287,7 @@ impl Task for AutoencoderTask<'_> {
     }
 
     fn files(&self) -> &'static [&'static str] {
-        &[FILE]
+        &[FILE, wm_zoo::folder::FILE]
     }
 
     fn parameters(&self) -> Result<Vec<Parameter>> {
@@ -330,7 +329,7 @@ impl Task for AutoencoderTask<'_> {
         // By name, as the parameters.
         let mut named = BTreeMap::new();
         for ((network, gradient), half) in halves.into_iter().zip(["encoder", "decoder"]) {
-            for (conv, (weight, bias)) in network.convs().iter().zip(&mut gradient.convs) {
+            for (conv, (weight, bias)) in network.convs().zip(&mut gradient.convs) {
                 let name = format!("{half}.{}", conv.name);
                 named.insert(format!("{name}.weight"), std::mem::take(weight));
                 if conv.bias.is_some() {
@@ -360,6 +359,7 @@ impl Task for AutoencoderTask<'_> {
     ) -> Result<()> {
         let model = self.finished(averaged)?;
         model.save(folder.join(FILE), PRECISION)?;
+        wm_zoo::folder::describe_autoencoder(folder)?;
         self.written = Some(model);
         Ok(())
     }

@@ -47,14 +47,14 @@ pub struct ConvertCommand {
     jpeg_quality: Option<u8>,
 }
 
-/// What becomes of compressed video.
+/// The treatment of compressed video.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Video {
     Keep,
     Jpeg,
 }
 
-/// A compression of chunks, as the recorder names it.
+/// A compression of chunks, with the recorder's name.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum Format {
     None,
@@ -63,7 +63,6 @@ enum Format {
 }
 
 impl ConvertCommand {
-    /// Runs it.
     pub fn run(self) -> Result<ExitCode> {
         if self.video == Video::Jpeg {
             return external::exec("wm-datasets", self.arguments());
@@ -102,7 +101,7 @@ impl ConvertCommand {
         if let Some(quality) = self.jpeg_quality {
             arguments.extend(["--jpeg-quality".into(), quality.to_string().into()]);
         }
-        // A path may begin with a dash.
+        // a path may begin with a dash
         arguments.extend(["--".into(), self.input.into(), self.output.into()]);
         arguments
     }

@@ -54,7 +54,6 @@ pub struct CutCommand {
 }
 
 impl CutCommand {
-    /// Runs it.
     pub fn run(self) -> Result<ExitCode> {
         let start = match (self.start_offset, self.start_time) {
             (Some(offset), _) => CutStart::After(offset),

@@ -44,7 +44,7 @@ pub struct PlayCommand {
     log_level: Option<String>,
 }
 
-/// The player's parameters as flags; those that `ros2 bag play` has too are named as there.
+/// The player's parameters as flags, named as in `ros2 bag play` if it has them.
 struct Player;
 
 impl Flagged for Player {
@@ -77,7 +77,6 @@ fn parse_rule(text: &str) -> Result<String, String> {
 }
 
 impl PlayCommand {
-    /// Runs it.
     pub fn run(self, ros_args: Vec<String>) -> Result<ExitCode> {
         let mut parameters = Parameters::new();
         parameters.set("bag", &self.bag)?;

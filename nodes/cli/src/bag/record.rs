@@ -48,7 +48,7 @@ pub struct RecordCommand {
     compression_mode: Option<String>,
 }
 
-/// The recorder's parameters as flags; those that `ros2 bag record` has too are named as there.
+/// The recorder's parameters as flags, named as in `ros2 bag record` if it has them.
 struct Recorder;
 
 impl Flagged for Recorder {
@@ -80,7 +80,6 @@ fn parse_compression_mode(text: &str) -> Result<String, String> {
 }
 
 impl RecordCommand {
-    /// Runs it.
     pub fn run(mut self, ros_args: Vec<String>) -> Result<ExitCode> {
         self.flags.extend("topics", self.names);
         let is_named = ["topics", "regex", "topic_types"]

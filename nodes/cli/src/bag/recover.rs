@@ -29,7 +29,6 @@ pub struct RecoverCommand {
 }
 
 impl RecoverCommand {
-    /// Runs it.
     pub fn run(self) -> Result<ExitCode> {
         let progress = Progress::open_ended("recovering", "messages");
         let recovery = wm_bag::recover(&self.input, &self.output)?;

@@ -1,4 +1,4 @@
-//! The options of `ros2 bag` that say which topics are meant.
+//! The options of `ros2 bag` that select topics.
 
 use anyhow::Result;
 use clap::Args;
@@ -22,7 +22,7 @@ pub struct TopicOptions {
 }
 
 impl TopicOptions {
-    /// The topics meant.
+    /// The selected topics.
     ///
     /// # Errors
     /// A text is not a regular expression.

@@ -5,7 +5,7 @@ use anyhow::{Context as _, Result};
 use clap::Args;
 use wm_zoo::kinds::{self, Kind};
 
-/// What each kind takes and gives; the same table as in `wm_zoo::kinds`.
+/// Inputs and outputs of each kind; the same table as in `wm_zoo::kinds`.
 const KINDS: &str = "\
 Kinds, their configurations and tensors (image: N,256,256,3 in 0..1; latent: N,h,w,D):
   dit                      {hidden, depth, heads, channels, patch, grid [h,w] before patching, action_dim, max_frames,
@@ -44,7 +44,6 @@ pub struct ForwardCommand {
 }
 
 impl ForwardCommand {
-    /// Runs it.
     pub fn run(self) -> Result<()> {
         let files = self.running.read(self.kind)?;
         let outputs = kinds::forward(

@@ -6,7 +6,7 @@ use clap::Args;
 use wm_model::sampler::Sampler;
 use wm_zoo::kinds::{self, DitConfig, Kind, RolloutOptions};
 
-/// What goes in and comes out.
+/// Inputs and outputs.
 const TENSORS: &str =
     "Input: context (B,T,H,W,C), T observed latents (2 in the paper); actions (B,T+K,A), where \
                        action i is paired with frame i
@@ -39,7 +39,6 @@ pub struct RolloutCommand {
 }
 
 impl RolloutCommand {
-    /// Runs it.
     pub fn run(self) -> Result<()> {
         ensure!(
             self.kind == Kind::Dit,

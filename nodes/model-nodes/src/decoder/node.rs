@@ -6,14 +6,14 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
-use wm_camera::camera_info::topic_beside;
+use wm_camera::camera_info::info_topic;
 use wm_model::Fit;
 use wm_msgs::{sensor_msgs::CameraInfo, std_msgs::String as Text, wm_msgs::Prediction};
 use wm_ros::{
     Diagnostics, Input, Level, Node, NodeDefinition, Parameter, Publisher, Qos, Subscription,
     complaints::Complaints,
 };
-use wm_zoo::PlacedModel;
+use wm_zoo::ModelFolder;
 
 use super::{
     DecoderError, DecoderStep,
@@ -83,7 +83,7 @@ wm_ros::endpoints! {
         /// How the camera sees: beside its images, wherever /camera/image_raw is remapped to.
         camera_infos: Subscription<CameraInfo> = "/camera/camera_info", qos(Qos::best_effort(1)), made(|node, _, qos| {
             let images = node.resolve("/camera/image_raw")?;
-            node.subscription(&topic_beside(&images), qos)
+            node.subscription(&info_topic(&images), qos)
         });
         /// The same for pictures of the size of the predicted ones, with each of them. Not published if camera_info does
         /// not fit the camera's pictures.
@@ -161,7 +161,7 @@ impl ModelNode for Decoder {
     type Endpoints = Endpoints;
     type Model = Model;
 
-    fn load(folder: PlacedModel, parameters: &Parameters) -> Result<Model> {
+    fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Model> {
         let step = folder.decoder()?.map(DecoderStep::new);
         if let Some(step) = &step
             && parameters.image_transport.raw

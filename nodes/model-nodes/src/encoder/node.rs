@@ -19,7 +19,7 @@ use wm_ros::{
     Clock, Diagnostics, Input, Level, Node, NodeDefinition, Publisher, Qos, Subscription,
     complaints::Complaints, frame_trace,
 };
-use wm_zoo::PlacedModel;
+use wm_zoo::ModelFolder;
 
 use super::{
     Choice, EncoderError, EncoderStep, Fate, Mismatch, Mode, Needs, Repetition, Sight, Stillness,
@@ -154,7 +154,7 @@ impl ModelNode for Encoder {
     type Endpoints = Endpoints;
     type Model = Model;
 
-    fn load(folder: PlacedModel, parameters: &Parameters) -> Result<Self::Model> {
+    fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Self::Model> {
         let step = EncoderStep::new(folder.encoder()?, parameters.dtype);
         tracing::info!("encoding to latent space {}", step.space());
         let encoding = folder.action_encoding()?;

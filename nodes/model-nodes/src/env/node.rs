@@ -21,7 +21,7 @@ use wm_msgs::{
 use wm_ros::{
     Node, NodeDefinition, Publisher, Qos, Received, Service, Subscription, complaints::Complaints,
 };
-use wm_zoo::PlacedModel;
+use wm_zoo::ModelFolder;
 
 use super::{Env, EnvModel, Start, StartRoot, parameters::Parameters, start::INSTRUCTION};
 use crate::{
@@ -106,7 +106,7 @@ impl ModelNode for Active {
         Ok(())
     }
 
-    fn load(folder: PlacedModel, parameters: &Parameters) -> Result<Model> {
+    fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Model> {
         let encoder = EncoderStep::new(folder.encoder()?, LatentDtype::F32);
         let (predictor, decoder) = (folder.world_model()?, folder.decoder()?);
         let decoder = decoder.with_context(|| {

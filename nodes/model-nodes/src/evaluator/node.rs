@@ -6,10 +6,9 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
-use candle_core::IndexOp as _;
 use image::RgbImage;
 use tokio::task::JoinError;
-use wm_model::{Decoder, LatentSpace, image::to_rgb};
+use wm_model::{Decoder, LatentSpace};
 use wm_motion::actions::ActionEncoding;
 use wm_msgs::{
     builtin_interfaces::Time,
@@ -20,7 +19,7 @@ use wm_ros::{
     Clock, Diagnostics, Node, NodeDefinition, Publisher, Qos, Received, Subscription,
     complaints::Complaints,
 };
-use wm_zoo::PlacedModel;
+use wm_zoo::ModelFolder;
 use wm_zoo::success_probe::{Instruction, SuccessClassifier};
 
 use super::{
@@ -148,7 +147,7 @@ impl ModelNode for Evaluator {
     type Endpoints = Endpoints;
     type Model = Model;
 
-    fn load(folder: PlacedModel, parameters: &Parameters) -> Result<Model> {
+    fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Model> {
         let (encoder, model) = (folder.encoder()?, folder.world_model()?);
         let (decoder, probe) = (folder.decoder()?, folder.probe()?.map(Arc::new));
         let history = HistorySettings {
@@ -456,16 +455,15 @@ fn picture(
     evaluation: &Evaluation,
     columns: usize,
 ) -> Result<(RgbImage, Header)> {
-    let (candidates, horizon, ..) = evaluation.latents.dims5()?;
-    let shown = shown_steps(horizon, columns);
-    let mut rows = Vec::with_capacity(candidates);
-    for candidate in 0..candidates {
-        let mut row = Vec::with_capacity(shown.len());
-        for step in &shown {
-            let latent = evaluation.latents.i((candidate, *step))?.unsqueeze(0)?;
-            row.push(to_rgb(&decoder.decode(&latent)?.squeeze(0)?)?);
-        }
-        rows.push(row);
+    let shown = shown_steps(evaluation.latents.len(), columns);
+    let mut rows = Vec::new();
+    for candidate in 0..evaluation.assessment.candidates.len() {
+        let latents = shown
+            .iter()
+            .filter_map(|step| evaluation.latents.get(*step));
+        let latents = latents.filter_map(|of_step| of_step.get(candidate));
+        let row = latents.map(|latent| decoder.picture(latent));
+        rows.push(row.collect::<wm_model::Result<Vec<_>>>()?);
     }
     let best = usize::try_from(evaluation.assessment.best).ok();
     Ok((tile(&rows, best), evaluation.assessment.header.clone()))

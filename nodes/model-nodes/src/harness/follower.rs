@@ -13,7 +13,7 @@
 //! use wm_msgs::std_msgs::Float32;
 //! use wm_msgs::wm_msgs::{Action, ActionChunk, Latent};
 //! use wm_ros::{NodeDefinition, Parameter, Publisher, complaints::Complaints};
-//! use wm_zoo::PlacedModel;
+//! use wm_zoo::ModelFolder;
 //!
 //! wm_ros::parameters! {
 //!     /// Its parameters.
@@ -97,7 +97,7 @@
 //!     type Endpoints = Endpoints;
 //!     type Model = wm_model::WorldModel;
 //!
-//!     fn load(folder: PlacedModel, _: &Parameters) -> anyhow::Result<Self::Model> {
+//!     fn load(folder: ModelFolder, _: &Parameters) -> anyhow::Result<Self::Model> {
 //!         Ok(folder.world_model()?)
 //!     }
 //!

@@ -19,7 +19,7 @@ use wm_ros::{
     ActionServer, Diagnostics, GoalId, GoalRequest, Level, Node, NodeDefinition, Publisher, Qos,
     Subscription, complaints::Complaints,
 };
-use wm_zoo::{PlacedModel, success_probe::SuccessClassifier};
+use wm_zoo::{ModelFolder, success_probe::SuccessClassifier};
 
 use super::{
     ActionRun, Course, End, Goal, GoalError, GoalReader, Heard, PlanRequest, PlanWait, Planned,
@@ -128,7 +128,7 @@ impl ModelNode for Planner {
         parameters.workspace().map(|_| ())
     }
 
-    fn load(folder: PlacedModel, parameters: &Parameters) -> Result<Model> {
+    fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Model> {
         let (encoder, model) = (folder.encoder()?, folder.world_model()?);
         let history = HistorySettings {
             timing: Timing::of_camera(parameters.frame_period, &model.encoding),

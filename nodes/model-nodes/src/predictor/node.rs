@@ -17,7 +17,7 @@ use wm_ros::{
     Clock, Deadline, Diagnostics, Input, Level, Node, NodeDefinition, Parameter, Publisher, Qos,
     complaints::Complaints, frame_trace,
 };
-use wm_zoo::PlacedModel;
+use wm_zoo::ModelFolder;
 
 use super::{
     Doubt, PredictorSettings, PredictorStep, RolloutRequest, RunningRollout, Seen,
@@ -146,7 +146,7 @@ impl ModelNode for Predictor {
     type Endpoints = Endpoints;
     type Model = Model;
 
-    fn load(folder: PlacedModel, parameters: &Parameters) -> Result<Self::Model> {
+    fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Self::Model> {
         let model = folder.world_model()?;
         tracing::info!(
             "predicting with {} in latent space {} on {}",

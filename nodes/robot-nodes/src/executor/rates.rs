@@ -21,7 +21,7 @@ impl Rates {
         }
     }
 
-    /// Those given; no more than an action has values.
+    /// The given numbers; no more than an action has values.
     pub fn of(values: impl IntoIterator<Item = f64>) -> Self {
         let mut rates = Self::zero(0);
         for (slot, value) in rates.values.iter_mut().zip(values) {

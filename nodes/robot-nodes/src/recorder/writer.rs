@@ -14,7 +14,8 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 use tokio::sync::oneshot;
 use wm_bag::{
-    BagSummary, BagWriter, Durability, Latched, QosProfile, Schema, WriterOptions, known_qos,
+    BagSummary, BagWriter, Durability, LatchedMessages, QosProfile, Schema, WriterOptions,
+    known_qos,
 };
 
 /// Bytes of messages that may wait for the disk, unless told otherwise: forty raw 1080p pictures.
@@ -64,7 +65,7 @@ struct Held {
     bytes: usize,
     latched_topics: HashSet<Arc<str>>,
     /// Latched messages that have left the queue and are still valid.
-    latched: Latched<Bytes>,
+    latched: LatchedMessages<Bytes>,
 }
 
 impl Held {
@@ -73,7 +74,7 @@ impl Held {
         if let Entry::Message { topic, data, .. } = entry
             && self.latched_topics.contains(topic)
         {
-            self.latched.keep(topic, data, data.clone());
+            self.latched.add(topic, data, data.clone());
         }
     }
 

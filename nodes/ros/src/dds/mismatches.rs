@@ -1,6 +1,6 @@
-//! Endpoints on one topic that cannot communicate, because one requests more than the other offers or has a different
-//! type. This is a frequent problem in ROS 2, so each pair is logged once, with the policy or the types at fault, and
-//! stays on the diagnostics while both exist.
+//! Endpoints on one topic that cannot communicate: one requests more than the other offers, or their types differ. This
+//! is frequent in ROS 2. So each pair is logged once, with the policy or the types, and stays on the diagnostics while
+//! both exist.
 
 use super::{lock::lock, qos};
 use crate::backend::EndpointId;
@@ -10,22 +10,22 @@ use std::{
     sync::Mutex,
 };
 
-/// Mismatches that are remembered of an own endpoint; more are only logged. The limit is not a common one: many mismatches
-/// on one topic must not hide that of an emergency stop.
+/// Mismatches stored per own endpoint; further ones are only logged. The limit is per endpoint, so that many mismatches
+/// on one topic do not hide a mismatch of an emergency stop.
 const LIMIT: usize = 64;
 
-/// In words, by own endpoint and other.
-type Known = BTreeMap<(EndpointId, EndpointId), String>;
+/// Explanations, by own endpoint and remote endpoint.
+type Explanations = BTreeMap<(EndpointId, EndpointId), String>;
 
-fn of_endpoint<'a>(known: &'a Known, own: &EndpointId) -> impl Iterator<Item = &'a String> {
+fn of_endpoint<'a>(known: &'a Explanations, own: &EndpointId) -> impl Iterator<Item = &'a String> {
     let all = (*own, EndpointId::default())..=(*own, [u8::MAX; 16]);
     known.range(all).map(|(_, text)| text)
 }
 
 #[derive(Default)]
 pub(super) struct Mismatches {
-    known: Mutex<Known>,
-    /// Own readers with siblings in the same subscription, which receive from the publishers that they exclude.
+    known: Mutex<Explanations>,
+    /// Own readers with siblings in the same subscription; the siblings receive from the publishers that these exclude.
     tolerant: Mutex<BTreeSet<EndpointId>>,
 }
 
@@ -33,11 +33,11 @@ impl Mismatches {
     /// A sibling of this reader receives from the publishers that its reliability or durability excludes.
     pub(super) fn tolerate(&self, own: EndpointId) {
         lock(&self.tolerant).insert(own);
-        // No other mismatch of so new a reader can be known yet.
+        // a reader this new has no other mismatches yet
         lock(&self.known).retain(|(endpoint, _), _| *endpoint != own);
     }
 
-    /// A subscription elsewhere requests more than the own publisher offers.
+    /// A remote subscription requests more than the own publisher offers.
     pub(super) fn subscription(
         &self,
         own: EndpointId,
@@ -49,7 +49,7 @@ impl Mismatches {
         self.add(own, other, topic, "a subscription", requested, offered);
     }
 
-    /// A publisher elsewhere offers less than the own subscription requests.
+    /// A remote publisher offers less than the own subscription requests.
     pub(super) fn publisher(
         &self,
         own: EndpointId,
@@ -70,7 +70,7 @@ impl Mismatches {
         requested: &QosPolicies,
         offered: &QosPolicies,
     ) {
-        // None where the two agree by now: the event is older than the change.
+        // `None` if the two match by now: the event is older than the change
         let Some(policy) = offered.compliance_failure_wrt(requested) else {
             return;
         };
@@ -85,10 +85,10 @@ impl Mismatches {
             qos::from_dds(requested),
             qos::from_dds(offered)
         );
-        self.know(own, other, text);
+        self.insert(own, other, text);
     }
 
-    /// An endpoint elsewhere has a different type. rustdds connects the two all the same; others do not.
+    /// A remote endpoint has a different type. rustdds connects the two anyway; other implementations do not.
     pub(super) fn types(
         &self,
         own: EndpointId,
@@ -104,10 +104,10 @@ impl Mismatches {
         let text = format!(
             "{topic}: {what} has the type {other_type}, but this node uses {own_type}: they cannot communicate"
         );
-        self.know(own, other, text);
+        self.insert(own, other, text);
     }
 
-    fn know(&self, own: EndpointId, other: EndpointId, text: String) {
+    fn insert(&self, own: EndpointId, other: EndpointId, text: String) {
         let mut known = lock(&self.known);
         let is_known = known.contains_key(&(own, other));
         let is_new = match is_known || of_endpoint(&known, &own).count() < LIMIT {
@@ -120,7 +120,7 @@ impl Mismatches {
         }
     }
 
-    /// Why other endpoints are not connected to this one.
+    /// Explains the mismatches of this endpoint.
     pub(super) fn of(&self, own: &EndpointId) -> Vec<String> {
         let known = lock(&self.known);
         let mut texts: Vec<String> = of_endpoint(&known, own).cloned().collect();
@@ -144,7 +144,7 @@ mod tests {
     use crate::Qos;
 
     #[test]
-    fn other_types_are_named() {
+    fn mismatch_names_both_types() {
         let mismatches = Mismatches::default();
         let types = ("sensor_msgs/msg/Image", "std_msgs/msg/String");
         mismatches.types([1; 16], [2; 16], "/camera/image_raw", types, true);
@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn many_mismatches_of_one_endpoint_hide_no_other() {
+    fn limit_of_mismatches_is_per_endpoint() {
         let mismatches = Mismatches::default();
         let types = ("std_msgs/msg/Bool", "std_msgs/msg/String");
         mismatches.types([1; 16], [2; 16], "/emergency_stop", types, true);
@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mismatch_is_named_once_and_forgotten_with_its_endpoints() {
+    fn mismatch_is_listed_once_until_its_endpoints_leave() {
         let mismatches = Mismatches::default();
         let (wants, offers) = (
             qos::for_reader(Qos::latched(1)),
@@ -209,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn a_reader_with_siblings_has_no_mismatch_of_reliability() {
+    fn reader_with_siblings_has_no_reliability_mismatch() {
         let mismatches = Mismatches::default();
         let (wants, offers) = (
             qos::for_reader(Qos::reliable(1)),

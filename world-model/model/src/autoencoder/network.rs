@@ -1,16 +1,13 @@
 //! One half of an autoencoder: a chain of convolutions and residual blocks.
 
-mod tensors;
-
-use std::sync::OnceLock;
-
+use candle_core::{Device, Tensor};
 use rand::Rng;
 use sha2::{Digest, Sha256};
 
-use crate::ops::{Activation, ConvShape, Fused, GridSize, PackedConv, PackedFormat, group_norm};
+use crate::ops::conv_layers::{Conv, ConvLayers, GroupNorm, Kernels, Tape, Tensors};
+use crate::ops::{ConvShape, GridSize};
 use crate::weights::{Precision, WeightsBuilder, hash_tensor_header};
 use crate::{Result, Weights};
-pub(super) use tensors::TensorNetwork;
 
 /// Groups of the branch's normalisation.
 const BRANCH_GROUPS: usize = 4;
@@ -36,49 +33,26 @@ pub(super) enum Stage {
     },
 }
 
-/// A convolution with its weights.
-#[derive(Clone, Debug)]
-pub struct Conv {
-    /// Name of its tensors without `.weight` and `.bias`.
-    pub name: String,
-    /// What it does.
-    pub shape: ConvShape,
-    /// Whether a ReLU follows.
-    pub relu: bool,
-    /// Whether it is the first of a residual block, and the block's input is added two convolutions
-    /// later.
-    pub opens_block: bool,
-    /// Weights: kernel row, kernel column, input channel, output channel.
-    pub weight: Vec<f32>,
-    /// Bias, if it has one.
-    pub bias: Option<Vec<f32>>,
-    /// Made when it is first run.
-    packed: OnceLock<PackedConv>,
-}
-
 /// The branch of a residual block.
 #[derive(Clone, Debug)]
 struct Branch {
-    name: String,
     widen: Conv,
-    scale: Vec<f32>,
-    shift: Vec<f32>,
+    norm: GroupNorm,
     narrow: Conv,
 }
 
 #[derive(Clone, Debug)]
 enum Layer {
-    /// Index into the convolutions.
-    Conv(usize),
-    /// Index of the first of three convolutions.
-    Block(usize, Option<Box<Branch>>),
+    Conv(Box<Conv>),
+    Block(Box<[Conv; 3]>, Option<Box<Branch>>),
 }
 
 /// Half an autoencoder.
 #[derive(Clone, Debug)]
 pub struct Network {
-    convs: Vec<Conv>,
     layers: Vec<Layer>,
+    /// The weights on a device, if candle's operations compute it.
+    tensors: Option<Tensors>,
 }
 
 /// Where weights come from.
@@ -87,6 +61,21 @@ trait Source {
     fn weight(&mut self, name: &str, shape: &ConvShape, gain: f32) -> Result<Vec<f32>>;
     /// A vector that starts as `start`.
     fn vector(&mut self, name: &str, length: usize, start: f32) -> Result<Vec<f32>>;
+
+    /// A convolution with the ReLU or without.
+    fn conv(
+        &mut self,
+        name: String,
+        (shape, relu): (ConvShape, bool),
+        bias: bool,
+        gain: f32,
+    ) -> Result<Conv> {
+        let weight = self.weight(&format!("{name}.weight"), &shape, gain)?;
+        let bias = bias
+            .then(|| self.vector(&format!("{name}.bias"), shape.outputs, 0.0))
+            .transpose()?;
+        Ok(Conv::new(name, (shape, relu), weight, bias))
+    }
 }
 
 struct Stored<'a> {
@@ -96,32 +85,10 @@ struct Stored<'a> {
 
 impl Source for Stored<'_> {
     fn weight(&mut self, name: &str, shape: &ConvShape, _: f32) -> Result<Vec<f32>> {
-        let ConvShape {
-            inputs,
-            outputs,
-            kernel,
-            ..
-        } = *shape;
         let name = format!("{}{name}", self.prefix);
-        let stored = self
-            .weights
-            .values(&name, &[outputs, inputs, kernel, kernel])?;
-        Ok(transpose(&stored, outputs, inputs * kernel * kernel)
-            .chunks_exact((kernel * kernel * outputs).max(1))
-            .fold(vec![0.0; stored.len()], {
-                // Now (input, tap, output); wanted is (tap, input, output).
-                let mut input = 0;
-                move |mut weight, taps| {
-                    for (tap, row) in taps.chunks_exact(outputs).enumerate() {
-                        let at = (tap * inputs + input) * outputs;
-                        if let Some(target) = weight.get_mut(at..at + outputs) {
-                            target.copy_from_slice(row);
-                        }
-                    }
-                    input += 1;
-                    weight
-                }
-            }))
+        let dims = [shape.outputs, shape.inputs, shape.kernel, shape.kernel];
+        let stored = self.weights.values(&name, &dims)?;
+        Ok(Conv::from_checkpoint(shape, &stored))
     }
 
     fn vector(&mut self, name: &str, length: usize, _: f32) -> Result<Vec<f32>> {
@@ -147,16 +114,6 @@ impl<R: Rng> Source for Random<'_, R> {
     }
 }
 
-fn transpose(matrix: &[f32], rows: usize, columns: usize) -> Vec<f32> {
-    let mut out = vec![0.0; matrix.len()];
-    for (r, row) in matrix.chunks_exact(columns.max(1)).enumerate() {
-        for (v, target) in row.iter().zip(out.iter_mut().skip(r).step_by(rows.max(1))) {
-            *target = *v;
-        }
-    }
-    out
-}
-
 impl Network {
     /// Loads the tensors whose names begin with `prefix`.
     pub(super) fn load(stages: &[Stage], weights: &Weights, prefix: &str) -> Result<Self> {
@@ -169,82 +126,140 @@ impl Network {
     }
 
     fn build(stages: &[Stage], source: &mut impl Source) -> Result<Self> {
-        let mut convs = Vec::new();
-        let mut layers = Vec::new();
-        for stage in stages {
-            match stage {
+        let layers = stages.iter().map(|stage| {
+            Ok(match stage {
                 Stage::Conv {
                     name,
                     shape,
                     bias,
                     relu,
                 } => {
-                    layers.push(Layer::Conv(convs.len()));
                     // Without a ReLU behind it, half the variance keeps the level.
                     let gain = if *relu { 1.0 } else { 0.7 };
-                    convs.push(conv(source, name.clone(), *shape, (*bias, *relu), gain)?);
+                    Layer::Conv(Box::new(source.conv(
+                        name.clone(),
+                        (*shape, *relu),
+                        *bias,
+                        gain,
+                    )?))
                 }
                 Stage::Block {
                     name,
                     width,
                     branch,
                 } => {
-                    let first = convs.len();
                     let shape = ConvShape::same(*width, *width, 3);
-                    for i in 0..3 {
-                        let name = format!("{name}.conv.{}", 2 * i);
-                        // A small last convolution lets a deep chain start near the identity.
-                        let gain = if i == 2 { 0.3 } else { 1.0 };
-                        let mut conv = conv(source, name, shape, (true, true), gain)?;
-                        conv.opens_block = i == 0;
-                        convs.push(conv);
-                    }
-                    let branch = if *branch {
-                        Some(Box::new(Branch::build(source, name, *width)?))
-                    } else {
-                        None
+                    // A small last convolution lets a deep chain start near the identity.
+                    let mut conv = |i: usize, gain: f32| {
+                        source.conv(format!("{name}.conv.{i}"), (shape, true), true, gain)
                     };
-                    layers.push(Layer::Block(first, branch));
+                    let convs = [conv(0, 1.0)?, conv(2, 1.0)?, conv(4, 0.3)?];
+                    let branch = branch.then(|| Branch::build(source, name, *width));
+                    Layer::Block(Box::new(convs), branch.transpose()?.map(Box::new))
                 }
-            }
+            })
+        });
+        Ok(Self {
+            layers: layers.collect::<Result<_>>()?,
+            tensors: None,
+        })
+    }
+
+    /// What it computes of `x`.
+    fn forward<L: ConvLayers>(&self, layers: &mut L, mut x: L::Value) -> Result<L::Value> {
+        for layer in &self.layers {
+            x = match layer {
+                Layer::Conv(conv) => layers.conv(conv, &x, None)?,
+                Layer::Block(convs, branch) => {
+                    if let Some(branch) = branch {
+                        let wide = layers.conv(&branch.widen, &x, None)?;
+                        let wide = layers.group_norm_relu(&branch.norm, wide)?;
+                        x = layers.conv(&branch.narrow, &wide, Some(&x))?;
+                    }
+                    let [first, second, third] = &**convs;
+                    let mut hidden = layers.conv(first, &x, None)?;
+                    hidden = layers.conv(second, &hidden, None)?;
+                    layers.conv(third, &hidden, Some(&x))?
+                }
+            };
         }
-        Ok(Self { convs, layers })
+        Ok(x)
+    }
+
+    /// The output for `input` (grid, channels), on kernels of the CPU or on the device of its tensors.
+    pub(super) fn run(&self, input: Vec<f32>, grid: GridSize) -> Result<Vec<f32>> {
+        let Some(mut tensors) = self.tensors.as_ref() else {
+            let mut kernels = Kernels::default();
+            let input = kernels.input(input, grid);
+            let mut output = self.forward(&mut kernels, input)?;
+            return Ok(std::mem::take(&mut output.values));
+        };
+        let shape = (grid.images, grid.height, grid.width, ());
+        let input = Tensor::from_vec(input, shape, tensors.device())?;
+        let input = input.permute((0, 3, 1, 2))?.contiguous()?;
+        let output = self.forward(&mut tensors, input)?;
+        let output = output.permute((0, 2, 3, 1))?.contiguous()?;
+        Ok(output.to_device(&Device::Cpu)?.flatten_all()?.to_vec1()?)
+    }
+
+    /// The output for `input` (grid, channels); `tape` keeps what its backward pass needs.
+    ///
+    /// # Errors
+    /// If the network has a branch, which cannot be trained, or the input does not fit it.
+    pub fn record<'t>(
+        &self,
+        tape: &'t mut Tape,
+        input: &[f32],
+        grid: GridSize,
+    ) -> Result<&'t [f32]> {
+        let input = tape.begin(input, grid);
+        let output = self.forward(tape, input)?;
+        Ok(tape.value(output))
+    }
+
+    /// Copies the weights to `device`, where candle's operations compute the network from now on.
+    pub(super) fn move_to(&mut self, device: &Device) -> Result<()> {
+        let mut tensors = Tensors::new(device);
+        let mut fault = Ok(());
+        self.visit(|name, shape, values| {
+            if fault.is_ok() {
+                fault = tensors.insert(name, shape, values);
+            }
+        });
+        fault?;
+        self.tensors = Some(tensors);
+        Ok(())
     }
 
     /// The convolutions in order, without those of branches.
-    pub fn convs(&self) -> &[Conv] {
-        &self.convs
+    pub fn convs(&self) -> impl Iterator<Item = &Conv> {
+        self.layers.iter().flat_map(|layer| match layer {
+            Layer::Conv(conv) => std::slice::from_ref(&**conv),
+            Layer::Block(convs, _) => convs.as_slice(),
+        })
     }
 
-    /// The convolutions in order, to change their weights.
-    pub fn convs_mut(&mut self) -> &mut [Conv] {
-        for conv in &mut self.convs {
-            conv.packed.take();
-        }
-        &mut self.convs
-    }
-
-    /// Whether a block has a branch.
-    pub fn has_branch(&self) -> bool {
-        self.layers
-            .iter()
-            .any(|layer| matches!(layer, Layer::Block(_, Some(_))))
+    /// The convolutions in order, to change their weights. Afterwards kernels of the CPU compute the network.
+    pub fn convs_mut(&mut self) -> impl Iterator<Item = &mut Conv> {
+        self.tensors = None;
+        let convs = self.layers.iter_mut().flat_map(|layer| match layer {
+            Layer::Conv(conv) => std::slice::from_mut(&mut **conv),
+            Layer::Block(convs, _) => convs.as_mut_slice(),
+        });
+        convs.map(Conv::forget_packed)
     }
 
     /// Number of parameters.
     pub fn parameters(&self) -> usize {
-        let count = |conv: &Conv| conv.weight.len() + conv.bias.as_ref().map_or(0, Vec::len);
-        let branches: usize = self
-            .branches()
-            .map(|b| count(&b.widen) + count(&b.narrow) + b.scale.len() + b.shift.len())
-            .sum();
-        self.convs.iter().map(count).sum::<usize>() + branches
+        let mut count = 0;
+        self.visit(|_, _, values| count += values.len());
+        count
     }
 
     /// Floating-point operations of the convolutions for an input of size `grid`.
     pub fn flops(&self, mut grid: GridSize) -> usize {
         let mut total = 0;
-        for conv in &self.convs {
+        for conv in self.convs() {
             total += conv.shape.flops(grid);
             grid = conv.shape.output(grid);
         }
@@ -258,70 +273,20 @@ impl Network {
         })
     }
 
-    /// Runs the network on `input` (grid, channels); gives the output and its size.
-    pub(super) fn forward(&self, input: Vec<f32>, grid: GridSize) -> Result<(Vec<f32>, GridSize)> {
-        let mut x = input;
-        let mut grid = grid;
-        let mut next = Vec::new();
-        let mut scratch = Vec::new();
-        for layer in &self.layers {
-            match layer {
-                Layer::Conv(at) => {
-                    for conv in self.convs.get(*at..=*at).unwrap_or_default() {
-                        grid = conv.run(&x, grid, None, &mut next)?;
-                        std::mem::swap(&mut x, &mut next);
-                    }
-                }
-                Layer::Block(first, branch) => {
-                    if let Some(branch) = branch {
-                        branch.add_to(&mut x, grid)?;
-                    }
-                    if let Some([a, b, c]) = self.convs.get(*first..*first + 3) {
-                        a.run(&x, grid, None, &mut next)?;
-                        b.run(&next, grid, None, &mut scratch)?;
-                        c.run(&scratch, grid, Some(&x), &mut next)?;
-                    }
-                    std::mem::swap(&mut x, &mut next);
-                }
-            }
-        }
-        Ok((x, grid))
-    }
-
     /// Every tensor by name, with the shape and in the order of the published files.
-    fn visit(&self, mut tensor: impl FnMut(String, Vec<usize>, Vec<f32>)) {
-        let mut conv = |conv: &Conv| {
-            let ConvShape {
-                inputs,
-                outputs,
-                kernel,
-                ..
-            } = conv.shape;
-            let taps = kernel * kernel;
-            // (tap, input, output) to (output, tap, input) to (output, input, tap).
-            let stored = transpose(&conv.weight, taps * inputs, outputs)
-                .chunks_exact(taps * inputs)
-                .flat_map(|filter| transpose(filter, taps, inputs))
-                .collect();
-            let shape = vec![outputs, inputs, kernel, kernel];
-            tensor(format!("{}.weight", conv.name), shape, stored);
+    fn visit(&self, mut tensor: impl FnMut(String, &[usize], &[f32])) {
+        let branches = self.branches().flat_map(|b| [&b.widen, &b.narrow]);
+        for conv in self.convs().chain(branches) {
+            let (shape, weight) = conv.to_checkpoint();
+            tensor(format!("{}.weight", conv.name), &shape, &weight);
             if let Some(bias) = &conv.bias {
-                tensor(
-                    format!("{}.bias", conv.name),
-                    vec![bias.len()],
-                    bias.clone(),
-                );
+                tensor(format!("{}.bias", conv.name), &[bias.len()], bias);
             }
-        };
-        self.convs.iter().for_each(&mut conv);
-        for branch in self.branches() {
-            conv(&branch.widen);
-            conv(&branch.narrow);
         }
-        for branch in self.branches() {
-            for (end, values) in [("weight", &branch.scale), ("bias", &branch.shift)] {
-                let name = format!("{}.pool.1.{end}", branch.name);
-                tensor(name, vec![values.len()], values.clone());
+        for Branch { norm, .. } in self.branches() {
+            let (scale, shift) = &norm.affine;
+            for (end, values) in [("weight", scale), ("bias", shift)] {
+                tensor(format!("{}.{end}", norm.name), &[values.len()], values);
             }
         }
     }
@@ -329,14 +294,14 @@ impl Network {
     /// Adds all tensors to a file under `prefix`.
     pub(super) fn store(&self, builder: &mut WeightsBuilder, prefix: &str, precision: Precision) {
         self.visit(|name, shape, values| {
-            builder.values(&format!("{prefix}{name}"), &shape, &values, precision);
+            builder.values(&format!("{prefix}{name}"), shape, values, precision);
         });
     }
 
     /// Adds all tensors to a hash, as f32, so that the number format of the file does not matter.
     pub(super) fn hash(&self, hash: &mut Sha256) {
         self.visit(|name, shape, values| {
-            hash_tensor_header(hash, &name, "F32", &shape);
+            hash_tensor_header(hash, &name, "F32", shape);
             for v in values {
                 hash.update(v.to_le_bytes());
             }
@@ -350,72 +315,20 @@ impl Network {
                 *v = precision.round(*v);
             }
         };
-        for conv in self.convs_mut() {
+        let round_conv = |conv: &mut Conv| {
+            conv.forget_packed();
             round(&mut conv.weight);
             conv.bias.iter_mut().for_each(round);
-        }
+        };
+        self.convs_mut().for_each(round_conv);
         for layer in &mut self.layers {
             if let Layer::Block(_, Some(branch)) = layer {
-                branch.widen.packed.take();
-                branch.narrow.packed.take();
-                round(&mut branch.widen.weight);
-                round(&mut branch.narrow.weight);
-                round(&mut branch.scale);
-                round(&mut branch.shift);
+                round_conv(&mut branch.widen);
+                round_conv(&mut branch.narrow);
+                round(&mut branch.norm.affine.0);
+                round(&mut branch.norm.affine.1);
             }
         }
-    }
-}
-
-fn conv(
-    source: &mut impl Source,
-    name: String,
-    shape: ConvShape,
-    (bias, relu): (bool, bool),
-    gain: f32,
-) -> Result<Conv> {
-    let weight = source.weight(&format!("{name}.weight"), &shape, gain)?;
-    let bias = bias
-        .then(|| source.vector(&format!("{name}.bias"), shape.outputs, 0.0))
-        .transpose()?;
-    Ok(Conv {
-        name,
-        shape,
-        relu,
-        opens_block: false,
-        weight,
-        bias,
-        packed: OnceLock::new(),
-    })
-}
-
-impl Conv {
-    /// Runs the convolution; `residual` is added before the ReLU.
-    pub(super) fn run(
-        &self,
-        input: &[f32],
-        grid: GridSize,
-        residual: Option<&[f32]>,
-        output: &mut Vec<f32>,
-    ) -> Result<GridSize> {
-        let fused = Fused {
-            residual,
-            relu: self.relu,
-            ..Fused::default()
-        };
-        let packed = match self.packed.get() {
-            Some(packed) => packed,
-            None => {
-                let packed = PackedConv::for_inference(
-                    &self.shape,
-                    &self.weight,
-                    self.bias.as_deref(),
-                    PackedFormat::F32,
-                )?;
-                self.packed.get_or_init(|| packed)
-            }
-        };
-        packed.run(input, grid, fused, output)
     }
 }
 
@@ -423,43 +336,27 @@ impl Branch {
     fn build(source: &mut impl Source, block: &str, width: usize) -> Result<Self> {
         let wide = width * BRANCH_FACTOR;
         let name = |i: usize| format!("{block}.pool.{i}");
-        Ok(Self {
-            name: block.to_owned(),
-            widen: conv(
-                source,
-                name(0),
-                ConvShape::same(width, wide, 1),
-                (false, false),
-                1.0,
-            )?,
-            scale: source.vector(&format!("{}.weight", name(1)), wide, 1.0)?,
-            shift: source.vector(&format!("{}.bias", name(1)), wide, 0.0)?,
-            narrow: conv(
-                source,
-                name(3),
-                ConvShape::same(wide, width, 1),
-                (false, false),
-                0.3,
-            )?,
-        })
-    }
-
-    fn add_to(&self, x: &mut Vec<f32>, grid: GridSize) -> Result<()> {
-        let mut wide = Vec::new();
-        self.widen.run(x, grid, None, &mut wide)?;
-        let affine = (self.scale.as_slice(), self.shift.as_slice());
-        let pixels = grid.height * grid.width;
-        group_norm(
-            &mut wide,
-            pixels,
-            BRANCH_GROUPS,
-            affine,
-            BRANCH_EPS,
-            Activation::Relu,
+        let mut conv = |name, inputs, outputs, gain| {
+            let shape = ConvShape::same(inputs, outputs, 1);
+            source.conv(name, (shape, false), false, gain)
+        };
+        let (widen, narrow) = (
+            conv(name(0), width, wide, 1.0)?,
+            conv(name(3), wide, width, 0.3)?,
         );
-        let mut sum = Vec::new();
-        self.narrow.run(&wide, grid, Some(x), &mut sum)?;
-        *x = sum;
-        Ok(())
+        let norm = name(1);
+        Ok(Self {
+            widen,
+            narrow,
+            norm: GroupNorm {
+                affine: (
+                    source.vector(&format!("{norm}.weight"), wide, 1.0)?,
+                    source.vector(&format!("{norm}.bias"), wide, 0.0)?,
+                ),
+                name: norm,
+                groups: BRANCH_GROUPS,
+                eps: BRANCH_EPS,
+            },
+        })
     }
 }

@@ -1,6 +1,7 @@
 use rand::Rng;
 
 use super::*;
+use crate::ops::conv_layers::{ConvGradients, Tape};
 use crate::{Fit, PictureSize};
 
 fn config() -> AutoencoderConfig {
@@ -132,7 +133,7 @@ fn a_folder_is_opened_by_what_it_holds() {
     // The published shape with random weights: the halves without prefix, each in its file.
     let published = Autoencoder::random(AutoencoderConfig::taef2(256, 256), 1).unwrap();
     let halves = [published.encoder(), published.decoder()];
-    for (network, name) in halves.into_iter().zip(TAEF2_FILES) {
+    for (network, name) in halves.into_iter().zip(Autoencoder::TAEF2_FILES) {
         let mut builder = WeightsBuilder::new();
         network.store(&mut builder, "", Precision::F32);
         builder.write(path.join(name)).unwrap();
@@ -143,7 +144,8 @@ fn a_folder_is_opened_by_what_it_holds() {
     assert_eq!(opened.encoder().parameters(), 1_338_528);
 
     let own = Autoencoder::random(config(), 1).unwrap();
-    own.save(path.join(FILE), Precision::F32).unwrap();
+    own.save(path.join(Autoencoder::FILE), Precision::F32)
+        .unwrap();
     assert_eq!(Autoencoder::open(path).unwrap().space(), own.space());
 }
 
@@ -175,7 +177,7 @@ fn a_channel_that_does_not_vary_cannot_be_normalised() {
 
 /// A loss that is not linear, so that the ReLUs' own gradients matter: half the sum of squares.
 fn loss(network: &Network, input: &[f32], grid: GridSize) -> f64 {
-    let (output, _) = network.forward(input.to_vec(), grid).unwrap();
+    let output = network.run(input.to_vec(), grid).unwrap();
     output
         .iter()
         .map(|v| 0.5 * f64::from(*v) * f64::from(*v))
@@ -200,15 +202,16 @@ fn the_tape_gives_the_output_and_the_gradients_of_finite_differences() {
             .map(|_| rng.random_range(-1.0..1.0))
             .collect();
         let mut tape = Tape::default();
-        let output = tape.forward(&network, &input, grid).unwrap().to_vec();
-        assert_eq!(output, network.forward(input.clone(), grid).unwrap().0);
-        let mut gradients = NetworkGradient::default();
+        let output = network.record(&mut tape, &input, grid).unwrap().to_vec();
+        assert_eq!(output, network.run(input.clone(), grid).unwrap());
+        let mut gradients = ConvGradients::default();
         let mut by_input = Vec::new();
-        tape.backward(&network, &output, &mut gradients, Some(&mut by_input))
+        let wants = Some(&mut by_input);
+        tape.backward(network.convs(), &output, &mut gradients, wants)
             .unwrap();
         // Not completed by what is left in the buffers from before.
         let short = &output[1..];
-        let error = tape.backward(&network, short, &mut gradients, None);
+        let error = tape.backward(network.convs(), short, &mut gradients, None);
         assert!(error.unwrap_err().to_string().contains("gradient"));
 
         // Where a ReLU has its kink within the step, the two one-sided differences differ and the
@@ -236,24 +239,24 @@ fn the_tape_gives_the_output_and_the_gradients_of_finite_differences() {
             input[i] = value;
             compare(by_input[i], up, down);
         }
-        for c in 0..network.convs().len() {
-            for i in (0..network.convs()[c].weight.len()).step_by(61) {
+        let convs: Vec<_> = network.convs().cloned().collect();
+        for (c, conv) in convs.iter().enumerate() {
+            for i in (0..conv.weight.len()).step_by(61) {
                 let mut at = |offset: f32| {
-                    let value = network.convs()[c].weight[i];
-                    network.convs_mut()[c].weight[i] = value + offset;
+                    network.convs_mut().nth(c).unwrap().weight[i] += offset;
                     let loss = loss(&network, &input, grid);
-                    network.convs_mut()[c].weight[i] = value;
+                    network.convs_mut().nth(c).unwrap().weight[i] = conv.weight[i];
                     loss
                 };
                 let (up, down) = (at(step), at(-step));
                 compare(gradients.convs[c].0[i], up, down);
             }
-            for i in 0..network.convs()[c].bias.as_ref().map_or(0, Vec::len) {
+            for i in 0..conv.bias.as_ref().map_or(0, Vec::len) {
                 let mut at = |offset: f32| {
-                    let value = network.convs()[c].bias.as_ref().unwrap()[i];
-                    network.convs_mut()[c].bias.as_mut().unwrap()[i] = value + offset;
+                    let changed = network.convs_mut().nth(c).unwrap();
+                    changed.bias.as_mut().unwrap()[i] += offset;
                     let loss = loss(&network, &input, grid);
-                    network.convs_mut()[c].bias.as_mut().unwrap()[i] = value;
+                    network.convs_mut().nth(c).unwrap().bias = conv.bias.clone();
                     loss
                 };
                 let (up, down) = (at(step), at(-step));
@@ -276,8 +279,9 @@ fn a_network_with_a_branch_is_not_trained() {
         height: 8,
         width: 12,
     };
-    let error = Tape::default()
-        .forward(autoencoder.encoder(), &[0.0; 8 * 12 * 3], grid)
+    let error = autoencoder
+        .encoder()
+        .record(&mut Tape::default(), &[0.0; 8 * 12 * 3], grid)
         .unwrap_err();
     assert!(error.to_string().starts_with("branch: true"), "{error}");
 }
@@ -309,6 +313,42 @@ fn a_saved_autoencoder_frames_pictures_as_before() {
     assert_eq!(opened.config().trained_on, trained_on);
     let expected = Framing::new((8, 12), Fit::Crop);
     assert_eq!(Encoder::framing(&opened), expected);
-    let tensors = TensorAutoencoder::new(&opened, &Device::Cpu).unwrap();
+    let tensors = opened.on_tensors(&Device::Cpu).unwrap();
     assert_eq!(Encoder::framing(&tensors), expected);
+}
+
+/// With a branch and without, several pictures at once.
+#[test]
+fn tensors_compute_what_kernels_compute() {
+    for branch in [false, true] {
+        let config = AutoencoderConfig {
+            branch,
+            height: 32,
+            width: 64,
+            ..AutoencoderConfig::tiny()
+        };
+        let kernels = Autoencoder::random(config, 3).unwrap();
+        let tensors = kernels.clone().on_tensors(&Device::Cpu).unwrap();
+        assert_eq!(tensors.space(), kernels.space());
+        let images = Tensor::rand(0f32, 1.0, (2, 32, 64, 3), &Device::Cpu).unwrap();
+        let latents = kernels.encode(&images).unwrap();
+        check(&tensors.encode(&images).unwrap(), &latents);
+        check(
+            &tensors.decode(&latents).unwrap(),
+            &kernels.decode(&latents).unwrap(),
+        );
+        let wrong = images.narrow(1, 0, 16).unwrap();
+        let message = tensors.encode(&wrong).unwrap_err().to_string();
+        assert!(message.contains("(N, 32, 64, 3)"), "{message}");
+    }
+}
+
+fn check(found: &Tensor, expected: &Tensor) {
+    assert_eq!(found.dims(), expected.dims());
+    let most = |x: &Tensor| -> f32 {
+        let most = x.abs().unwrap().max_all().unwrap();
+        most.to_scalar().unwrap()
+    };
+    let difference = most(&(found - expected).unwrap());
+    assert!(difference < 1e-5 * most(expected).max(1.0), "{difference}");
 }

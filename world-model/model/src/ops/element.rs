@@ -11,35 +11,9 @@ use super::vectorised::vectorised;
 /// The largest absolute value of a weight, and of an input, of 8 bits. -128 does not occur: it has no opposite.
 pub(crate) const INT8_MOST: f32 = 127.0;
 
-/// The number format of packed weights.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum PackedFormat {
-    /// 32-bit floats.
-    #[default]
-    F32,
-    /// The upper half of a 32-bit float: half the memory, which is what bounds large models.
-    ///
-    /// Where the processor multiplies bf16, activations are rounded to bf16 before they are multiplied, as PyTorch does,
-    /// which is about twice as fast as f32. Elsewhere they stay f32. Sums are f32 in both.
-    Bf16,
-    /// Whole numbers of 8 bits, and a scale for every output: a quarter of the memory.
-    ///
-    /// What a matrix is multiplied with is rounded to 8 bits as well, with a scale for every row, and the sums are exact:
-    /// every processor gives the same bits. Of matrices only; convolutions and attention compute as in [`Self::Bf16`].
-    Int8,
-}
+pub use crate::compute::NumberFormat as PackedFormat;
 
 impl PackedFormat {
-    /// What matrices are kept in for which 8 bits are too few, where the others are in this: those whose errors meet all
-    /// places of an output alike, and those that a model begins and ends with.
-    pub fn sensitive(self) -> Self {
-        match self {
-            Self::F32 => Self::F32,
-            Self::Bf16 | Self::Int8 => Self::Bf16,
-        }
-    }
-
     /// What multiplies bf16, if the format allows inputs to be rounded to it and the processor has it.
     pub(crate) fn bf16_unit(self) -> Option<Bf16Unit> {
         match self {

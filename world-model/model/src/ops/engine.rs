@@ -1,58 +1,11 @@
-//! What computes.
+//! Comparisons of the two kinds of kernels, for tests.
 
-use std::fmt;
-use std::str::FromStr;
-
-use candle_core::Tensor;
-
-use crate::Error;
-
-/// What computes a model's layers. Both engines give the same numbers, to rounding, and both have gradients.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Engine {
-    /// Candle's own operations: any device, the reference.
-    Candle,
-    /// Our kernels, for f32 tensors on the CPU, and weights of f32 or bf16 that are packed once. A layer that has no kernel
-    /// takes candle's operations.
-    #[default]
-    Cpu,
-}
-
-impl Engine {
-    /// Its name on the command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Candle => "candle",
-            Self::Cpu => "cpu",
-        }
-    }
-
-    /// Whether the kernel is to compute `x`, and can.
-    pub(crate) fn takes_kernel(self, x: &Tensor) -> bool {
-        self == Self::Cpu && x.device().is_cpu()
-    }
-}
-
-impl fmt::Display for Engine {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
-    }
-}
-
-impl FromStr for Engine {
-    type Err = Error;
-
-    fn from_str(name: &str) -> Result<Self, Error> {
-        [Self::Candle, Self::Cpu]
-            .into_iter()
-            .find(|engine| engine.name() == name)
-            .ok_or_else(|| Error::config("engine", format!("`{name}`, expected candle or cpu")))
-    }
-}
+/// The kernels of a layer.
+pub use crate::compute::Kernels as Engine;
 
 #[cfg(test)]
 pub(super) mod tests {
-    use candle_core::{Device, Result, Var};
+    use candle_core::{Device, Result, Tensor, Var};
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
     use rand_distr::{Distribution, StandardNormal};
@@ -140,14 +93,5 @@ pub(super) mod tests {
             let message = compute(engine).unwrap_err().to_string();
             assert!(message.contains(why), "{engine:?}: {message}");
         }
-    }
-
-    #[test]
-    fn names_are_read_back() {
-        for engine in [Engine::Candle, Engine::Cpu] {
-            assert_eq!(engine.to_string().parse::<Engine>().unwrap(), engine);
-        }
-        let message = "gpu".parse::<Engine>().unwrap_err().to_string();
-        assert!(message.contains("`gpu`"), "{message}");
     }
 }

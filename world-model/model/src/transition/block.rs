@@ -2,87 +2,100 @@
 
 use std::sync::Arc;
 
-use candle_core::Tensor;
-
-use super::embedding::Condition;
-use super::parameters::{Linear, Tensors};
 use crate::Result;
-use crate::ops::{self, AttentionPattern, Engine, gated_residual, rms_norm_modulate, swiglu};
+use crate::ops::AttentionPattern;
+use crate::ops::token_layers::{ClipLayers, LinearSource, TokenLayers};
 
-/// Order of a sub-block's modulation: shift, scale and gate of the attention, then of the
-/// feed-forward network.
-pub(super) const ATTENTION: [usize; 3] = [0, 1, 2];
-pub(super) const FEED_FORWARD: [usize; 3] = [3, 4, 5];
+/// Chunks of a sub-block's modulation, of each half: shift, which scale follows, and gate.
+const ATTENTION: (usize, usize) = (0, 2);
+const FEED_FORWARD: (usize, usize) = (3, 5);
 
 /// A spatial and a temporal sub-block.
+pub(super) type Block<W> = [SubBlock<W>; 2];
+
+/// Attention and a feed-forward network, modulated by the frames' noise levels and actions.
 #[derive(Clone, Debug)]
-pub(super) struct Block {
-    pub(super) spatial: SubBlock,
-    pub(super) temporal: SubBlock,
+pub(super) struct SubBlock<W> {
+    pub(super) modulation: W,
+    qkv: W,
+    out: W,
+    up: W,
+    down: W,
 }
 
-impl Block {
-    pub(super) fn new(index: usize, tensors: &mut Tensors) -> Result<Self> {
+/// The blocks of a model of this depth.
+pub(super) fn blocks<S: LinearSource>(
+    depth: usize,
+    source: &mut S,
+) -> Result<Vec<Block<S::Linear>>> {
+    let mut part = |name: String| SubBlock::new(&name, source);
+    let blocks = (0..depth).map(|index| {
+        let spatial = part(format!("blocks.{index}.s_block"))?;
+        Ok([spatial, part(format!("blocks.{index}.t_block"))?])
+    });
+    blocks.collect()
+}
+
+/// The tokens of the last `last` frames after all `blocks`, for frames whose modulations start from `activated`. The
+/// patterns are those of attention within a frame and over time.
+pub(super) fn run_clips<L: ClipLayers>(
+    blocks: &[Block<L::Linear>],
+    layers: &mut L,
+    mut x: L::Value,
+    activated: &L::Value,
+    patterns: [&Arc<AttentionPattern>; 2],
+    last: usize,
+) -> Result<L::Value> {
+    let parts = blocks.iter().flat_map(|block| block.iter().zip(patterns));
+    for (number, (part, pattern)) in parts.enumerate() {
+        let mut modulation = layers.linear(&part.modulation, activated)?;
+        let qkv = part.project(layers, &x, &modulation)?;
+        let mut attended = layers.attention(&qkv, pattern)?;
+        if number + 1 == 2 * blocks.len() {
+            // After the last attention, no frame needs another one.
+            x = layers.last_frames(x, last)?;
+            attended = layers.last_frames(attended, last)?;
+            modulation = layers.last_frames(modulation, last)?;
+        }
+        x = part.finish(layers, x, &attended, &modulation)?;
+    }
+    Ok(x)
+}
+
+impl<W> SubBlock<W> {
+    fn new(name: &str, source: &mut impl LinearSource<Linear = W>) -> Result<Self> {
         Ok(Self {
-            spatial: SubBlock::new(&format!("blocks.{index}.s_block"), tensors)?,
-            temporal: SubBlock::new(&format!("blocks.{index}.t_block"), tensors)?,
+            // Its outputs act on every token of a frame.
+            modulation: source.sensitive(&format!("{name}.adaLN_modulation.1"))?,
+            qkv: source.linear(&format!("{name}.attn.qkv_proj"))?,
+            out: source.linear(&format!("{name}.attn.out_proj"))?,
+            up: source.linear(&format!("{name}.ffwd.w12"))?,
+            down: source.linear(&format!("{name}.ffwd.w3"))?,
         })
     }
 
-    /// Tokens (B, T, N, d).
-    pub(super) fn forward(
+    /// Queries, keys and values of the tokens `x`.
+    pub(super) fn project<L: TokenLayers<Linear = W>>(
         &self,
-        engine: Engine,
-        tokens: &Tensor,
-        condition: &Condition,
-        spatial: &Arc<AttentionPattern>,
-        temporal: &Arc<AttentionPattern>,
-    ) -> Result<Tensor> {
-        let attend = |qkv: &Tensor| Ok(ops::attention(engine, qkv, spatial)?);
-        let tokens = self.spatial.forward(engine, tokens, condition, attend)?;
-        let attend = |qkv: &Tensor| Ok(ops::attention(engine, qkv, temporal)?);
-        self.temporal.forward(engine, &tokens, condition, attend)
-    }
-}
-
-#[derive(Clone, Debug)]
-pub(super) struct SubBlock {
-    pub(super) modulation: Linear,
-    pub(super) qkv: Linear,
-    pub(super) out: Linear,
-    pub(super) up: Linear,
-    pub(super) down: Linear,
-}
-
-impl SubBlock {
-    fn new(name: &str, tensors: &mut Tensors) -> Result<Self> {
-        Ok(Self {
-            modulation: tensors.linear(&format!("{name}.adaLN_modulation.1"))?,
-            qkv: tensors.linear_no_bias(&format!("{name}.attn.qkv_proj"))?,
-            out: tensors.linear(&format!("{name}.attn.out_proj"))?,
-            up: tensors.linear(&format!("{name}.ffwd.w12"))?,
-            down: tensors.linear(&format!("{name}.ffwd.w3"))?,
-        })
+        layers: &mut L,
+        x: &L::Value,
+        modulation: &L::Value,
+    ) -> Result<L::Value> {
+        let normed = layers.norm_modulate(x, modulation, ATTENTION.0)?;
+        layers.linear(&self.qkv, &normed)
     }
 
-    fn forward(
+    /// The tokens `x` after the sub-block, given the result of the attention.
+    pub(super) fn finish<L: TokenLayers<Linear = W>>(
         &self,
-        engine: Engine,
-        x: &Tensor,
-        condition: &Condition,
-        attend: impl FnOnce(&Tensor) -> Result<Tensor>,
-    ) -> Result<Tensor> {
-        let modulation = self.modulation.forward(engine, &condition.activated)?;
-        let [shift, scale, gate] = ATTENTION;
-        let normed = rms_norm_modulate(engine, x, &modulation, shift, scale)?;
-        let attended = self
-            .out
-            .forward(engine, &attend(&self.qkv.forward(engine, &normed)?)?)?;
-        let x = gated_residual(engine, x, &attended, &modulation, gate)?;
-        let [shift, scale, gate] = FEED_FORWARD;
-        let normed = rms_norm_modulate(engine, &x, &modulation, shift, scale)?;
-        let fed = swiglu(engine, &self.up.forward(engine, &normed)?)?;
-        let fed = self.down.forward(engine, &fed)?;
-        Ok(gated_residual(engine, &x, &fed, &modulation, gate)?)
+        layers: &mut L,
+        x: L::Value,
+        attended: &L::Value,
+        modulation: &L::Value,
+    ) -> Result<L::Value> {
+        let x = layers.linear_gated(&self.out, attended, x, modulation, ATTENTION.1)?;
+        let normed = layers.norm_modulate(&x, modulation, FEED_FORWARD.0)?;
+        let hidden = layers.linear_swiglu(&self.up, &normed)?;
+        layers.linear_gated(&self.down, &hidden, x, modulation, FEED_FORWARD.1)
     }
 }

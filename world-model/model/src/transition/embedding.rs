@@ -3,62 +3,20 @@
 use candle_core::{D, Device, Tensor};
 
 use super::TransitionConfig;
-use super::parameters::{FREQUENCIES, Linear, Tensors};
+use super::condition::{Condition, ConditionEmbedding, frequencies};
+use super::parameters::{FREQUENCIES, Tensors};
 use crate::Result;
-use crate::ops::{self, Engine};
-
-/// Ratio of the highest frequency to that which follows the lowest.
-const FREQUENCY_RANGE: f64 = 10_000.0;
-
-/// tau in 0..1 is stretched to this range before the sinusoid.
-const TAU_SCALE: f64 = 1_000.0;
-
-/// What modulates the layers, per frame; rows are the frames of the batch, (B * T, d).
-#[derive(Clone, Debug)]
-pub(super) struct Condition {
-    /// Time embedding alone.
-    pub(super) time: Tensor,
-    /// SiLU of time plus action embedding, which is what every modulation starts from.
-    pub(super) activated: Tensor,
-}
-
-impl Condition {
-    /// That of the `last` frames of `b` clips of `t` frames.
-    pub(super) fn of_last(&self, last: usize, (b, t): (usize, usize)) -> Result<Self> {
-        if last == t {
-            return Ok(self.clone());
-        }
-        let narrow = |rows: &Tensor| -> Result<Tensor> {
-            let frames = rows.reshape((b, t, ()))?.narrow(1, t - last, last)?;
-            Ok(frames.flatten_to(1)?)
-        };
-        Ok(Self {
-            time: narrow(&self.time)?,
-            activated: narrow(&self.activated)?,
-        })
-    }
-}
+use crate::ops::token_layers::{Linear, TensorLayers, TokenLayers as _};
 
 /// Patch embedding, time embedding and action embedding.
 #[derive(Clone, Debug)]
 pub(super) struct Embedding {
     /// (d, C, p, p), as a convolution's.
     pub(super) patch_weight: Tensor,
-    pub(super) patch_bias: Tensor,
-    pub(super) time: [Linear; 2],
-    pub(super) action: Linear,
+    patch_bias: Tensor,
+    condition: ConditionEmbedding<Linear>,
     /// (1, FREQUENCIES).
-    pub(super) frequencies: Tensor,
-}
-
-/// Radians of each wave at noise level 1.
-pub(super) fn frequencies() -> Vec<f32> {
-    (0..FREQUENCIES)
-        .map(|i| {
-            let exponent = -FREQUENCY_RANGE.ln() * i as f64 / FREQUENCIES as f64;
-            (exponent.exp() * TAU_SCALE) as f32
-        })
-        .collect()
+    frequencies: Tensor,
 }
 
 impl Embedding {
@@ -69,11 +27,7 @@ impl Embedding {
             frequencies: Tensor::from_vec(frequencies(), shape, patch_weight.device())?,
             patch_weight,
             patch_bias: tensors.take("x_proj.bias")?,
-            time: [
-                tensors.linear("timestep_mlp.0")?,
-                tensors.linear("timestep_mlp.2")?,
-            ],
-            action: tensors.linear("action_embedder")?,
+            condition: ConditionEmbedding::new(tensors)?,
         })
     }
 
@@ -83,35 +37,28 @@ impl Embedding {
     }
 
     /// Patches (.., p * p * C) to tokens (.., d).
-    pub(super) fn tokens(&self, engine: Engine, patches: &Tensor) -> Result<Tensor> {
+    pub(super) fn tokens(&self, layers: &mut TensorLayers, patches: &Tensor) -> Result<Tensor> {
         // The patches' values are in the order row, column, channel.
         let weight = self.patch_weight.permute((0, 2, 3, 1))?.flatten_from(1)?;
-        Ok(ops::linear(
-            engine,
-            patches,
-            &weight.contiguous()?,
-            Some(&self.patch_bias),
-        )?)
+        let linear = Linear {
+            weight: weight.contiguous()?,
+            bias: Some(self.patch_bias.clone()),
+        };
+        layers.linear(&linear, patches)
     }
 
     /// `tau` (frames) and `action` (frames, A).
     pub(super) fn condition(
         &self,
-        engine: Engine,
+        layers: &mut TensorLayers,
         tau: &Tensor,
         action: &Tensor,
-    ) -> Result<Condition> {
+    ) -> Result<Condition<Tensor>> {
         let angles = tau.unsqueeze(1)?.broadcast_mul(&self.frequencies)?;
         let waves = Tensor::cat(&[angles.cos()?, angles.sin()?], D::Minus1)?;
-        let [first, second] = &self.time;
-        let hidden = first.forward(engine, &waves)?;
-        let time = second.forward(engine, &hidden.silu()?)?;
-        let action = self.action.forward(engine, action)?;
-        let activated = (&time + action)?.silu()?;
-        Ok(Condition { time, activated })
+        self.condition.at(layers, &waves, action)
     }
 }
-
 /// Between latents and patches.
 pub(super) struct Patches;
 

@@ -3,90 +3,98 @@
 use candle_core::Tensor;
 
 use super::TransitionConfig;
-use super::embedding::Condition;
-use super::parameters::{Linear, Tensors};
-use crate::ops::{Engine, rms_norm_modulate};
+use crate::ops::token_layers::{HeadLayers, Linear, LinearSource, TensorLayers};
 use crate::{Error, Result};
 
 /// The last layers.
 #[derive(Clone, Debug)]
-pub(super) struct Head {
+pub(super) struct Head<W> {
     /// The wide head's projection; the plain head has none.
-    pub(super) wide: Option<Linear>,
-    pub(super) modulation: Linear,
-    pub(super) linear: Linear,
+    pub(super) wide: Option<W>,
+    modulation: W,
+    pub(super) linear: W,
 }
 
-/// Name of the wide head's projection.
-pub(super) const WIDE: &str = "s_projector";
-
-/// What the names of the head's last two layers start with.
-pub(super) fn name(config: &TransitionConfig) -> &'static str {
-    match config.wide_head {
-        Some(_) => "head_final_layer",
-        None => "final_layer",
-    }
-}
-
-impl Head {
-    pub(super) fn new(config: &TransitionConfig, tensors: &mut Tensors) -> Result<Self> {
-        let (wide, name) = (config.wide_head, name(config));
+impl<W> Head<W> {
+    pub(super) fn new(
+        config: &TransitionConfig,
+        source: &mut impl LinearSource<Linear = W>,
+    ) -> Result<Self> {
+        let name = match config.wide_head {
+            Some(_) => "head_final_layer",
+            None => "final_layer",
+        };
+        let wide = config.wide_head.map(|_| source.linear("s_projector"));
         Ok(Self {
-            wide: wide.map(|_| tensors.linear(WIDE)).transpose()?,
-            modulation: tensors.linear(&format!("{name}.adaLN_modulation.1"))?,
-            linear: tensors.linear(&format!("{name}.linear"))?,
+            wide: wide.transpose()?,
+            modulation: source.sensitive(&format!("{name}.adaLN_modulation.1"))?,
+            linear: source.sensitive(&format!("{name}.linear"))?,
         })
     }
 
-    /// Tokens (B, T, N, d) to patches (B, T, N, p * p * C).
-    pub(super) fn forward(
+    /// The modulation of the plain head, for `activated` (rows, d); the wide one makes its own of the tokens.
+    pub(super) fn plain_modulation<L: HeadLayers<Linear = W>>(
         &self,
-        engine: Engine,
-        tokens: &Tensor,
-        condition: &Condition,
-    ) -> Result<Tensor> {
-        let modulation = self.plain_modulation(engine, &condition.activated)?;
-        self.forward_modulated(engine, tokens, modulation.as_ref(), &condition.time)
-    }
-
-    /// What modulates the plain head, for `activated` (rows, d); the wide one makes its own of the tokens.
-    pub(super) fn plain_modulation(
-        &self,
-        engine: Engine,
-        activated: &Tensor,
-    ) -> Result<Option<Tensor>> {
+        layers: &mut L,
+        activated: &L::Value,
+    ) -> Result<Option<L::Value>> {
         match &self.wide {
-            None => self.modulation.forward(engine, activated).map(Some),
+            None => layers.linear(&self.modulation, activated).map(Some),
             Some(_) => Ok(None),
         }
     }
 
-    /// As [`Self::forward`], given [`Self::plain_modulation`] and the time embedding (frames, d).
-    pub(super) fn forward_modulated(
+    /// The tokens of the wide head, whose projection is `wide`, for frames of these time embeddings.
+    pub(super) fn widened<L: HeadLayers<Linear = W>>(
+        layers: &mut L,
+        wide: &W,
+        tokens: &L::Value,
+        time: &L::Value,
+    ) -> Result<L::Value> {
+        // The wide head is conditioned on the noise level here, and from then on only on what it made of the frame.
+        let timed = layers.add_to_frames(tokens, time)?;
+        let timed = layers.silu(timed)?;
+        layers.linear(wide, &timed)
+    }
+
+    /// The wide head's modulation, for the `means` of its tokens over each frame.
+    pub(super) fn wide_modulation<L: HeadLayers<Linear = W>>(
         &self,
-        engine: Engine,
+        layers: &mut L,
+        means: L::Value,
+    ) -> Result<L::Value> {
+        let activated = layers.silu(means)?;
+        layers.linear(&self.modulation, &activated)
+    }
+
+    /// Patches of tokens, wide ones for the wide head, whose frames have this modulation.
+    pub(super) fn patches<L: HeadLayers<Linear = W>>(
+        &self,
+        layers: &mut L,
+        tokens: &L::Value,
+        modulation: &L::Value,
+    ) -> Result<L::Value> {
+        let normed = layers.norm_modulate(tokens, modulation, 0)?;
+        layers.linear(&self.linear, &normed)
+    }
+}
+
+impl Head<Linear> {
+    /// Tokens (B, T, N, d) to patches (B, T, N, p * p * C), given [`Head::plain_modulation`] and the time embedding
+    /// (frames, d).
+    pub(super) fn forward(
+        &self,
+        layers: &mut TensorLayers,
         tokens: &Tensor,
         modulation: Option<&Tensor>,
         time: &Tensor,
     ) -> Result<Tensor> {
-        let (b, t, n, d) = tokens.dims4()?;
-        let (tokens, modulation) = match (&self.wide, modulation) {
-            (None, Some(modulation)) => (tokens.clone(), modulation.clone()),
-            (None, None) => return Err(Error::config("head", "its modulation is missing")),
-            (Some(project), _) => {
-                // The wide head is conditioned on the noise level here, and from then on only on
-                // what it made of the frame.
-                let frames = tokens.reshape((b * t, n, d))?;
-                let timed = frames.broadcast_add(&time.unsqueeze(1)?)?;
-                let wide = project.forward(engine, &timed.silu()?)?;
-                let activated = wide.mean(1)?.silu()?;
-                (wide, self.modulation.forward(engine, &activated)?)
-            }
-        };
-        let normed = rms_norm_modulate(engine, &tokens, &modulation, 0, 1)?;
-        Ok(self
-            .linear
-            .forward(engine, &normed)?
-            .reshape((b, t, n, ()))?)
+        if let Some(wide) = &self.wide {
+            let wide = Self::widened(layers, wide, tokens, time)?;
+            let modulation = self.wide_modulation(layers, wide.mean(2)?.flatten_to(1)?)?;
+            return self.patches(layers, &wide, &modulation);
+        }
+        let missing = || Error::config("head", "its modulation is missing");
+        self.patches(layers, tokens, modulation.ok_or_else(missing)?)
     }
 }

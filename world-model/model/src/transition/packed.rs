@@ -11,14 +11,12 @@
 //! every block, does not depend on them: it is computed once ([`FrameContext`]) and used in every
 //! integration step of every later frame, and shared by all candidates of a plan.
 
-mod condition;
 mod frame_context;
 mod head;
 mod modulation;
 mod pass;
 mod projection;
 mod source;
-mod sub_block;
 mod tasks;
 
 use std::sync::Arc;
@@ -29,15 +27,15 @@ use super::{Transition, TransitionConfig};
 use crate::Result;
 use crate::ops::block_attention::TokenBlocks;
 use crate::ops::{PackedFormat, PackedLinear, RotaryTable};
-use condition::Condition;
+use crate::transition::block::{Block, blocks};
+use crate::transition::condition::ConditionEmbedding;
+use crate::transition::head::Head;
 pub(crate) use frame_context::FrameContext;
-use head::Head;
 pub(crate) use modulation::Modulation;
 pub use pass::NewFrame;
 pub(crate) use pass::PassOutput;
 pub use source::PackedSource;
 use source::{NamedLayers, OfTransition, numbers};
-use sub_block::SubBlock;
 
 /// The transition model, ready for inference. Clones share everything.
 #[derive(Clone, Debug)]
@@ -55,10 +53,9 @@ struct Layers {
     grid: RotaryTable,
     /// Patches (p * p * C, values in the order row, column, channel) to tokens.
     embedding: PackedLinear,
-    condition: Condition,
-    /// Spatial, temporal, spatial, ...
-    sub_blocks: Vec<SubBlock>,
-    head: Head,
+    condition: ConditionEmbedding<PackedLinear>,
+    sub_blocks: Vec<Block<PackedLinear>>,
+    head: Head<PackedLinear>,
 }
 
 impl PackedTransition {
@@ -78,23 +75,16 @@ impl PackedTransition {
     /// If the configuration cannot be built, `source` fails, or it gives weights of another shape.
     pub fn build(config: TransitionConfig, source: &dyn PackedSource) -> Result<Self> {
         config.validate()?;
-        let named = NamedLayers::new(&config, source);
+        let mut named = NamedLayers::new(&config, source);
         let (rows, columns) = config.grid();
-        let mut sub_blocks = Vec::with_capacity(2 * config.depth);
-        for block in 0..config.depth {
-            for part in ["s_block", "t_block"] {
-                let name = format!("blocks.{block}.{part}");
-                sub_blocks.push(SubBlock::new(&name, &named)?);
-            }
-        }
         let layers = Layers {
             format: source.format(),
             blocks: TokenBlocks::new(rows * columns, config.heads, config.head_dim()),
             grid: config.rotary(),
             embedding: named.patches()?,
-            condition: Condition::new(&named)?,
-            sub_blocks,
-            head: Head::new(&named)?,
+            condition: ConditionEmbedding::new(&mut named)?,
+            sub_blocks: blocks(config.depth, &mut named)?,
+            head: Head::new(&config, &mut named)?,
         };
         Ok(Self {
             config: Arc::new(config),

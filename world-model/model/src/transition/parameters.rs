@@ -9,7 +9,7 @@ use rand_distr::{Distribution, StandardNormal};
 use sha2::{Digest, Sha256};
 
 use super::TransitionConfig;
-use crate::ops::{self, Engine};
+use crate::ops::token_layers::{Linear, LinearSource};
 use crate::{Error, Result};
 
 /// Frequencies of the noise level's sinusoid; it has a cosine and a sine of each.
@@ -239,33 +239,20 @@ impl Tensors {
             expected: Vec::new(),
         })
     }
+}
 
-    /// Hands out a Linear with bias.
-    pub(super) fn linear(&mut self, name: &str) -> Result<Linear> {
+/// Tensors are in one number format, sensitive or not.
+impl LinearSource for Tensors {
+    type Linear = Linear;
+
+    fn linear(&mut self, name: &str) -> Result<Linear> {
         Ok(Linear {
             weight: self.take(&format!("{name}.weight"))?,
-            bias: Some(self.take(&format!("{name}.bias"))?),
+            bias: self.0.remove(&format!("{name}.bias")),
         })
     }
 
-    /// Hands out a Linear without bias.
-    pub(super) fn linear_no_bias(&mut self, name: &str) -> Result<Linear> {
-        Ok(Linear {
-            weight: self.take(&format!("{name}.weight"))?,
-            bias: None,
-        })
-    }
-}
-
-/// y = x W^T + b.
-#[derive(Clone, Debug)]
-pub(super) struct Linear {
-    pub(super) weight: Tensor,
-    pub(super) bias: Option<Tensor>,
-}
-
-impl Linear {
-    pub(super) fn forward(&self, engine: Engine, x: &Tensor) -> Result<Tensor> {
-        Ok(ops::linear(engine, x, &self.weight, self.bias.as_ref())?)
+    fn sensitive(&mut self, name: &str) -> Result<Linear> {
+        self.linear(name)
     }
 }

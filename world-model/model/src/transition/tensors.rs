@@ -20,11 +20,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use candle_core::{DType, Device, DeviceLocation, Tensor};
 
-use super::block::{ATTENTION, FEED_FORWARD, SubBlock};
 use super::embedding::Patches;
 use super::values::Batched;
 use super::{Transition, TransitionConfig};
-use crate::ops::{Engine, RotaryTable, gated_residual, rms_norm_modulate, swiglu};
+use crate::ops::token_layers::{ClipLayers as _, TensorLayers};
+use crate::ops::{Engine, RotaryTable};
 use crate::{Error, Result};
 use attention::{Angles, Heads};
 pub(super) use context::FrameContext;
@@ -236,61 +236,44 @@ impl TensorTransition {
         let at = |angles: &Tensor| angles.narrow(0, earlier.frames(), frames);
         let in_time = (at(&in_time.0)?, at(&in_time.1)?);
         let patches = Patches::of(&inputs.latents, c.patch)?;
-        let mut tokens = model.embedding.tokens(ENGINE, &patches)?;
+        let mut layers = TensorLayers::new(ENGINE, batch);
+        let mut tokens = model.embedding.tokens(&mut layers, &patches)?;
+        let mut block_layers = layers.in_format(model.embedding.patch_weight.dtype());
         let mut kept = Vec::with_capacity(model.blocks.len());
         for (index, (block, earlier)) in model.blocks.iter().zip(earlier.layers()).enumerate() {
-            let of_part = |part: usize| modulation.sub_blocks.get(2 * index + part);
-            tokens = sub_block(&block.spatial, &tokens, &of_part(0)?, |qkv| {
-                heads.attend_in_space(qkv, in_space)
-            })?;
-            tokens = sub_block(&block.temporal, &tokens, &of_part(1)?, |qkv| {
-                let (attended, own) = heads.attend_in_time(qkv, &in_time, earlier)?;
-                if keep > 0 {
-                    kept.push(own.first(keep)?);
-                }
-                Ok(attended)
-            })?;
+            let (layers, [spatial, temporal]) = (&mut block_layers, block);
+            let by_space = modulation.sub_blocks.get(2 * index)?;
+            let qkv = spatial.project(layers, &tokens, &by_space)?;
+            let attended = heads.attend_in_space(&qkv, in_space)?;
+            tokens = spatial.finish(layers, tokens, &attended, &by_space)?;
+            let by_time = modulation.sub_blocks.get(2 * index + 1)?;
+            let qkv = temporal.project(layers, &tokens, &by_time)?;
+            let (attended, own) = heads.attend_in_time(&qkv, &in_time, earlier)?;
+            if keep > 0 {
+                kept.push(own.first(keep)?);
+            }
+            tokens = temporal.finish(layers, tokens, &attended, &by_time)?;
         }
         let count = frames.saturating_sub(first_output);
         if count == 0 {
             return Ok(Outcome { kept, output: None });
         }
         let tokens = tokens.narrow(1, first_output, count)?.contiguous()?;
-        let last = modulation.last((batch, frames), count)?;
-        let patches =
-            model
-                .head
-                .forward_modulated(ENGINE, &tokens, last.head.as_ref(), &last.time)?;
+        let mut last = |rows: &Tensor| layers.last_frames(rows.clone(), count);
+        let (of_head, time) = (
+            modulation.head.as_ref().map(&mut last),
+            last(&modulation.time)?,
+        );
+        let of_head = of_head.transpose()?;
+        let patches = model
+            .head
+            .forward(&mut layers, &tokens, of_head.as_ref(), &time)?;
         let output = Patches::into_grid(&patches, (batch, count), c)?;
         Ok(Outcome {
             kept,
             output: Some(output),
         })
     }
-}
-
-/// Tokens (B, F, N, d) after a sub-block whose modulation (B F, 6 d) is known. Products and attention are in the number
-/// format of the weights.
-fn sub_block(
-    part: &SubBlock,
-    x: &Tensor,
-    modulation: &Tensor,
-    attend: impl FnOnce(&Tensor) -> Result<Tensor>,
-) -> Result<Tensor> {
-    let format = part.qkv.weight.dtype();
-    let normed = |x: &Tensor, shift, scale| {
-        rms_norm_modulate(ENGINE, x, modulation, shift, scale)?.to_dtype(format)
-    };
-    let plus = |x: &Tensor, branch: &Tensor, gate| {
-        gated_residual(ENGINE, x, &branch.to_dtype(DType::F32)?, modulation, gate)
-    };
-    let [shift, scale, gate] = ATTENTION;
-    let qkv = part.qkv.forward(ENGINE, &normed(x, shift, scale)?)?;
-    let x = plus(x, &part.out.forward(ENGINE, &attend(&qkv)?)?, gate)?;
-    let [shift, scale, gate] = FEED_FORWARD;
-    let up = part.up.forward(ENGINE, &normed(&x, shift, scale)?)?;
-    let fed = part.down.forward(ENGINE, &swiglu(ENGINE, &up)?)?;
-    Ok(plus(&x, &fed, gate)?)
 }
 
 #[cfg(test)]

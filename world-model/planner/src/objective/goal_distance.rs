@@ -2,7 +2,7 @@
 
 use candle_core::{D, Tensor};
 use serde::{Deserialize, Serialize};
-use wm_model::Error;
+use wm_model::{Error, LatentSpace};
 
 use super::{PortableTerm, Term};
 use crate::{Array, PlanError, SearchSpace};
@@ -40,8 +40,28 @@ impl<L> Target<L> {
 }
 
 impl Target {
-    /// Mean squared latent error of each candidate, in normalised units squared: `latents` (N, k, h, w, C) -> N costs.
-    /// A cost may be NaN or infinite where the latents are.
+    /// The values of a latent of `space`, row-major with channels last, for the last step.
+    ///
+    /// # Errors
+    /// If it has another number of values than the space.
+    pub fn last_step(space: &LatentSpace, latent: &[f32]) -> wm_model::Result<Self> {
+        Ok(Self::LastStep(space.stack(&[latent])?.squeeze(0)?))
+    }
+
+    /// As [`Self::costs`], of candidates of one step: `latents` of `space`, one for each.
+    ///
+    /// # Errors
+    /// As there; or if one has another number of values than the space.
+    pub fn step_costs(
+        &self,
+        space: &LatentSpace,
+        latents: &[&[f32]],
+    ) -> wm_model::Result<Vec<f32>> {
+        self.costs(&space.stack(latents)?.unsqueeze(1)?)
+    }
+
+    /// Mean squared latent error of each candidate: `latents` (N, k, h, w, C) to N costs, in normalised units squared.
+    /// A cost may be NaN or infinite where the model's latents are.
     ///
     /// # Errors
     /// [`Error::Shape`] if target and latents differ in shape.

@@ -1,6 +1,4 @@
-use std::time::Duration;
-
-use super::http_date;
+use std::time::{Duration, UNIX_EPOCH};
 
 /// Wait before the first retry.
 const FIRST: Duration = Duration::from_secs(1);
@@ -20,8 +18,13 @@ pub(super) fn delay(retry: u32, seed: u64) -> Duration {
 
 /// The wait of a `Retry-After` header: seconds, or a date.
 pub(super) fn retry_after(header: &str, now_unix_s: u64) -> Option<Duration> {
-    let seconds = header.trim().parse().ok();
-    let seconds = seconds.or_else(|| Some(http_date::unix_s(header)?.saturating_sub(now_unix_s)));
+    let header = header.trim();
+    let until_date = || {
+        let date = httpdate::parse_http_date(header).ok()?;
+        let unix_s = date.duration_since(UNIX_EPOCH).ok()?.as_secs();
+        Some(unix_s.saturating_sub(now_unix_s))
+    };
+    let seconds = header.parse().ok().or_else(until_date);
     seconds.map(Duration::from_secs)
 }
 
@@ -55,7 +58,10 @@ mod tests {
         let seconds = |header| retry_after(header, 784_111_770).map(|d| d.as_secs());
         assert_eq!(seconds(" 17 "), Some(17));
         assert_eq!(seconds("Sun, 06 Nov 1994 08:49:37 GMT"), Some(7));
+        assert_eq!(seconds("Sunday, 06-Nov-94 08:49:37 GMT"), Some(7));
         assert_eq!(seconds("Sun, 06 Nov 1994 08:49:00 GMT"), Some(0));
+        assert_eq!(seconds("Sun, 06 Nov 1994 08:49:37 CET"), None);
+        assert_eq!(seconds("Sun, 32 Nov 1994 08:49:37 GMT"), None);
         assert_eq!(seconds("-1"), None);
         assert_eq!(seconds("later"), None);
     }

@@ -48,7 +48,7 @@ impl ConvertCommand {
         };
         let progress = Progress::open_ended("converting", "messages");
         let topics = VideoTopics::of(&BagReader::open(&self.input)?, self.jpeg_quality);
-        let kept = topics.kept().to_vec();
+        let kept = topics.skipped().to_vec();
         let mut transforms: [Box<dyn Transform>; 2] = [Box::new(topics), Box::new(ProtobufTopics)];
         let converted = convert(&self.input, &self.output, options, &mut transforms)?;
         drop(progress);

@@ -1,4 +1,4 @@
-//! Which rollout is shown: of those of which the most steps were seen, the one with the most motion.
+//! Chooses the rollout to show: of those with the most steps, the one with the most motion.
 
 use image::RgbImage;
 use std::cmp::Ordering;
@@ -6,22 +6,22 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 use wm_metrics::images::psnr;
 
-/// Rollouts in the making: a horizon of 64 steps of two camera frames, and some room.
+/// The most open rollouts: a horizon of 64 steps of two camera frames, and some room.
 const OPEN_LIMIT: usize = 160;
 
-/// A rollout and what really happened.
+/// A rollout and the real frames.
 #[derive(Clone, Debug)]
 pub struct ShownRollout {
     /// Stamp of the observation \[ns\].
     pub observed_ns: i64,
-    /// The frame that it started from.
+    /// The frame that it starts from.
     pub observed: Arc<RgbImage>,
-    /// The steps that were seen, by k: the real frame and the predicted picture. A decoder under load leaves some out.
+    /// By k: the real frame and the predicted picture. A decoder under load skips steps.
     pub steps: BTreeMap<u32, (Arc<RgbImage>, Arc<RgbImage>)>,
 }
 
 impl ShownRollout {
-    /// How unlike the observation the frames became, as mean PSNR \[dB\]: less is more motion.
+    /// How similar the frames stayed to the observation, as mean PSNR \[dB\]: less means more motion.
     fn stillness_db(&self) -> f64 {
         let likeness = self
             .steps
@@ -33,7 +33,6 @@ impl ShownRollout {
         sum / self.steps.len().max(1) as f64
     }
 
-    /// Whether this one is to be shown rather than the other.
     fn is_better_than(&self, other: &Self) -> bool {
         match self.steps.len().cmp(&other.steps.len()) {
             Ordering::Greater => true,
@@ -50,7 +49,7 @@ pub(super) struct Rollouts {
     recent: VecDeque<i64>,
     /// By stamp of the observation.
     open: BTreeMap<i64, ShownRollout>,
-    /// Of those that are no longer open.
+    /// The best closed rollout.
     best: Option<ShownRollout>,
 }
 
@@ -71,7 +70,7 @@ impl Rollouts {
         self.observations
     }
 
-    /// A picture and the frame of the same time.
+    /// Adds a picture and the frame of the same time.
     pub fn picture(
         &mut self,
         observed_ns: i64,

@@ -5,7 +5,6 @@ use crate::report::{figures::StepFigures, histogram::Times};
 use image::RgbImage;
 use wm_metrics::images::{psnr, ssim};
 
-/// A mean in the making.
 #[derive(Clone, Copy, Debug, Default)]
 struct Mean {
     sum: f64,
@@ -67,8 +66,7 @@ impl StepScore {
         }
     }
 
-    /// Scores a picture and the baseline. Pictures of unequal size, which a frame that cannot be resized gives, count
-    /// for neither.
+    /// Scores a picture and the baseline. If sizes differ, which a frame that cannot be resized causes, neither counts.
     pub fn compare(&mut self, predicted: &RgbImage, real: &RgbImage, observed: &RgbImage) {
         let scores = (
             psnr(predicted, real),

@@ -1,4 +1,7 @@
-//! Draws a curve.
+//! A curve as SVG.
+//!
+//! plotters is not used: its SVG has fixed colours and no classes. Here `report.css` gives colours, dashes and the dark theme,
+//! and elements have texts for screen readers.
 
 use std::fmt::Write as _;
 

@@ -2,8 +2,9 @@
 
 use rayon::prelude::*;
 
-use super::condition::product;
 use super::{NewFrame, PackedTransition};
+use crate::ops::token_layers::{PackedLayers, Rows, TokenLayers as _};
+use crate::transition::condition::frequencies;
 use crate::{Error, Result};
 
 /// What noise levels and actions make of every layer, computed for many frames in one product per layer: the weights of
@@ -68,17 +69,33 @@ impl PackedTransition {
                 found: vec![frames.len(), batch],
             });
         }
-        let layers = &self.layers;
-        let conditions = layers.condition.at(&taus, &actions);
-        let rows = taus.len();
-        let of = |linear| product(linear, &conditions.activated, rows);
-        let sub_blocks = layers.sub_blocks.par_iter().map(|s| of(&s.modulation));
+        let frequencies = frequencies();
+        let mut waves = Vec::with_capacity(taus.len() * 2 * frequencies.len());
+        for tau in &taus {
+            waves.extend(frequencies.iter().map(|f| (f * tau).cos()));
+            waves.extend(frequencies.iter().map(|f| (f * tau).sin()));
+        }
+        let (waves, actions) = (
+            Rows::shared(2 * frequencies.len(), &waves),
+            Rows::shared(width, &actions),
+        );
+        let network = &self.layers;
+        let mut layers = PackedLayers::default();
+        let condition = network.condition.at(&mut layers, &waves, &actions)?;
+        let parts = network.sub_blocks.par_iter().flatten();
+        let sub_blocks = parts.map(|part| {
+            let rows = PackedLayers::default().linear(&part.modulation, &condition.activated)?;
+            Ok(rows.to_vec())
+        });
+        let head = network
+            .head
+            .plain_modulation(&mut layers, &condition.activated)?;
         Ok(Modulation {
             batch,
             entries: frames.len(),
-            sub_blocks: sub_blocks.collect(),
-            head: layers.head.plain_modulation().map(of),
-            time: conditions.time,
+            sub_blocks: sub_blocks.collect::<Result<_>>()?,
+            head: head.map(|rows| rows.to_vec()),
+            time: condition.time.to_vec(),
         })
     }
 

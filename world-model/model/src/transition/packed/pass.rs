@@ -1,26 +1,24 @@
 //! One pass of the network over new frames.
 
-use std::cell::RefCell;
 use std::sync::Arc;
 
 use rayon::prelude::*;
 
 use super::frame_context::{FrameContext, Kept};
+use super::head;
 use super::modulation::Modulation;
 use super::projection::{Projection, TaskProjection};
-use super::sub_block::{Scratch, SubBlock, sized};
 use super::tasks::{Tasks, chunk};
 use super::{Layers, PackedTransition};
-use crate::ops::RotaryTable;
+use crate::ops::buffer::Buffer;
 use crate::ops::element::Rounded;
 use crate::ops::product::{Bf16, F32, Product};
 use crate::ops::simd::InstructionSet;
 use crate::ops::temporal_attention::{FrameRows, attend_rows, split_rows};
+use crate::ops::token_layers::{PackedLayers, Rows};
+use crate::ops::{PackedLinear, RotaryTable};
+use crate::transition::block::SubBlock;
 use crate::{Error, Result};
-
-thread_local! {
-    static SCRATCH: RefCell<Scratch> = RefCell::default();
-}
 
 /// A frame that a pass computes, for a batch of B candidates.
 #[derive(Clone, Copy, Debug)]
@@ -75,7 +73,7 @@ impl PackedTransition {
         self.check(earlier, frames, modulation)?;
         let wanted = (keep, first_output);
         // One hand-over to the pool, not one at every barrier.
-        Ok(rayon::scope(|_| match self.layers.format.bf16_unit() {
+        rayon::scope(|_| match self.layers.format.bf16_unit() {
             Some(unit) => {
                 Pass::<Bf16>::new(unit, self, earlier, frames, modulation, wanted).run(frames)
             }
@@ -83,7 +81,7 @@ impl PackedTransition {
                 let set = InstructionSet::detect();
                 Pass::<F32>::new(set, self, earlier, frames, modulation, wanted).run(frames)
             }
-        }))
+        })
     }
 
     fn check(
@@ -180,7 +178,7 @@ where
         &self.model.layers
     }
 
-    fn run(&self, frames: &[(&[f32], usize)]) -> PassOutput {
+    fn run(&self, frames: &[(&[f32], usize)]) -> Result<PassOutput> {
         let (layers, tasks, d) = (self.layers(), &self.tasks, self.model.config.hidden);
         let sub_blocks = self.modulation.sub_blocks.iter();
         let modulations: Vec<Vec<f32>> = sub_blocks
@@ -191,21 +189,16 @@ where
         let depth = self.model.config.depth;
         let mut kept = Kept::new(self.model.layers.clone(), depth, tasks, self.keep);
 
-        let mut pairs = layers
-            .sub_blocks
-            .chunks_exact(2)
-            .zip(modulations.chunks_exact(2));
+        let mut pairs = layers.sub_blocks.iter().zip(modulations.chunks_exact(2));
         let mut pair = pairs.next();
         if let Some(([spatial, _], [modulation, _])) = pair {
             xs.par_chunks_mut(tasks.rows() * d)
                 .zip(current.parts(tasks))
                 .enumerate()
-                .for_each(|(task, (x, projection))| {
-                    SCRATCH.with_borrow_mut(|scratch| {
-                        let x = self.embed(task, frames, x, scratch);
-                        self.project(task, spatial, modulation, x, projection, scratch);
-                    });
-                });
+                .try_for_each(|(task, (x, projection))| {
+                    let x = self.embed(task, frames, x);
+                    self.project(task, spatial, modulation, x, projection)
+                })?;
         }
         let mut index = 0;
         while let Some(([spatial, temporal], [by_space, by_time])) = pair {
@@ -224,18 +217,19 @@ where
                 .zip(keys.par_chunks_mut(kept.chunk))
                 .zip(values.par_chunks_mut(kept.chunk))
                 .enumerate()
-                .for_each(|(task, (((x, projection), keys), values))| {
-                    SCRATCH.with_borrow_mut(|scratch| {
-                        let x = self.used(task, x);
-                        self.attend_in_space(task, &current, scratch);
-                        let (sub_block, modulation) = layer.spatial;
-                        sub_block.finish(x, self.modulation(task, modulation, 0), scratch);
-                        self.attend_in_time(task, &layer, x, (keys, values), scratch);
-                        if let Some(([spatial, _], [modulation, _])) = pair {
-                            self.project(task, spatial, modulation, x, projection, scratch);
+                .try_for_each(|(task, (((x, projection), keys), values))| {
+                    let x = self.used(task, x);
+                    let attended = self.attend_in_space(task, &current);
+                    let (sub_block, modulation) = layer.spatial;
+                    self.finish(sub_block, x, attended, self.modulation(task, modulation, 0))?;
+                    self.attend_in_time(task, &layer, x, (keys, values))?;
+                    match pair {
+                        Some(([spatial, _], [modulation, _])) => {
+                            self.project(task, spatial, modulation, x, projection)
                         }
-                    });
-                });
+                        _ => Ok(()),
+                    }
+                })?;
             if let Some(layer) = kept.layers.get_mut(index) {
                 *layer = (keys, values);
             }
@@ -244,9 +238,9 @@ where
         }
         let outputs = if self.first_output < tasks.times {
             let first = self.first_output;
-            let head = &layers.head;
-            let patches = head.forward(&xs, tasks, first, self.modulation, &self.entries);
-            self.assemble(&patches)
+            let (modulation, entries) = (self.modulation, &self.entries);
+            let patches = head::patches(&layers.head, (&xs, d), tasks, first, modulation, entries);
+            self.assemble(&patches?)
         } else {
             Vec::new()
         };
@@ -255,10 +249,10 @@ where
             kept: kept.clone(),
             index,
         };
-        PassOutput {
+        Ok(PassOutput {
             contexts: (0..self.keep).map(context).collect(),
             outputs,
-        }
+        })
     }
 
     /// The rows of a task's chunk that are in use.
@@ -269,13 +263,29 @@ where
     }
 
     /// A task's part of a sub-block's modulation, from frame `first` on.
-    fn modulation<'m>(&self, task: usize, modulation: &'m [f32], first: usize) -> &'m [f32] {
+    fn modulation<'m>(&self, task: usize, modulation: &'m [f32], first: usize) -> Rows<'m> {
         let width = modulation.len() / self.tasks.frames().max(1);
         let (from, to) = (
             self.tasks.frame(task, first),
             self.tasks.frame(task, self.tasks.times),
         );
-        modulation.get(from * width..to * width).unwrap_or_default()
+        let frames = modulation.get(from * width..to * width);
+        Rows::shared(width, frames.unwrap_or_default())
+    }
+
+    /// Writes the tokens `x` after a sub-block to their place, given the result of its attention.
+    fn finish(
+        &self,
+        sub_block: &SubBlock<PackedLinear>,
+        x: &mut [f32],
+        attended: Buffer,
+        modulation: Rows<'_>,
+    ) -> Result<()> {
+        let d = self.model.config.hidden;
+        let (x, attended) = (Rows::in_place(d, x), Rows::own(d, attended));
+        let layers = &mut PackedLayers::default();
+        sub_block.finish(layers, x, &attended, &modulation)?;
+        Ok(())
     }
 
     /// Patches of a task, as tokens in `x`.
@@ -284,14 +294,13 @@ where
         task: usize,
         frames: &[(&[f32], usize)],
         x: &'x mut [f32],
-        scratch: &mut Scratch,
     ) -> &'x mut [f32] {
         let c = &self.model.config;
         let latent = c.latent_height * c.latent_width * c.channels;
         let x = self.used(task, x);
         let tokens = self.tasks.tokens_of(task);
         let rows = self.tasks.times * tokens;
-        let patches = sized(&mut scratch.normed, rows * c.patch_values());
+        let mut patches = Buffer::of(rows * c.patch_values());
         let blocks = self.tasks.blocks.count();
         let mut targets = patches.chunks_exact_mut(c.patch * c.channels);
         for (latents, _) in frames {
@@ -305,7 +314,7 @@ where
                 }
             }
         }
-        self.layers().embedding.forward(patches, x);
+        self.layers().embedding.forward(&patches, x);
         x
     }
 
@@ -313,40 +322,45 @@ where
     fn project(
         &self,
         task: usize,
-        sub_block: &SubBlock,
+        sub_block: &SubBlock<PackedLinear>,
         modulation: &[f32],
         x: &[f32],
         projection: TaskProjection<'_, P>,
-        scratch: &mut Scratch,
-    ) {
+    ) -> Result<()> {
         let (blocks, tokens) = (&self.tasks.blocks, self.tasks.tokens_of(task));
-        sub_block.project(x, self.modulation(task, modulation, 0), scratch);
+        let (x, modulation) = (
+            Rows::shared(blocks.width(), x),
+            self.modulation(task, modulation, 0),
+        );
+        let qkv = sub_block.project(&mut PackedLayers::default(), &x, &modulation)?;
         let size = tokens * blocks.width();
         let queries = projection.queries.chunks_exact_mut(size);
         let keys = projection.keys.chunks_exact_mut(blocks.key_values());
         let values = projection.values.chunks_exact_mut(blocks.value_values());
-        let frames = scratch.qkv.chunks_exact(3 * size).take(self.tasks.times);
+        let frames = qkv.chunks_exact(3 * size);
         for (qkv, (queries, (keys, values))) in frames.zip(queries.zip(keys.zip(values))) {
             let block = task % blocks.count();
             blocks.pack::<P>(block, qkv, &self.layers().grid, queries, (keys, values));
         }
+        Ok(())
     }
 
-    /// Attention within every frame, to `scratch.attended`.
-    fn attend_in_space(&self, task: usize, projection: &Projection<P>, scratch: &mut Scratch) {
+    /// Attention within every frame.
+    fn attend_in_space(&self, task: usize, projection: &Projection<P>) -> Buffer {
         let (blocks, times) = (&self.tasks.blocks, self.tasks.times);
         let size = self.tasks.tokens_of(task) * blocks.width();
         let queries = projection.queries(&self.tasks, task);
-        let attended = sized(&mut scratch.attended, times * size);
-        let scores = sized(&mut scratch.scores, blocks.score_values());
+        let mut attended = Buffer::of(times * size);
+        let mut scores = Buffer::of(blocks.score_values());
         let first = task / blocks.count() * blocks.count();
         let frames = queries
             .chunks_exact(size)
             .zip(attended.chunks_exact_mut(size));
         for (t, (queries, out)) in frames.enumerate() {
             let packed = |other: usize| projection.packed(&self.tasks, first + other, t);
-            blocks.attend::<P>(self.unit, queries, packed, scores, out);
+            blocks.attend::<P>(self.unit, queries, packed, &mut scores, out);
         }
+        attended
     }
 
     /// The temporal sub-block. After the last block only frames that give an output go on.
@@ -356,8 +370,7 @@ where
         layer: &Layer<'_>,
         x: &mut [f32],
         (kept_keys, kept_values): (&mut [f32], &mut [f32]),
-        scratch: &mut Scratch,
-    ) {
+    ) -> Result<()> {
         let (d, dim) = (self.model.config.hidden, self.model.config.head_dim());
         let times = self.tasks.times;
         let size = self.tasks.tokens_of(task) * d;
@@ -367,18 +380,12 @@ where
             0
         };
         let (sub_block, modulation) = layer.temporal;
-        sub_block.project(x, self.modulation(task, modulation, 0), scratch);
+        let of_all = self.modulation(task, modulation, 0);
+        let qkv = sub_block.project(&mut PackedLayers::default(), &Rows::shared(d, x), &of_all)?;
+        // Keys and values of frames that later frames do not need.
         let dropped = times - self.keep;
-        let Scratch {
-            qkv,
-            queries,
-            keys,
-            values,
-            attended,
-            ..
-        } = scratch;
-        let queries = sized(queries, times * size);
-        let (keys, values) = (sized(keys, dropped * size), sized(values, dropped * size));
+        let mut queries = Buffer::of(times * size);
+        let (mut keys, mut values) = (Buffer::of(dropped * size), Buffer::of(dropped * size));
         {
             let parts = queries
                 .chunks_exact_mut(size)
@@ -421,7 +428,7 @@ where
             .chain(values.chunks_exact(size));
         frames.extend(own_keys.zip(own_values));
         let mut weights = vec![0.0; frames.len()];
-        let attended = sized(attended, (times - first) * size);
+        let mut attended = Buffer::of((times - first) * size);
         let rows = queries.chunks_exact(size).enumerate().skip(first);
         for ((t, queries), out) in rows.zip(attended.chunks_exact_mut(size)) {
             let seen = before + t + 1;
@@ -429,10 +436,13 @@ where
                 attend_rows(out, queries, frames, weights, d, dim);
             }
         }
-        drop(frames);
-        if let Some(x) = x.get_mut(first * size..) {
-            sub_block.finish(x, self.modulation(task, modulation, first), scratch);
-        }
+        let x = x.get_mut(first * size..).unwrap_or_default();
+        self.finish(
+            sub_block,
+            x,
+            attended,
+            self.modulation(task, modulation, first),
+        )
     }
 
     /// From patches, task by task, to whole frames.
@@ -468,8 +478,8 @@ where
 /// One block in a pass: its sub-blocks and their modulations.
 struct Layer<'a> {
     index: usize,
-    spatial: (&'a SubBlock, &'a [f32]),
-    temporal: (&'a SubBlock, &'a [f32]),
+    spatial: (&'a SubBlock<PackedLinear>, &'a [f32]),
+    temporal: (&'a SubBlock<PackedLinear>, &'a [f32]),
 }
 
 /// Where the rows of a token's patch lie in a latent.

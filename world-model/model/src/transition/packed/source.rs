@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use candle_core::{DType, Device, Tensor};
 
+use crate::ops::token_layers::LinearSource;
 use crate::ops::{PackedFormat, PackedLinear};
 use crate::transition::parameters;
 use crate::transition::{Transition, TransitionConfig};
@@ -86,20 +87,6 @@ impl<'a> NamedLayers<'a> {
         }
     }
 
-    pub(super) fn config(&self) -> &TransitionConfig {
-        self.config
-    }
-
-    /// The Linear `name`.
-    pub(super) fn linear(&self, name: &str) -> Result<PackedLinear> {
-        self.packed(name, self.source.format())
-    }
-
-    /// The Linear `name`, which is sensitive to rounding.
-    pub(super) fn sensitive(&self, name: &str) -> Result<PackedLinear> {
-        self.packed(name, self.source.format().sensitive())
-    }
-
     fn packed(&self, name: &str, format: PackedFormat) -> Result<PackedLinear> {
         let weight = format!("{name}.weight");
         let Some([outputs, inputs]) = self.shapes.get(&weight).map(Vec::as_slice) else {
@@ -129,6 +116,18 @@ impl<'a> NamedLayers<'a> {
         let shape = (d, self.config.patch_values());
         let format = self.source.format().sensitive();
         PackedLinear::new(&weight, Some(&bias), shape, format)
+    }
+}
+
+impl LinearSource for NamedLayers<'_> {
+    type Linear = PackedLinear;
+
+    fn linear(&mut self, name: &str) -> Result<PackedLinear> {
+        self.packed(name, self.source.format())
+    }
+
+    fn sensitive(&mut self, name: &str) -> Result<PackedLinear> {
+        self.packed(name, self.source.format().sensitive())
     }
 }
 

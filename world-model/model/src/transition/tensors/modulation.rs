@@ -3,6 +3,7 @@
 use candle_core::Tensor;
 
 use super::ENGINE;
+use crate::ops::token_layers::{TensorLayers, TokenLayers as _};
 use crate::transition::Transition;
 use crate::transition::values::Batched;
 use crate::{Error, Result};
@@ -58,18 +59,19 @@ impl Modulation {
         }
         let tau = Tensor::from_vec(taus, entries * batch, model.device())?;
         let actions = Tensor::cat(&actions, 0)?;
-        let condition = model.embedding.condition(ENGINE, &tau, &actions)?;
+        let mut layers = TensorLayers::new(ENGINE, batch);
+        let condition = model.embedding.condition(&mut layers, &tau, &actions)?;
         let by_entry = |rows: &Tensor| rows.reshape((entries, batch, ()));
-        let parts = model.blocks.iter().flat_map(|b| [&b.spatial, &b.temporal]);
+        let parts = model.blocks.iter().flatten();
         let sub_blocks = parts
             .map(|part| {
-                let rows = part.modulation.forward(ENGINE, &condition.activated)?;
+                let rows = layers.linear(&part.modulation, &condition.activated)?;
                 Ok(by_entry(&rows)?)
             })
             .collect::<Result<Vec<_>>>()?;
         let head = model
             .head
-            .plain_modulation(ENGINE, &condition.activated)?
+            .plain_modulation(&mut layers, &condition.activated)?
             .map(|rows| by_entry(&rows))
             .transpose()?;
         Ok(Self {
@@ -116,22 +118,6 @@ fn gathered(values: &Tensor, chosen: &[usize]) -> Result<Tensor> {
 }
 
 impl OfFrames {
-    /// For the head: that of the last `count` frames of (B, F).
-    pub(super) fn last(&self, (b, f): (usize, usize), count: usize) -> Result<Self> {
-        if count == f {
-            return Ok(self.clone());
-        }
-        let last = |rows: &Tensor| -> Result<Tensor> {
-            let frames = rows.reshape((b, f, ()))?.narrow(1, f - count, count)?;
-            Ok(frames.flatten_to(1)?)
-        };
-        Ok(Self {
-            head: self.head.as_ref().map(last).transpose()?,
-            time: last(&self.time)?,
-            ..self.clone()
-        })
-    }
-
     /// In memory of its own.
     pub(super) fn copied(&self) -> Result<Self> {
         Ok(Self {
