@@ -5,29 +5,29 @@ use wm_metrics::classification::{Confusion, roc_auc};
 
 use crate::Figure;
 
-/// How well a probe tells success from failure.
+/// Accuracy of a success probe.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Accuracy {
     /// Episodes under their own instruction.
     pub episodes: usize,
-    /// Shares of the successes and of the failures that are told, at a probability of one half; NaN where there are none.
+    /// Recall of successes and of failures at a probability of one half; NaN for an empty class.
     pub recalls: [f64; 2],
-    /// Area under the ROC curve: how often a success gets a higher probability than a failure.
+    /// Area under the ROC curve: the probability that a success scores above a failure.
     pub auc: f64,
-    /// Share of the successes that are told to fail under another episode's instruction; `None` where none was asked.
+    /// Share of the successes rejected under another episode's instruction; `None` if not measured.
     pub mismatches: Option<f64>,
 }
 
 impl Accuracy {
-    /// Of logits under an episode's own instruction, with the truth, and of logits under another's.
+    /// From logits under an episode's own instruction with the truth, and logits under another's.
     #[must_use]
     pub fn of(own: &[(f32, bool)], mismatched: &[f32]) -> Self {
         let (scores, truth): (Vec<f64>, Vec<bool>) = own
             .iter()
             .map(|(logit, truth)| (f64::from(*logit), *truth))
             .unzip();
-        let told: Vec<bool> = scores.iter().map(|logit| *logit > 0.0).collect();
-        let recalls = Confusion::of(&told, &truth).map(|found| {
+        let verdicts: Vec<bool> = scores.iter().map(|logit| *logit > 0.0).collect();
+        let recalls = Confusion::of(&verdicts, &truth).map(|found| {
             [found.recall_of_positives(), found.recall_of_negatives()]
                 .map(|recall| recall.unwrap_or(f64::NAN))
         });
@@ -40,14 +40,14 @@ impl Accuracy {
         }
     }
 
-    /// Balanced accuracy: the mean of the recalls of both classes; NaN where there are none of one.
+    /// Balanced accuracy: the mean recall of both classes; NaN if one is empty.
     #[must_use]
     pub fn balanced(&self) -> f64 {
         let [of_successes, of_failures] = self.recalls;
         f64::midpoint(of_successes, of_failures)
     }
 
-    /// The figures of a validation.
+    /// Figures of a validation.
     #[must_use]
     pub fn figures(&self) -> Vec<Figure> {
         let mut figures = vec![
@@ -59,8 +59,8 @@ impl Accuracy {
         figures
     }
 
-    /// Whether it is to be preferred: by balanced accuracy, then by AUC (the paper, appendix B.7). What was measured on
-    /// one class alone decides nothing: the later one is preferred.
+    /// Whether it is better: by balanced accuracy, then by AUC (the paper, appendix B.7). Without both classes, the
+    /// later one wins.
     #[must_use]
     pub fn is_better_than(&self, other: &Self) -> bool {
         let balanced = self.balanced();
@@ -93,7 +93,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn classes_count_alike_and_ranks_decide_the_auc() {
+    fn classes_have_equal_weight_and_ranks_give_the_auc() {
         let own = [
             (2.0, true),
             (-1.0, true),
@@ -105,7 +105,7 @@ mod tests {
         assert_eq!(found.episodes, 5);
         assert_eq!(found.recalls, [0.5, 1.0]);
         assert!((found.balanced() - 0.75).abs() < 1e-12, "{found}");
-        // Of six pairs, only (-1, -0.5) is the wrong way round.
+        // Of six pairs, only (-1, -0.5) is in the wrong order.
         assert!((found.auc - 5.0 / 6.0).abs() < 1e-12, "{found}");
         assert_eq!(found.mismatches, Some(0.5));
         let better = Accuracy { auc: 0.9, ..found };

@@ -11,22 +11,22 @@ use wm_zoo::idm::TrainedIdm;
 
 use crate::{ActionChange, Figure, Windows};
 
-/// Windows that are computed at once.
+/// Windows computed at once.
 const BATCH: usize = 16;
 
-/// How well the actions between latents are told, over all windows and all k actions of each.
+/// Correlation of inferred with true actions, over all windows and all k actions of each.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Correlation {
-    /// Actions compared.
+    /// Number of actions.
     pub actions: usize,
-    /// Pearson's r of each dimension that is no gripper and varies.
+    /// Pearson's r of each varying dimension, without grippers.
     pub continuous: Vec<(String, Kind, f64)>,
-    /// Part of the actions whose gripper is told on the right side of its middle; `None` without a gripper.
+    /// Share of the actions with the gripper on the right side of its middle; `None` without a gripper.
     pub gripper: Option<f64>,
 }
 
 impl Correlation {
-    /// The figures of a validation.
+    /// Figures of a validation.
     #[must_use]
     pub fn figures(&self) -> Vec<Figure> {
         let groups = [
@@ -47,7 +47,7 @@ impl Correlation {
         figures
     }
 
-    /// The mean of r over the dimensions of some kinds; `None` where there are none.
+    /// Mean r over the dimensions of some kinds; `None` if there are none.
     #[must_use]
     pub fn mean(&self, of: impl Fn(Kind) -> bool) -> Option<f64> {
         let chosen = self.continuous.iter().filter(|(_, kind, _)| of(*kind));
@@ -55,11 +55,11 @@ impl Correlation {
         (!r.is_empty()).then(|| r.iter().sum::<f64>() / r.len() as f64)
     }
 
-    /// `told` and `truth` are (actions, A), one row after another.
-    fn of(space: &ActionSpace, told: Vec<f32>, truth: Vec<f32>) -> Result<Self> {
+    /// `inferred` and `truth` are (actions, A), row by row.
+    fn of(space: &ActionSpace, inferred: Vec<f32>, truth: Vec<f32>) -> Result<Self> {
         let width = space.len();
-        let actions = told.len() / width.max(1);
-        let sides: Vec<(f32, f32)> = told.into_iter().zip(truth).collect();
+        let actions = inferred.len() / width.max(1);
+        let sides: Vec<(f32, f32)> = inferred.into_iter().zip(truth).collect();
         let column = |index: usize, side: fn(&(f32, f32)) -> f32| -> Vec<f64> {
             let own = sides.iter().skip(index).step_by(width);
             own.map(|pair| f64::from(side(pair))).collect()
@@ -75,7 +75,7 @@ impl Correlation {
         let gripper = gripper.map(|column| {
             let pairs = sides.iter().skip(column).step_by(width);
             // A gripper is -1 or 1 in model units.
-            let right = pairs.filter(|(told, truth)| (*told > 0.0) == (*truth > 0.0));
+            let right = pairs.filter(|(inferred, truth)| (*inferred > 0.0) == (*truth > 0.0));
             right.count() as f64 / actions.max(1) as f64
         });
         Ok(Self {
@@ -86,10 +86,10 @@ impl Correlation {
     }
 }
 
-/// Pearson's r of told with true values: `None` where the truth never varies, 0 where always the same is told.
-pub(crate) fn correlation(told: &[f64], truth: &[f64]) -> Option<f64> {
+/// Pearson's r of inferred with true values: `None` if the truth is constant, 0 if the inference is.
+pub(crate) fn correlation(inferred: &[f64], truth: &[f64]) -> Option<f64> {
     let varies = truth.iter().any(|value| Some(value) != truth.first());
-    varies.then(|| pearson(told, truth).map_or(0.0, |found| found.r))
+    varies.then(|| pearson(inferred, truth).map_or(0.0, |found| found.r))
 }
 
 impl fmt::Display for Correlation {
@@ -102,7 +102,7 @@ impl fmt::Display for Correlation {
     }
 }
 
-/// On the latents of frames: at most `most` windows, spread over all that do not overlap.
+/// On latents of frames, over at most `most` evenly spread windows without overlap.
 ///
 /// # Errors
 /// If no episode is long enough, or the latents are of another space.
@@ -114,15 +114,15 @@ pub fn on_real(model: &TrainedIdm, latents: &Latents, most: usize) -> Result<Cor
     on_clips(&clips, most, |latents| Ok(model.actions(latents)?))
 }
 
-/// On clips of k + 1 frames, at most `most`, spread over all that do not overlap. `tell` gives the k actions
-/// (B, k, A) between the frames (B, k + 1, h, w, C) of each.
+/// On at most `most` evenly spread clips of k + 1 frames without overlap. `infer` gives the k actions (B, k, A) between
+/// the frames (B, k + 1, h, w, C).
 ///
 /// # Errors
-/// If a clip cannot be read, or `tell` fails.
+/// If a clip cannot be read, or `infer` fails.
 pub fn on_clips(
     clips: &ClipSource<'_>,
     most: usize,
-    tell: impl Fn(&Tensor) -> Result<Tensor> + Sync,
+    infer: impl Fn(&Tensor) -> Result<Tensor> + Sync,
 ) -> Result<Correlation> {
     let horizon = clips.frames() - 1;
     let all = clips.all();
@@ -132,23 +132,23 @@ pub fn on_clips(
         .par_chunks(BATCH)
         .map(|batch| {
             let (frames, truth) = clips.tensors(batch)?;
-            let told = tell(&frames)?;
+            let inferred = infer(&frames)?;
             let truth = truth.narrow(1, 0, horizon)?;
             Ok((
-                told.flatten_all()?.to_vec1::<f32>()?,
+                inferred.flatten_all()?.to_vec1::<f32>()?,
                 truth.flatten_all()?.to_vec1::<f32>()?,
             ))
         })
         .collect::<Result<Vec<_>>>()?;
-    let (told, truth): (Vec<_>, Vec<_>) = batches.into_iter().unzip();
-    Correlation::of(clips.encoding().space(), told.concat(), truth.concat())
+    let (inferred, truth): (Vec<_>, Vec<_>) = batches.into_iter().unzip();
+    Correlation::of(clips.encoding().space(), inferred.concat(), truth.concat())
 }
 
-/// On latents that `transition` predicts from the true actions: the last observed frame and those after it, of every
-/// window of `windows`.
+/// On latents that `transition` predicts from the true actions: the last observed frame and its successors, for every
+/// window.
 ///
 /// # Errors
-/// If the two models do not step alike, or the latents are of another space.
+/// If the models have different steps, or the latents are of another space.
 pub fn on_predicted(
     model: &TrainedIdm,
     transition: &LoadedTransition,
@@ -170,17 +170,17 @@ pub fn on_predicted(
             frames.extend(predicted);
             let frames = Tensor::cat(&frames, 0)?;
             let actions = windows.actions(window)?;
-            let (mut told, mut truth) = (Vec::new(), Vec::new());
+            let (mut inferred, mut truth) = (Vec::new(), Vec::new());
             for first in 0..frames.dim(0)? - horizon {
                 let latents = frames.narrow(0, first, horizon + 1)?.unsqueeze(0)?;
-                told.extend(model.actions(&latents)?.flatten_all()?.to_vec1::<f32>()?);
-                // The transition model may take more values, those of the null action.
+                inferred.extend(model.actions(&latents)?.flatten_all()?.to_vec1::<f32>()?);
+                // The transition model may have more values, for the null action.
                 let own = actions.narrow(0, first, horizon)?.narrow(1, 0, width)?;
                 truth.extend(own.flatten_all()?.to_vec1::<f32>()?);
             }
-            Ok((told, truth))
+            Ok((inferred, truth))
         })
         .collect::<Result<Vec<_>>>()?;
-    let (told, truth): (Vec<_>, Vec<_>) = tables.into_iter().unzip();
-    Correlation::of(encoding.space(), told.concat(), truth.concat())
+    let (inferred, truth): (Vec<_>, Vec<_>) = tables.into_iter().unzip();
+    Correlation::of(encoding.space(), inferred.concat(), truth.concat())
 }

@@ -17,68 +17,68 @@ use crate::{
     Subject, merge::of_files, open_model, policy::Setup, run,
 };
 
-/// Measures a model, or several side by side, on bags.
+/// Measure one or several models on bags
 #[derive(Clone, Debug, Args)]
 pub struct SuiteArgs {
-    /// The model: tiny, or a model's folder.
+    /// Model: tiny, or a model's folder
     #[arg(long)]
     pub model: String,
-    /// Models to put beside it, with paired statistics: the first model is what they are compared with.
+    /// Models to compare with --model, with paired statistics
     #[arg(long, num_args = 1.., value_name = "MODEL")]
     pub compare: Vec<String>,
-    /// The data.
+    /// Held-out data.
     #[command(flatten)]
     pub on: HeldOutArgs,
-    /// Suites to leave out, as cost, the only one whose figures are not the same in every run.
+    /// Suites to skip, such as cost, the only one whose figures vary between runs
     #[arg(long, value_enum, num_args = 1.., value_name = "SUITE")]
     pub skip: Vec<Suite>,
-    /// How much is measured.
+    /// Extent of the measurement
     #[arg(long, value_enum, default_value_t)]
     pub protocol: Protocol,
-    /// YAML or JSON with settings that differ from the protocol's, named as in the JSON of a result, as
-    /// `control: {population: 1000}`.
+    /// YAML or JSON file with changes to the protocol's settings, named as in the JSON of a result, such as `control:
+    /// {population: 1000}`
     #[arg(long, value_name = "FILE")]
     pub settings: Option<PathBuf>,
-    /// Most episodes of the suites that measure whole ones.
+    /// Most episodes for suites that measure whole episodes
     #[arg(long)]
     pub episodes: Option<usize>,
-    /// Most windows of the suites that measure windows; a search (control) takes by far the longest.
+    /// Most windows for suites that measure windows; searches (control) take by far the longest
     #[arg(long)]
     pub windows: Option<usize>,
-    /// Most predicted steps of a decoded rollout.
+    /// Most predicted steps of a decoded rollout
     #[arg(long)]
     pub steps: Option<usize>,
-    /// Seed of everything that is drawn.
+    /// Seed of all random numbers
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
-    /// Euler steps of a predicted frame, instead of the model's own.
+    /// Euler steps per predicted frame, instead of the model's own
     #[arg(long, value_name = "N")]
     pub sampling_steps: Option<usize>,
     /// Further models that read latents.
     #[command(flatten)]
     pub readers: ReaderArgs,
-    /// Networks of the user's.
+    /// Networks of the user.
     #[command(flatten)]
     pub perception: PerceptionArgs,
-    /// Measure part I of N, from 0: `wm eval merge` puts the parts together.
+    /// Measure part I of N, from 0; join the parts with `wm eval merge`
     #[arg(long, value_name = "I/N", requires = "records", conflicts_with_all = ["report", "json", "csv", "card"])]
     pub shard: Option<Shard>,
-    /// Folder for what is measured, unit by unit, from which a run that was interrupted goes on; by default in the report's
-    /// folder, or beside the file of the figures.
+    /// Folder for measurements by unit, from which an interrupted run resumes [default: in the report's folder, or
+    /// beside the file of the figures]
     #[arg(long, value_name = "DIR")]
     pub records: Option<PathBuf>,
-    /// Number of threads; all of the machine by default. The figures are the same whatever it is.
+    /// Number of threads, without effect on the figures [default: all of the machine]
     #[arg(long)]
     pub threads: Option<usize>,
-    /// Where the findings go.
+    /// Outputs.
     #[command(flatten)]
     pub output: OutputArgs,
-    /// Who acts in the imagined environment.
+    /// Policy in the imagined environment.
     #[command(flatten, next_help_heading = "Policy")]
     pub policy: PolicyArgs,
 }
 
-/// Refuses a model that is there twice.
+/// Rejects a model given twice.
 fn require_different(folders: &[ModelFolder]) -> Result<()> {
     if folders.len() < 2 {
         return Ok(());
@@ -89,7 +89,7 @@ fn require_different(folders: &[ModelFolder]) -> Result<()> {
         let other = names_by_hash.insert(world.hash, folder.name());
         ensure!(
             other.is_none(),
-            "{} has the weights of {}: there is nothing to compare",
+            "{} has the same weights as {}: nothing to compare",
             folder.name(),
             other.unwrap_or_default()
         );
@@ -98,10 +98,10 @@ fn require_different(folders: &[ModelFolder]) -> Result<()> {
 }
 
 impl SuiteArgs {
-    /// Measures `suites`, and writes what was found; a shard writes records only.
+    /// Measures `suites` and writes the findings; a shard writes records only.
     ///
     /// # Errors
-    /// When model, data or files cannot be used.
+    /// If a model, data or file is unusable.
     pub fn run(&self, suites: &[Suite]) -> Result<()> {
         self.output.require_free()?;
         ensure!(
@@ -133,11 +133,11 @@ impl SuiteArgs {
         ensure!(!suites.is_empty(), "--skip leaves no suite");
         ensure!(
             self.perception.is_empty() || suites.contains(&Suite::Fidelity),
-            "--networks and --lpips are for the suite fidelity"
+            "--networks and --lpips apply only to the suite fidelity"
         );
         ensure!(
             self.policy.is_default() || suites.contains(&Suite::Policy),
-            "--policy, --tasks, --trials, --ood, --start-images, --judges and --prompts are for the suite policy"
+            "--policy, --tasks, --trials, --ood, --start-images, --judges and --prompts apply only to the suite policy"
         );
         let perception = Arc::new(Perception::open(&self.perception)?);
         let shard = self.shard.unwrap_or(Shard::WHOLE);

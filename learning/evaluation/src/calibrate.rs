@@ -1,4 +1,4 @@
-//! `wm model calibrate`: what the matrices of a model are multiplied with, from a bag, and what int8 then costs.
+//! `wm model calibrate`: measures the input ranges of a model's matrices on bags, and the error of int8.
 
 use std::path::{Path, PathBuf};
 
@@ -15,14 +15,14 @@ use wm_zoo::{Calibration, ModelFolder};
 use crate::CONTEXT;
 use crate::windows::SEED;
 
-/// Frames that are predicted after every context.
+/// Predicted frames per context.
 const PREDICTED: usize = 2;
 
-/// Calibrates a model's int8 input ranges, for `"dtype": "int8"` in its model.json.
+/// Calibrate a model's int8 input ranges, for `"dtype": "int8"` in its model.json
 ///
-/// The model runs in f32 on frames and actions of bags, spread evenly over them. The largest absolute value of every input
-/// is written beside the model.json, where loading the model in int8 finds it. As many other frames tell how far int8 is from
-/// f32, with it and without.
+/// Runs the model in f32 on frames and actions spread evenly over the bags. Writes the largest absolute value of every
+/// matrix input beside the model.json, where loading in int8 finds it. As many other frames measure the error of int8
+/// against f32, with and without calibration.
 #[derive(Args, Clone, Debug)]
 pub struct CalibrateArgs {
     /// The model's folder, with a model.json
@@ -31,13 +31,13 @@ pub struct CalibrateArgs {
     /// Bags, folders of bags, or folders that `wm dataset` prepared
     #[arg(long = "bag", required = true, num_args = 1.., value_name = "PATH")]
     bags: Vec<PathBuf>,
-    /// Frames to run the model on; fewer where the bags have fewer
+    /// Frames to run the model on; fewer if the bags have fewer
     #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..))]
     frames: u32,
-    /// How much of the difficulty of inputs moves to the weights, 0 to 1
+    /// Share of the inputs' range that moves to the weights, 0 to 1
     #[arg(long, value_name = "SHARE", default_value_t = STRENGTH, value_parser = strength)]
     strength: f32,
-    /// Replace a calibration that is there
+    /// Replace an existing calibration
     #[arg(long)]
     overwrite: bool,
     #[command(flatten)]
@@ -51,7 +51,7 @@ fn strength(text: &str) -> Result<f32, String> {
     }
 }
 
-/// The parts of a model that see frames.
+/// The parts of a model that process frames.
 struct Parts {
     encoder: Box<dyn Encoder>,
     world: Option<WorldModel>,
@@ -62,11 +62,11 @@ struct Parts {
 struct Sample {
     /// (N, H, W, 3), in 0..1.
     pictures: Tensor,
-    /// (N, A): what the robot does from each frame on; none for a model that predicts nothing.
+    /// (N, A): motion after each frame; `None` for a model without prediction.
     actions: Option<Tensor>,
 }
 
-/// What the parts make of a sample.
+/// Outputs of the parts for a sample.
 struct Outputs {
     latents: Tensor,
     predicted: Option<Tensor>,
@@ -74,22 +74,22 @@ struct Outputs {
 }
 
 impl CalibrateArgs {
-    /// Runs it.
+    /// Runs the command.
     ///
     /// # Errors
-    /// Names what cannot be used.
+    /// Names the unusable file.
     pub fn run(&self) -> Result<()> {
         let folder = Path::new(&self.model);
         let path = folder.join(FILE);
         ensure!(
             self.overwrite || !path.exists(),
-            "{} is there; --overwrite replaces it",
+            "{} exists; replace it with --overwrite",
             path.display()
         );
         let recorded = self.open()?.recorded();
         let exact = Parts::load(&recorded)?;
         let samples = self.samples(&exact)?;
-        // Every other one is kept for measuring.
+        // Every other sample is for measuring.
         let known: Vec<&Sample> = samples.iter().step_by(2).collect();
         let mut frames = 0;
         for sample in known {
@@ -114,7 +114,7 @@ impl CalibrateArgs {
 
         let others: Vec<&Sample> = samples.iter().skip(1).step_by(2).collect();
         if others.is_empty() {
-            println!("the bags are too short to measure what int8 costs");
+            println!("the bags are too short to measure the error of int8");
             return Ok(());
         }
         let expected = others.iter().map(|sample| exact.run(sample, None));
@@ -143,17 +143,17 @@ impl CalibrateArgs {
         })
     }
 
-    /// Twice as many frames as asked for, if there are as many, in samples that are spread evenly.
+    /// Up to twice the requested number of frames, in evenly spread samples.
     fn samples(&self, model: &Parts) -> Result<Vec<Sample>> {
         let cache = tempfile::tempdir()?;
         let framing = model.encoder.framing();
         let dataset = Dataset::held_out(&self.bags, framing, cache.path(), &self.options)?;
-        let asked = self.frames as usize * 2;
+        let requested = self.frames as usize * 2;
         let Some(world) = &model.world else {
             let episodes = dataset.episodes().iter();
             let count: usize = episodes.map(|episode| episode.frame_count).sum();
             let (height, width) = framing.size;
-            let indices = (0..count).step_by(count.div_ceil(asked).max(1));
+            let indices = (0..count).step_by(count.div_ceil(requested).max(1));
             let samples = indices.map(|index| {
                 let mut values = Vec::new();
                 dataset.read(index, &mut values)?;
@@ -169,7 +169,7 @@ impl CalibrateArgs {
         let clip = CONTEXT + PREDICTED;
         let source = ClipSource::new(&dataset, &world.encoding, clip)?;
         let clips = source.all();
-        let step = clips.len().div_ceil(asked.div_ceil(clip)).max(1);
+        let step = clips.len().div_ceil(requested.div_ceil(clip)).max(1);
         let samples = clips.into_iter().step_by(step).map(|clip| {
             let (pictures, actions) = source.tensors(&[clip])?;
             Ok(Sample {
@@ -180,7 +180,7 @@ impl CalibrateArgs {
         samples.collect()
     }
 
-    /// How far int8 is from `expected`: of latents, of what is predicted from the same latents, and of pictures of the same
+    /// Error of int8 against `expected`: of latents, of predictions from the same latents, and of pictures of the same
     /// predictions.
     fn errors(
         &self,
@@ -200,7 +200,7 @@ impl CalibrateArgs {
     }
 }
 
-/// A bag's name, without the folders that it lies in: those are nobody's business.
+/// A bag's name without its folders, which may be private.
 fn name(bag: &Path) -> String {
     let absolute = std::path::absolute(bag).ok();
     let name = absolute.as_deref().and_then(Path::file_name);
@@ -220,10 +220,10 @@ impl Parts {
         })
     }
 
-    /// Runs all of them; what is predicted and decoded starts from what `given` has, if it is given.
+    /// Runs all parts; predicts and decodes from the outputs of `given`, if given.
     fn run(&self, sample: &Sample, given: Option<&Outputs>) -> Result<Outputs> {
         let count = sample.pictures.dim(0)?;
-        // One at a time, as the nodes do it.
+        // One frame at a time, as in the nodes.
         let latents = (0..count).map(|at| {
             Ok(self
                 .encoder
@@ -253,7 +253,7 @@ impl Parts {
     }
 }
 
-/// What follows the first [`CONTEXT`] latents under the actions.
+/// Predicts after the first [`CONTEXT`] latents under the actions.
 fn predict(world: &WorldModel, latents: &Tensor, actions: &Tensor) -> Result<Tensor> {
     let model = &world.transition;
     let context = latents.narrow(0, 0, CONTEXT)?.unsqueeze(0)?;
@@ -290,7 +290,7 @@ impl RelativeError {
         Ok(())
     }
 
-    /// Norm of the difference over norm of what was expected, if there was anything.
+    /// Norm of the difference over the expected norm, if anything was added.
     fn of_norm(self) -> Option<f64> {
         (self.expected > 0.0).then(|| (self.difference / self.expected).sqrt())
     }

@@ -6,23 +6,23 @@ use anyhow::{Context as _, Result, ensure};
 use sha2::{Digest as _, Sha256};
 use wm_metrics::findings::{CardDetails, ModelFindings, model_card};
 
-/// The name of the file in a model's folder.
+/// Name of the file in a model's folder.
 pub const FILE: &str = "MODEL.md";
 const SEAL: &str = "<!-- wm replaces this file as long as the SHA-256 of what is above is ";
 
-/// What became of a card.
+/// Result of writing a card.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Written {
-    /// It was written.
+pub enum WriteOutcome {
+    /// The card was written.
     Yes,
-    /// A card that somebody wrote or changed is there, and stays.
+    /// A hand-written or edited card was kept.
     Kept,
 }
 
-/// Whether a card may be written to `path`: nobody has changed what is there.
+/// Whether a card may be written to `path`: the existing one is unedited.
 ///
 /// # Errors
-/// If what is there cannot be read.
+/// If the existing card cannot be read.
 pub fn is_free(path: &Path) -> Result<bool> {
     if !path.exists() {
         return Ok(true);
@@ -31,27 +31,27 @@ pub fn is_free(path: &Path) -> Result<bool> {
     Ok(is_ours(&text))
 }
 
-/// Writes the card of findings to `path`. A card that is there is replaced only if nobody has changed it.
+/// Writes the card of findings to `path`, unless an edited card exists there.
 ///
 /// # Errors
 /// If the file cannot be read or written.
-pub fn write(path: &Path, findings: &ModelFindings, about: &CardDetails) -> Result<Written> {
+pub fn write(path: &Path, findings: &ModelFindings, about: &CardDetails) -> Result<WriteOutcome> {
     let name = || path.display().to_string();
     if !is_free(path)? {
-        return Ok(Written::Kept);
+        return Ok(WriteOutcome::Kept);
     }
     let card = sealed(&model_card(findings, about));
-    // In one move: half a card would count as changed.
+    // An atomic rename: half a card would count as edited.
     let partial = path.with_extension("partial");
     fs::write(&partial, card).with_context(|| partial.display().to_string())?;
     fs::rename(&partial, path).with_context(name)?;
-    Ok(Written::Yes)
+    Ok(WriteOutcome::Yes)
 }
 
-/// What a YAML file says of a model: name, data, recipe, limits, uses_refused, commands.
+/// Details of a model from a YAML file: name, data, recipe, limits, uses_refused, commands.
 ///
 /// # Errors
-/// If it cannot be read, or says something else.
+/// If it cannot be read, or has other keys.
 pub fn about(path: &Path) -> Result<CardDetails> {
     let name = || path.display().to_string();
     let text = fs::read_to_string(path).with_context(name)?;
@@ -60,7 +60,7 @@ pub fn about(path: &Path) -> Result<CardDetails> {
     Ok(about)
 }
 
-/// How much was measured, by the settings.
+/// The extent of the measurement, from the settings.
 pub(crate) fn extent(settings: &serde_json::Value) -> String {
     let of = |path: &str| match settings.pointer(path) {
         Some(value) => value.to_string(),
@@ -112,7 +112,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_card_that_somebody_changed_stays() {
+    fn edited_card_is_kept() {
         let card = sealed("# a model\n\nof ours\n");
         assert!(is_ours(&card));
         assert!(!is_ours(&card.replace("of ours", "of mine")));

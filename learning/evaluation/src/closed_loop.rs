@@ -1,9 +1,9 @@
-//! How often planning succeeds (`wm eval control --task`): a simulated arm, a goal, and a planner that sees pictures only.
+//! Success rate of planning (`wm eval control --task`): a simulated arm, a goal, and a planner that sees only pictures.
 //!
-//! An [`Actor`](actor::Actor) acts in a [`wm_sim::Environment`], one model step after the other, until the goal is attained
-//! or the steps are over. Besides the planners there are the simulator's own controller (`oracle`), what needs no model
-//! (`hold`, `random`), and the same planners with the simulator as a perfect model: what is lost to the model, and what to
-//! the cost and the search.
+//! An [`Actor`](actor::Actor) acts in a [`wm_sim::Environment`], step by step, until the goal is reached or the steps
+//! are over. Beside the planners there are the simulator's own controller (`oracle`), controllers without a model
+//! (`hold`, `random`), and the planners with the simulator as a perfect model, which separates losses of the model from
+//! those of cost and search.
 
 pub(crate) mod actor;
 mod arguments;

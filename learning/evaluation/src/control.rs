@@ -1,5 +1,5 @@
-//! Whether predictions obey actions (the paper, appendix C.1, A): the error of actions that a search recovers from the
-//! latents that they led to, and how much worse a prediction gets under wrong actions.
+//! Whether predictions obey actions (the paper, appendix C.1, A): the error of actions recovered by search from their
+//! latents, and the loss of predictions under wrong actions.
 
 mod recovered;
 mod response;
@@ -8,17 +8,17 @@ mod summary;
 use anyhow::Result;
 use serde::{Deserialize, Serialize};
 
-pub use recovered::{Recovered, Start};
+pub use recovered::{RecoveredActions, Start};
 pub use response::Response;
 pub use summary::summarise;
 
 use crate::{Settings, Subject, Windows};
 
-/// What was found in one window.
+/// Result of one window.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum WindowControl {
     /// Searches.
-    Recovered(Recovered),
+    Recovered(RecoveredActions),
     /// Predictions under right and wrong actions.
     Response(Response),
 }
@@ -27,9 +27,9 @@ pub enum WindowControl {
 pub struct Control<'a> {
     subject: &'a Subject,
     settings: &'a Settings,
-    /// With the steps that are searched in them.
+    /// With the number of steps searched in them.
     searched: Vec<(usize, Windows)>,
-    told: Windows,
+    responses: Windows,
 }
 
 impl<'a> Control<'a> {
@@ -47,21 +47,21 @@ impl<'a> Control<'a> {
             subject,
             settings,
             searched: searched.collect::<Result<_>>()?,
-            told: windows(own.response_steps, own.response_windows)?,
+            responses: windows(own.response_steps, own.response_windows)?,
         })
     }
 
-    /// Names of the units: first the searches.
+    /// Names of the units; searches come first.
     #[must_use]
     pub fn names(&self) -> Vec<String> {
         let searched = self.searched.iter();
         let searched = searched
             .flat_map(|(k, own)| (0..own.len()).map(move |unit| format!("k={k} window {unit}")));
-        let told = (0..self.told.len()).map(|unit| format!("window {unit}"));
-        searched.chain(told).collect()
+        let responses = (0..self.responses.len()).map(|unit| format!("window {unit}"));
+        searched.chain(responses).collect()
     }
 
-    /// Measures one.
+    /// Measures one unit.
     ///
     /// # Errors
     /// If model and data do not fit.
@@ -76,6 +76,6 @@ impl<'a> Control<'a> {
                 Some(rest) => unit = rest,
             }
         }
-        response::measure(subject, &self.told, unit).map(WindowControl::Response)
+        response::measure(subject, &self.responses, unit).map(WindowControl::Response)
     }
 }

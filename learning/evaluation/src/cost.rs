@@ -1,5 +1,5 @@
-//! What a model takes to compute on this machine: parameters, operations, time, memory. The only suite whose figures differ
-//! from run to run.
+//! Computation of a model on this machine: parameters, operations, time, memory. The only suite whose figures vary
+//! between runs.
 
 use std::time::Instant;
 
@@ -12,13 +12,13 @@ use wm_zoo::cost;
 
 use crate::{CONTEXT, Subject};
 
-/// Runs that are timed, after one that is not.
+/// Timed runs, after one warm-up.
 const RUNS: usize = 15;
 
-/// What one model takes.
+/// Cost of one model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ModelCost {
-    /// Trained values of the transition model.
+    /// Trained parameters of the transition model.
     pub transition_parameters: usize,
     /// Operations of one velocity evaluation for a frame.
     pub transition_operations: usize,
@@ -26,9 +26,9 @@ pub struct ModelCost {
     pub euler_steps: usize,
     /// Times of the parts \[ms\].
     pub parts: Vec<(String, Vec<f64>)>,
-    /// Most memory that this process had \[MB\], where the system tells.
+    /// Peak memory of this process \[MB\], if known.
     pub peak_megabytes: Option<f64>,
-    /// The processor, where the system tells.
+    /// Name of the processor, if known.
     pub machine: String,
 }
 
@@ -78,7 +78,7 @@ pub fn measure(subject: &Subject) -> Result<ModelCost> {
     })
 }
 
-/// Times of some runs \[ms\], ascending.
+/// Sorted times of some runs \[ms\].
 fn times(run: impl Fn() -> Result<()>) -> Result<Vec<f64>> {
     run()?;
     let timed = (0..RUNS).map(|_| {
@@ -108,7 +108,7 @@ fn machine() -> String {
     format!("{name}, {cores} threads")
 }
 
-/// The findings.
+/// Findings of the only unit.
 #[must_use]
 pub fn summarise(units: &[(String, ModelCost)]) -> Section {
     let mut section = Section::new(Suite::Cost);
@@ -121,7 +121,7 @@ pub fn summarise(units: &[(String, ModelCost)]) -> Section {
             found.transition_parameters as f64 / 1e6,
             1,
             Better::Lower,
-            "trained values of the transition model",
+            "trained parameters of the transition model",
         )
         .in_unit("M"),
     );
@@ -148,6 +148,7 @@ pub fn summarise(units: &[(String, ModelCost)]) -> Section {
     for (part, times) in &found.parts {
         let at = |share: f64| {
             let place = (share * times.len().saturating_sub(1) as f64).round() as usize;
+            // Without runs there is no time; NaN is reported as missing.
             times.get(place).copied().unwrap_or(f64::NAN)
         };
         let name = part.replace(" a ", "_").replace(' ', "_");
@@ -171,11 +172,11 @@ pub fn summarise(units: &[(String, ModelCost)]) -> Section {
                 megabytes,
                 1,
                 Better::Lower,
-                "most memory of the evaluation so far, data and all suites before included",
+                "peak memory of the evaluation so far, including data and earlier suites",
             )
             .in_unit("MB"),
         ),
-        None => section.absent("peak_memory", "this system does not tell it"),
+        None => section.absent("peak_memory", "this system does not report it"),
     }
     section.notes.push(
         "Parameters and operations of encoders, adapters and decoders of published models: wm model check, wm model info."

@@ -1,6 +1,6 @@
-//! Decoded rollouts against what came (the paper, appendix C.2): PSNR and SSIM by step, of predictions, of
-//! reconstructions (encoded and decoded, the ceiling), and of the last observed frame, repeated (persistence); and what
-//! networks say of them ([`perception`](crate::perception)).
+//! Decoded rollouts against the true frames (the paper, appendix C.2): PSNR and SSIM by step, of predictions, of
+//! reconstructions (encoded and decoded: the ceiling), and of persistence (the last observed frame, repeated); also
+//! metrics by networks ([`perception`](crate::perception)).
 
 mod summary;
 
@@ -17,18 +17,18 @@ use crate::{
 };
 pub use summary::summarise;
 
-/// PSNR of one picture counts as at most this \[dB\]: the noise of rounding to 8 bits alone is at 58.9 dB, so beyond it
-/// two pictures are the same, and an infinite one would decide a mean.
+/// Cap of a picture's PSNR \[dB\]: rounding to 8 bits alone gives 58.9 dB, so pictures beyond it are equal, and an
+/// infinite value would dominate a mean.
 pub const PSNR_CAP_DB: f64 = 60.0;
 
-/// What was found in one episode.
+/// Result of one episode.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EpisodeFidelity {
-    /// Step by step.
+    /// By step.
     pub steps: Vec<StepFidelity>,
-    /// What came, what was predicted and what was reconstructed, as a PNG in base64, if the report shows it.
+    /// True, predicted and reconstructed frames as a PNG in base64, if the report shows them.
     pub strip: Option<String>,
-    /// What networks of the user's say.
+    /// Metrics by the user's networks.
     #[serde(default, skip_serializing_if = "EpisodePerception::is_empty")]
     pub perception: EpisodePerception,
 }
@@ -44,7 +44,7 @@ pub struct StepFidelity {
     pub held: Similarity,
 }
 
-/// How alike two pictures are.
+/// Similarity of two pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Similarity {
     /// PSNR \[dB\].
@@ -65,7 +65,7 @@ impl Similarity {
     }
 }
 
-/// The episodes to measure: at most so many, spread over those that are long enough.
+/// Evenly spread episodes of sufficient length, at most the setting.
 #[must_use]
 pub fn units(subject: &Subject, settings: &FidelitySettings) -> Vec<usize> {
     let all = 0..subject.dataset.episodes().len();
@@ -75,7 +75,7 @@ pub fn units(subject: &Subject, settings: &FidelitySettings) -> Vec<usize> {
     crate::spread(long, settings.episodes)
 }
 
-/// Rolls out one episode; `shown` makes a strip of it.
+/// Rolls out one episode; makes a strip of it if `shown`.
 ///
 /// # Errors
 /// If model and data do not fit.

@@ -1,14 +1,14 @@
-//! From the values of units to figures with intervals.
+//! Figures with intervals, from the values of units.
 
 use wm_metrics::findings::{Better, Metric};
 use wm_metrics::statistics::{Bootstrap, Estimate, bootstrap_mean, replicates};
 
 use crate::Settings;
 
-/// Fewest units of an interval.
+/// Fewest units with an interval.
 pub(crate) const FEWEST: usize = 3;
 
-/// The bootstrap of all intervals.
+/// Bootstrap settings of all intervals.
 pub(crate) fn draws(settings: &Settings) -> Bootstrap {
     Bootstrap {
         resamples: settings.resamples,
@@ -17,7 +17,7 @@ pub(crate) fn draws(settings: &Settings) -> Bootstrap {
     }
 }
 
-/// The mean over units with its bootstrap interval; `None` where there are no units.
+/// Mean over units with its bootstrap interval; `None` without units.
 pub(crate) fn mean_over_units(
     values: &[(String, f64)],
     settings: &Settings,
@@ -33,7 +33,7 @@ pub(crate) fn mean_over_units(
     })
 }
 
-/// Any figure of `count` units with its bootstrap interval over them; `None` where it has no value.
+/// Any figure of `count` units with its bootstrap interval; `None` if undefined.
 pub(crate) fn figure_of_units(
     count: usize,
     settings: &Settings,
@@ -46,7 +46,7 @@ pub(crate) fn figure_of_units(
     if !value.is_finite() {
         return None;
     }
-    // A resample without any of a class, or that never varies, has no figure: it counts as the whole's.
+    // A resample with an undefined figure (an empty class, or constant values) counts as the whole sample.
     let finite = |chosen: &[usize]| {
         Some(figure(chosen))
             .filter(|v| v.is_finite())
@@ -54,6 +54,7 @@ pub(crate) fn figure_of_units(
     };
     let draws = draws(settings);
     let replicates = match count >= FEWEST {
+        // Fails only for invalid settings; the figure then has no interval.
         true => replicates(count, &draws, finite).unwrap_or_default(),
         false => Vec::new(),
     };
@@ -65,7 +66,7 @@ pub(crate) fn figure_of_units(
     })
 }
 
-/// At most `most` of them, spread evenly.
+/// At most `most` of them, evenly spread.
 #[must_use]
 pub fn spread<T>(all: Vec<T>, most: usize) -> Vec<T> {
     let count = all.len();
@@ -88,7 +89,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_chosen_ones_are_spread_over_all() {
+    fn chosen_items_are_spread_evenly() {
         assert_eq!(spread((0..10).collect(), 4), [0, 2, 5, 7]);
         assert_eq!(spread((0..3).collect(), 4), [0, 1, 2]);
         assert_eq!(spread((0..3).collect(), 0), [0]);

@@ -1,23 +1,23 @@
-//! Vision-language models as judges of rollouts, over an OpenAI-compatible endpoint: `POST {base_url}/chat/completions`, as
-//! vLLM, SGLang, the server of llama.cpp, Ollama and OpenAI speak it.
+//! Vision-language models as judges of rollouts, over an OpenAI-compatible endpoint (`POST {base_url}/chat/completions`) as
+//! offered by vLLM, SGLang, llama.cpp, Ollama and OpenAI.
 //!
-//! | What | Module |
+//! | Module | Content |
 //! |---|---|
-//! | What judges are asked: the paper's prompts | [`prompts`] |
-//! | What rollouts are judged on: the paper's tasks of Bridge V2 | [`tasks`] |
-//! | Which frames of a video they see | [`frames`] |
-//! | What an answer says | [`verdict`] |
-//! | A server and how it is asked: settings, retries, rates | [`endpoint`] |
-//! | Every answer, on disk | [`record`] |
-//! | What is judged | [`rollout`] |
-//! | A judge | [`judge`] |
-//! | Several, from one file | [`panel`] |
+//! | [`prompts`] | the paper's prompts |
+//! | [`tasks`] | the paper's tasks of Bridge V2 |
+//! | [`frames`] | the frames of a video shown to a judge |
+//! | [`verdict`] | parsing of answers |
+//! | [`endpoint`] | a server: settings, retries, rates |
+//! | [`record`] | all answers, on disk |
+//! | [`rollout`] | a rollout to judge |
+//! | [`judge`] | one judge |
+//! | [`panel`] | several judges, from one file |
 //!
 //! ```no_run
 //! use std::{path::Path, sync::Arc};
-//! use crate::judges::{Panel, PanelSettings, Prompts, Record, Rollout};
+//! use wm_evaluation::judges::{Panel, PanelSettings, Prompts, Record, Rollout};
 //!
-//! # fn main() -> crate::judges::Result<()> {
+//! # fn main() -> wm_evaluation::judges::Result<()> {
 //! # let frames = Vec::new();
 //! let settings = PanelSettings::read(Path::new("judges.yaml"))?;
 //! let mut panel = Panel::new(settings, Arc::new(Prompts::paper()?))?;
@@ -31,17 +31,17 @@
 //! # }
 //! ```
 //!
-//! # What holds
-//! - An answer is on the disk before it is returned, and a question that has one is not asked again.
-//! - An API key comes from the environment, goes into one header, and is in no message and no record: where a server quotes
-//!   it, it is taken out. Of keys under eight characters, which no secret has, that is not done.
-//! - What servers send is bounded, and quoted without control characters.
-//! - Proxies that the environment names are not used, and redirections are not followed.
+//! # Guarantees
+//! - An answer is on disk before it is returned, and its question is never sent again.
+//! - An API key comes from the environment and goes into one header only. It is redacted from quotes of servers, unless it is
+//!   shorter than eight characters, which no secret is.
+//! - Texts of servers are bounded, and quoted without control characters.
+//! - Proxies of the environment are ignored, and redirections are not followed.
 //!
-//! # What it does not do
-//! It has no model, and no metric of pictures. It does not aggregate: agreement, consensus and ranks are `wm_metrics`'.
-//! It asks one question at a time. It makes no frames with distractors, though it has the paper's words for an image editor.
-//! Money is counted by what servers say of their answers; what a server bills for a request that broke off is not known
+//! # Limits
+//! It has no model and no picture metric. Agreement, consensus and ranks are in `wm_metrics`. Questions are sent one at a time.
+//! It makes no frames with distractors, though it has the paper's prompt for an image editor. Costs are computed from the
+//! token counts of answers; charges for broken-off requests are unknown.
 //! here.
 
 mod error;
@@ -61,7 +61,7 @@ pub mod verdict;
 pub use endpoint::EndpointSettings;
 pub use error::{Error, Result};
 pub use frames::FrameChoice;
-pub use judge::{Judge, Judged};
+pub use judge::{Judge, Judgement};
 pub use panel::{Panel, PanelSettings, Progress, Ratings};
 pub use prompts::Prompts;
 pub use record::Record;

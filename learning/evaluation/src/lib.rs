@@ -1,11 +1,11 @@
 //! Measures a world model on recordings by the paper's protocols (section 4.2, appendix C).
 //!
-//! A [`Subject`] is a model with the data that it is measured on. A suite ([`fidelity`], [`control`], [`representation`],
-//! [`policy`], [`robustness`], [`cost`]) has units (an episode, a window), measures each by itself, and makes findings of
-//! what was measured: of the units alone, without the model. So units are spread over threads, processes and machines, kept
-//! in [`records`], and merged ([`run`]).
+//! A [`Subject`] is a model with its evaluation data. A suite ([`fidelity`], [`control`], [`representation`],
+//! [`policy`], [`robustness`], [`cost`]) has units (an episode, a window), measures each alone, and makes findings from
+//! the results, without the model. So units are spread over threads, processes and machines, stored in [`records`], and
+//! merged ([`run`]).
 //!
-//! Not here: what the findings look like and the figures' formulas (`wm_metrics`).
+//! Formulas and reports are in `wm_metrics`.
 
 mod accuracy;
 mod action_correlation;
@@ -13,9 +13,9 @@ mod arguments;
 mod calibrate;
 pub mod card;
 mod closed_loop;
-pub mod control;
-pub mod cost;
-pub mod fidelity;
+mod control;
+mod cost;
+mod fidelity;
 mod figure;
 mod figures;
 mod imagined;
@@ -23,15 +23,15 @@ pub mod judges;
 mod merge;
 pub mod onnx;
 mod output;
-pub mod perception;
+mod perception;
 mod picture_strip;
 mod pictures;
 pub mod policy;
 mod readers;
 pub mod records;
 mod recovery;
-pub mod representation;
-pub mod robustness;
+mod representation;
+mod robustness;
 pub mod run;
 mod settings;
 mod squared_error;
@@ -48,19 +48,17 @@ pub use figure::Figure;
 pub use figures::spread;
 pub use imagined::ImaginedArgs;
 pub use merge::MergeArgs;
-pub use output::OutputArgs;
-pub use perception::{Perception, PerceptionArgs};
+pub(crate) use output::OutputArgs;
+pub(crate) use perception::{Perception, PerceptionArgs};
 pub use picture_strip::grid;
-pub use pictures::{PictureErrors, StepErrors};
-pub use policy::{PolicyArgs, PolicySettings};
-pub use readers::{Reader, ReaderArgs, Readers};
+pub use pictures::PictureErrors;
+pub use policy::PolicyArgs;
+pub(crate) use readers::{Reader, ReaderArgs, Readers};
 pub use recovery::{Recovery, recover_actions};
-pub use settings::{
-    ControlSettings, FidelitySettings, LatentsSettings, Protocol, RobustnessSettings,
-    SearchSettings, Settings,
-};
+pub use settings::{Protocol, Settings};
 pub use squared_error::SquaredError;
 pub use strip::strip;
-pub use subject::{Recording, Subject, open_model};
+pub use subject::Subject;
+pub(crate) use subject::open_model;
 pub use windows::{ActionChange, CONTEXT, Windows, squared};
 pub use wm_bag::Shard;

@@ -8,25 +8,25 @@ use wm_metrics::findings::ModelFindings;
 
 use crate::{OutputArgs, policy::with_borda, records, run};
 
-/// Folder of the records in that of a report.
+/// Folder of the records within a report's folder.
 pub(crate) const RECORDS: &str = "records";
 
-/// Puts the records of shards together, of one model or of several to be compared.
+/// Merge the records of shards, of one or several models
 #[derive(Clone, Debug, Args)]
 pub struct MergeArgs {
-    /// Records that `wm eval SUITE --records DIR` wrote, or folders of them.
+    /// Records written by `wm eval SUITE --records DIR`, or folders of them
     #[arg(required = true, value_name = "PATH")]
     pub paths: Vec<PathBuf>,
-    /// Where the findings go.
+    /// Outputs.
     #[command(flatten)]
     pub output: OutputArgs,
 }
 
 impl MergeArgs {
-    /// Writes what the records say.
+    /// Writes the findings of the records.
     ///
     /// # Errors
-    /// If records are missing, are of different evaluations, or files cannot be written.
+    /// If records are missing or of different evaluations, or files cannot be written.
     pub fn run(&self) -> Result<()> {
         self.output.require_free()?;
         let mut files = Vec::new();
@@ -36,14 +36,14 @@ impl MergeArgs {
                 continue;
             }
             let mut found = in_folder(path)?;
-            // A report's folder has them in a folder of their own.
+            // A report has its records in a subfolder.
             let inner = path.join(RECORDS);
             if found.is_empty() && inner.is_dir() {
                 found = in_folder(&inner)?;
             }
             ensure!(
                 !found.is_empty(),
-                "{}: it has no records (files that end in .jsonl)",
+                "{}: no records (files that end in .jsonl)",
                 path.display()
             );
             files.extend(found);
@@ -52,7 +52,7 @@ impl MergeArgs {
     }
 }
 
-/// The files of records in a folder, by name.
+/// The record files of a folder, by name.
 fn in_folder(folder: &Path) -> Result<Vec<PathBuf>> {
     let name = || folder.display().to_string();
     let mut found = Vec::new();
@@ -66,7 +66,7 @@ fn in_folder(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-/// The findings of files of records, model by model in the order of the command line that measured them, then by name.
+/// Findings of record files, by model in the order of its command line, then by name.
 pub(crate) fn of_files(paths: &[PathBuf]) -> Result<Vec<ModelFindings>> {
     let mut models: Vec<Vec<(PathBuf, records::Heading, Vec<records::Record>)>> = Vec::new();
     for path in paths {
@@ -82,7 +82,7 @@ pub(crate) fn of_files(paths: &[PathBuf]) -> Result<Vec<ModelFindings>> {
             None => models.push(vec![file]),
         }
     }
-    // Two runs of one model: that with its own sampler has the shorter name, and comes first.
+    // Two runs of one model: the one with its own sampler has the shorter name, and comes first.
     models.sort_by_key(|files| {
         let first = files.first().map(|(_, heading, _)| heading);
         first.map(|heading| (heading.position, heading.header.model.clone()))
@@ -99,7 +99,7 @@ mod tests {
     use super::*;
     use crate::{Protocol, Settings, records::Heading};
 
-    /// Of the model `name`, which came at this place of the command line.
+    /// A heading of model `name` at this position of the command line.
     fn heading(name: &str, position: usize) -> Heading {
         let mut header =
             wm_metrics::findings::Header::of(name, &format!("hash of {name}"), "space");
@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn models_come_in_the_order_of_the_command_line() {
+    fn models_keep_the_order_of_the_command_line() {
         let dir = tempfile::tempdir().unwrap();
         for (name, position) in [("a", 1), ("b", 0)] {
             let path = dir.path().join(format!("{name}.jsonl"));
@@ -122,19 +122,19 @@ mod tests {
         let found = of_files(&in_folder(dir.path()).unwrap()).unwrap();
         let names: Vec<&str> = found.iter().map(|own| &*own.header.model).collect();
         assert_eq!(names, ["b", "a"]);
-        // What could not be measured is told.
+        // Unmeasured suites are reported.
         let (_, why) = found[0].absent().into_iter().next().unwrap();
         assert_eq!(why, "too short");
     }
 
     #[test]
-    fn a_folder_without_records_is_refused_by_name() {
+    fn folder_without_records_is_rejected_by_name() {
         let dir = tempfile::tempdir().unwrap();
         let merge = MergeArgs {
             paths: vec![dir.path().to_owned()],
             output: OutputArgs::default(),
         };
         let error = merge.run().unwrap_err().to_string();
-        assert!(error.contains("it has no records"), "{error}");
+        assert!(error.contains("no records"), "{error}");
     }
 }

@@ -1,15 +1,14 @@
-//! Pretrained networks of the user's that metrics need, from ONNX files.
+//! The user's pretrained networks for metrics, from ONNX files.
 //!
-//! Some metrics are defined by a network: the Fréchet inception distance by Inception's features, the dynamic degree by RAFT's
-//! flow. This project contains none of them. A user names those that he has in a `networks.yaml`, with what each does to a
-//! picture before it sees it; this crate reads that, prepares pictures as PyTorch does, runs the files, and checks what comes
-//! out. A [`Role`] says what a network is for; roles without one are known by name, so that a report can list what was not
-//! measured.
+//! Some metrics need a network: the Fréchet inception distance needs Inception's features, the dynamic degree RAFT's
+//! flow. This project contains none of them. The user lists networks in a `networks.yaml`, with the preparation of
+//! pictures for each. This module reads it, prepares pictures as PyTorch does, runs the files, and checks their
+//! outputs. A [`Role`] is the purpose of a network; missing roles have names, so that reports can list missing metrics.
 //!
 //! ```
-//! use crate::onnx::{Networks, Role};
+//! use wm_evaluation::onnx::{Networks, Role};
 //!
-//! # fn main() -> crate::onnx::Result<()> {
+//! # fn main() -> wm_evaluation::onnx::Result<()> {
 //! let text = "
 //! flow:
 //!   file: raft.onnx
@@ -19,29 +18,29 @@
 //! for role in networks.absent() {
 //!     println!("{}", role.not_measured());
 //! }
-//! // Built without the feature `onnx`, or without the file: an error that says so.
+//! // Without the feature `onnx`, or without the file: an error with the reason.
 //! assert!(networks.flow().is_err());
 //! # Ok(())
 //! # }
 //! ```
 //!
-//! # Who runs the files
+//! # Runtime
 //!
-//! [tract](https://github.com/sonos/tract), with the feature `onnx`; it is off by default, since it takes minutes to compile.
-//! A network may be shared among threads. A run uses the thread that asks for it, so that the same inputs give the same bits whatever the number of threads; on
-//! another processor, or in a batch of another size, the last bits may differ. A file that is damaged is an error, not a panic: tract's own panics are caught, though
-//! each still writes its line to stderr.
+//! [tract](https://github.com/sonos/tract), with the feature `onnx`; off by default, since it takes minutes to compile. Threads
+//! may share a network. A run uses only the calling thread, so equal inputs give equal bits whatever the number of threads; on
+//! another processor, or in a batch of another size, the last bits may differ. Panics of tract on a damaged file become errors,
+//! but each still writes a line to stderr.
 //!
-//! Opsets 18 and 20 were tried. Convolution, pooling and sampling over time work; the operators `Attention` of opset 23 and
+//! Opsets 18 and 20 were tested. Convolution, pooling and sampling over time work; the operators `Attention` of opset 23 and
 //! `Loop` are missing.
 //!
-//! # What it does not do
+//! # Limits
 //!
 //! - It computes no metric: no Fréchet distance, no means over time.
 //! - It downloads nothing, and reads no weights outside the ONNX file.
-//! - It does not limit the memory or the time that a network takes: run only files that you trust that far.
-//! - It does not round to levels between resize and normalisation, as Pillow does: with `antialias: true` it equals
-//!   torchvision's `Resize` on float tensors, and differs from that on Pillow pictures by up to half a level per pass.
+//! - It does not limit the memory or time of a network: run only trusted files.
+//! - It does not round to levels between resize and normalisation, unlike Pillow: with `antialias: true` it equals
+//!   torchvision's `Resize` on float tensors, and differs from Pillow pictures by up to half a level per pass.
 
 mod batches;
 mod depth;
@@ -75,7 +74,7 @@ pub use spec::{Channels, Input, Layout, Output, Pooling, Resize, Size, Spec};
 pub use tensor::Tensor;
 pub use tracks::{Query, TrackPoint, Tracks};
 
-// Metrics open a network once and share it among their threads.
+// Metrics share a network among threads.
 const _: () = {
     const fn is_shared<T: Send + Sync>() {}
     is_shared::<Features>();

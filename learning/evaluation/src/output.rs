@@ -1,4 +1,4 @@
-//! Where findings go.
+//! Outputs of findings.
 
 use std::{
     collections::BTreeSet,
@@ -13,26 +13,26 @@ use wm_metrics::findings::{
 };
 
 use crate::{
-    card::{self, Written},
+    card::{self, WriteOutcome},
     merge::RECORDS,
 };
 
-/// Where findings go.
+/// Outputs of findings.
 #[derive(Clone, Debug, Default, Args)]
 pub struct OutputArgs {
-    /// File for the figures as JSON.
+    /// File for the figures as JSON
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
-    /// File for the figures as CSV, a row for each.
+    /// File for the figures as CSV, one row each
     #[arg(long, value_name = "FILE")]
     pub csv: Option<PathBuf>,
-    /// Folder for the report: report.html, figures.json and figures.csv.
+    /// Folder for the report: report.html, figures.json and figures.csv
     #[arg(long, value_name = "DIR")]
     pub report: Option<PathBuf>,
-    /// File for the model card of the first model, as MODEL.md. One that somebody changed is not replaced.
+    /// File for the model card (MODEL.md) of the first model; an edited card is kept
     #[arg(long, value_name = "FILE")]
     pub card: Option<PathBuf>,
-    /// YAML with what a card tells besides figures: name, data, recipe, limits, uses_refused, commands.
+    /// YAML file with the card's other contents: name, data, recipe, limits, uses_refused, commands
     #[arg(long, value_name = "FILE", requires = "card")]
     pub about: Option<PathBuf>,
 }
@@ -85,16 +85,16 @@ impl OutputArgs {
         }
         about.notes.push(card::extent(&findings.header.settings));
         match card::write(path, findings, &about)? {
-            Written::Yes => println!("wrote {}", path.display()),
-            Written::Kept => bail!(
-                "{}: it was changed by hand, and stays; give another name",
+            WriteOutcome::Yes => println!("wrote {}", path.display()),
+            WriteOutcome::Kept => bail!(
+                "{}: kept, since it was edited; give another name",
                 path.display()
             ),
         }
         Ok(())
     }
 
-    /// Refuses files that are there.
+    /// Rejects existing files.
     ///
     /// # Errors
     /// Names the first.
@@ -107,11 +107,11 @@ impl OutputArgs {
         for path in named.cloned().chain(report) {
             ensure!(
                 !path.exists(),
-                "{}: it is there already; give another name or remove it",
+                "{}: exists already; give another name or remove it",
                 path.display()
             );
             let shown = path.display().to_string();
-            ensure!(files.insert(path), "{shown}: it is given twice");
+            ensure!(files.insert(path), "{shown}: given twice");
         }
         for path in self.json.iter().chain(&self.csv).chain(&self.card) {
             let folder = path
@@ -119,14 +119,14 @@ impl OutputArgs {
                 .filter(|folder| !folder.as_os_str().is_empty());
             ensure!(
                 folder.is_none_or(Path::is_dir),
-                "{}: its folder does not exist",
+                "{}: the folder does not exist",
                 path.display()
             );
         }
         if let Some(card) = &self.card {
             ensure!(
                 card::is_free(card)?,
-                "{}: it was changed by hand, and stays; give another name",
+                "{}: kept, since it was edited; give another name",
                 card.display()
             );
         }
@@ -134,7 +134,7 @@ impl OutputArgs {
         Ok(())
     }
 
-    /// Where records are kept if no folder is named for them: in the report, or beside the file of the figures.
+    /// Default location of records: in the report, or beside the file of the figures.
     #[must_use]
     pub fn records(&self) -> Option<PathBuf> {
         if let Some(report) = &self.report {
@@ -154,7 +154,7 @@ fn title(findings: &[ModelFindings]) -> String {
     format!("Evaluation of {}", models.collect::<Vec<_>>().join(", "))
 }
 
-/// Nothing of the user's is replaced.
+/// Creates a new file; never overwrites.
 fn write(path: &Path, text: &str) -> Result<()> {
     use std::io::Write as _;
     let file = fs::File::create_new(path);
@@ -191,7 +191,7 @@ fn print(findings: &ModelFindings) {
     }
 }
 
-/// What differs clearly; of the rest how many figures there are.
+/// Prints clear differences, and the number of other figures.
 fn print_comparison(comparison: &Comparison) {
     println!(
         "{} compared with {}",

@@ -1,16 +1,16 @@
-//! What networks of the user's say of decoded rollouts (the paper, appendix C.2): LPIPS, FID, FVD, JEPA similarity, image and
-//! aesthetic quality, consistency, motion, depth, and points that are followed.
+//! Metrics of decoded rollouts by the user's networks (the paper, appendix C.2): LPIPS, FID, FVD, JEPA similarity,
+//! image and aesthetic quality, consistency, motion, depth, and tracked points.
 //!
-//! A [`Perception`] is the networks, opened once and shared by all threads. [`Perception::measure`] looks at one rollout, and
-//! [`summarise`] makes findings of many: of what is in the records alone. A role without a network is absent by the names of its
-//! metrics; nothing stands in for it.
+//! [`Perception`] has the networks, opened once for all threads. [`Perception::measure`] processes one rollout, and
+//! [`summarise`] makes findings of many from the records alone. Metrics of a role without a network are reported as
+//! missing by name.
 //!
-//! # What a record holds
+//! # Contents of a record
 //!
-//! A number or a list of one number a step for each figure, and for FID, FVD and JEPA the features themselves, of which a
-//! distance can only be taken over all episodes. Features are most of it: 4/3 of 4 bytes each in base64, of predictions, of
-//! reconstructions and of what came. A rollout of 45 steps has 1.5 MB of Inception's 2048 features a frame, and 16 KB of 512
-//! features of two clips. A thousand such episodes are 1.5 GB of records, which `wm eval merge` holds in memory.
+//! For each figure a number, or a list with one number per step. For FID, FVD and JEPA the features themselves, since a
+//! distance needs all episodes. Features of predictions, reconstructions and true frames dominate: 4/3 of 4 bytes each
+//! in base64. A rollout of 45 steps has 1.5 MB of Inception's 2048 features per frame, and 16 KB of 512 features of two
+//! clips. A thousand such episodes are 1.5 GB of records, which `wm eval merge` holds in memory.
 
 mod arguments;
 mod depth;
@@ -35,7 +35,7 @@ use serde_json::{Map, Value};
 use wm_metrics::{Table, motion::feature_consistency};
 
 pub use arguments::PerceptionArgs;
-pub use episode::{EpisodePerception, Of, Values};
+pub use episode::{BySource, EpisodePerception, Values};
 pub use episode_figure::EpisodeFigure;
 pub use feature_space::FeatureSpace;
 pub use rollout_pictures::RolloutPictures;
@@ -45,7 +45,7 @@ pub use vectors::Vectors;
 use frame_features::FrameFeatures;
 use learned_distance::LearnedDistance;
 
-/// The networks that there are.
+/// The open networks.
 #[derive(Debug, Default)]
 pub struct Perception {
     lpips: Option<LearnedDistance>,
@@ -57,15 +57,15 @@ pub struct Perception {
     flow: Option<Flow>,
     depth: Option<Depth>,
     tracks: Option<Tracks>,
-    /// What they are, for the header.
+    /// Description for the header.
     description: Option<Value>,
 }
 
 impl Perception {
-    /// Opens all networks that `arguments` name.
+    /// Opens all networks of `arguments`.
     ///
     /// # Errors
-    /// Names the role and the file that cannot be used.
+    /// Names the role and the unusable file.
     pub fn open(arguments: &PerceptionArgs) -> Result<Self> {
         let mut found = Self::default();
         let mut description = Map::new();
@@ -88,16 +88,16 @@ impl Perception {
         Ok(found)
     }
 
-    /// The networks' file and digests, as results have them; `None` where there are none.
+    /// File and digests of the networks, as in results; `None` without networks.
     #[must_use]
     pub fn description(&self) -> Option<&Value> {
         self.description.as_ref()
     }
 
-    /// What the networks say of one rollout.
+    /// Metrics of one rollout.
     ///
     /// # Errors
-    /// If a network cannot take the pictures.
+    /// If a network cannot process the pictures.
     pub fn measure(&self, pictures: &RolloutPictures<'_>) -> Result<EpisodePerception> {
         let predicted = pictures.predicted;
         let mut found = EpisodePerception::default();
@@ -148,7 +148,7 @@ impl Perception {
                 found.lack(space.name(), why);
                 continue;
             }
-            let of = Of {
+            let of = BySource {
                 truth: of(pictures.truth)?,
                 predicted: of(predicted)?,
                 reconstructed: of(pictures.reconstructed)?,
@@ -158,7 +158,7 @@ impl Perception {
         Ok(found)
     }
 
-    /// Opens the networks of a file; gives the digests of theirs.
+    /// Opens the networks of a file; returns their digests.
     fn open_all(&mut self, networks: &Networks) -> Result<Map<String, Value>> {
         let mut digests = Map::new();
         for role in networks.present() {
@@ -208,7 +208,7 @@ impl Perception {
     }
 }
 
-/// Keeps an open network; gives its file's digest.
+/// Stores an open network; returns its file's digest.
 fn kept<T>(place: &mut Option<T>, opened: T, network: impl Fn(&T) -> &Network) -> Digest {
     let digest = network(&opened).digest();
     *place = Some(opened);

@@ -6,15 +6,15 @@ use anyhow::Result;
 use base64::{Engine as _, engine::general_purpose::STANDARD};
 use image::{ImageFormat, Rgb, RgbImage, imageops};
 
-/// Between two pictures \[px\].
+/// Gap between pictures \[px\].
 const GAP: u32 = 2;
 const BACKGROUND: Rgb<u8> = Rgb([24, 24, 28]);
-/// Pictures of a row that a strip shows.
+/// Most pictures of a row.
 const COLUMNS: usize = 8;
-/// Their height, unless they are smaller \[px\].
+/// Greatest height of a picture \[px\].
 const HEIGHT: u32 = 128;
 
-/// Rows of pictures of one size, one below the other; where there is none, the background.
+/// Rows of pictures of one size; `None` shows the background.
 #[must_use]
 pub fn grid(rows: &[Vec<Option<RgbImage>>]) -> RgbImage {
     let mut pictures = rows.iter().flatten().flatten();
@@ -33,10 +33,10 @@ pub fn grid(rows: &[Vec<Option<RgbImage>>]) -> RgbImage {
     picture
 }
 
-/// Evenly spaced pictures of each row, the first and the last among them, as a PNG in base64.
+/// Evenly spaced pictures of each row, including first and last, as a PNG in base64.
 ///
 /// # Errors
-/// If it cannot be written.
+/// If encoding fails.
 pub(crate) fn strip_of(rows: &[&[RgbImage]]) -> Result<String> {
     let longest = rows.iter().map(|row| row.len()).max().unwrap_or(0);
     let shown = COLUMNS.min(longest);
@@ -51,7 +51,7 @@ pub(crate) fn strip_of(rows: &[&[RgbImage]]) -> Result<String> {
 /// A PNG in base64.
 ///
 /// # Errors
-/// If it cannot be written.
+/// If encoding fails.
 pub(crate) fn png(picture: &RgbImage) -> Result<String> {
     let mut bytes = Cursor::new(Vec::new());
     picture.write_to(&mut bytes, ImageFormat::Png)?;

@@ -8,7 +8,7 @@ use wm_model::{Decoder, transition::LoadedTransition};
 
 use crate::{ActionChange, CONTEXT, SquaredError, Windows};
 
-/// Decoded predictions against the frames that came, beside the last observed frame, repeated, step by step.
+/// Errors by step of decoded predictions, and of persistence (the last observed frame, repeated).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PictureErrors {
     steps: Vec<StepErrors>,
@@ -21,17 +21,17 @@ pub struct StepErrors {
     pub predicted: SquaredError,
     /// Of the last observed frame.
     pub held: SquaredError,
-    /// Of the decoded prediction inside the masks (gripper and objects) of the frame that came.
+    /// Of the decoded prediction inside the true frame's masks (gripper and objects).
     pub predicted_in_masks: SquaredError,
-    /// Of the last observed frame, there.
+    /// Of the last observed frame inside the same masks.
     pub held_in_masks: SquaredError,
 }
 
 impl PictureErrors {
-    /// Decodes what `model` predicts in every window of `windows`, whose latents are those of `dataset`.
+    /// Decodes the predictions of `model` for all `windows`, whose latents are those of `dataset`.
     ///
     /// # Errors
-    /// When model, decoder and dataset do not fit one another.
+    /// If model, decoder and dataset do not fit.
     pub fn measure(
         windows: &Windows,
         model: &LoadedTransition,
@@ -85,6 +85,7 @@ impl StepErrors {
                 .with_context(|| format!("no frame {index}"))
         };
         let (truth_frame, held) = (frame(truth)?, frame(held)?);
+        // Without masks, no pixel is inside one.
         let mut masks = dataset.mask(truth).unwrap_or_default().iter();
         let mut errors = Self::default();
         let pixels = picture

@@ -1,13 +1,13 @@
-//! A policy in the imagined environment (the paper, appendix C.1, B to D): the world model shows it what comes of its
-//! actions, and a success probe and vision-language models judge the imagined episodes.
+//! Evaluates a policy in the imagined environment (the paper, appendix C.1, B to D): the world model shows the results
+//! of its actions; a success probe and vision-language models judge the imagined episodes.
 //!
-//! An episode of the data with an instruction is a task. Its first [`CONTEXT`](crate::CONTEXT) frames are observed; from there
-//! on a policy sees a picture, acts, and sees the picture that the world model predicts. A unit is one trial of one task:
-//! trials differ in the seed of the noise. Beside the recorded instruction and frames a task may have another instruction
-//! or another first frame ([`Condition`]); those are trials of their own, with the same seeds.
+//! An episode of the data with an instruction is a task. The policy starts from its first [`CONTEXT`](crate::CONTEXT)
+//! frames, sees a picture, acts, and sees the predicted picture. A unit is one trial of one task; trials differ in the
+//! noise seed. A task may also have another instruction or first frame ([`Condition`]); these are separate trials with
+//! the same seeds.
 //!
-//! The policy is the recorded actions, no motion, or a program that speaks JSON lines ([`protocol`]). No robot and
-//! no DDS: `wm env` is the environment for policies that are nodes.
+//! The policy is the recorded actions, no motion, or a program that speaks JSON lines ([`protocol`]). No robot and no
+//! DDS are involved: `wm env` is the environment for policies that are nodes.
 
 mod arguments;
 mod borda;
@@ -32,7 +32,7 @@ pub use inputs::{JudgeInputs, PolicyInputs, PolicySettings};
 pub use judging::{Rubric, Verdicts};
 pub use setup::Setup;
 pub use summary::summarise;
-pub use trial::{Imagined, Trials};
+pub use trial::{ImaginedTrial, Trials};
 
 #[cfg(test)]
 mod tests;

@@ -1,5 +1,5 @@
-//! What reads latents beside a transition model: inverse dynamics models and success probes, those of the model's folder and
-//! further ones.
+//! Models that read latents besides a transition model: inverse dynamics models and success probes, of the model's
+//! folder and further ones.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -22,26 +22,26 @@ use wm_zoo::{
     success_probe::{PROBE_KEY, SuccessClassifier},
 };
 
-/// What the names of the figures of the model's own success probe begin with.
+/// Prefix of the figures of the model's own success probe.
 pub(crate) const OWN_PROBE: &str = "success";
 
-/// Further models that read latents. Of several world models, each takes those that read its latents.
+/// Further models that read latents. With several world models, each gets those for its latents.
 #[derive(Args, Clone, Debug, Default)]
 pub struct ReaderArgs {
-    /// Further inverse dynamics models, as for another number of steps. One that was trained on the features of a model's
-    /// encoder reads the model's latents through the decoder of its adapter.
+    /// Further inverse dynamics models, for example for another number of steps. One trained on the features of a
+    /// model's encoder reads the model's latents through its adapter's decoder
     #[arg(long, num_args = 1.., value_name = "FILE")]
     pub idm: Vec<PathBuf>,
-    /// Further success probes, as linear and temporal ones, by the same rule.
+    /// Further success probes, such as linear and temporal ones, by the same rule
     #[arg(long, num_args = 1.., value_name = "FILE")]
     pub probe: Vec<PathBuf>,
 }
 
 impl ReaderArgs {
-    /// Checks, before anything is measured, that each file reads the latents of one of the models.
+    /// Checks early that each file reads the latents of one of the models.
     ///
     /// # Errors
-    /// Names the first that reads none, and what it reads.
+    /// Names the first that reads none, and its latents.
     pub fn require_models(&self, models: &[ModelFolder]) -> Result<()> {
         let idms = self.idm.iter().map(|path| (path, IDM_KEY));
         let probes = self.probe.iter().map(|path| (path, PROBE_KEY));
@@ -55,7 +55,7 @@ impl ReaderArgs {
             let names: Vec<String> = spaces.iter().map(ToString::to_string).collect();
             ensure!(
                 spaces.iter().any(|space| same(space, &reads)),
-                "{}: it reads latents of {reads}; expected {} (wm train idm|probe --encoder MODEL makes one)",
+                "{}: reads latents of {reads}; expected {} (train one with wm train idm|probe --encoder MODEL)",
                 path.display(),
                 names.join(", or ")
             );
@@ -64,20 +64,20 @@ impl ReaderArgs {
     }
 }
 
-/// A model that reads latents, by itself or through the decoder of their adapter.
+/// A model that reads latents, directly or through the decoder of their adapter.
 #[derive(Debug)]
 pub struct Reader<M> {
-    /// What the names of its figures begin with, as `idm_k1`.
+    /// Prefix of its figures, such as `idm_k1`.
     pub name: String,
     /// The model.
     pub model: M,
-    /// Name of the latent space that it was trained on.
+    /// Name of its latent space.
     pub space: String,
     through: Option<Arc<NativeDecoder>>,
 }
 
 impl<M> Reader<M> {
-    /// Latents (N, h, w, C) of the world model as this one reads them.
+    /// Converts latents (N, h, w, C) of the world model for this one.
     ///
     /// # Errors
     /// If they do not fit the adapter.
@@ -89,22 +89,22 @@ impl<M> Reader<M> {
     }
 }
 
-/// All that read the latents of one world model.
+/// All readers of one world model's latents.
 #[derive(Debug, Default)]
 pub struct Readers {
-    /// Inverse dynamics models, that of the model's folder first.
+    /// Inverse dynamics models, the folder's own first.
     pub idms: Vec<Reader<TrainedIdm>>,
-    /// Success probes, that of the model's folder first.
+    /// Success probes, the folder's own first.
     pub probes: Vec<Reader<SuccessClassifier>>,
-    /// Lower-case hex SHA-256 of the tensors of each that a training wrote, by its name.
+    /// Lower-case hex SHA-256 of the tensors of each trained reader, by name.
     pub hashes: BTreeMap<String, String>,
 }
 
 impl Readers {
-    /// Those of the model's folder.
+    /// Readers of the model's folder.
     ///
     /// # Errors
-    /// Names what is missing or wrong in their files.
+    /// Names a missing or invalid tensor or file.
     pub fn of_folder(folder: &ModelFolder) -> Result<Self> {
         let mut readers = Self::default();
         let space = folder.space()?.name;
@@ -141,7 +141,7 @@ impl Readers {
         }
         let own = folder.space()?;
         let native = folder.native_decoder()?.map(Arc::new);
-        // Which of the two it reads, if any.
+        // The latents that it reads, if either.
         let fit = |reads: &LatentSpace| match &native {
             _ if same(&own, reads) => Some(None),
             Some(native) if same(native.native(), reads) => Some(Some(Arc::clone(native))),
@@ -191,7 +191,7 @@ impl Readers {
         }
     }
 
-    /// The first of `name("")`, `name("2")`, `name("3")`, ... that no other has.
+    /// The first unused of `name("")`, `name("2")`, `name("3")`, ...
     fn free_name(&self, name: impl Fn(&str) -> String) -> String {
         let idms = self.idms.iter().map(|reader| &*reader.name);
         let taken: BTreeSet<&str> = idms.chain(self.probes.iter().map(|r| &*r.name)).collect();
@@ -209,7 +209,7 @@ impl Readers {
     }
 }
 
-/// Opens the file of a reader: of an inverse dynamics model ([`IDM_KEY`]) or a success probe ([`PROBE_KEY`]).
+/// Opens a reader file: an inverse dynamics model ([`IDM_KEY`]) or a success probe ([`PROBE_KEY`]).
 fn open(path: &Path, key: &str) -> Result<Weights> {
     let (what, file) = match key {
         IDM_KEY => ("inverse dynamics model", IDM_FILE),
@@ -222,7 +222,7 @@ fn open(path: &Path, key: &str) -> Result<Weights> {
     let weights = Weights::open(&path)?;
     ensure!(
         weights.metadata(key).is_some(),
-        "{}: it is no {what}",
+        "{}: not an {what}",
         path.display()
     );
     Ok(weights)
@@ -232,7 +232,7 @@ fn space_of(weights: &Weights) -> Result<LatentSpace> {
     Ok(weights.json(LATENT_SPACE_KEY)?)
 }
 
-/// Whether latents of both mean the same: a name is only a name.
+/// Whether both latent spaces are equal, whatever their names.
 fn same(a: &LatentSpace, b: &LatentSpace) -> bool {
     (&a.hash, a.shape()) == (&b.hash, b.shape())
 }

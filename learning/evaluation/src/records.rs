@@ -1,7 +1,7 @@
-//! What was measured, unit by unit, on disk: a run that was interrupted goes on, and shards are merged.
+//! Measurements by unit on disk, so that interrupted runs resume and shards merge.
 //!
-//! A file of JSON lines: the header, then one line a unit, in the order in which they were finished. Findings are always
-//! made of what was read back, sorted: so one run, a resumed one and merged shards give the same bytes.
+//! A file of JSON lines: the heading, then one line per unit, in the order of completion. Findings always come from
+//! sorted records that were read back, so one run, a resumed run and merged shards give equal bytes.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -16,27 +16,27 @@ use serde::{Deserialize, Serialize};
 use wm_metrics::findings::{Header, Suite};
 
 use crate::{
-    control::WindowControl, cost::ModelCost, fidelity::EpisodeFidelity, policy::Imagined,
+    control::WindowControl, cost::ModelCost, fidelity::EpisodeFidelity, policy::ImaginedTrial,
     representation::Representation, robustness::WindowRobustness,
 };
 
 /// The first line.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Heading {
-    /// What is measured on what, and how.
+    /// Data and settings of the evaluation.
     pub header: Header,
-    /// The model's place on the command line: the first one is what the others are compared with.
+    /// Position of the model on the command line; the first one is the baseline.
     #[serde(default)]
     pub position: usize,
-    /// How many units each suite has, over all shards.
+    /// Number of units by suite, over all shards.
     pub units: BTreeMap<Suite, usize>,
-    /// Suites that could not be measured on these data, and why.
+    /// Unmeasurable suites, with reasons.
     #[serde(default)]
     pub absent: BTreeMap<Suite, String>,
 }
 
 impl Heading {
-    /// All that makes it this evaluation: model and data by their hashes, wherever they lie.
+    /// The parts that identify the evaluation, with model and data by their hashes, independent of location.
     fn identity(&self) -> Self {
         let mut own = self.clone();
         own.position = 0;
@@ -47,33 +47,33 @@ impl Heading {
     }
 }
 
-/// A unit and what was found.
+/// A unit and its result.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Record {
     /// The suite.
     pub suite: Suite,
-    /// The unit's number in it.
+    /// Index of the unit in the suite.
     pub unit: usize,
     /// The unit's name.
     pub name: String,
-    /// What was found.
-    pub found: Measured,
+    /// Result.
+    pub found: UnitResult,
 }
 
-/// What was found in a unit.
+/// Result of a unit.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[expect(missing_docs, reason = "named after the suites")]
-pub enum Measured {
+pub enum UnitResult {
     Fidelity(EpisodeFidelity),
     Control(WindowControl),
     Latents(Representation),
-    Policy(Imagined),
+    Policy(ImaginedTrial),
     Robustness(WindowRobustness),
     Cost(ModelCost),
 }
 
-/// A file of records that is being written.
+/// A file of records open for writing.
 pub struct Records {
     path: PathBuf,
     file: Mutex<File>,
@@ -81,10 +81,10 @@ pub struct Records {
 }
 
 impl Records {
-    /// Opens `path` to go on, or begins it with `heading`.
+    /// Opens or creates `path` with `heading`.
     ///
     /// # Errors
-    /// If the file is of another evaluation: the error names what differs.
+    /// Names the differences if the file belongs to another evaluation.
     pub fn open(path: &Path, heading: &Heading) -> Result<Self> {
         let name = || path.display().to_string();
         if let Some(folder) = path.parent() {
@@ -94,13 +94,10 @@ impl Records {
         if path.exists() {
             let (found, records, whole) = read_whole(path)?;
             same(heading, &found).with_context(|| {
-                format!(
-                    "{}: it is of another evaluation; give another --records",
-                    name()
-                )
+                format!("{}: of another evaluation; give another --records", name())
             })?;
             done = records.iter().map(|r| (r.suite, r.unit)).collect();
-            // What a killed process left of its last line.
+            // Cuts off the incomplete last line of a killed process.
             let file = OpenOptions::new()
                 .write(true)
                 .open(path)
@@ -123,13 +120,13 @@ impl Records {
         })
     }
 
-    /// How many units were measured before.
+    /// Units measured earlier.
     #[must_use]
     pub fn len(&self) -> usize {
         self.done.len()
     }
 
-    /// Whether none was.
+    /// Whether no unit was measured earlier.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.done.is_empty()
@@ -141,13 +138,13 @@ impl Records {
         &self.path
     }
 
-    /// Whether a unit was measured before.
+    /// Whether a unit was measured earlier.
     #[must_use]
     pub fn has(&self, suite: Suite, unit: usize) -> bool {
         self.done.contains(&(suite, unit))
     }
 
-    /// Keeps a record.
+    /// Appends a record.
     ///
     /// # Errors
     /// If it cannot be written.
@@ -160,7 +157,7 @@ impl Records {
                 self.path.display()
             )
         })?;
-        // In one call: what is killed in between leaves one torn line at most.
+        // In one call, so that a kill leaves at most one incomplete line.
         file.write_all(line.as_bytes())
             .with_context(|| self.path.display().to_string())
     }
@@ -169,13 +166,13 @@ impl Records {
 /// Reads a file.
 ///
 /// # Errors
-/// If it is none of records.
+/// If it is not a file of records.
 pub fn read(path: &Path) -> Result<(Heading, Vec<Record>)> {
     let (heading, records, _) = read_whole(path)?;
     Ok((heading, records))
 }
 
-/// The same, and how many bytes its whole lines have.
+/// [`read`], with the length of its complete lines in bytes.
 fn read_whole(path: &Path) -> Result<(Heading, Vec<Record>, u64)> {
     let name = || path.display().to_string();
     let mut lines = BufReader::new(File::open(path).with_context(name)?);
@@ -189,9 +186,9 @@ fn read_whole(path: &Path) -> Result<(Heading, Vec<Record>, u64)> {
         whole += bytes as u64;
         Ok(Some(line))
     };
-    let first = next()?.with_context(|| format!("{}: it is empty", name()))?;
+    let first = next()?.with_context(|| format!("{}: empty file", name()))?;
     let heading = serde_json::from_str(&first)
-        .with_context(|| format!("{}: its first line is not that of wm eval", name()))?;
+        .with_context(|| format!("{}: the first line is not a heading of wm eval", name()))?;
     let mut records = Vec::new();
     while let Some(line) = next()? {
         let number = records.len() + 2;
@@ -201,10 +198,10 @@ fn read_whole(path: &Path) -> Result<(Heading, Vec<Record>, u64)> {
     Ok((heading, records, whole))
 }
 
-/// Merges the records of shards, of one model: each unit once, sorted.
+/// Merges the shards of one model: each unit once, sorted.
 ///
 /// # Errors
-/// If the files are of different evaluations, disagree about a unit, or units are missing.
+/// If the files are of different evaluations, disagree on a unit, or lack units.
 pub fn merge(files: Vec<(PathBuf, Heading, Vec<Record>)>) -> Result<(Heading, Vec<Record>)> {
     let names: Vec<String> = (files.iter())
         .map(|(path, ..)| path.display().to_string())
@@ -243,14 +240,14 @@ pub fn merge(files: Vec<(PathBuf, Heading, Vec<Record>)>) -> Result<(Heading, Ve
     let missing: Vec<String> = missing.collect();
     ensure!(
         missing.is_empty(),
-        "units are missing ({}) in {}: is a shard not given, or not done?",
+        "units are missing ({}) in {}: is a shard missing or unfinished?",
         missing.join(", "),
         names.join(", ")
     );
     Ok((heading, merged.into_values().collect()))
 }
 
-/// Refuses different evaluations, and names what differs.
+/// Rejects different evaluations, and names the differences.
 fn same(a: &Heading, b: &Heading) -> Result<()> {
     let (a, b) = (
         serde_json::to_value(a.identity())?,
@@ -317,12 +314,12 @@ mod tests {
             suite: Suite::Fidelity,
             unit,
             name: format!("episode {unit}"),
-            found: Measured::Fidelity(found),
+            found: UnitResult::Fidelity(found),
         }
     }
 
     #[test]
-    fn a_torn_line_is_measured_again_and_shards_merge() {
+    fn incomplete_line_is_measured_again_and_shards_merge() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a.jsonl");
         let records = Records::open(&path, &heading(0)).unwrap();
@@ -358,7 +355,7 @@ mod tests {
     }
 
     #[test]
-    fn model_and_data_are_the_same_wherever_they_lie() {
+    fn identity_does_not_depend_on_paths() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a.jsonl");
         drop(Records::open(&path, &heading(0)).unwrap());

@@ -1,4 +1,4 @@
-//! Whether plans find the action that was taken.
+//! Whether plans recover the true action.
 
 use std::fmt;
 
@@ -14,21 +14,20 @@ use wm_planner::{
 
 use crate::windows::{CONTEXT, SEED, Window, Windows};
 
-/// How well one-step plans that start from zero recover the true action, in model units.
+/// Recovery of the true action by one-step plans that start from zero, in model units.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Recovery {
     /// Plans made.
     pub plans: usize,
     /// Mean distance over the three translations: of the plan, of no motion, of a random guess within the bounds.
     pub translation: [f64; 3],
-    /// The same over the three rotations.
+    /// Mean distances over the three rotations.
     pub rotation: [f64; 3],
-    /// Part of the plans whose gripper has the true sign; half of the random guesses have; `None` without a
-    /// gripper.
+    /// Share of the plans with the gripper's true sign (0.5 for random guesses); `None` without a gripper.
     pub gripper: Option<f64>,
-    /// Further plans, of steps at which the gripper is told to move.
+    /// Number of plans for steps with a gripper command that changes.
     pub moves: usize,
-    /// The same part of these plans; `None` without any.
+    /// Share of these with the gripper's true sign; `None` without any.
     pub gripper_of_moves: Option<f64>,
 }
 
@@ -54,22 +53,23 @@ impl fmt::Display for Recovery {
         match self.gripper_of_moves {
             Some(part) => write!(
                 f,
-                "; in {:.0} % of {} steps at which it is told to move",
+                "; in {:.0} % of {} steps with a gripper motion",
                 100.0 * part,
                 self.moves
             ),
-            None => write!(f, "; it is never told to move"),
+            None => write!(f, "; it never moves"),
         }
     }
 }
 
-/// Place of the gripper in an action of the end effector.
+/// Index of the gripper in an end effector action.
 const GRIPPER: usize = 6;
 
-/// Plans one step towards the next observed latent from each of `plans` windows, and from as many steps at which the
-/// gripper is told to move.
+/// Plans one step to the next observed latent, from each of `plans` windows, and from as many steps with a gripper
+/// motion.
 ///
 /// # Errors
+/// If the model does not fit the latents.
 /// When the model does not fit the latents.
 pub fn recover_actions(
     model: &LoadedTransition,
@@ -79,8 +79,8 @@ pub fn recover_actions(
 ) -> Result<Recovery> {
     let bounds = encoding.bounds();
     let settings = CemSettings {
-        // As many candidates as in the paper's search, which starts at the true action; from zero, more iterations with
-        // fewer each come nearer.
+        // As many candidates as the paper's search, which starts at the true action. From zero, more iterations of fewer
+        // candidates come nearer.
         population: 200,
         iterations: 10,
         elites: 20,
@@ -123,13 +123,13 @@ pub fn recover_actions(
     })
 }
 
-/// At most `count`, spread evenly.
+/// At most `count`, evenly spread.
 fn some_of<T>(all: Vec<T>, count: usize) -> Vec<T> {
     let stride = (all.len() / count.max(1)).max(1);
     all.into_iter().step_by(stride).take(count).collect()
 }
 
-/// The steps at which the gripper is told the opposite of what it was told before.
+/// Steps whose gripper command differs from the previous one.
 fn moves(cases: &[Window]) -> Result<Vec<(&Window, usize)>> {
     let mut moves = Vec::new();
     for case in cases {
@@ -146,7 +146,7 @@ fn moves(cases: &[Window]) -> Result<Vec<(&Window, usize)>> {
     Ok(moves)
 }
 
-/// The action planned from the frames up to `step` of a window towards the next one, and the true one.
+/// The planned action from the frames up to `step` of a window to the next, and the true one.
 fn plan(
     model: &LoadedTransition,
     (cem, space): (&Cem, &SearchSpace),
@@ -174,7 +174,7 @@ fn plan(
     Ok((planned.context("a plan without actions")?, truth))
 }
 
-/// Whether two actions tell the gripper the same; `None` without one.
+/// Whether two actions have the same gripper command; `None` without a gripper.
 fn is_right(planned: &[f32], truth: &[f32]) -> Option<bool> {
     let (planned, truth) = (planned.get(GRIPPER)?, truth.get(GRIPPER)?);
     Some((*planned > 0.0) == (*truth > 0.0))
@@ -198,7 +198,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn moves_are_changes_of_the_gripper_after_the_observed_frames() {
+    fn gripper_moves_are_found_after_the_observed_frames() {
         let gripper = [1.0f32, -1.0, -1.0, 0.5, -0.2];
         let action = |gripper: f32| [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, gripper];
         let actions = Tensor::new(&gripper.map(action), &Device::Cpu).unwrap();

@@ -1,4 +1,4 @@
-//! Whether latents, real and predicted, tell actions and success (the paper, appendix C.3): Pearson's r of an inverse
+//! Whether real and predicted latents encode actions and success (the paper, appendix C.3): Pearson's r of an inverse
 //! dynamics model, and the accuracy of a success probe.
 
 mod recovery;
@@ -8,26 +8,26 @@ mod summary;
 use anyhow::Result;
 use serde::{Deserialize, Serialize};
 
-pub use recovery::{Told, ToldActions};
-pub use success::{Answers, Judged};
+pub use recovery::{IdmActions, InferredActions};
+pub use success::{Answers, EpisodeVerdicts};
 pub use summary::summarise;
 
 use crate::{Settings, Subject};
 
-/// What was found in one unit.
+/// Result of one unit.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Representation {
     /// The actions of a window.
-    Told(ToldActions),
+    Told(InferredActions),
     /// The success of an episode.
-    Judged(Judged),
+    Judged(EpisodeVerdicts),
 }
 
 /// The units of both parts.
 pub struct Representations<'a> {
     subject: &'a Subject,
     settings: &'a Settings,
-    told: Option<crate::Windows>,
+    recovery: Option<crate::Windows>,
     judged: Vec<usize>,
 }
 
@@ -40,12 +40,12 @@ impl<'a> Representations<'a> {
         Ok(Self {
             subject,
             settings,
-            told: recovery::windows(subject, settings)?,
+            recovery: recovery::windows(subject, settings)?,
             judged: success::units(subject, settings),
         })
     }
 
-    /// The names of the units: first the windows.
+    /// Names of the units; windows come first.
     #[must_use]
     pub fn names(&self) -> Vec<String> {
         let windows = (0..self.windows()).map(|unit| format!("window {unit}"));
@@ -58,16 +58,16 @@ impl<'a> Representations<'a> {
     }
 
     fn windows(&self) -> usize {
-        self.told.as_ref().map_or(0, crate::Windows::len)
+        self.recovery.as_ref().map_or(0, crate::Windows::len)
     }
 
-    /// Measures one.
+    /// Measures one unit.
     ///
     /// # Errors
     /// If model and data do not fit.
     pub fn measure(&self, unit: usize) -> Result<Representation> {
         let seed = self.settings.seed.wrapping_add(unit as u64);
-        if let (Some(windows), true) = (&self.told, unit < self.windows()) {
+        if let (Some(windows), true) = (&self.recovery, unit < self.windows()) {
             return recovery::measure(self.subject, windows, unit).map(Representation::Told);
         }
         let episode = self.judged.get(unit - self.windows());

@@ -1,8 +1,7 @@
-//! Predictions on frames as a worse camera, another light or another rate would give them (beyond the paper): where the
-//! model may be trusted.
+//! Predictions under a worse camera, other light or another rate (beyond the paper): the range of reliable inputs.
 //!
-//! A change of light or camera lasts: it changes what is observed and what comes. At a wrong rate all frames are closer or
-//! farther apart than the model believes, and it is told the actions of a step of its own rate. A lost frame is lost once.
+//! A change of light or camera is permanent: it affects observed and true frames. At a wrong rate all frames are closer
+//! or farther apart than the model assumes, while the actions are those of its own rate. A lost frame is lost once.
 
 mod change;
 mod summary;
@@ -20,30 +19,30 @@ pub use summary::summarise;
 
 use crate::{CONTEXT, Settings, Subject, fidelity::PSNR_CAP_DB, squared, subject::Recording};
 
-/// What was found in one window.
+/// Result of one window.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct WindowRobustness {
-    /// One for each change, that without a change first.
+    /// One per change; the first is without change.
     pub changes: Vec<UnderChange>,
 }
 
-/// Predictions under one change, step by step.
+/// Predictions under one change, by step.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct UnderChange {
     /// The change.
     pub change: Change,
     /// Squared latent error of the predictions.
     pub error: Vec<f64>,
-    /// That of the last observed latent, repeated.
+    /// Error of the last observed latent, repeated.
     pub persistence: Vec<f64>,
     /// PSNR of the decoded predictions \[dB\]; empty without a decoder.
     pub psnr: Vec<f64>,
-    /// That of the last observed frame, repeated, under the same change.
+    /// PSNR of the last observed frame, repeated, under the same change.
     #[serde(default)]
     pub held_psnr: Vec<f64>,
 }
 
-/// The windows: an episode, and a camera frame of it, from which on there is enough for every change.
+/// Windows as (episode, first camera frame), long enough for every change.
 #[must_use]
 pub fn units(subject: &Subject, settings: &Settings) -> Vec<(usize, usize)> {
     let skip = subject.world.encoding.frame_skip();
@@ -86,12 +85,12 @@ pub fn measure(
         }
         let latents = subject.encode(&changed)?;
         let actions = (0..steps).map(|step| {
-            // What the model believes to be one step of its own rate; an episode's last frames have none after them.
+            // One step at the model's own rate; the last frames of an episode have no whole step.
             let first = start + step * spacing;
             let first = first.min(own.actions.len().saturating_sub(skip));
-            let told = own.actions.get(first..first + skip);
+            let actions = own.actions.get(first..first + skip);
             Ok(encoding
-                .encode_step(told.context("no such action")?)?
+                .encode_step(actions.context("no such action")?)?
                 .values)
         });
         let actions: Vec<Vec<f32>> = actions.collect::<Result<_>>()?;

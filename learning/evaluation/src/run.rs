@@ -1,4 +1,4 @@
-//! Measures the units of some suites in parallel, and makes findings of them.
+//! Measures the units of suites in parallel, and makes findings of them.
 
 use std::{
     collections::BTreeMap,
@@ -15,21 +15,21 @@ use crate::{
     control::{self, Control},
     cost, fidelity,
     policy::{self, Setup, Trials},
-    records::{Heading, Measured, Record, Records},
+    records::{Heading, Record, Records, UnitResult},
     representation::{self, Representations},
     robustness,
 };
 
-/// The suites of an evaluation with their units.
+/// Suites of an evaluation with their units.
 struct Plan<'a> {
     subject: &'a Subject,
     settings: &'a Settings,
-    suites: Vec<Planned<'a>>,
-    /// Suites that these data are too short for, and why.
+    suites: Vec<SuiteUnits<'a>>,
+    /// Suites without sufficient data, with reasons.
     absent: BTreeMap<Suite, String>,
 }
 
-enum Planned<'a> {
+enum SuiteUnits<'a> {
     Fidelity(Vec<usize>),
     Control(Control<'a>),
     Latents(Representations<'a>),
@@ -38,8 +38,8 @@ enum Planned<'a> {
     Cost,
 }
 
-impl<'a> Planned<'a> {
-    /// `None` where the model has not what the suite needs.
+impl<'a> SuiteUnits<'a> {
+    /// `None` if the model lacks a part that the suite needs.
     fn new(
         suite: Suite,
         subject: &'a Subject,
@@ -47,7 +47,7 @@ impl<'a> Planned<'a> {
         (setup, records): (&'a Setup, (&Path, Shard)),
     ) -> Result<Option<Self>> {
         Ok(match suite {
-            // Without a decoder there are no pictures: the findings say so.
+            // The findings report a missing decoder.
             Suite::Fidelity if subject.decoder.is_none() => Some(Self::Fidelity(Vec::new())),
             Suite::Fidelity => {
                 let units = fidelity::units(subject, &settings.fidelity);
@@ -94,7 +94,7 @@ impl<'a> Planned<'a> {
         }
     }
 
-    fn measure(&self, subject: &Subject, settings: &Settings, unit: usize) -> Result<Measured> {
+    fn measure(&self, subject: &Subject, settings: &Settings, unit: usize) -> Result<UnitResult> {
         let seed = settings.seed.wrapping_add(unit as u64);
         let none = || anyhow::anyhow!("no unit {unit}");
         Ok(match self {
@@ -103,22 +103,22 @@ impl<'a> Planned<'a> {
                 let episode = *units.get(unit).ok_or_else(none)?;
                 let shown = unit < own.strips;
                 let found = fidelity::measure(subject, own, seed, episode, shown)?;
-                Measured::Fidelity(found)
+                UnitResult::Fidelity(found)
             }
-            Self::Control(control) => Measured::Control(control.measure(unit)?),
-            Self::Latents(representations) => Measured::Latents(representations.measure(unit)?),
-            Self::Policy(trials) => Measured::Policy(trials.measure(unit)?),
+            Self::Control(control) => UnitResult::Control(control.measure(unit)?),
+            Self::Latents(representations) => UnitResult::Latents(representations.measure(unit)?),
+            Self::Policy(trials) => UnitResult::Policy(trials.measure(unit)?),
             Self::Robustness(units) => {
                 let window = *units.get(unit).ok_or_else(none)?;
                 let found = robustness::measure(subject, settings, seed, window)?;
-                Measured::Robustness(found)
+                UnitResult::Robustness(found)
             }
-            Self::Cost => Measured::Cost(cost::measure(subject)?),
+            Self::Cost => UnitResult::Cost(cost::measure(subject)?),
         })
     }
 }
 
-/// Measures the units of this shard that are not in the records yet; gives the path of the records.
+/// Measures the units of this shard that the records lack; returns the path of the records.
 ///
 /// # Errors
 /// If a suite cannot be measured, or records cannot be read or written.
@@ -137,9 +137,9 @@ pub fn measure(
         absent: BTreeMap::new(),
     };
     for suite in suites {
-        match Planned::new(*suite, subject, settings, (setup, (folder, shard))) {
+        match SuiteUnits::new(*suite, subject, settings, (setup, (folder, shard))) {
             Ok(planned) => plan.suites.extend(planned),
-            // Others may well be measured on episodes that are too short for one.
+            // Episodes too short for one suite may suffice for others.
             Err(error) if suites.len() > 1 && matches!(suite, Suite::Control | Suite::Latents) => {
                 plan.absent.insert(*suite, format!("{error:#}"));
             }
@@ -190,10 +190,10 @@ impl Plan<'_> {
         let mut number = 0;
         for planned in &self.suites {
             for (unit, name) in planned.names(self.subject).into_iter().enumerate() {
-                // Over all suites, so that few units of each are shared evenly too.
+                // Shards split the units of all suites together, so that small suites are shared too.
                 if shard.has(number) && !records.has(planned.suite(), unit) {
                     match planned {
-                        Planned::Cost => timed.push((planned, unit, name)),
+                        SuiteUnits::Cost => timed.push((planned, unit, name)),
                         _ => pending.push((planned, unit, name)),
                     }
                 }
@@ -203,10 +203,10 @@ impl Plan<'_> {
         let total = pending.len() + timed.len();
         if !records.is_empty() {
             let (done, path) = (records.len(), records.path().display());
-            println!("{done} units were measured before, in {path}");
+            println!("{done} units were measured earlier, in {path}");
         }
         let progress = Progress::of("measuring", "units", total as u64);
-        let one = |(planned, unit, name): &(&Planned<'_>, usize, String)| -> Result<()> {
+        let one = |(planned, unit, name): &(&SuiteUnits<'_>, usize, String)| -> Result<()> {
             let found = planned.measure(self.subject, self.settings, *unit)?;
             records.keep(&Record {
                 suite: planned.suite(),
@@ -217,19 +217,19 @@ impl Plan<'_> {
             progress.inc(1);
             Ok(())
         };
-        // One by one in their order: their lengths differ by far, and chunks would leave threads idle.
+        // One unit at a time: durations differ, and chunks would leave threads idle.
         pending.par_iter().with_max_len(1).try_for_each(one)?;
-        // Alone, since they are about time.
+        // Alone, since they measure time.
         timed.iter().try_for_each(one)?;
         drop(progress);
         Ok(())
     }
 }
 
-/// The findings of merged records, in their order.
+/// Findings of merged records, in order.
 ///
 /// # Errors
-/// If the settings in the heading are not those of this program.
+/// If this program cannot read the settings of the heading.
 pub fn findings(heading: Heading, records: Vec<Record>) -> Result<ModelFindings> {
     let settings: Settings = serde_json::from_value(heading.header.settings.clone())?;
     let mut fidelities = Vec::new();
@@ -240,12 +240,12 @@ pub fn findings(heading: Heading, records: Vec<Record>) -> Result<ModelFindings>
     let mut costs = Vec::new();
     for Record { name, found, .. } in records {
         match found {
-            Measured::Fidelity(found) => fidelities.push((name, found)),
-            Measured::Control(found) => controls.push((name, found)),
-            Measured::Latents(found) => latents.push((name, found)),
-            Measured::Policy(found) => policies.push((name, found)),
-            Measured::Robustness(found) => robustnesses.push((name, found)),
-            Measured::Cost(found) => costs.push((name, found)),
+            UnitResult::Fidelity(found) => fidelities.push((name, found)),
+            UnitResult::Control(found) => controls.push((name, found)),
+            UnitResult::Latents(found) => latents.push((name, found)),
+            UnitResult::Policy(found) => policies.push((name, found)),
+            UnitResult::Robustness(found) => robustnesses.push((name, found)),
+            UnitResult::Cost(found) => costs.push((name, found)),
         }
     }
     let too_short = heading.absent.iter().map(|(suite, why)| {

@@ -1,4 +1,4 @@
-//! How much is measured, and how.
+//! Extent and settings of a measurement.
 
 use anyhow::{Result, ensure};
 use clap::ValueEnum;
@@ -7,22 +7,22 @@ use serde_json::Value;
 
 use crate::policy::{PolicyInputs, PolicySettings};
 
-/// How much is measured.
+/// Extent of a measurement.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "snake_case")]
 pub enum Protocol {
-    /// A few minutes with a small model on two cores: fewer episodes and windows, otherwise as the paper.
+    /// A few minutes with a small model on two cores: fewer episodes and windows, otherwise as the paper
     #[default]
     Quick,
-    /// The paper's numbers of episodes, windows and steps (appendix C).
+    /// The paper's numbers of episodes, windows and steps (appendix C)
     Paper,
 }
 
-/// The settings of all suites. They are part of the results: only equal ones are compared.
+/// Settings of all suites. They are part of the results: only equal ones are compared.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Settings {
-    /// Seed of everything that is drawn: noise, candidates, random guesses, resamples.
+    /// Seed of all random numbers: noise, candidates, guesses, resamples.
     pub seed: u64,
     /// Resamples of a bootstrap.
     pub resamples: usize,
@@ -36,7 +36,7 @@ pub struct Settings {
     pub robustness: RobustnessSettings,
     /// See [`PolicySettings`].
     pub policy: PolicySettings,
-    /// The user's networks, as [`Perception::description`](crate::Perception::description) has them.
+    /// The user's networks, as in [`Perception::description`](crate::Perception::description).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub networks: Option<Value>,
 }
@@ -45,11 +45,11 @@ pub struct Settings {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FidelitySettings {
-    /// Episodes at most, spread over all.
+    /// Most episodes, evenly spread.
     pub episodes: usize,
-    /// Predicted steps at most; an episode's rollout ends with the episode.
+    /// Most predicted steps; a rollout ends with its episode.
     pub steps: usize,
-    /// Rollouts that the report shows.
+    /// Rollouts in the report.
     pub strips: usize,
 }
 
@@ -59,29 +59,29 @@ pub struct FidelitySettings {
 pub struct ControlSettings {
     /// The searches.
     pub searches: Vec<SearchSettings>,
-    /// Candidates of an iteration.
+    /// Candidates per iteration.
     pub population: usize,
     /// Iterations of a search.
     pub iterations: usize,
-    /// Candidates that the next Gaussian is fitted to.
+    /// Candidates that fit the next Gaussian.
     pub elites: usize,
-    /// Candidates are clamped to plus and minus this, in model units.
+    /// Candidates are clamped to plus or minus this \[model units\].
     pub bound: f32,
     /// First standard deviation as a share of that range.
     pub initial_std: f32,
-    /// Windows at most in which the response to right and wrong actions is measured.
+    /// Most windows for the response to right and wrong actions.
     pub response_windows: usize,
-    /// Predicted steps of these.
+    /// Predicted steps of these windows.
     pub response_steps: usize,
 }
 
-/// Searches of one number of steps.
+/// Searches over one number of steps.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SearchSettings {
-    /// Steps k that are searched together.
+    /// Steps k searched together.
     pub k: usize,
-    /// Windows at most in which they are, spread over all.
+    /// Most windows, evenly spread.
     pub windows: usize,
 }
 
@@ -89,11 +89,11 @@ pub struct SearchSettings {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LatentsSettings {
-    /// Windows at most from which actions are told, spread over all.
+    /// Most windows for inferred actions, evenly spread.
     pub windows: usize,
-    /// Predicted steps of these, where the inverse dynamics model needs no more.
+    /// Predicted steps of these windows, or more if the inverse dynamics model needs them.
     pub steps: usize,
-    /// Episodes with an instruction and an outcome at most, spread over all.
+    /// Most episodes with an instruction and an outcome, evenly spread.
     pub judged_episodes: usize,
 }
 
@@ -101,30 +101,30 @@ pub struct LatentsSettings {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RobustnessSettings {
-    /// Windows at most, spread over all.
+    /// Most windows, evenly spread.
     pub windows: usize,
     /// Predicted steps.
     pub steps: usize,
 }
 
 impl Settings {
-    /// These, but for what `text` (YAML or JSON) names.
+    /// Applies the settings in `text` (YAML or JSON).
     ///
     /// # Errors
-    /// If it names what is no setting, or gives a value of another kind.
+    /// For an unknown setting, or a value of another type.
     pub fn with(&self, text: &str) -> Result<Self> {
         changed(self, text)
     }
 
-    /// As YAML, which [`Self::with`] reads.
+    /// As YAML for [`Self::with`].
     ///
     /// # Errors
-    /// None that is known of: numbers and names have a form in YAML.
+    /// None known: numbers and names have a YAML form.
     pub fn to_yaml(&self) -> Result<String> {
         Ok(serde_yaml_ng::to_string(self)?)
     }
 
-    /// Those of a model card: what takes seconds, so no searches.
+    /// Settings of a model card: takes seconds, without searches.
     #[must_use]
     pub fn brief(seed: u64) -> Self {
         let mut settings = Self::of(Protocol::Quick, seed);
@@ -137,7 +137,7 @@ impl Settings {
         settings
     }
 
-    /// Those of a protocol.
+    /// Settings of a protocol.
     #[must_use]
     pub fn of(protocol: Protocol, seed: u64) -> Self {
         let is_paper = protocol == Protocol::Paper;
@@ -191,8 +191,7 @@ impl Settings {
     }
 }
 
-/// Replaces what `changes` names, at any depth.
-/// `settings` with those of a YAML text in their place.
+/// Replaces the settings named in a YAML text, at any depth.
 pub(crate) fn changed<S: Serialize + DeserializeOwned>(settings: &S, text: &str) -> Result<S> {
     let changes: Value = serde_yaml_ng::from_str(text)?;
     ensure!(changes.is_object(), "expected settings by name");
@@ -217,7 +216,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_named_changes_and_a_typo_is_refused() {
+    fn named_settings_change_and_unknown_ones_are_rejected() {
         let settings = Settings::of(Protocol::Paper, 3);
         let changed = settings
             .with("control: {population: 7}\nresamples: 10")

@@ -1,6 +1,6 @@
-//! Squared error of pictures, summed over many of them.
+//! Squared error over many pictures.
 
-/// Squared error of RGB pixels, 0 to 1 a channel.
+/// Sum of squared errors of RGB pixels, 0 to 1 per channel.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SquaredError {
     sum: f64,
@@ -8,7 +8,7 @@ pub struct SquaredError {
 }
 
 impl SquaredError {
-    /// Adds one pixel: the sum of its three channels' squared errors.
+    /// Adds a pixel's sum of squared errors over three channels.
     pub fn add_pixel(&mut self, error: f64) {
         self.sum += error;
         self.pixels += 1;
@@ -20,10 +20,9 @@ impl SquaredError {
         self.pixels += other.pixels;
     }
 
-    /// Peak signal-to-noise ratio of the mean over all pixels \[dB\]; `None` where there are none.
+    /// PSNR of the mean over all pixels \[dB\]; `None` without pixels.
     #[must_use]
     pub fn psnr(&self) -> Option<f64> {
-        // Counts stay far below 2^52.
         (self.pixels > 0).then(|| -10.0 * (self.sum / (3 * self.pixels) as f64).log10())
     }
 }
@@ -33,7 +32,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_mean_is_over_the_pixels_of_all() {
+    fn mean_is_over_all_pixels() {
         let mut error = SquaredError::default();
         assert_eq!(error.psnr(), None);
         error.add_pixel(0.03);
@@ -41,7 +40,7 @@ mod tests {
         other.add_pixel(0.0);
         other.add_pixel(0.0);
         error.add(&other);
-        // 0.03 over 9 channel values
+        // 0.03 over 9 channel values.
         assert!((error.psnr().unwrap() - 24.771).abs() < 1e-3);
     }
 }

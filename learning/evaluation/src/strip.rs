@@ -1,4 +1,4 @@
-//! A rollout as a picture: what came, and what was predicted.
+//! A picture of a rollout: true and predicted frames.
 
 use anyhow::{Context as _, Result};
 use candle_core::Tensor;
@@ -8,10 +8,10 @@ use wm_model::{Decoder, image::to_rgb, transition::LoadedTransition};
 
 use crate::{ActionChange, CONTEXT, Windows, grid};
 
-/// Windows that are shown, one below the other.
+/// Windows shown, one below the other.
 const WINDOWS: usize = 3;
 
-/// Two rows for each of some windows: the last observed frame and those that came, then their predictions.
+/// Two rows per window: the last observed and the true frames, then the predictions.
 ///
 /// # Errors
 /// If model, decoder and dataset do not fit.

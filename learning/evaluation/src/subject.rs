@@ -1,4 +1,4 @@
-//! A model and the data that it is measured on.
+//! A model with its evaluation data.
 
 use std::{path::Path, sync::Arc};
 
@@ -15,15 +15,15 @@ use wm_zoo::{ModelFolder, success_probe::SuccessClassifier};
 
 use crate::{CONTEXT, Perception, ReaderArgs, Readers, readers::OWN_PROBE};
 
-/// A model with all that it has, and held-out episodes in its latents.
+/// A model with all its parts, and held-out episodes in its latents.
 pub struct Subject {
     /// Frames to latents.
     pub encoder: Box<dyn Encoder>,
-    /// Latents to frames, where the model has one.
+    /// Latents to frames, if the model has a decoder.
     pub decoder: Option<Box<dyn Decoder>>,
     /// The transition model.
     pub world: WorldModel,
-    /// How frames are sampled: the model's own settings, unless others are asked for.
+    /// Sampler: the model's own settings unless overridden.
     pub sampler: Sampler,
     /// Inverse dynamics models and success probes.
     pub readers: Readers,
@@ -31,7 +31,7 @@ pub struct Subject {
     pub dataset: Dataset,
     /// Their latents.
     pub latents: Latents,
-    /// The networks that decoded frames are looked at with; none at first.
+    /// Networks for decoded frames; none by default.
     pub perception: Arc<Perception>,
 }
 
@@ -39,7 +39,7 @@ impl Subject {
     /// Opens the model `name` (`tiny`, or a folder) and the data.
     ///
     /// # Errors
-    /// Names what cannot be used: a model without a transition model, data of other actions, a broken file.
+    /// Names the unusable part: a model without a transition model, data of other actions, a broken file.
     pub fn open(name: &str, on: &HeldOutArgs, more: &ReaderArgs) -> Result<Self> {
         let folder = open_model(name)?;
         let dataset = on.open(folder.encoder()?.framing())?;
@@ -48,10 +48,10 @@ impl Subject {
         Ok(subject)
     }
 
-    /// Loads a model, and encodes the data where the cache has not their latents.
+    /// Loads a model, and encodes the data unless cached.
     ///
     /// # Errors
-    /// As [`Self::open`].
+    /// Those of [`Self::open`].
     pub fn new(folder: &ModelFolder, dataset: Dataset, cache: &Path) -> Result<Self> {
         let encoder = folder.encoder()?;
         let world = folder.world_model()?;
@@ -69,8 +69,8 @@ impl Subject {
         })
     }
 
-    /// Frames `index`, `index + skip`, ... of an episode that a rollout of at most `steps` predicted steps compares: the
-    /// observed ones first; none where the episode is too short to predict any.
+    /// Frames `index`, `index + skip`, ... of an episode compared in a rollout of at most `steps` steps, observed ones
+    /// first; empty if the episode is too short to predict any.
     #[must_use]
     pub fn frames_of(&self, episode: usize, steps: usize) -> Vec<usize> {
         let Some(episode) = self.dataset.episodes().get(episode) else {
@@ -85,7 +85,7 @@ impl Subject {
         indices.into_iter().map(|index| first + index).collect()
     }
 
-    /// An episode from its beginning, `count` frames one model step apart.
+    /// The first `count` frames of an episode, one model step apart.
     ///
     /// # Errors
     /// If it is shorter.
@@ -101,7 +101,7 @@ impl Subject {
     /// A frame of the data.
     ///
     /// # Errors
-    /// If there is none.
+    /// For an unknown index.
     pub fn frame(&self, index: usize) -> Result<RgbImage> {
         let (height, width) = self.dataset.size();
         let frame = self.dataset.frame(index);
@@ -146,7 +146,7 @@ impl Subject {
         Ok(Tensor::cat(&latents.collect::<Result<Vec<_>>>()?, 0)?)
     }
 
-    /// What a report calls the model: with the Euler steps where they are not its own.
+    /// Name in reports, with the number of Euler steps if overridden.
     #[must_use]
     pub fn name(&self) -> String {
         let (name, steps) = (&self.world.name, self.sampler.steps);
@@ -166,13 +166,13 @@ impl Subject {
             .map(|own| &own.model)
     }
 
-    /// How frames are sampled.
+    /// Sampler of predicted frames.
     #[must_use]
     pub fn sampler(&self) -> &Sampler {
         &self.sampler
     }
 
-    /// Predicts what follows the first [`CONTEXT`] frames of a recording under its actions, to its end: (K, h, w, C).
+    /// Predicts after the first [`CONTEXT`] frames of a recording, under its actions, to its end: (K, h, w, C).
     ///
     /// # Errors
     /// If the recording does not fit the model.
@@ -194,18 +194,18 @@ impl Subject {
     }
 }
 
-/// Opens the model `name` (`tiny`, or a folder), without loading it.
+/// Opens the model `name` (`tiny`, or a folder) without loading it.
 ///
 /// # Errors
-/// If there is none, or it has no transition model.
+/// If it does not exist, or has no transition model.
 pub fn open_model(name: &str) -> Result<ModelFolder> {
     let folder = ModelFolder::open(name)?;
     if !folder.has_transition() {
         folder
             .space()
-            .with_context(|| format!("{name}: it is no model"))?;
+            .with_context(|| format!("{name}: not a model"))?;
         bail!(
-            "{name} encodes and decodes only: it has no transition model to evaluate; train one: wm train transition --data \
+            "{name} has no transition model to evaluate; train one: wm train transition --data \
              BAGS --encoder {name} --out {name}"
         );
     }
@@ -217,6 +217,6 @@ pub fn open_model(name: &str) -> Result<ModelFolder> {
 pub struct Recording {
     /// (N, h, w, C).
     pub frames: Tensor,
-    /// (N, A): what the robot does from each frame on.
+    /// (N, A): motion after each frame.
     pub actions: Tensor,
 }

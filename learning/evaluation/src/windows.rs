@@ -11,30 +11,30 @@ use wm_model::{
 };
 use wm_motion::actions::{ActionEncoding, ActionSpace};
 
-/// Observed frames that a prediction starts from.
+/// Observed frames at the start of a prediction.
 pub const CONTEXT: usize = 2;
-/// Seed of the noise of all evaluated predictions.
+/// Noise seed of all evaluated predictions.
 pub const SEED: u64 = 0;
 
-/// The actions that the predictions get in place of the true ones.
+/// Actions of a prediction, instead of the true ones.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ActionChange {
     /// The true actions.
     None,
-    /// Changes of position, orientation and joints of the opposite sign; grippers and other states stay.
+    /// Changes of position, orientation and joints negated; grippers and other states stay.
     Negated,
     /// All zero.
     Zero,
-    /// Those of another window.
+    /// Actions of another window.
     Shuffled,
 }
 
 impl ActionChange {
-    /// The wrong ones.
+    /// The wrong actions.
     pub const WRONG: [Self; 3] = [Self::Negated, Self::Zero, Self::Shuffled];
 
-    /// Its name in that of a metric.
+    /// Name in figures.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -45,7 +45,7 @@ impl ActionChange {
         }
     }
 
-    /// Whether it changes such actions: states have no opposite.
+    /// Whether it has an effect: states have no opposite.
     #[must_use]
     pub fn applies_to(self, space: &ActionSpace) -> bool {
         let mut dimensions = space.dimensions().iter();
@@ -64,34 +64,33 @@ impl fmt::Display for ActionChange {
     }
 }
 
-/// One window: observed frames and those to be predicted.
+/// One window: observed frames, then frames to predict.
 pub(crate) struct Window {
-    /// Number of its episode.
+    /// Index of its episode.
     pub episode: usize,
     /// Index of the first frame in the dataset.
     pub first_frame: usize,
     /// (CONTEXT + K, h, w, C).
     pub frames: Tensor,
-    /// (CONTEXT + K, A): those of the frames; the last one leads out of the window.
+    /// (CONTEXT + K, A), by frame; the last one leads out of the window.
     pub actions: Tensor,
 }
 
-/// Windows of episodes on which predictions are compared with what came, and with persistence: that nothing changes
-/// from the last observed frame on.
+/// Windows for comparing predictions with true frames and with persistence (the last observed frame, repeated).
 pub struct Windows {
     pub(crate) all: Vec<Window>,
     horizon: usize,
-    /// Camera frames a model step.
+    /// Camera frames per model step.
     frame_skip: usize,
-    /// By what negated actions are multiplied, value by value.
+    /// Factors of negated actions, by value.
     signs: Vec<f32>,
 }
 
 impl Windows {
-    /// At most `most` windows, spread evenly over the episodes, of `horizon` predicted model steps each.
+    /// At most `most` windows of `horizon` predicted steps, evenly spread over the episodes.
     ///
     /// # Errors
-    /// When no episode is long enough.
+    /// If no episode is long enough.
     pub fn new(
         latents: &Latents,
         encoding: &ActionEncoding,
@@ -124,7 +123,7 @@ impl Windows {
         self.all.len()
     }
 
-    /// Whether there are none; `new` does not make such.
+    /// Always false: `new` rejects an empty list.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.all.is_empty()
@@ -133,16 +132,15 @@ impl Windows {
     /// [`Windows::ratios_with`] the model's own sampler.
     ///
     /// # Errors
-    /// When the model does not fit the latents.
+    /// If the model does not fit the latents.
     pub fn ratios(&self, model: &LoadedTransition, change: ActionChange) -> Result<Vec<f64>> {
         self.ratios_with(model, &model.config().sampler, change)
     }
 
-    /// Squared latent error of the predictions over that of persistence, both summed over all windows, for each
-    /// predicted step.
+    /// Ratios of squared latent errors by predicted step: prediction over persistence, both summed over all windows.
     ///
     /// # Errors
-    /// When the model does not fit the latents.
+    /// If the model does not fit the latents.
     pub fn ratios_with(
         &self,
         model: &LoadedTransition,
@@ -165,7 +163,7 @@ impl Windows {
             .collect())
     }
 
-    /// Squared errors of prediction and persistence, step by step.
+    /// Squared errors of prediction and persistence, by step.
     fn errors(
         &self,
         index: usize,
@@ -186,10 +184,10 @@ impl Windows {
             .collect()
     }
 
-    /// The predicted latents (1, h, w, C) of a window, step by step.
+    /// Predicted latents (1, h, w, C) of a window, by step.
     ///
     /// # Errors
-    /// When the model does not fit the latents, or there is no such window.
+    /// If the model does not fit the latents, or the window does not exist.
     pub fn predict(
         &self,
         index: usize,
@@ -214,10 +212,10 @@ impl Windows {
             .collect()
     }
 
-    /// Where a window's frames are in the dataset, the observed ones first.
+    /// Dataset indices of a window's frames, observed ones first.
     ///
     /// # Errors
-    /// When there is no such window.
+    /// For an unknown window.
     pub fn frame_indices(&self, index: usize) -> Result<Vec<usize>> {
         let first = self.case(index)?.first_frame;
         Ok((0..CONTEXT + self.horizon)
@@ -225,10 +223,10 @@ impl Windows {
             .collect())
     }
 
-    /// The observed latents (1, CONTEXT, h, w, C) of a window, and the actions (CONTEXT - 1, A) between them.
+    /// Observed latents (1, CONTEXT, h, w, C) of a window, and the actions (CONTEXT - 1, A) between them.
     ///
     /// # Errors
-    /// When there is no such window.
+    /// For an unknown window.
     pub fn context(&self, index: usize) -> Result<(Tensor, Tensor)> {
         let window = self.case(index)?;
         Ok((
@@ -240,15 +238,15 @@ impl Windows {
     /// The last observed latent (1, h, w, C) of a window.
     ///
     /// # Errors
-    /// When there is no such window.
+    /// For an unknown window.
     pub fn last_observed(&self, index: usize) -> Result<Tensor> {
         Ok(self.case(index)?.frames.narrow(0, CONTEXT - 1, 1)?)
     }
 
-    /// What came in a window, (K, h, w, C).
+    /// The true latents after the observed ones, (K, h, w, C).
     ///
     /// # Errors
-    /// When there is no such window.
+    /// For an unknown window.
     pub fn coming(&self, index: usize) -> Result<Tensor> {
         Ok(self.case(index)?.frames.narrow(0, CONTEXT, self.horizon)?)
     }
@@ -256,13 +254,13 @@ impl Windows {
     /// The true actions (K + 1, A) of a window, from the last observed frame on.
     ///
     /// # Errors
-    /// When there is no such window.
+    /// For an unknown window.
     pub fn actions(&self, index: usize) -> Result<Tensor> {
         let actions = &self.case(index)?.actions;
         Ok(actions.narrow(0, CONTEXT - 1, self.horizon + 1)?)
     }
 
-    /// A window of another episode than this one's, far from it; `None` where all are of one episode.
+    /// A distant window of another episode; `None` if there is only one episode.
     #[must_use]
     pub fn other(&self, index: usize) -> Option<usize> {
         let own = self.all.get(index)?.episode;
@@ -278,7 +276,7 @@ impl Windows {
         self.all.get(index).context("no such window")
     }
 
-    /// The actions (K + 1, A) that the prediction of a window is told: the last frame carries one too.
+    /// The changed actions (K + 1, A) of a window; the last frame carries one too.
     fn changed(&self, index: usize, change: ActionChange) -> Result<Tensor> {
         let own = self.actions(index)?;
         Ok(match change {
@@ -286,7 +284,7 @@ impl Windows {
             ActionChange::Zero => own.zeros_like()?,
             ActionChange::Shuffled => {
                 let other = self.other(index);
-                self.actions(other.context("there is no window of another episode")?)?
+                self.actions(other.context("no window of another episode")?)?
             }
             ActionChange::Negated => {
                 let signs =
@@ -297,7 +295,7 @@ impl Windows {
     }
 }
 
-/// -1 for changes and velocities; states, and values behind those of the action space, keep their sign.
+/// -1 for changes and velocities, 1 for states and for values beyond the action space.
 fn signs(encoding: &ActionEncoding) -> Vec<f32> {
     let dimensions = encoding.space().dimensions().iter();
     let signs = dimensions.map(|dimension| {
@@ -314,7 +312,7 @@ fn signs(encoding: &ActionEncoding) -> Vec<f32> {
 /// Sum of the squared differences.
 ///
 /// # Errors
-/// When shapes differ.
+/// If shapes differ.
 pub fn squared(a: &Tensor, b: &Tensor) -> Result<f64> {
     let error = (a - b)?.sqr()?.sum_all()?.to_scalar::<f32>()?;
     Ok(f64::from(error))

@@ -1,4 +1,4 @@
-//! Judges against a server on this machine. It judges nothing: what it says is a script, and it says so.
+//! Judges against a scripted local test server, whose answers say that it is one.
 
 #![allow(clippy::unwrap_used, reason = "a test's helpers may fail the test")]
 
@@ -20,7 +20,7 @@ use wm_evaluation::judges::{
 };
 
 #[test]
-fn an_answer_is_asked_for_and_kept() {
+fn answer_is_requested_and_kept() {
     let setup = Setup::new(|_, _| says("Final Score: 1"));
     assert_eq!(setup.ask(3).unwrap(), Some(SuccessScore::Success));
 
@@ -66,7 +66,7 @@ fn an_answer_is_asked_for_and_kept() {
 }
 
 #[test]
-fn the_rubric_is_asked_for_and_kept() {
+fn rubric_is_requested_and_kept() {
     let rating = r#"{"score": 3, "reason": "I am a test server"}"#;
     let keys = wm_evaluation::judges::verdict::RUBRIC_KEYS;
     let fields = keys.map(|key| format!("\"{key}\": {rating}")).join(", ");
@@ -82,7 +82,7 @@ fn the_rubric_is_asked_for_and_kept() {
 }
 
 #[test]
-fn an_answer_without_a_score_is_asked_for_again_with_another_seed() {
+fn answer_without_score_is_repeated_with_another_seed() {
     let mut setup = Setup::new(|n, _| {
         says(if n < 2 {
             "I cannot say."
@@ -112,7 +112,7 @@ fn an_answer_without_a_score_is_asked_for_again_with_another_seed() {
 }
 
 #[test]
-fn answers_without_a_score_are_kept_counted_and_not_fatal() {
+fn answers_without_score_are_kept_and_counted() {
     let setup = Setup::new(|_, _| says("Final Score: 0.5"));
     assert_eq!(setup.ask(0).unwrap(), None);
     assert_eq!(setup.requests(), 3);
@@ -130,7 +130,7 @@ fn answers_without_a_score_are_kept_counted_and_not_fatal() {
 }
 
 #[test]
-fn an_answer_that_was_cut_off_is_none() {
+fn cut_off_answer_is_unusable() {
     let setup = Setup::new(|_, _| match says("Final Score: 0") {
         Response::Whole(status, header, body) => {
             Response::Whole(status, header, body.replace("\"stop\"", "\"length\""))
@@ -143,10 +143,10 @@ fn an_answer_that_was_cut_off_is_none() {
 }
 
 #[test]
-fn the_cap_of_costs_ends_a_run_and_keeps_its_answers() {
+fn cost_limit_ends_a_run_and_keeps_its_answers() {
     let mut setup = Setup::new(|_, _| says("Final Score: 1"));
     setup.settings.price_per_million.input = 1000.0;
-    // An answer costs 1: two fit, and the third might not.
+    // An answer costs 1: two fit, a third might not.
     setup.settings.max_cost = Some(2.5);
     setup.ask(0).unwrap();
     setup.ask(1).unwrap();
@@ -169,13 +169,13 @@ fn the_cap_of_costs_ends_a_run_and_keeps_its_answers() {
 }
 
 #[test]
-fn what_was_paid_for_is_kept_when_an_error_comes_between() {
+fn paid_answers_survive_an_error() {
     let setup = Setup::new(|n, _| match n {
         0 => says("I cannot say."),
         1 => fails(400, ""),
         _ => says("Final Score: 1"),
     });
-    assert!(matches!(setup.ask(0), Err(Error::Refused { .. })));
+    assert!(matches!(setup.ask(0), Err(Error::Rejected { .. })));
     assert!(entries(&setup.path())[0]["outcome"]["interrupted"].is_string());
     assert_eq!(setup.record().tally("no_judge").usage.input_tokens, 1000);
     assert_eq!(setup.ask(0).unwrap(), Some(SuccessScore::Success));
@@ -183,7 +183,7 @@ fn what_was_paid_for_is_kept_when_an_error_comes_between() {
 }
 
 #[test]
-fn a_panel_goes_on_where_it_was_interrupted() {
+fn interrupted_panel_resumes() {
     let setup = Setup::new(|n, _| {
         if n == 3 {
             fails(400, "")
@@ -211,7 +211,7 @@ fn a_panel_goes_on_where_it_was_interrupted() {
         (ratings, kept)
     };
     let (ratings, kept) = run();
-    assert!(matches!(ratings, Err(Error::Refused { .. })));
+    assert!(matches!(ratings, Err(Error::Rejected { .. })));
     assert_eq!(kept.len(), 3);
     let (ratings, kept) = run();
     let ratings = ratings.unwrap();
@@ -228,15 +228,15 @@ fn a_panel_goes_on_where_it_was_interrupted() {
     assert_eq!(setup.requests(), 7);
 }
 
-/// Set for the process that the test starts: a test cannot set a variable of its own while others run.
+/// Set for a child process: a test cannot set its own variables while others run.
 const KEY_VARIABLE: &str = "WM_JUDGE_TEST_API_KEY";
 const KEY: &str = "sk-not-a-real-key-0123456789";
 
 #[test]
-fn the_api_key_is_sent_and_never_written() {
+fn api_key_is_sent_and_never_written() {
     if std::env::var_os(KEY_VARIABLE).is_none() {
         let test = std::process::Command::new(std::env::current_exe().unwrap())
-            .args(["--exact", "the_api_key_is_sent_and_never_written"])
+            .args(["--exact", "api_key_is_sent_and_never_written"])
             .env(KEY_VARIABLE, KEY)
             .output()
             .unwrap();

@@ -1,10 +1,10 @@
 //! Training of the S-VAE adapter and its pixel decoder (the paper, appendix B.3 and B.4) on the features of a frozen
 //! encoder.
 //!
-//! The adapter minimises the error of the features that come back from a sample of its latent, and the divergence of
-//! the latent from a unit Gaussian. The pixel decoder minimises the error of pictures decoded from the detached latent,
-//! so that no pixel reaches the adapter. It sees the mean of the latent: the paper leaves open whether the mean or a
-//! sample, and the mean is what the world model predicts and decodes. Both step at once, each as a group of its own.
+//! The adapter minimises the error of features reconstructed from a sample of its latent, and the latent's divergence
+//! from a unit Gaussian. The pixel decoder minimises the error of pictures decoded from the detached latent, so no
+//! pixel gradient reaches the adapter. It sees the mean of the latent: the paper does not specify mean or sample, and
+//! the world model predicts and decodes the mean. Both step at once, as separate groups.
 
 mod arguments;
 mod evaluation;
@@ -28,12 +28,12 @@ use wm_zoo::{Checkpoint, lpips::Lpips};
 
 use crate::{
     arguments::RunArgs,
-    optimiser::{Group, Parameter, Trained, Variables},
+    optimiser::{Group, Parameter, ParameterValues, Variables},
     run::{StepLoss, Task},
     transition::normals,
     workers::{BatchLoss, Batches, Workers},
 };
-use evaluation::Written;
+use evaluation::SavedNetworks;
 use files::{Output, PIXEL_DECODER};
 use objective::{Losses, Objective};
 
@@ -44,18 +44,18 @@ pub use frames::Frames;
 pub use ms_ssim::MsSsim;
 pub use recipe::{AdapterModelRecipe, AdapterRecipe, LossRecipe, RECIPES};
 
-/// Frames of a validation during the training, and of the last one.
+/// Frames of a validation during the training, and of the final one.
 const VALIDATION_FRAMES: [usize; 2] = [64, 1000];
 /// Rows of the samples.
 const SAMPLES: usize = 6;
 
-/// What an adapter is trained on.
+/// Training data of an adapter.
 struct Data<'a> {
     /// The frames.
     train: Frames<'a>,
-    /// Those of the validation.
+    /// Frames of the validation.
     held_out: Option<Frames<'a>>,
-    /// The perceptual distance, where its networks are given.
+    /// Perceptual distance, if its networks are given.
     lpips: Option<Lpips>,
     /// Weights to start from.
     start: Option<Checkpoint>,
@@ -73,8 +73,8 @@ struct AdapterTask<'a> {
     rate: f64,
     device: Device,
     workers: Workers,
-    /// The networks that were written last.
-    written: Option<Written>,
+    /// The networks written last.
+    written: Option<SavedNetworks>,
 }
 
 impl<'a> AdapterTask<'a> {
@@ -104,7 +104,7 @@ impl<'a> AdapterTask<'a> {
             data,
             variables,
             objective,
-            // All of a model that is fine-tuned is old.
+            // All weights of a fine-tuned model are old.
             rate: if data.start.is_some() {
                 run.old_rate
             } else {
@@ -116,7 +116,7 @@ impl<'a> AdapterTask<'a> {
         })
     }
 
-    /// Of frames that `rng` draws.
+    /// Losses on frames drawn by `rng`.
     fn drawn(&self, rng: &mut ChaCha8Rng, step: u64) -> Result<Losses> {
         let train = &self.data.train;
         let frames: Vec<usize> = (0..self.recipe.micro_batch)
@@ -172,13 +172,13 @@ impl Task for AdapterTask<'_> {
         })
     }
 
-    fn assign(&mut self, weights: &mut dyn Iterator<Item = Trained<'_>>) -> Result<()> {
+    fn assign(&mut self, weights: &mut dyn Iterator<Item = ParameterValues<'_>>) -> Result<()> {
         Ok(self.variables.assign(weights)?)
     }
 
     fn write(
         &mut self,
-        averaged: &mut dyn Iterator<Item = Trained<'_>>,
+        averaged: &mut dyn Iterator<Item = ParameterValues<'_>>,
         folder: &Path,
     ) -> Result<()> {
         let output = Output {
@@ -188,8 +188,8 @@ impl Task for AdapterTask<'_> {
             space: self.data.train.space(),
         };
         output.write_weights(averaged)?;
-        // Of exactly what was written.
-        let written = Written::open(&output, self.recipe.views)?;
+        // From exactly the written file.
+        let written = SavedNetworks::open(&output, self.recipe.views)?;
         let statistics = written
             .statistics(&self.data.train)
             .context("the statistics of the latents")?;

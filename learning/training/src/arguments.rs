@@ -1,4 +1,4 @@
-//! The command-line arguments that every training has.
+//! Command-line arguments of every training.
 
 use std::{path::PathBuf, time::Duration};
 
@@ -16,86 +16,86 @@ use crate::{
     fresh_weights::FreshWeights,
     optimiser::Group,
     recipe::{Override, Recipe, Span},
-    run::{Ended, RunSettings, Stop, Task},
+    run::{RunEnd, RunSettings, Stop, Task},
 };
 
 /// Data, folder and recipe of a training.
 #[derive(Clone, Debug, Args)]
 pub struct RunArgs {
-    /// What to train on: bags, folders of bags, or folders that `wm dataset` prepared.
+    /// Data to train on: bags, folders of bags, or folders prepared by `wm dataset`
     #[arg(long, visible_alias = "bags", required = true, num_args = 1.., value_name = "PATH")]
     pub data: Vec<PathBuf>,
-    /// How recordings become episodes, and which are for validation.
+    /// Options of the data.
     #[command(flatten)]
     pub options: DataOptions,
-    /// Folder of the model: weights, recipe, checkpoint, journal, loss curve and samples. A training that was
-    /// interrupted resumes from here. Several trainings may share a folder.
+    /// Folder of the model: weights, recipe, checkpoint, journal, loss curve and samples. An interrupted training
+    /// resumes from here; several trainings may share a folder
     #[arg(long)]
     pub out: PathBuf,
-    /// Folder for decoded frames and latents; `cache` in the output folder by default.
+    /// Folder for decoded frames and latents [default: `cache` in the output folder]
     #[arg(long)]
     pub cache: Option<PathBuf>,
-    /// Recipe: tiny, paper (where the paper has this training), or a YAML file.
+    /// Recipe: tiny, paper (if the paper has this training), or a YAML file
     #[arg(long, default_value = "tiny")]
     pub recipe: String,
-    /// A setting of the recipe, as optimisation.learning_rate=1e-3; may be repeated.
+    /// Setting of the recipe, such as optimisation.learning_rate=1e-3 (repeatable)
     #[arg(long, value_name = "PATH=VALUE")]
     pub set: Vec<Override>,
-    /// Optimiser steps, instead of the recipe's length.
+    /// Optimiser steps, instead of the recipe's length
     #[arg(long)]
     pub steps: Option<u64>,
-    /// Fine-tune this model (tiny, or a model's folder) instead of beginning anew: sizes and conventions are then its, not
-    /// the recipe's. What does not fit the new data, as the embedding of other actions, begins anew.
+    /// Model to fine-tune (tiny, or a model's folder): it determines sizes and conventions instead of the recipe. Parts
+    /// that do not fit the new data, such as the embedding of other actions, start anew
     #[arg(long, value_name = "MODEL")]
     pub from: Option<String>,
-    /// Learning rate of what is taken from that model, as a fraction of the recipe's.
+    /// Learning rate of the fine-tuned weights, as a fraction of the recipe's
     #[arg(long, default_value_t = 0.3, value_name = "FRACTION", value_parser = fraction)]
     pub old_rate: f64,
-    /// Train for this fraction of the recipe's length.
+    /// Fraction of the recipe's length to train
     #[arg(long, default_value_t = 1.0, value_name = "FRACTION", value_parser = fraction)]
     pub share: f64,
-    /// Number of threads; all of the machine by default. On a GPU, the parts of a batch that are computed side by side: 1
-    /// by default.
+    /// Number of threads [default: all of the machine]. On a GPU, the parts of a batch computed in parallel [default:
+    /// 1]
     #[arg(long)]
     pub threads: Option<usize>,
-    /// Where to compute: cpu, cuda or cuda:N. A GPU needs the cargo feature `cuda`.
+    /// Device: cpu, cuda or cuda:N; a GPU needs the cargo feature `cuda`
     #[arg(long, default_value = "cpu")]
     pub device: Compute,
-    /// Number format of the weights while they are multiplied: f32 or bf16, for the transition model and its distillation
-    /// on a GPU. The optimiser keeps them in f32.
+    /// Number format of the weights in products: f32 or bf16, for the transition model and its distillation on a GPU.
+    /// The optimiser keeps f32
     #[arg(long, default_value = "f32", value_parser = dtype)]
     pub dtype: NumberFormat,
 }
 
 /// Data with their latents.
 #[derive(Debug)]
-pub struct Encoded {
+pub struct EncodedData {
     /// The frames.
     pub data: Data,
-    /// The latents to train on.
+    /// Latents for training.
     pub train: Latents,
-    /// Those for validation, if there are any.
+    /// Latents for validation, if any.
     pub held_out: Option<Latents>,
 }
 
 impl RunArgs {
-    /// The data, with frames as `framing` says, all cameras side by side.
+    /// Opens the data with frames of `framing`, all cameras side by side.
     ///
     /// # Errors
-    /// Names what cannot be used.
+    /// Names the unusable file or option.
     pub fn data(&self, framing: impl Into<Framing>) -> Result<Data, DatasetError> {
         Data::open(&self.data, framing, &self.cache(), &self.options)
     }
 
-    /// The data and their latents.
+    /// Opens the data with their latents.
     ///
     /// # Errors
-    /// If the data cannot be used, or a frame cannot be encoded.
-    pub fn encoded(&self, encoder: &dyn Encoder) -> Result<Encoded> {
+    /// If the data are unusable, or a frame cannot be encoded.
+    pub fn encoded(&self, encoder: &dyn Encoder) -> Result<EncodedData> {
         let data = self.data(encoder.framing())?;
         let cache = self.cache();
         let validation = data.validation.as_ref();
-        Ok(Encoded {
+        Ok(EncodedData {
             train: Latents::open(&data.training, encoder, &cache)?,
             held_out: validation
                 .map(|data| Latents::open(data, encoder, &cache))
@@ -104,7 +104,7 @@ impl RunArgs {
         })
     }
 
-    /// The groups of the optimiser: what begins anew, and what was taken from another model.
+    /// Groups of the optimiser: new weights, and fine-tuned ones.
     #[must_use]
     pub fn groups(&self) -> Vec<Group> {
         vec![
@@ -115,10 +115,10 @@ impl RunArgs {
         ]
     }
 
-    /// What the training of a network begins from, whose weights are `file` in a model's folder.
+    /// Initial weights of a network, whose file in a model's folder is `file`.
     ///
     /// # Errors
-    /// If the model to fine-tune has no such file, or it cannot be read.
+    /// If the model to fine-tune lacks the file, or it cannot be read.
     pub fn fresh_weights(&self, file: &str, seed: u64) -> Result<FreshWeights> {
         let fresh = match self.old(file)? {
             None => FreshWeights::new(seed),
@@ -145,7 +145,7 @@ impl RunArgs {
     pub fn compute_f32(&self) -> Result<Compute> {
         ensure!(
             self.dtype == NumberFormat::F32,
-            "--dtype bf16 is for the transition model and its distillation; this training takes f32"
+            "--dtype bf16 applies only to the transition model and its distillation; use f32"
         );
         self.compute()
     }
@@ -158,10 +158,10 @@ impl RunArgs {
         Ok(self.device.device()?.clone())
     }
 
-    /// The configuration of the network to fine-tune, under `key` of its metadata; `None` without one.
+    /// Configuration of the network to fine-tune, under `key` of its metadata; `None` without one.
     ///
     /// # Errors
-    /// If the model to fine-tune has no such file, or it cannot be read.
+    /// If the model to fine-tune lacks the file, or it cannot be read.
     pub fn old_config<C: DeserializeOwned>(&self, file: &str, key: &str) -> Result<Option<C>> {
         Ok(match self.old(file)? {
             None => None,
@@ -178,7 +178,7 @@ impl RunArgs {
             .with_context(|| format!("--from {from}: it has no {file}"))
     }
 
-    /// What of these arguments decides the result, for the identity of a run.
+    /// The arguments that affect the result, for the identity of a run.
     #[must_use]
     pub fn origin(&self) -> Value {
         let mut origin = serde_json::Map::new();
@@ -195,7 +195,7 @@ impl RunArgs {
         }
     }
 
-    /// The settings that are overridden, in the order in which they apply.
+    /// Overridden settings in the order of application.
     #[must_use]
     pub fn overrides(&self) -> Vec<Override> {
         let mut overrides = self.set.clone();
@@ -206,18 +206,18 @@ impl RunArgs {
         overrides
     }
 
-    /// The steps of a training of this length, of which an epoch has `per_epoch`; at least one.
+    /// Steps of a training of this length, with `per_epoch` steps per epoch; at least one.
     #[must_use]
     pub fn length(&self, length: Span, per_epoch: f64) -> u64 {
         let steps = length.steps(per_epoch) as f64 * self.share;
         (steps.ceil() as u64).max(1)
     }
 
-    /// How to run a training by `recipe`, of which an epoch has `samples`. `data` is what decides the result besides the
-    /// recipe and the model to begin from.
+    /// Settings of a training by `recipe` with `samples` samples per epoch. `data` describes further inputs that affect
+    /// the result.
     ///
     /// # Errors
-    /// If the recipe cannot be told in JSON.
+    /// If the recipe cannot be written as JSON.
     pub fn settings(
         &self,
         recipe: &impl Recipe,
@@ -242,22 +242,22 @@ impl RunArgs {
         })
     }
 
-    /// Trains `task`: writes the resolved recipe beside the weights, says what it trains on, and in the end what it wrote.
+    /// Trains `task`: writes the resolved recipe beside the weights, and prints the data and the written files.
     ///
     /// # Errors
-    /// As [`crate::run::train`].
+    /// Those of [`crate::run::train`].
     pub fn train(
         &self,
         task: &mut dyn Task,
         recipe: &impl Recipe,
         settings: &RunSettings,
         (about, stop): (&str, &Stop),
-    ) -> Result<Ended> {
+    ) -> Result<RunEnd> {
         crate::recipe::write(&self.out, task.name(), recipe)?;
         println!("{about}");
         let ended = crate::run::train(task, settings, stop)?;
-        if ended == Ended::Finished {
-            // What a student is called is decided after its training.
+        if ended == RunEnd::Finished {
+            // The name of a student depends on its training.
             let files = task.files().iter().map(|file| self.out.join(file));
             for path in files.filter(|path| path.exists()) {
                 println!("wrote {}", path.display());
@@ -266,7 +266,7 @@ impl RunArgs {
         Ok(ended)
     }
 
-    /// Where decoded frames and latents are kept.
+    /// Folder for decoded frames and latents.
     #[must_use]
     pub fn cache(&self) -> PathBuf {
         self.cache.clone().unwrap_or_else(|| self.out.join("cache"))
@@ -275,18 +275,18 @@ impl RunArgs {
     /// Number of threads.
     ///
     /// # Errors
-    /// If the system does not tell how many there are.
+    /// If the system does not report it.
     pub fn threads(&self) -> Result<usize> {
         match (self.threads, self.device.is_cpu()) {
             (Some(threads), _) => Ok(threads),
             (None, false) => Ok(1),
             (None, true) => Ok(std::thread::available_parallelism()
-                .context("how many threads there are")?
+                .context("number of threads")?
                 .get()),
         }
     }
 
-    /// The name that a model of one's own gets: that of its folder.
+    /// Name of the trained model: that of its folder.
     #[must_use]
     pub fn model_name(&self) -> String {
         let name = std::path::absolute(&self.out).ok();
@@ -303,7 +303,7 @@ fn dtype(name: &str) -> Result<NumberFormat, String> {
     }
 }
 
-/// A positive number.
+/// Parses a positive number.
 pub(crate) fn fraction(text: &str) -> Result<f64, String> {
     match text.parse() {
         Ok(value) if f64::is_finite(value) && value > 0.0 => Ok(value),
@@ -317,7 +317,7 @@ pub(crate) mod tests {
 
     use super::*;
 
-    /// A run of two threads in `out`, whose data the test gives.
+    /// A run with two threads in `out`; the test supplies the data.
     pub(crate) fn run_in(out: &Path) -> RunArgs {
         RunArgs {
             data: Vec::new(),

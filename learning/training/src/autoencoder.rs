@@ -1,5 +1,5 @@
-//! Training of the autoencoder: L1 and squared error of the picture, latents pulled towards a unit Gaussian and
-//! disturbed by a little noise, on crops most of which show what moves.
+//! Training of the autoencoder: absolute and squared error of the picture, with latents pulled towards a unit Gaussian
+//! and slightly noised, on crops that mostly show moving things.
 
 mod arguments;
 mod crops;
@@ -16,39 +16,38 @@ use wm_model::{AutoencoderConfig, Fit};
 
 use crate::recipe::{Bundled, Optimisation, Span, is_recipe};
 
-/// The recipes that are part of the program. The paper trains no autoencoder.
+/// Embedded recipes. The paper trains no autoencoder.
 pub const RECIPES: Bundled = &[("tiny", include_str!("../recipes/tiny/autoencoder.yaml"))];
 
-/// Every number of a training of the autoencoder; `recipes/tiny/autoencoder.yaml` says what each is.
+/// Settings of autoencoder training, explained in `recipes/tiny/autoencoder.yaml`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AutoencoderRecipe {
-    /// Seed of the weights and of every draw.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// How long to train; an epoch is one crop of each episode.
+    /// Length of the training; an epoch is one crop of each episode.
     pub length: Span,
     /// Steps between validations.
     pub validate_every: u64,
     /// Wall-clock time between checkpoints \[s\].
     pub checkpoint_seconds: u64,
-    /// Crops a step.
+    /// Crops per step.
     pub batch: usize,
-    /// Pixels in each direction of a crop.
+    /// Side of a crop \[px\].
     pub crop: usize,
-    /// Share of the steps, at the end, that see whole pictures, so that the borders and the far context are learnt as they
-    /// will be.
+    /// Share of the steps, at the end, on whole pictures, which train borders and distant context.
     pub whole_picture_share: f64,
-    /// Share of the crops that are centred on something salient.
+    /// Share of the crops centred on a salient pixel.
     pub salient: f64,
-    /// Weight of the pixels inside masks, added to 1.
+    /// Additional weight of pixels inside masks.
     pub mask_weight: f32,
-    /// Weight of the squared error beside the absolute one.
+    /// Weight of the squared error relative to the absolute error.
     pub squared: f32,
     /// Weight of the mean square of the latents.
     pub latent_penalty: f32,
     /// Standard deviation of the noise added to the latents.
     pub latent_noise: f32,
-    /// How pictures of another aspect become pictures of the model's size.
+    /// How pictures of another aspect fit the model's size.
     pub fit: Fit,
     /// Shape of the networks.
     pub model: AutoencoderConfig,
@@ -59,7 +58,7 @@ pub struct AutoencoderRecipe {
 is_recipe!(AutoencoderRecipe);
 
 impl AutoencoderRecipe {
-    /// How many of `steps` see whole pictures.
+    /// Number of `steps` on whole pictures.
     fn whole_picture_steps(&self, steps: u64) -> u64 {
         (self.whole_picture_share * steps as f64).round() as u64
     }

@@ -1,8 +1,8 @@
 //! Distillation of a transition model that is sampled with ten Euler steps into one that takes one or two.
 //!
-//! Notation: a frame z, noise eps, x_t = (1 - t) z + t eps at noise level t; v(x, t | h) the velocity that a model gives
-//! after the history h, and M(x, t, s | h) = x - (t - s) v(x, t | h) where its straight line leads at a lower level s. The
-//! sampler's step is x_s = M(x_t, t, s | h). phi is the teacher, theta the student, theta' the average of its weights;
+//! Notation: a frame z, noise eps, x_t = (1 - t) z + t eps at noise level t. v(x, t | h) is a model's velocity after
+//! the history h, and M(x, t, s | h) = x - (t - s) v(x, t | h) the end of its straight line at a lower level s. A step
+//! of the sampler is x_s = M(x_t, t, s | h). phi is the teacher, theta the student, theta' the average of its weights.
 //! 1 = l_0 > l_1 > ... > l_S = 0 are the levels of the student's sampler, and s(t) is the highest of them below t.
 //!
 //! **Causal consistency distillation**, frame by frame (Causal Forcing++, arXiv 2605.15141; consistency distillation of
@@ -15,25 +15,25 @@
 //! loss = H(M_theta(x_t, t, s(t) | h) - goal),    H(e) = sqrt(mean e^2 + c^2) - c
 //! ```
 //!
-//! With one step s(t) is always 0, and M(x, t, 0) is the model's clean frame. All frames of a clip are learned at once,
-//! each at a level of its own, and each sees clean frames before it, as the sampler has them.
+//! With one step, s(t) is always 0, and M(x, t, 0) is the model's clean frame. All frames of a clip are learned at
+//! once, each at its own level and after clean frames, as in the sampler.
 //!
 //! **Self-forcing** (Huang et al., arXiv 2506.08009) against drift, for a share of the clips of a second stage: the
-//! student predicts a few frames h', each from the ones before, then one more, G_theta(eps | h'), with its own sampler:
+//! student predicts a few frames h' from its own predictions, then one more, G_theta(eps | h'), with its own sampler:
 //!
 //! ```text
 //! loss = r mean |G_theta(eps | h') - z|^2 + (1 - r) H(G_theta(eps | h') - G_phi(eps | h'))
 //! ```
 //!
 //! with the teacher's sampler G_phi from the same noise and history. Only the last prediction has a gradient. The first
-//! part draws predictions towards the mean of what may come, which lowers their error but takes motion from what cannot
-//! be known: hence a small r, and motion among the figures of the gate. The second part leads from each noise to one
-//! frame and does not do so; squared instead of H it would, where the student cannot follow the teacher exactly.
+//! part draws predictions towards the mean of possible futures, which lowers their error but removes unpredictable
+//! motion: hence a small r, and motion among the gate's figures. The second part maps each noise to one frame, without
+//! this effect; squared instead of H, it would have it wherever the student cannot follow the teacher exactly.
 //!
 //! Without the teacher's step (x_u from the real frame and the same noise, as in consistency training or a mean flow to
-//! fixed ends) few-step students of a toy drift far more; with the whole of the teacher's path in place of one step they
-//! are no better over a rollout, at several times the cost. Shortcut models (arXiv 2410.12557) and mean flows
-//! (arXiv 2505.13447) for any number of steps take the step's length as a further input, which the network does not have.
+//! fixed ends), few-step students of a toy drift far more. With the teacher's whole path instead of one step, they are
+//! no better over a rollout, at several times the cost. Shortcut models (arXiv 2410.12557) and mean flows (arXiv
+//! 2505.13447) for any number of steps need the step's length as an input, which the network lacks.
 
 mod arguments;
 mod consistency;
@@ -60,9 +60,9 @@ use wm_zoo::idm::TrainedIdm;
 
 use crate::{
     arguments::RunArgs,
-    optimiser::{Parameter, Trained, Variables},
+    optimiser::{Parameter, ParameterValues, Variables},
     recipe::Recipe as _,
-    run::{Ended, StepLoss, Stop, Task},
+    run::{RunEnd, StepLoss, Stop, Task},
     trained_weights::trained_weights_of_actions,
     transition::{Batch, FILE, HORIZON, Objective, QUICK_WINDOWS, table_row},
     workers::{BatchLoss, Batches, Workers},
@@ -75,15 +75,15 @@ pub use recipe::{ConsistencyRecipe, DistillRecipe, GateRecipe, RECIPES, SelfForc
 use self_forcing::OwnHistory;
 use teacher::Teacher;
 
-/// The student's file until it has passed the gate.
+/// File of the student until it passes the gate.
 const CANDIDATE: &str = "transition.candidate.safetensors";
-/// The file of a student that has not passed it.
+/// File of a student that fails the gate.
 const REJECTED: &str = "transition.rejected.safetensors";
-/// Metadata entry of a student: what it was distilled from, as JSON.
+/// Metadata key of a student's origin, as JSON.
 const DISTILLED_KEY: &str = "distilled";
 
-/// What a student is measured on.
-struct Gated<'a> {
+/// Evaluation data of a student.
+struct GateData<'a> {
     held_out: Option<&'a Latents>,
     idm: Option<&'a TrainedIdm>,
     /// Whether to keep it in any case.
@@ -95,12 +95,12 @@ fn train_on(
     recipe: &DistillRecipe,
     teacher: &Teacher,
     train: &Latents,
-    gated: &Gated<'_>,
+    gated: &GateData<'_>,
     stop: &Stop,
-) -> Result<Ended> {
+) -> Result<RunEnd> {
     ensure!(
         gated.held_out.is_some() || gated.accept,
-        "no episodes for validation: there is nothing to measure the student on, and only --accept would keep it"
+        "no episodes for validation: the student cannot be measured; keep it unmeasured with --accept"
     );
     if let (Some(idm), Some(held_out)) = (gated.idm, gated.held_out) {
         let context = "the inverse dynamics model's latents are not the data's";
@@ -118,7 +118,7 @@ fn train_on(
         ("actions", json!(teacher.encoding)),
     ];
     let mut settings = run.settings(recipe, samples, data)?;
-    // It decides whether the student is kept, not what it becomes.
+    // It determines whether the student is kept, not its weights.
     if let Some(Value::Object(recipe)) = settings.identity.get_mut("recipe") {
         recipe.remove("gate");
     }
@@ -128,14 +128,19 @@ fn train_on(
     }
     let about = format!("{} episodes, {} threads", task.clips.len(), run.threads()?);
     let ended = run.train(&mut task, recipe, &settings, (&about, stop))?;
-    if ended == Ended::Finished {
+    if ended == RunEnd::Finished {
         judge(&run.out, recipe, teacher, gated)?;
     }
     Ok(ended)
 }
 
-/// Measures the student in `out` beside its teacher, and gives its file the name that it deserves.
-fn judge(out: &Path, recipe: &DistillRecipe, teacher: &Teacher, gated: &Gated<'_>) -> Result<()> {
+/// Measures the student in `out` against its teacher, and renames its file by the verdict.
+fn judge(
+    out: &Path,
+    recipe: &DistillRecipe,
+    teacher: &Teacher,
+    gated: &GateData<'_>,
+) -> Result<()> {
     let candidate = out.join(CANDIDATE);
     let named = |name: &str| {
         let path = out.join(name);
@@ -171,10 +176,10 @@ fn judge(out: &Path, recipe: &DistillRecipe, teacher: &Teacher, gated: &Gated<'_
     verdict.require()
 }
 
-/// The networks of a distillation. The first has gradients.
+/// Networks of a distillation; the first one has gradients.
 struct Networks<'a> {
     student: &'a Transition,
-    /// The student with its averaged weights.
+    /// The student with averaged weights.
     target: &'a Transition,
     teacher: &'a Transition,
 }
@@ -191,7 +196,7 @@ struct DistillTask<'a> {
     teacher: &'a Teacher,
     objective: Objective,
     levels: Levels,
-    /// Step at which self-forcing begins.
+    /// Step at which self-forcing starts.
     self_forcing_after: u64,
     clips: ClipSource<'a>,
     held_out: Option<HeldOut>,
@@ -199,7 +204,7 @@ struct DistillTask<'a> {
     student: Transition,
     target: Transition,
     workers: Workers,
-    /// The student that was written last.
+    /// The student written last.
     written: Option<Transition>,
 }
 
@@ -250,7 +255,7 @@ impl<'a> DistillTask<'a> {
         }
     }
 
-    /// The loss of one small batch of random clips.
+    /// Loss of one small batch of random clips.
     fn loss(&self, student: &Transition, step: u64, rng: &mut ChaCha8Rng) -> Result<Tensor> {
         let (own, networks) = (&self.recipe.self_forcing, self.networks());
         let (objective, clips) = (&self.objective, &self.clips);
@@ -267,8 +272,8 @@ impl<'a> DistillTask<'a> {
     }
 }
 
-fn as_trained(parameter: &Parameter) -> Trained<'_> {
-    Trained {
+fn as_trained(parameter: &Parameter) -> ParameterValues<'_> {
+    ParameterValues {
         name: &parameter.name,
         shape: &parameter.shape,
         values: &parameter.values,
@@ -304,18 +309,21 @@ impl Task for DistillTask<'_> {
         })
     }
 
-    fn assign(&mut self, weights: &mut dyn Iterator<Item = Trained<'_>>) -> Result<()> {
+    fn assign(&mut self, weights: &mut dyn Iterator<Item = ParameterValues<'_>>) -> Result<()> {
         Ok(self.variables.assign(weights)?)
     }
 
-    fn assign_averaged(&mut self, weights: &mut dyn Iterator<Item = Trained<'_>>) -> Result<()> {
+    fn assign_averaged(
+        &mut self,
+        weights: &mut dyn Iterator<Item = ParameterValues<'_>>,
+    ) -> Result<()> {
         self.target = self.teacher.target(self.student.config(), weights)?;
         Ok(())
     }
 
     fn write(
         &mut self,
-        averaged: &mut dyn Iterator<Item = Trained<'_>>,
+        averaged: &mut dyn Iterator<Item = ParameterValues<'_>>,
         folder: &Path,
     ) -> Result<()> {
         let teacher = self.teacher;
@@ -326,7 +334,7 @@ impl Task for DistillTask<'_> {
         weights.metadata(DISTILLED_KEY, distilled.to_string());
         let path = folder.join(CANDIDATE);
         weights.write(&path)?;
-        // Of exactly what was written.
+        // From exactly the written file.
         self.written = Some(Transition::from_weights(Weights::open(&path)?)?);
         Ok(())
     }

@@ -1,11 +1,11 @@
-//! Training of a small semantic encoder: a vision transformer whose features tell the actions between frames.
+//! Training of a small semantic encoder: a vision transformer whose features encode the actions between frames.
 //!
-//! The paper compares semantic encoders (DINO, SigLIP, V-JEPA), which are not made to give pictures back, with encoders
-//! that are. This one stands for the former where the published ones are too large: nothing pulls it towards the
-//! pixels. It is trained together with an inverse dynamics model that reads its features and is
-//! thrown away in the end. The last LayerNorm of the encoder keeps its features from shrinking to nothing.
+//! The paper compares semantic encoders (DINO, SigLIP, V-JEPA), which do not reconstruct pictures, with encoders that
+//! do. This one replaces the published semantic encoders where they are too large; no loss pulls it towards pixels. It
+//! is trained with an inverse dynamics model on its features, which is discarded at the end. The encoder's last
+//! LayerNorm keeps its features from vanishing.
 //!
-//! What comes of it is a folder with a `model.json`, as those of published encoders: `wm train adapter` takes it next.
+//! The output is a folder with a `model.json`, as of published encoders, for `wm train adapter`.
 
 mod arguments;
 mod files;
@@ -32,7 +32,7 @@ use wm_zoo::{
 use crate::{
     arguments::RunArgs,
     idm::{self, QUICK_WINDOWS},
-    optimiser::{Group, Parameter, Trained, Variables},
+    optimiser::{Group, Parameter, ParameterValues, Variables},
     run::{StepLoss, Task},
     workers::{BatchLoss, Batches, Workers},
 };
@@ -49,20 +49,20 @@ struct EncoderTask<'a> {
     head: IdmNetworkConfig,
     clips: ClipSource<'a>,
     held_out: Option<ClipSource<'a>>,
-    /// Of the pictures in the bags, if they have one size.
+    /// Size of the pictures in the bags, if equal.
     picture_size: Option<PictureSize>,
     variables: Variables,
-    /// Names of what was taken from another model.
+    /// Names of fine-tuned tensors.
     old: BTreeSet<String>,
     groups: Vec<Group>,
     network: Network,
     workers: Workers,
-    /// What was written last.
-    written: Option<Written>,
+    /// The output written last.
+    written: Option<SavedEncoder>,
 }
 
-/// The encoder as it was written, with the head that was trained with it.
-struct Written {
+/// The written encoder, with its training head.
+struct SavedEncoder {
     encoder: Box<dyn Encoder>,
     head: IdmNetwork,
 }
@@ -113,8 +113,8 @@ impl<'a> EncoderTask<'a> {
     }
 }
 
-/// The windows of so many successive frames within clips (B, n, ...): (B * windows, frames, ...), those of all clips that
-/// begin at the first frame before those that begin at the second.
+/// All windows of `frames` successive frames within clips (B, n, ...): (B * windows, frames, ...), ordered by their first
+/// frame, then by clip.
 fn windows(clips: &Tensor, frames: usize) -> Result<Tensor> {
     let starts = 0..=clips.dim(1)? - frames;
     let each = starts.map(|start| clips.narrow(1, start, frames));
@@ -124,8 +124,8 @@ fn windows(clips: &Tensor, frames: usize) -> Result<Tensor> {
     )?)
 }
 
-/// Pictures (B, n, H, W, 3) in 0..1 under another light, the same for all of a clip, so that what changes between its
-/// frames is still only what the robot did. Brightness and contrast change by `most` at most.
+/// Pictures (B, n, H, W, 3) in 0..1 under other light, constant within a clip, so that changes between its frames come only
+/// from the robot. Brightness and contrast change by at most `most`.
 fn relit(pictures: &Tensor, most: f64, rng: &mut ChaCha8Rng) -> Result<Tensor> {
     let clips = pictures.dim(0)?;
     let mut around = |middle: f64| {
@@ -172,9 +172,9 @@ impl Task for EncoderTask<'_> {
         })
     }
 
-    fn assign(&mut self, weights: &mut dyn Iterator<Item = Trained<'_>>) -> Result<()> {
+    fn assign(&mut self, weights: &mut dyn Iterator<Item = ParameterValues<'_>>) -> Result<()> {
         self.variables.assign(weights)?;
-        // Loaded again, since the patch embedding holds its filters in another order than the variable.
+        // Loaded again, since the patch embedding stores its filters in another order than the variable.
         let loader = Loader::supplied(&self.variables, Kernels::Candle);
         self.network = Network::load(&self.encoder, &self.head, &loader)?;
         Ok(())
@@ -182,7 +182,7 @@ impl Task for EncoderTask<'_> {
 
     fn write(
         &mut self,
-        averaged: &mut dyn Iterator<Item = Trained<'_>>,
+        averaged: &mut dyn Iterator<Item = ParameterValues<'_>>,
         folder: &Path,
     ) -> Result<()> {
         let (head, encoder): (Vec<_>, Vec<_>) =
@@ -191,7 +191,7 @@ impl Task for EncoderTask<'_> {
         let pictures = (self.recipe.fit, self.picture_size);
         files::write_description(folder, &self.encoder, self.recipe.name()?, pictures)?;
         let mut variables = Variables::default();
-        for Trained {
+        for ParameterValues {
             name,
             shape,
             values,
@@ -200,8 +200,8 @@ impl Task for EncoderTask<'_> {
             variables.add(name, &Tensor::from_slice(values, shape, &Device::Cpu)?)?;
         }
         let loader = Loader::supplied(&variables, Kernels::Cpu);
-        self.written = Some(Written {
-            // Of exactly what was written.
+        self.written = Some(SavedEncoder {
+            // From exactly the written files.
             encoder: DescribedFolder::open(folder)?.encoder(&Compute::default())?,
             head: network::load_head(&self.head, &loader)?,
         });
@@ -209,7 +209,8 @@ impl Task for EncoderTask<'_> {
     }
 
     fn validate(&mut self, thorough: bool) -> Result<Vec<Figure>> {
-        let (Some(held_out), Some(Written { encoder, head })) = (&self.held_out, &self.written)
+        let (Some(held_out), Some(SavedEncoder { encoder, head })) =
+            (&self.held_out, &self.written)
         else {
             return Ok(Vec::new());
         };

@@ -1,4 +1,4 @@
-//! Training steps as PyTorch computes them: the fixtures of ../fixtures/steps.py.
+//! PyTorch's training steps, from ../fixtures/steps.py.
 
 use std::collections::BTreeMap;
 
@@ -7,11 +7,11 @@ use serde::de::DeserializeOwned;
 use wm_model::Weights;
 
 use crate::{
-    optimiser::{Trained, Variables},
+    optimiser::{ParameterValues, Variables},
     workers::BatchLoss,
 };
 
-/// Largest relative error of losses, gradients and weights: norm of the difference over norm.
+/// Largest relative error of losses, gradients and weights (norm of the difference over norm).
 pub(crate) const TOLERANCE: f64 = 1e-4;
 
 /// A file of ../fixtures/steps.
@@ -32,26 +32,25 @@ impl Fixture {
         }
     }
 
-    /// An entry of what the case is about.
+    /// An entry of the case's description.
     pub(crate) fn of<T: DeserializeOwned>(&self, key: &str) -> T {
         serde_json::from_value(self.case[key].clone()).unwrap()
     }
 
-    /// A tensor's values.
+    /// Values of a tensor.
     pub(crate) fn values(&self, name: &str) -> Vec<f32> {
         let shape = self.tensors.shape(name).unwrap_or_else(|| panic!("{name}"));
         self.tensors.values(name, shape).unwrap()
     }
 
-    /// Of the tensors below `prefix`, what follows it in their names.
+    /// Names of the tensors below `prefix`, without the prefix.
     pub(crate) fn names(&self, prefix: &str) -> Vec<String> {
         let names = self.tensors.names().into_iter();
         let below = names.filter_map(|name| name.strip_prefix(prefix).map(str::to_owned));
         below.collect()
     }
 
-    /// Checks the loss, and its gradient by every one of `variables`, by itself and by all of them together; gives the
-    /// gradient.
+    /// Checks the loss and its gradient, by each of `variables` and for all together; returns the gradient.
     pub(crate) fn check(
         &self,
         found: impl Into<BatchLoss>,
@@ -81,7 +80,7 @@ impl Fixture {
         gradients
     }
 
-    /// Checks a tensor; gives the relative error.
+    /// Checks a tensor; returns the relative error.
     pub(crate) fn check_one(&self, name: &str, found: &[f32]) -> f64 {
         let error = error(found, &self.values(name));
         assert!(error < TOLERANCE, "{}: {name}: {error:.2e}", self.name);
@@ -89,7 +88,7 @@ impl Fixture {
     }
 }
 
-/// Norm of the difference over the norm of what is expected.
+/// Norm of the difference over the norm of the expectation.
 fn error(found: &[f32], expected: &[f32]) -> f64 {
     assert_eq!(found.len(), expected.len());
     let norm = |values: &mut dyn Iterator<Item = f64>| values.map(|x| x * x).sum::<f64>().sqrt();
@@ -98,8 +97,8 @@ fn error(found: &[f32], expected: &[f32]) -> f64 {
     difference / norm(&mut expected.iter().map(|x| f64::from(*x)))
 }
 
-/// Numbers from -scale to scale that steps.py makes by the same formula: a hash (murmur3's last step) of the name's
-/// (FNV-1a) and the place.
+/// Numbers from -scale to scale by the formula of steps.py: a hash (murmur3's last step) of the name's hash (FNV-1a) and
+/// the index.
 pub(crate) fn values(name: &str, count: usize, scale: f64) -> Vec<f32> {
     let seed = name.bytes().fold(2_166_136_261_u32, |hash, byte| {
         (hash ^ u32::from(byte)).wrapping_mul(16_777_619)
@@ -120,7 +119,7 @@ pub(crate) fn tensor(name: &str, shape: &[usize], scale: f64) -> Tensor {
     Tensor::from_vec(values, shape, &Device::Cpu).unwrap()
 }
 
-/// Gives `variables` the values that steps.py gives its parameters.
+/// Gives `variables` the values of steps.py's parameters.
 pub(crate) fn fill(variables: &Variables) {
     let parameters = variables.parameters(|_| 0).unwrap();
     let weights: BTreeMap<_, _> = parameters
@@ -130,11 +129,13 @@ pub(crate) fn fill(variables: &Variables) {
             (name, (shape, weight(name, shape)))
         })
         .collect();
-    let trained = weights.iter().map(|(name, (shape, values))| Trained {
-        name,
-        shape,
-        values,
-    });
+    let trained = weights
+        .iter()
+        .map(|(name, (shape, values))| ParameterValues {
+            name,
+            shape,
+            values,
+        });
     variables.assign(trained).unwrap();
 }
 

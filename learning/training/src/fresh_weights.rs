@@ -1,4 +1,4 @@
-//! The weights that the training of a network starts from.
+//! Initial weights of a network.
 
 use std::{
     cell::RefCell,
@@ -25,19 +25,19 @@ pub struct FreshWeights {
     device: Device,
     dtype: DType,
     old: BTreeMap<String, Tensor>,
-    /// Names that were taken from `old`.
+    /// Names taken from `old`.
     taken: RefCell<BTreeSet<String>>,
     variables: RefCell<Variables>,
 }
 
 impl FreshWeights {
-    /// Of this seed.
+    /// Fresh weights of this seed.
     #[must_use]
     pub fn new(seed: u64) -> Self {
         Self::tuning(seed, BTreeMap::new())
     }
 
-    /// The same, but for what another model has.
+    /// Takes matching tensors from another model.
     #[must_use]
     pub fn tuning(seed: u64, old: BTreeMap<String, Tensor>) -> Self {
         Self {
@@ -56,6 +56,7 @@ impl FreshWeights {
     /// If they cannot be read.
     pub fn tuning_weights(seed: u64, weights: &Weights) -> wm_model::Result<Self> {
         let tensors = weights.names().into_iter().map(|name| {
+            // The name comes from the file; `tensor` reports a wrong shape.
             let shape = weights.shape(&name).unwrap_or_default().to_vec();
             let tensor = weights.tensor(&name, &shape)?;
             Ok((name, tensor))
@@ -78,7 +79,7 @@ impl FreshWeights {
         })
     }
 
-    /// The values that a parameter begins with where nothing else is asked for.
+    /// The usual initial values of a parameter.
     ///
     /// # Errors
     /// If they cannot be made.
@@ -96,20 +97,20 @@ impl FreshWeights {
             .map_err(candle_core::Error::wrap)
     }
 
-    /// The number format of the variables.
+    /// Number format of the variables.
     #[must_use]
     pub fn dtype(&self) -> DType {
         self.dtype
     }
 
-    /// The old tensor for a parameter, if there is one of its shape.
+    /// The old tensor of a parameter, if of equal shape.
     pub fn take(&self, name: &str, shape: &[usize]) -> Option<&Tensor> {
         let old = self.old.get(name).filter(|old| old.dims() == shape)?;
         self.taken.borrow_mut().insert(name.to_owned());
         Some(old)
     }
 
-    /// A variable that begins at the old tensor, or at `initial`.
+    /// A variable that starts from the old tensor, or from `initial`.
     ///
     /// # Errors
     /// If it cannot be made.
@@ -127,12 +128,12 @@ impl FreshWeights {
         self.variables.borrow_mut().add(name, &initial)
     }
 
-    /// Gives the weights to a network, by operations that propagate gradients.
+    /// Supplies the weights to a network, with gradients.
     pub fn loader(&self) -> Loader<'_> {
         Loader::supplied(self, Kernels::Candle)
     }
 
-    /// All that was given, and which of it was taken from another model.
+    /// All supplied variables, and the names of those taken from another model.
     #[must_use]
     pub fn into_variables(self) -> (Variables, BTreeSet<String>) {
         let taken = self.taken.into_inner();

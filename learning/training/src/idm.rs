@@ -1,5 +1,6 @@
-//! Training of the inverse dynamics model: which actions lie between consecutive latents (the paper, appendix B.6), by
-//! Smooth-L1 on the latents of a frozen encoder. The network is the paper's transformer, or a small convolutional one.
+//! Training of the inverse dynamics model, which infers the actions between consecutive latents (the paper, appendix
+//! B.6), by Smooth-L1 on the latents of a frozen encoder. The network is the paper's transformer, or a small
+//! convolutional one.
 
 mod arguments;
 mod recipe;
@@ -20,7 +21,7 @@ use wm_zoo::{
 
 use crate::{
     arguments::RunArgs,
-    optimiser::{Group, Parameter, Trained, Variables},
+    optimiser::{Group, Parameter, ParameterValues, Variables},
     run::{StepLoss, Task},
     trained_weights::trained_weights_of_actions,
     transition::normals,
@@ -29,7 +30,7 @@ use crate::{
 pub use arguments::{EvaluateIdmArgs, TrainIdmArgs};
 pub use recipe::{IdmKind, IdmModelRecipe, IdmRecipe, RECIPES};
 
-/// Windows of the evaluations during the training.
+/// Windows of evaluations during the training.
 pub(crate) const QUICK_WINDOWS: usize = 256;
 
 /// An inverse dynamics model in training.
@@ -41,12 +42,12 @@ struct IdmTask<'a> {
     clips: ClipSource<'a>,
     held_out: Option<&'a Latents>,
     variables: Variables,
-    /// Names of what was taken from another model.
+    /// Names of fine-tuned tensors.
     old: BTreeSet<String>,
     groups: Vec<Group>,
     model: IdmNetwork,
     workers: Workers,
-    /// The model that was written last.
+    /// The model written last.
     written: Option<TrainedIdm>,
 }
 
@@ -58,12 +59,7 @@ impl<'a> IdmTask<'a> {
         held_out: Option<&'a Latents>,
         run: &RunArgs,
     ) -> Result<Self> {
-        ensure!(
-            recipe.micro_batch > 0 && recipe.batch.is_multiple_of(recipe.micro_batch),
-            "batch {} cannot be split into parts of micro_batch {}",
-            recipe.batch,
-            recipe.micro_batch
-        );
+        crate::recipe::check_batch(recipe.batch, recipe.micro_batch)?;
         ensure!(
             (0.0..1.0).contains(&recipe.dropout),
             "dropout is {}, expected 0 up to 1",
@@ -111,18 +107,18 @@ impl<'a> IdmTask<'a> {
     }
 }
 
-/// The loss of windows of latents (B, k + 1, h, w, C) with the actions (B, k + 1, A) of their frames.
+/// Loss of windows of latents (B, k + 1, h, w, C) with the actions (B, k + 1, A) of their frames.
 pub(crate) fn loss(
     model: &IdmNetwork,
     (latents, actions): (&Tensor, &Tensor),
     dropout: &mut Dropout<'_>,
 ) -> Result<Tensor> {
-    // The last frame's own action leads out of the window.
+    // The last frame's action leads out of the window.
     let truth = actions.narrow(1, 0, model.horizon())?;
     smooth_l1(&model.forward_dropping(latents, dropout)?, &truth)
 }
 
-/// The mean of d^2 / 2 where |d| is below 1, and of |d| - 1/2 elsewhere: `torch.nn.SmoothL1Loss()`.
+/// Mean of d^2 / 2 for |d| below 1, and of |d| - 1/2 elsewhere: `torch.nn.SmoothL1Loss()`.
 fn smooth_l1(found: &Tensor, truth: &Tensor) -> Result<Tensor> {
     let distance = (found - truth)?.abs()?;
     let is_small = distance.detach().lt(1.0)?.to_dtype(DType::F32)?;
@@ -161,19 +157,19 @@ impl Task for IdmTask<'_> {
         })
     }
 
-    fn assign(&mut self, weights: &mut dyn Iterator<Item = Trained<'_>>) -> Result<()> {
+    fn assign(&mut self, weights: &mut dyn Iterator<Item = ParameterValues<'_>>) -> Result<()> {
         Ok(self.variables.assign(weights)?)
     }
 
     fn write(
         &mut self,
-        averaged: &mut dyn Iterator<Item = Trained<'_>>,
+        averaged: &mut dyn Iterator<Item = ParameterValues<'_>>,
         folder: &Path,
     ) -> Result<()> {
         let (config, space) = ((IDM_KEY, &self.config), self.train.space());
         let path = folder.join(FILE);
         trained_weights_of_actions(averaged, config, space, self.encoding)?.write(&path)?;
-        // Of exactly what was written.
+        // From exactly the written file.
         self.written = Some(TrainedIdm::from_weights(Weights::open(&path)?)?);
         Ok(())
     }

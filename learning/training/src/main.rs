@@ -1,6 +1,7 @@
-//! `wm-training`: `wm sim`, `wm dataset`, `wm train`, `wm eval` and `wm model calibrate`, a program of its own, since a robot needs none of them.
+//! `wm-training`: `wm sim`, `wm dataset`, `wm train`, `wm eval` and `wm model calibrate`, as a separate program, since a robot
+//! needs none of them.
 //!
-//! Exit codes: 0 done, 1 failed, 2 wrong usage, 130 a training that a signal stopped and that was saved.
+//! Exit codes: 0 done, 1 failed, 2 wrong usage, 130 a training stopped by a signal and saved.
 
 use std::{ffi::OsString, io::IsTerminal as _, process::ExitCode};
 
@@ -21,12 +22,12 @@ use wm_training::{
     model::TrainModelArgs,
     model_card,
     probe::{EvaluateProbeArgs, TrainProbeArgs},
-    run::{Ended, Stop},
+    run::{RunEnd, Stop},
     stopped,
     transition::{EvaluateTransitionArgs, TrainTransitionArgs},
 };
 
-/// Of a training that was stopped by a signal, as a shell reports it.
+/// Exit code after a signal, as in a shell.
 const STOPPED: u8 = 130;
 
 /// Makes bags, trains models on them and evaluates the models.
@@ -61,17 +62,17 @@ enum ModelCommand {
 
 #[derive(Debug, Subcommand)]
 enum TrainCommand {
-    /// Train autoencoder, transition model, inverse dynamics model and success probe, one after the other, into one folder
+    /// Train autoencoder, transition model, inverse dynamics model and success probe in sequence into one folder
     Model(TrainModelArgs),
     /// Train the autoencoder: frames to latents and back
     Autoencoder(TrainAutoencoderArgs),
-    /// Train a small semantic encoder: features that tell the action
+    /// Train a small semantic encoder, whose features encode actions
     Encoder(TrainEncoderArgs),
     /// Train the transition model on the latents of a frozen encoder
     Transition(TrainTransitionArgs),
     /// Train the S-VAE adapter and its pixel decoder on the features of a frozen encoder
     Adapter(TrainAdapterArgs),
-    /// Train a student that samples in one or two steps what a transition model, its teacher, samples in ten
+    /// Train a student that samples in one or two steps like a transition model, its teacher, in ten
     Distill(TrainDistillArgs),
     /// Train the inverse dynamics model on the latents of a frozen encoder
     Idm(TrainIdmArgs),
@@ -85,33 +86,33 @@ enum EvalCommand {
     Autoencoder(EvaluateAutoencoderArgs),
     /// Compare a transition model's predictions with the persistence baseline, and measure plans made with it
     Transition(EvaluateTransitionArgs),
-    /// Measure how well an inverse dynamics model tells actions, from real and from predicted latents
+    /// Measure how well an inverse dynamics model infers actions, from real and from predicted latents
     Idm(EvaluateIdmArgs),
-    /// Measure how well a success probe tells success from failure
+    /// Measure how well a success probe separates success from failure
     Probe(EvaluateProbeArgs),
     /// Measure a model by all suites
     All(SuiteArgs),
-    /// Measure how decoded rollouts compare with what came
+    /// Compare decoded rollouts with the true frames
     Fidelity(SuiteArgs),
-    /// Measure whether predictions obey actions; with --task, how often a planner succeeds on the simulated arm
+    /// Measure whether predictions obey actions; with --task, the success rate of a planner on the simulated arm
     Control(SuiteArgs),
-    /// Measure how often a planner succeeds on the simulated arm; the same as control --task
+    /// Measure the success rate of a planner on the simulated arm; same as control --task
     Task(ClosedLoopArgs),
-    /// Measure whether latents tell actions and success
+    /// Measure whether latents encode actions and success
     Latents(SuiteArgs),
-    /// Measure what becomes of a policy in the imagined environment
+    /// Measure how a policy performs in the imagined environment
     Policy(SuiteArgs),
     /// Measure whether success in imagination ranks policies as success on the simulated arm does
     Imagined(ImaginedArgs),
     /// Measure predictions under other light, camera faults and wrong rates
     Robustness(SuiteArgs),
-    /// Measure what a model takes to compute on this machine
+    /// Measure a model's computation on this machine
     Cost(SuiteArgs),
-    /// Put the records of shards, or of several models, together
+    /// Merge the records of shards, or of several models
     Merge(MergeArgs),
-    /// Print the settings of a protocol as YAML, which --settings takes
+    /// Print the settings of a protocol as YAML, for --settings
     Settings {
-        /// How much is measured
+        /// Extent of the measurement
         #[arg(long, value_enum, default_value_t)]
         protocol: Protocol,
     },
@@ -121,7 +122,7 @@ impl TrainCommand {
     fn run(self) -> anyhow::Result<ExitCode> {
         let stop = Stop::on_signals()?;
         let (ended, of) = match self {
-            // Its card and its summary are of all parts.
+            // It prints its own card and summary, for all parts.
             Self::Model(arguments) => (arguments.run(&stop)?, None),
             Self::Autoencoder(arguments) => {
                 (arguments.run(&stop)?, Some((arguments.run, "autoencoder")))
@@ -136,15 +137,15 @@ impl TrainCommand {
             Self::Probe(arguments) => (arguments.run(&stop)?, Some((arguments.run, "probe"))),
         };
         match (ended, of) {
-            (Ended::Finished, Some((run, _))) => model_card::write(&run),
-            (Ended::Stopped, Some((run, part))) => {
+            (RunEnd::Finished, Some((run, _))) => model_card::write(&run),
+            (RunEnd::Stopped, Some((run, part))) => {
                 println!("{}", stopped::summary(&run.out, &[part])?);
             }
             (_, None) => {}
         }
         Ok(match ended {
-            Ended::Finished => ExitCode::SUCCESS,
-            Ended::Stopped => ExitCode::from(STOPPED),
+            RunEnd::Finished => ExitCode::SUCCESS,
+            RunEnd::Stopped => ExitCode::from(STOPPED),
         })
     }
 }
@@ -182,7 +183,7 @@ impl Command {
     }
 }
 
-/// `eval control --task` as `eval task --task`, which has other arguments than the suite.
+/// Rewrites `eval control --task` to `eval task --task`, which has other arguments than the suite.
 fn with_task(arguments: impl Iterator<Item = OsString>) -> Vec<OsString> {
     let mut arguments: Vec<OsString> = arguments.collect();
     let is_task = |argument: &OsString| {
@@ -230,7 +231,7 @@ mod tests {
     use clap::CommandFactory as _;
 
     #[test]
-    fn the_command_line_is_consistent() {
+    fn command_line_is_consistent() {
         Command::command().debug_assert();
     }
 }

@@ -1,5 +1,5 @@
-//! Training of a whole world model: autoencoder, transition model and inverse dynamics model, and a success probe where
-//! the data tell of outcomes, one after the other into one folder, which is then a model for the nodes.
+//! Training of a whole world model in one folder for the nodes: autoencoder, transition model, inverse dynamics model,
+//! and a success probe if the data have outcomes, in sequence.
 
 use std::path::PathBuf;
 
@@ -15,67 +15,67 @@ use crate::{
     idm::TrainIdmArgs,
     probe::TrainProbeArgs,
     recipe::Override,
-    run::{Ended, Stop, checkpoint, expect_nothing_to_overwrite},
+    run::{RunEnd, Stop, checkpoint, expect_nothing_to_overwrite},
     stopped,
     transition::TrainTransitionArgs,
 };
 
-/// Trains a whole world model into one folder: the autoencoder, then the transition model and the inverse dynamics model
-/// on its latents, and a success probe where the data tell of outcomes. Run again, it goes on where it was interrupted.
+/// Train a whole world model into one folder: the autoencoder, the transition model and the inverse dynamics model on its
+/// latents, and a success probe if the data have outcomes. Run the command again to resume
 #[derive(Clone, Debug, Args)]
 pub struct TrainModelArgs {
-    /// What to train on: bags, folders of bags, or folders that `wm dataset` prepared.
+    /// Data to train on: bags, folders of bags, or folders prepared by `wm dataset`
     #[arg(long, visible_alias = "bags", required = true, num_args = 1.., value_name = "PATH")]
     pub data: Vec<PathBuf>,
-    /// How recordings become episodes, and which are for validation.
+    /// Options of the data.
     #[command(flatten)]
     pub options: DataOptions,
-    /// Folder of the model; pass it to the nodes as model:=FOLDER.
+    /// Folder of the model; pass it to the nodes as model:=FOLDER
     #[arg(long)]
     pub out: PathBuf,
-    /// Use this model's frozen encoder and decoder instead of training an autoencoder: tiny, or a model's folder.
+    /// Model whose frozen encoder and decoder to use instead of training an autoencoder: tiny, or a model's folder
     #[arg(long)]
     pub encoder: Option<String>,
-    /// How pictures of another aspect become the model's: crop (the middle), stretch or pad (black bars) [default: crop]. An
-    /// encoder that is given has its own.
+    /// How pictures of another aspect fit the model: crop (the middle), stretch or pad (black bars) [default: crop]. A
+    /// given encoder has its own
     #[arg(long, value_name = "FIT", conflicts_with = "encoder")]
     pub fit: Option<Fit>,
-    /// Fine-tune this model (tiny, or a model's folder) instead of beginning anew: its autoencoder, unless --encoder is
-    /// given, its transition model, and those of the others that it has.
+    /// Model to fine-tune (tiny, or a model's folder): its autoencoder (unless --encoder is given), its transition
+    /// model, and its other parts
     #[arg(long, value_name = "MODEL")]
     pub from: Option<String>,
-    /// Learning rate of what is taken from that model, as a fraction of the recipe's.
+    /// Learning rate of the fine-tuned weights, as a fraction of the recipe's
     #[arg(long, default_value_t = 0.3, value_name = "FRACTION", value_parser = fraction)]
     pub old_rate: f64,
-    /// Train each part for this fraction of its recipe's length: 0.05 for a first look.
+    /// Fraction of each recipe's length to train; 0.05 for a first test
     #[arg(long, default_value_t = 1.0, value_name = "FRACTION", value_parser = fraction)]
     pub share: f64,
-    /// Recipe of all parts, by name: tiny or paper (the autoencoder's is always tiny).
+    /// Recipe of all parts by name: tiny or paper (the autoencoder's is always tiny)
     #[arg(long, default_value = "tiny")]
     pub recipe: String,
-    /// A setting of a part's recipe, as transition.optimisation.learning_rate=1e-3; may be repeated.
+    /// Setting of a part's recipe, such as transition.optimisation.learning_rate=1e-3 (repeatable)
     #[arg(long, value_name = "PART.PATH=VALUE")]
     pub set: Vec<Override>,
-    /// Folder for decoded frames and latents; `cache` in the output folder by default.
+    /// Folder for decoded frames and latents [default: `cache` in the output folder]
     #[arg(long)]
     pub cache: Option<PathBuf>,
-    /// Number of threads; all of the machine by default.
+    /// Number of threads [default: all of the machine]
     #[arg(long)]
     pub threads: Option<usize>,
-    /// Where to compute: cpu, cuda or cuda:N. The autoencoder trains on the CPU in any case.
+    /// Device: cpu, cuda or cuda:N; the autoencoder always trains on the CPU
     #[arg(long, default_value = "cpu")]
     pub device: Compute,
 }
 
-/// The parts, in the order in which they are trained.
+/// Parts in the order of training.
 const PARTS: [&str; 4] = ["autoencoder", "transition", "idm", "probe"];
 
 impl TrainModelArgs {
-    /// Trains all parts, or until `stop` asks for the end.
+    /// Trains all parts, or until `stop` is set.
     ///
     /// # Errors
-    /// When a part cannot be trained.
-    pub fn run(&self, stop: &Stop) -> Result<Ended> {
+    /// If a part cannot be trained.
+    pub fn run(&self, stop: &Stop) -> Result<RunEnd> {
         let is_unknown = |setting: &&Override| !PARTS.contains(&setting.part());
         if let Some(setting) = self.set.iter().find(is_unknown) {
             anyhow::bail!(
@@ -86,7 +86,7 @@ impl TrainModelArgs {
         let own = self.out.display().to_string();
         let encoder = self.encoder.clone().unwrap_or(own);
         self.check(&encoder)?;
-        let mut ended = Ended::Finished;
+        let mut ended = RunEnd::Finished;
         for part in self.parts() {
             let run = self.of(part)?;
             let encoder = encoder.clone();
@@ -102,7 +102,7 @@ impl TrainModelArgs {
                 }
                 .run_if_labelled(stop)?,
             };
-            if ended == Ended::Stopped {
+            if ended == RunEnd::Stopped {
                 println!("{}", stopped::summary(&self.out, &self.parts())?);
                 return Ok(ended);
             }
@@ -122,7 +122,7 @@ impl TrainModelArgs {
         PARTS.into_iter().filter(|part| !is_given(part)).collect()
     }
 
-    /// Holds what all parts take against what is there, before hours go into the first of them.
+    /// Checks the inputs of all parts before the first training.
     fn check(&self, encoder: &str) -> Result<()> {
         for model in self.encoder.iter().chain(&self.from) {
             ModelFolder::require(model)?;
@@ -160,7 +160,7 @@ impl TrainModelArgs {
         Ok(())
     }
 
-    /// The model that a part is fine-tuned from, if any.
+    /// The model to fine-tune a part from, if any.
     fn begins_from(&self, part: &str) -> Result<Option<String>> {
         let Some(from) = &self.from else {
             return Ok(None);

@@ -1,4 +1,4 @@
-//! The card of a model that was trained: MODEL.md in its folder.
+//! MODEL.md of a trained model.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use anyhow::Result;
 use wm_dataset::Dataset;
 use wm_evaluation::{
     Settings, Shard, Subject,
-    card::{self, Written},
+    card::{self, WriteOutcome},
     policy::{PolicyArgs, Setup},
     records, run,
 };
@@ -15,12 +15,11 @@ use wm_zoo::ModelFolder;
 
 use crate::arguments::RunArgs;
 
-/// What a card tells: what takes no search, and no second machine.
+/// Suites of a card, without searches or timing.
 const SUITES: [Suite; 3] = [Suite::Fidelity, Suite::Control, Suite::Latents];
 
-/// Measures what `run` trained on its episodes for validation, and writes the card. A model without a transition model
-/// has none, as the encoder of a training to come; a card that somebody changed stays. Where it fails, it warns: the
-/// training itself is done.
+/// Measures the model trained by `run` on its validation episodes, and writes the card. Models without a transition model,
+/// such as encoders, get none; edited cards stay. Failures are warnings: the training itself is done.
 pub fn write(run: &RunArgs) {
     if let Err(error) = try_to_write(run) {
         tracing::warn!(
@@ -47,8 +46,8 @@ fn try_to_write(run: &RunArgs) -> Result<()> {
     };
     let path = run.out.join(card::FILE);
     match card::write(&path, &findings, &about)? {
-        Written::Yes => println!("wrote {}", path.display()),
-        Written::Kept => println!("{} was changed by hand: it stays", path.display()),
+        WriteOutcome::Yes => println!("wrote {}", path.display()),
+        WriteOutcome::Kept => println!("kept the edited {}", path.display()),
     }
     Ok(())
 }
@@ -69,7 +68,7 @@ fn read(path: &Path) -> Result<(std::path::PathBuf, records::Heading, Vec<record
     Ok((path.to_owned(), heading, found))
 }
 
-/// Findings of nothing: there is no data that the model was not trained on.
+/// Findings without measurements, if no episodes were held out.
 fn unmeasured(run: &RunArgs, folder: &ModelFolder) -> Result<ModelFindings> {
     let world = folder.world_model()?;
     let mut header = Header::of(&world.name, &world.hash, &world.space.name);

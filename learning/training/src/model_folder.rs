@@ -1,4 +1,4 @@
-//! The folder of a model whose parts are trained one after the other.
+//! The folder of a model whose parts are trained in sequence.
 
 use std::path::Path;
 

@@ -1,9 +1,9 @@
-//! What every training steps with: AdamW with decoupled weight decay, clipping by the global norm, an exponential moving
-//! average of the weights, and a learning rate that warms up and then follows a cosine.
+//! The optimiser of every training: AdamW with decoupled weight decay, clipping by the global norm, an exponential
+//! moving average of the weights, and a learning rate with warm-up and cosine decay.
 //!
-//! The state is plain `f32` buffers in the order of the parameters; randomness is derived from (seed, step)
-//! (see [`step_rng`]), so that a checkpoint is the buffers and the step alone, and a resumed run equals an
-//! uninterrupted one bit for bit.
+//! The state is plain `f32` buffers in the order of the parameters. Random numbers depend on (seed, step) only (see
+//! [`step_rng`]). So a checkpoint consists of the buffers and the step, and a resumed run equals an uninterrupted one
+//! bit for bit.
 
 mod checkpoint;
 mod schedule;
@@ -18,41 +18,41 @@ use thiserror::Error;
 pub use schedule::Schedule;
 pub use variables::Variables;
 
-/// Why an optimiser step, or a checkpoint, was refused.
+/// A rejected optimiser step or checkpoint.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum OptimiserError {
-    /// A parameter got no gradient: some operation on its way to the loss does not propagate one.
+    /// A parameter without gradient: some operation on its path to the loss drops it.
     #[error(
         "parameter `{0}` got no gradient: an operation between it and the loss drops gradients"
     )]
     NoGradient(String),
-    /// The gradient holds a NaN or an infinity.
+    /// A gradient with a NaN or an infinity.
     #[error(
         "the gradient of step {step} is not finite (norm {norm}); first in parameter `{parameter}`"
     )]
     NotFinite {
-        /// The step, from 0.
+        /// Step, from 0.
         step: u64,
-        /// The global norm.
+        /// Global norm.
         norm: f64,
-        /// The first parameter, by name, whose gradient is not finite.
+        /// The first parameter, by name, with such a gradient.
         parameter: String,
     },
-    /// The checkpoint is of a training with other settings or data.
+    /// A checkpoint of other settings or data.
     #[error("{path} is the checkpoint of another training:{}", listed(.differences))]
     OtherTraining {
-        /// The file.
+        /// Path of the file.
         path: String,
-        /// What differs, a line each.
+        /// Differences, one per line.
         differences: Vec<String>,
     },
-    /// A checkpoint does not fit the model.
+    /// A checkpoint that does not fit the model.
     #[error("checkpoint {path}: {what}")]
     Checkpoint {
-        /// The file.
+        /// Path of the file.
         path: String,
-        /// What was expected and what came.
+        /// Expected and found.
         what: String,
     },
 }
@@ -72,9 +72,9 @@ pub struct AdamWSettings {
     pub epsilon: f64,
     /// Decoupled weight decay, multiplied by the learning rate.
     pub weight_decay: f64,
-    /// The gradient is scaled down to this global norm.
+    /// Greatest global norm of the gradient.
     pub clip_norm: f64,
-    /// Decay of the moving average of the weights; early steps use (1 + t) / (10 + t) where that is smaller.
+    /// Decay of the moving average of the weights; early steps use (1 + t) / (10 + t) if smaller.
     pub ema_decay: f64,
 }
 
@@ -91,7 +91,7 @@ impl Default for AdamWSettings {
     }
 }
 
-/// A tensor that is trained, as it is at step 0.
+/// A trained tensor at step 0.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Parameter {
     /// Name, as in the weights file.
@@ -100,11 +100,11 @@ pub struct Parameter {
     pub shape: Vec<usize>,
     /// Values in row-major order.
     pub values: Vec<f32>,
-    /// Which of the optimiser's [`Group`]s it belongs to.
+    /// Index of its [`Group`].
     pub group: usize,
 }
 
-/// Parameters that have a learning rate of their own, and whose gradient is clipped apart from the others'.
+/// Parameters with their own learning rate and gradient clipping.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Group {
     /// Factor on the learning rate.
@@ -117,9 +117,9 @@ impl Default for Group {
     }
 }
 
-/// A tensor as it is now.
+/// Current values of a trained tensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Trained<'a> {
+pub struct ParameterValues<'a> {
     /// Name, as in the weights file.
     pub name: &'a str,
     /// Shape.
@@ -148,13 +148,14 @@ pub struct AdamW {
 }
 
 impl AdamW {
-    /// An optimiser of `parameters`, all in one group, at step 0, whose moving average starts at the present values.
-    #[must_use]
-    pub fn new(parameters: Vec<Parameter>, settings: AdamWSettings) -> Self {
+    /// [`Self::in_groups`] with one group.
+    #[cfg(test)]
+    pub(crate) fn new(parameters: Vec<Parameter>, settings: AdamWSettings) -> Self {
         Self::in_groups(parameters, vec![Group::default()], settings)
     }
 
-    /// The same with several groups; a parameter of a group that is not there belongs to the last one.
+    /// An optimiser of `parameters` at step 0, whose moving average starts at their values. Parameters of unknown groups
+    /// belong to the last one.
     #[must_use]
     pub fn in_groups(
         parameters: Vec<Parameter>,
@@ -180,30 +181,28 @@ impl AdamW {
         }
     }
 
-    /// Steps so far, those included that were skipped.
+    /// Steps so far, including skipped ones.
     #[must_use]
     pub fn steps_taken(&self) -> u64 {
         self.step
     }
 
-    /// Steps that were skipped.
+    /// Skipped steps.
     #[must_use]
     pub fn steps_skipped(&self) -> u64 {
         self.skipped
     }
 
-    /// Counts a step that changes nothing, because its loss or its gradient is not finite: the next one draws other
-    /// samples.
+    /// Counts a step without effect, because its loss or gradient is not finite; the next one draws other samples.
     pub fn skip(&mut self) {
         self.step += 1;
         self.skipped += 1;
     }
 
-    /// One step along `gradients`, one for each parameter in their order, in row-major order; gives the gradient's
-    /// global norm before clipping.
+    /// Steps along `gradients`, one per parameter in order, row-major; returns the global norm before clipping.
     ///
     /// # Errors
-    /// When a gradient is missing, has another length than its parameter or is not finite; nothing is changed then.
+    /// If a gradient is missing, has another length than its parameter or is not finite; nothing changes then.
     pub fn step(
         &mut self,
         gradients: &[Vec<f32>],
@@ -220,6 +219,7 @@ impl AdamW {
             .collect();
         let norm = squares.iter().sum::<f64>().sqrt();
         if !norm.is_finite() {
+            // Without a name, only the sum of all squares is infinite.
             let parameter = self
                 .parameters
                 .iter()
@@ -236,14 +236,14 @@ impl AdamW {
 
         self.step += 1;
         let settings = &self.settings;
-        // A skipped step has moved no moment.
+        // Skipped steps have not changed the moments.
         let step = (self.step - self.skipped) as f64;
         let (beta1, beta2) = (settings.beta1 as f32, settings.beta2 as f32);
         let first_correction = (1.0 - settings.beta1.powf(step)) as f32;
         let second_correction = (1.0 - settings.beta2.powf(step)) as f32;
         let epsilon = settings.epsilon as f32;
         let ema_decay = settings.ema_decay.min((1.0 + step) / (10.0 + step)) as f32;
-        // (scale of the gradient, learning rate after bias correction, decay of the weights)
+        // Per group: gradient scale, bias-corrected learning rate, weight decay.
         let of_groups: Vec<[f32; 3]> = (self.groups.iter().enumerate())
             .map(|(group, Group { rate })| {
                 let own = self.parameters.iter().zip(&squares);
@@ -262,6 +262,7 @@ impl AdamW {
             .par_iter_mut()
             .zip(gradients.par_iter())
             .for_each(|(parameter, gradient)| {
+                // `in_groups` has bounded the index; the default would change nothing.
                 let of_group = of_groups.get(parameter.group).copied();
                 let [scale, rate, decay] = of_group.unwrap_or([0.0, 0.0, 1.0]);
                 let moments = parameter
@@ -283,18 +284,18 @@ impl AdamW {
         Ok(norm)
     }
 
-    /// Every parameter as it is now, in their order.
-    pub fn weights(&self) -> impl Iterator<Item = Trained<'_>> {
-        self.parameters.iter().map(|parameter| Trained {
+    /// Current values of all parameters, in order.
+    pub fn weights(&self) -> impl Iterator<Item = ParameterValues<'_>> {
+        self.parameters.iter().map(|parameter| ParameterValues {
             name: &parameter.name,
             shape: &parameter.shape,
             values: &parameter.weights,
         })
     }
 
-    /// The moving average of every parameter, in their order.
-    pub fn averaged(&self) -> impl Iterator<Item = Trained<'_>> {
-        self.parameters.iter().map(|parameter| Trained {
+    /// Moving averages of all parameters, in order.
+    pub fn averaged(&self) -> impl Iterator<Item = ParameterValues<'_>> {
+        self.parameters.iter().map(|parameter| ParameterValues {
             name: &parameter.name,
             shape: &parameter.shape,
             values: &parameter.ema,
@@ -309,8 +310,7 @@ impl AdamW {
     }
 }
 
-/// The random numbers of step `step`: a stream of its own for each, so that a resumed run draws what an uninterrupted
-/// one would.
+/// Random numbers of step `step`, an independent stream per step, so that resumed runs equal uninterrupted ones.
 #[must_use]
 pub fn step_rng(seed: u64, step: u64) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -346,7 +346,7 @@ mod tests {
             .collect()
     }
 
-    /// The gradient of the sum of squares.
+    /// Gradient of the sum of squares.
     fn slope(optimiser: &AdamW) -> Vec<Vec<f32>> {
         vec![now(optimiser).iter().map(|w| 2. * w).collect()]
     }
@@ -359,14 +359,14 @@ mod tests {
     }
 
     #[test]
-    fn one_step_is_adamw_worked_by_hand() {
+    fn step_matches_adamw_by_hand() {
         let mut optimiser = quadratic(AdamWSettings {
             clip_norm: 1e9,
             ..Default::default()
         });
         let norm = optimiser.step(&slope(&optimiser), 0.1).unwrap();
         assert!((norm - (36f64 + 16. + 1.).sqrt()).abs() < 1e-5);
-        // After bias correction the first step has length lr in the direction of the sign.
+        // With bias correction, the first step has length lr in the direction of the sign.
         let expected = [3., -2., 0.5].map(|w: f32| w * (1. - 0.1 * 2e-3) - 0.1 * w.signum());
         for (weight, expected) in now(&optimiser).iter().zip(expected) {
             assert!((weight - expected).abs() < 1e-6, "{weight} {expected}");
@@ -374,7 +374,7 @@ mod tests {
     }
 
     #[test]
-    fn groups_have_their_own_rate_and_their_own_clipping() {
+    fn groups_have_their_own_rate_and_clipping() {
         let mut parameters = at(&[1.]);
         parameters.extend(at(&[1.]).into_iter().map(|parameter| Parameter {
             name: "z".into(),
@@ -388,7 +388,7 @@ mod tests {
         };
         let groups = vec![Group::default(), Group { rate: 3.0 }];
         let mut optimiser = AdamW::in_groups(parameters, groups, settings);
-        // The first is clipped to 1, the second stays as it is.
+        // The first is clipped to 1, the second stays.
         optimiser.step(&[vec![100.], vec![0.5]], 0.1).unwrap();
         let moved: Vec<f32> = now(&optimiser).iter().map(|w| 1. - w).collect();
         assert!((moved[0] - 0.1 / 2.).abs() < 1e-5, "{moved:?}");
@@ -396,7 +396,7 @@ mod tests {
     }
 
     #[test]
-    fn a_resumed_run_equals_the_uninterrupted_one() {
+    fn resumed_run_equals_the_uninterrupted_one() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("checkpoint.safetensors");
         let schedule = Schedule::new(0.1, 5, 40, 0.1);
@@ -417,7 +417,7 @@ mod tests {
     }
 
     #[test]
-    fn what_differs_from_a_checkpoint_is_named_by_itself() {
+    fn differences_from_a_checkpoint_are_named() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("checkpoint.safetensors");
         let mut optimiser = quadratic(AdamWSettings::default());
@@ -445,7 +445,7 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_gradient_and_a_nan_are_named_and_change_nothing() {
+    fn missing_and_nan_gradients_are_named_without_effect() {
         let mut optimiser = quadratic(AdamWSettings::default());
         let error = optimiser.step(&[], 0.1).unwrap_err().to_string();
         assert!(error.contains("`w`"), "{error}");

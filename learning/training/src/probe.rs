@@ -1,8 +1,8 @@
-//! Training of the success probe: whether an episode shows what its instruction asks for (the paper, appendix B.7), by
-//! binary cross-entropy on the latents of a frozen encoder.
+//! Training of the success probe, which decides whether an episode follows its instruction (the paper, appendix B.7),
+//! by binary cross-entropy on the latents of a frozen encoder.
 //!
-//! Samples are successes, failures, and successes under another episode's instruction. The weights that are kept are the
-//! best of all validations, not the last.
+//! Samples are successes, failures, and successes under another episode's instruction. The best weights of all
+//! validations are kept, not the last ones.
 
 mod arguments;
 mod episodes;
@@ -32,7 +32,7 @@ use wm_zoo::{
 
 use crate::{
     arguments::RunArgs,
-    optimiser::{Group, Parameter, Trained, Variables},
+    optimiser::{Group, Parameter, ParameterValues, Variables},
     run::{StepLoss, Task},
     trained_weights::trained_weights,
     transition::normals,
@@ -46,11 +46,11 @@ use things::Things;
 
 pub use recipe::{ProbeKind, ProbeModelRecipe, ProbeRecipe, RECIPES};
 
-/// Episodes of a validation at most: the same ones each time, since they decide which weights are kept.
+/// Most episodes of a validation; always the same ones, since they select the weights.
 const EPISODES: usize = 700;
-/// Metadata key of the figures that the weights were chosen by.
+/// Metadata key of the figures that selected the weights.
 const VALIDATION_KEY: &str = "validation";
-/// Metadata key of the camera frames between two frames that the probe reads.
+/// Metadata key of the camera frames between frames of the probe.
 const FRAME_SKIP_KEY: &str = "frame_skip";
 
 /// A success probe in training.
@@ -60,22 +60,22 @@ struct ProbeTask<'a> {
     train: &'a Latents,
     episodes: Episodes<'a>,
     held_out: Option<Episodes<'a>>,
-    /// Where things are, for a probe that looks for them.
+    /// Locations of things, for a grounded probe.
     things: Option<Things<'a>>,
     config: ProbeNetworkConfig,
     text: Text,
     model: ProbeNetwork,
     variables: Variables,
-    /// Names of what was taken from another model.
+    /// Names of fine-tuned tensors.
     old: BTreeSet<String>,
     groups: Vec<Group>,
     device: Device,
     workers: Workers,
-    /// The weights that were averaged last, and where they would go.
+    /// The last averaged weights, and their file.
     candidate: Option<(WeightsBuilder, PathBuf)>,
     best: Option<Accuracy>,
     has_stepped: bool,
-    /// Where an earlier run of this training has left its best weights.
+    /// The best weights of an earlier run.
     earlier: Option<PathBuf>,
 }
 
@@ -197,7 +197,7 @@ impl<'a> ProbeTask<'a> {
         Ok(Tensor::stack(&losses, 0)?.mean_all()?)
     }
 
-    /// How well the weights that were averaged last do.
+    /// Accuracy of the last averaged weights.
     fn measure(&self, held_out: &Episodes<'_>) -> Result<Accuracy> {
         let (weights, _) = self.candidate.as_ref().context("nothing was written yet")?;
         let weights = Weights::from_bytes(FILE, weights.to_bytes())?;
@@ -214,7 +214,7 @@ impl<'a> ProbeTask<'a> {
         }
     }
 
-    /// Writes the candidate with the figures that it was chosen by.
+    /// Writes the candidate with the figures that selected it.
     fn keep(&mut self, found: Option<Accuracy>) -> Result<()> {
         let Some((weights, path)) = &mut self.candidate else {
             return Ok(());
@@ -226,13 +226,13 @@ impl<'a> ProbeTask<'a> {
     }
 }
 
-/// A number of places, of either sign and at most `most`.
+/// A number of places between -`most` and `most`.
 fn shift(most: usize, rng: &mut ChaCha8Rng) -> i64 {
     let most = most as i64;
     rng.random_range(-most..=most)
 }
 
-/// What lies at a place along `dim` moved `by` places on; behind it, the first or the last is repeated.
+/// Shifts along `dim` by `by` places; the border is repeated.
 fn shifted(latents: &Tensor, dim: usize, by: i64) -> Result<Tensor> {
     if by == 0 {
         return Ok(latents.clone());
@@ -243,18 +243,18 @@ fn shifted(latents: &Tensor, dim: usize, by: i64) -> Result<Tensor> {
     Ok(latents.contiguous()?.index_select(&from, dim)?)
 }
 
-/// Leaves the episodes out whose instruction has other words, and says so.
+/// Excludes episodes with unknown words in their instruction, and logs them.
 fn leave_out_unknown(episodes: &mut Episodes<'_>, words: &WordsConfig) {
     let unknown = episodes.leave_out(|instruction| words.encode(instruction).is_err());
     if !unknown.is_empty() {
         let unknown = unknown.join("; ");
         println!(
-            "left out of the measurement, since the probe does not know their words: {unknown}"
+            "excluded from the measurement, since the probe does not know their words: {unknown}"
         );
     }
 }
 
-/// What the weights of a probe answer, by way of `read` for instructions, where it reads them.
+/// Accuracy of a probe's weights; `read` reads instructions, if the probe needs them.
 fn accuracy(
     weights: &Weights,
     episodes: &Episodes<'_>,
@@ -274,7 +274,7 @@ fn accuracy(
     }
     let answer = |sample: &Sample| {
         let questions = sample.questions.iter();
-        // One that reads no instruction cannot refuse another episode's.
+        // A probe without instructions cannot reject another episode's.
         let questions =
             questions.filter(|question| probe.reads_instructions() || !question.is_mismatch);
         let answers = questions.map(|question| {
@@ -327,7 +327,7 @@ impl Task for ProbeTask<'_> {
         })
     }
 
-    fn assign(&mut self, weights: &mut dyn Iterator<Item = Trained<'_>>) -> Result<()> {
+    fn assign(&mut self, weights: &mut dyn Iterator<Item = ParameterValues<'_>>) -> Result<()> {
         if !self.has_stepped {
             // The run resumes.
             self.earlier = Some(self.out.join(FILE));
@@ -337,7 +337,7 @@ impl Task for ProbeTask<'_> {
 
     fn write(
         &mut self,
-        averaged: &mut dyn Iterator<Item = Trained<'_>>,
+        averaged: &mut dyn Iterator<Item = ParameterValues<'_>>,
         folder: &Path,
     ) -> Result<()> {
         let config = (PROBE_KEY, &self.config);
@@ -347,7 +347,7 @@ impl Task for ProbeTask<'_> {
         let path = folder.join(FILE);
         let is_there = path.is_file();
         self.candidate = Some((weights, path));
-        // With data to choose by, the validation decides.
+        // The validation decides, if any.
         if self.held_out.is_none() || !is_there {
             self.keep(None)?;
         }

@@ -1,8 +1,8 @@
-//! Recipes: every number of a training, in an annotated YAML file.
+//! Recipes: all settings of a training, in an annotated YAML file.
 //!
-//! `tiny` (for a CPU) and `paper` are part of the program, from `recipes/`; any file takes their place. A setting is
-//! overridden by its path, as `optimiser.learning_rate=1e-3`. Nothing is optional, so that a recipe tells all; the
-//! resolved one is written beside the weights.
+//! `tiny` (for a CPU) and `paper` are embedded from `recipes/`; any file may replace them. Settings are overridden by
+//! path, such as `optimiser.learning_rate=1e-3`. Nothing is optional, so that a recipe is complete; the resolved one is
+//! written beside the weights.
 
 mod span;
 
@@ -15,47 +15,47 @@ use thiserror::Error;
 use crate::optimiser::{AdamWSettings, Schedule};
 pub use span::Span;
 
-/// Why a recipe cannot be used.
+/// An unusable recipe.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum RecipeError {
-    /// The file cannot be read or written.
+    /// A file that cannot be read or written.
     #[error("{path}: {reason}")]
     Io {
-        /// The file.
+        /// Path of the file.
         path: String,
-        /// Why. No source, since the message has it.
+        /// Cause; not a `source`, since the message includes it.
         reason: std::io::Error,
     },
-    /// The file is no recipe of this training.
+    /// An invalid recipe file.
     #[error("recipe {recipe}: {reason}")]
     Malformed {
         /// Name or file of the recipe.
         recipe: String,
-        /// What is wrong, and where.
+        /// Fault with its location.
         reason: serde_yaml_ng::Error,
     },
-    /// There is no setting of this path.
-    #[error("recipe {recipe} has no setting `{path}`; at this place it has {there}")]
+    /// An unknown setting.
+    #[error("recipe {recipe} has no setting `{path}`; expected {there}")]
     Unknown {
         /// Name or file of the recipe.
         recipe: String,
-        /// What was asked for.
+        /// Requested path.
         path: String,
-        /// The settings that there are.
+        /// Known settings.
         there: String,
     },
-    /// This training has no recipe of this name.
+    /// An unknown recipe.
     #[error("recipe {recipe}: expected {names}, or a YAML file")]
     NoSuchRecipe {
-        /// What was asked for.
+        /// Requested name.
         recipe: String,
-        /// The recipes that there are.
+        /// Known names.
         names: String,
     },
 }
 
-/// One setting overridden: `path.to.setting=value`, the value in YAML.
+/// An overridden setting: `path.to.setting=value`, with the value in YAML.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Override {
     path: String,
@@ -79,7 +79,7 @@ impl FromStr for Override {
 }
 
 impl Override {
-    /// `path` becomes `value`.
+    /// Sets `path` to `value`.
     pub fn new(path: &str, value: impl Into<Value>) -> Self {
         Self {
             path: path.to_owned(),
@@ -88,15 +88,17 @@ impl Override {
         }
     }
 
-    /// The first name of its path.
+    /// First name of the path.
     #[must_use]
     pub fn part(&self) -> &str {
+        // `split` gives at least one part.
         self.path.split('.').next().unwrap_or_default()
     }
 
-    /// The same without the first name of its path.
+    /// The override without the first name of its path.
     #[must_use]
     pub fn of_part(&self) -> Self {
+        // A path with a single name has no rest, which `load` reports.
         let (_, rest) = self.path.split_once('.').unwrap_or_default();
         Self {
             path: rest.to_owned(),
@@ -104,7 +106,7 @@ impl Override {
         }
     }
 
-    /// `path` becomes `value` where the recipe leaves it open (null).
+    /// Sets `path` to `value` if the recipe leaves it open (null).
     pub fn if_open(path: &str, value: impl Into<Value>) -> Self {
         Self {
             only_if_null: true,
@@ -137,13 +139,13 @@ fn keys(place: &Value) -> String {
     keys.collect::<Vec<_>>().join(", ")
 }
 
-/// The recipes of one training that are part of the program: name and YAML.
+/// Embedded recipes of one training: name and YAML.
 pub type Bundled = &'static [(&'static str, &'static str)];
 
-/// Reads the recipe `choice`, a name in `bundled` or a file, with some settings overridden.
+/// Reads the recipe `choice` (a name in `bundled`, or a file) with overridden settings.
 ///
 /// # Errors
-/// When there is no such recipe or setting, or a value is missing, unknown or of the wrong type.
+/// For an unknown recipe or setting, or a missing, unknown or mistyped value.
 pub fn load<R: DeserializeOwned>(
     bundled: Bundled,
     choice: &str,
@@ -173,7 +175,7 @@ pub fn load<R: DeserializeOwned>(
     for setting in overrides {
         setting.apply(choice, &mut value)?;
     }
-    // By way of text: the error for a wrong value then tells the path to it.
+    // Through text, so that an error names the path of the value.
     let text = serde_yaml_ng::to_string(&value).map_err(malformed)?;
     serde_yaml_ng::from_str(&text).map_err(malformed)
 }
@@ -181,15 +183,16 @@ pub fn load<R: DeserializeOwned>(
 /// Writes a resolved recipe as `folder/NAME.recipe.yaml`.
 ///
 /// # Errors
-/// When the file cannot be written.
+/// If the file cannot be written.
 pub fn write(folder: &Path, name: &str, recipe: &impl Serialize) -> Result<(), RecipeError> {
     let path = folder.join(format!("{name}.recipe.yaml"));
     let text = serde_yaml_ng::to_string(recipe).map_err(|reason| RecipeError::Malformed {
         recipe: name.to_owned(),
         reason,
     })?;
-    let text =
-        format!("# What `wm train {name}` was run with: pass it as --recipe to repeat it.\n{text}");
+    let text = format!(
+        "# Settings of `wm train {name}`: pass this file as --recipe to repeat it.\n{text}"
+    );
     std::fs::create_dir_all(folder)
         .and_then(|()| std::fs::write(&path, text))
         .map_err(|reason| RecipeError::Io {
@@ -198,10 +201,10 @@ pub fn write(folder: &Path, name: &str, recipe: &impl Serialize) -> Result<(), R
         })
 }
 
-/// What of a recipe decides the result, step by step: all but how long it goes on and how often it saves.
+/// The parts of a recipe that affect each step: everything except the length and the times of saving.
 ///
 /// # Errors
-/// When a value cannot be told in JSON.
+/// If a value cannot be written as JSON.
 pub fn identity(recipe: &impl Serialize) -> Result<serde_json::Value, serde_json::Error> {
     let mut identity = serde_json::to_value(recipe)?;
     if let Some(settings) = identity.as_object_mut() {
@@ -214,22 +217,22 @@ pub fn identity(recipe: &impl Serialize) -> Result<serde_json::Value, serde_json
 
 /// A recipe of a training.
 pub trait Recipe: Serialize {
-    /// What every recipe has.
+    /// Settings common to all recipes.
     fn course(&self) -> Course<'_>;
 }
 
-/// What every recipe has.
+/// Settings common to all recipes.
 #[derive(Clone, Copy, Debug)]
 pub struct Course<'a> {
-    /// How long to train.
+    /// Length of the training.
     pub length: Span,
-    /// Samples a step.
+    /// Samples per step.
     pub batch: usize,
     /// Steps between validations.
     pub validate_every: u64,
     /// Wall-clock time between checkpoints \[s\].
     pub checkpoint_seconds: u64,
-    /// How to step.
+    /// Optimiser settings.
     pub optimisation: &'a Optimisation,
 }
 
@@ -241,7 +244,16 @@ impl Course<'_> {
     }
 }
 
-/// Makes a struct with the fields of a [`Course`] a [`Recipe`].
+/// Checks that a batch of at least one sample splits into small batches of `micro_batch`.
+pub(crate) fn check_batch(batch: usize, micro_batch: usize) -> anyhow::Result<()> {
+    anyhow::ensure!(
+        batch > 0 && micro_batch > 0 && batch.is_multiple_of(micro_batch),
+        "batch {batch} cannot be split into parts of micro_batch {micro_batch}"
+    );
+    Ok(())
+}
+
+/// Implements [`Recipe`] for a struct with the fields of a [`Course`].
 macro_rules! is_recipe {
     ($recipe:ty) => {
         impl $crate::recipe::Recipe for $recipe {
@@ -260,15 +272,15 @@ macro_rules! is_recipe {
 
 pub(crate) use is_recipe;
 
-/// How a training steps.
+/// Optimiser settings of a training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Optimisation {
     /// Highest learning rate.
     pub learning_rate: f64,
-    /// Over which the learning rate rises.
+    /// Length of the warm-up.
     pub warm_up: Span,
-    /// Last learning rate as a fraction of the highest; it falls along half a cosine.
+    /// Last learning rate as a fraction of the highest; the decay is half a cosine.
     pub final_rate: f64,
     /// Decay of the first moment.
     pub beta1: f64,
@@ -278,14 +290,14 @@ pub struct Optimisation {
     pub epsilon: f64,
     /// Decoupled weight decay, multiplied by the learning rate.
     pub weight_decay: f64,
-    /// The gradient is scaled down to this global norm.
+    /// Greatest global norm of the gradient.
     pub clip_norm: f64,
-    /// Decay of the moving average of the weights, which is what is saved.
+    /// Decay of the moving average of the weights, which is saved.
     pub ema_decay: f64,
 }
 
 impl Optimisation {
-    /// The optimiser's settings.
+    /// Settings of the optimiser.
     #[must_use]
     pub fn adamw(&self) -> AdamWSettings {
         AdamWSettings {
@@ -298,7 +310,7 @@ impl Optimisation {
         }
     }
 
-    /// The learning rates of `steps` steps, of which an epoch has `per_epoch`.
+    /// Learning rates of `steps` steps, with `per_epoch` steps per epoch.
     #[must_use]
     pub fn schedule(&self, steps: u64, per_epoch: f64) -> Schedule {
         let warm_up = self.warm_up.steps(per_epoch);
@@ -342,7 +354,7 @@ mod tests {
     }
 
     #[test]
-    fn every_setting_is_overridden_by_its_path() {
+    fn settings_are_overridden_by_path() {
         assert_eq!(overridden("inner.rate=2e-4").unwrap().inner.rate, 2e-4);
         assert_eq!(overridden("inner.width=64").unwrap().inner.width, Some(64));
         let length = overridden("length=30 steps").unwrap().length;
@@ -350,7 +362,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_named() {
+    fn faults_are_named() {
         let error = overridden("inner.rates=1").unwrap_err().to_string();
         assert!(
             error.contains("inner.rates") && error.contains("rate, width"),
@@ -366,7 +378,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_resolved_is_a_recipe_again() {
+    fn resolved_recipe_is_a_recipe() {
         let dir = tempfile::tempdir().unwrap();
         let recipe = overridden("inner.width=64").unwrap();
         write(dir.path(), "autoencoder", &recipe).unwrap();

@@ -1,11 +1,11 @@
-//! The run of every training: steps, checkpoints, validation, progress, and a clean end.
+//! Runs a training: steps, checkpoints, validation, progress, and a clean end.
 //!
-//! What is trained is a [`Task`]; the run knows neither the network nor the data. It resumes from a checkpoint that an
-//! earlier run of the same training left, saves on SIGINT and SIGTERM, skips steps whose loss is not finite, and keeps a
-//! journal (a line per step and per validation) with pictures of it, and event files for TensorBoard. All files begin with the task's name, so that the
-//! trainings of a model share its folder.
+//! A [`Task`] supplies network and data. The run resumes from a checkpoint of the same training, saves on SIGINT and
+//! SIGTERM, and skips steps with a loss that is not finite. It writes a journal (a line per step and validation) with
+//! pictures, and event files for TensorBoard. File names start with the task's name, so that trainings may share a
+//! folder.
 //!
-//! The model is written at each validation, at a stop and at the end; before the end, with the mark [`Unfinished`].
+//! The model is written at each validation, on stop and at the end; until the end, it has the mark [`Unfinished`].
 
 mod events;
 mod journal;
@@ -21,7 +21,9 @@ use anyhow::{Context as _, Result, bail};
 use image::RgbImage;
 use serde_json::Value;
 
-use crate::optimiser::{AdamW, AdamWSettings, Group, OptimiserError, Parameter, Schedule, Trained};
+use crate::optimiser::{
+    AdamW, AdamWSettings, Group, OptimiserError, Parameter, ParameterValues, Schedule,
+};
 use events::Events;
 pub use journal::Journal;
 use progress::Progress;
@@ -29,26 +31,26 @@ pub use stop::Stop;
 use wm_evaluation::Figure;
 use wm_zoo::Unfinished;
 
-/// Steps in a row whose loss is not finite, after which a run gives up.
+/// Consecutive steps without a finite loss that end a run.
 const MOST_SKIPPED: u32 = 10;
 
 /// The loss of a step and its gradient.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StepLoss {
-    /// What is minimised.
+    /// The minimised value.
     pub loss: f32,
-    /// Parts of the loss worth following, by name.
+    /// Notable parts of the loss, by name.
     pub parts: Vec<(&'static str, f64)>,
-    /// The gradient by each parameter, in the order of [`Task::parameters`].
+    /// Gradient by parameter, in the order of [`Task::parameters`].
     pub gradient: Vec<Vec<f32>>,
 }
 
-/// What a run trains.
+/// A training task.
 pub trait Task {
-    /// What is trained, in a word; its files begin with it.
+    /// Name of the task, and prefix of its files.
     fn name(&self) -> &'static str;
 
-    /// The files that [`Self::write`] writes into its folder.
+    /// Files that [`Self::write`] writes into its folder.
     fn files(&self) -> &'static [&'static str];
 
     /// The parameters at step 0.
@@ -57,44 +59,46 @@ pub trait Task {
     /// If they cannot be made.
     fn parameters(&self) -> Result<Vec<Parameter>>;
 
-    /// The groups that the parameters belong to.
+    /// Groups of the parameters.
     fn groups(&self) -> Vec<Group> {
         vec![Group::default()]
     }
 
-    /// The loss and gradient of the samples of step `step`, which depend on it and the seed alone.
+    /// Loss and gradient of the samples of step `step`, which depend only on the step and the seed.
     ///
     /// # Errors
-    /// If data or network fail; a loss that is not finite is no error.
+    /// If data or network fail; a loss that is not finite is not an error.
     fn step(&mut self, step: u64) -> Result<StepLoss>;
 
-    /// Takes over the parameters after a step.
+    /// Assigns the parameters after a step.
     ///
     /// # Errors
     /// If they do not fit.
-    fn assign(&mut self, weights: &mut dyn Iterator<Item = Trained<'_>>) -> Result<()>;
+    fn assign(&mut self, weights: &mut dyn Iterator<Item = ParameterValues<'_>>) -> Result<()>;
 
-    /// Takes over the averaged parameters after a step, for a training whose targets they make.
+    /// Assigns the averaged parameters after a step, for trainings with targets from them.
     ///
     /// # Errors
     /// If they do not fit.
-    fn assign_averaged(&mut self, averaged: &mut dyn Iterator<Item = Trained<'_>>) -> Result<()> {
+    fn assign_averaged(
+        &mut self,
+        averaged: &mut dyn Iterator<Item = ParameterValues<'_>>,
+    ) -> Result<()> {
         let _ = averaged;
         Ok(())
     }
 
-    /// Writes the files of the model with the averaged parameters into `folder`.
+    /// Writes the model's files with the averaged parameters into `folder`.
     ///
     /// # Errors
     /// If a file cannot be written.
     fn write(
         &mut self,
-        averaged: &mut dyn Iterator<Item = Trained<'_>>,
+        averaged: &mut dyn Iterator<Item = ParameterValues<'_>>,
         folder: &Path,
     ) -> Result<()>;
 
-    /// Figures of the model that was written last, on validation data where there are any. `thorough` at the last step:
-    /// on all of them.
+    /// Figures of the model written last, on validation data if any. `thorough` at the last step: on all of them.
     ///
     /// # Errors
     /// If data or network fail.
@@ -103,7 +107,7 @@ pub trait Task {
         Ok(Vec::new())
     }
 
-    /// Samples of the model that was written last, as a picture.
+    /// A picture with samples of the model written last.
     ///
     /// # Errors
     /// If data or network fail.
@@ -112,12 +116,12 @@ pub trait Task {
     }
 }
 
-/// How to run a training.
+/// Settings of a run.
 #[derive(Clone, Debug)]
 pub struct RunSettings {
     /// Folder of all files.
     pub out: PathBuf,
-    /// Steps in all.
+    /// Number of steps.
     pub steps: u64,
     /// Learning rates.
     pub schedule: Schedule,
@@ -127,26 +131,26 @@ pub struct RunSettings {
     pub checkpoint_every: Duration,
     /// Steps between validations.
     pub validate_every: u64,
-    /// What decides the result besides the number of steps: recipe and data. A checkpoint of another identity is
-    /// refused.
+    /// Everything that affects the result except the number of steps: recipe and data. Checkpoints of another identity are
+    /// rejected.
     pub identity: Value,
 }
 
-/// How a run ended.
+/// End of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Ended {
-    /// With its last step.
+pub enum RunEnd {
+    /// After the last step.
     Finished,
-    /// Before, as it was asked to; it resumes from its checkpoint.
+    /// Earlier, on request; it resumes from its checkpoint.
     Stopped,
 }
 
-/// Trains `task` to the last step, or until `stop` asks for the end.
+/// Trains `task` to the last step, or until `stop` is set.
 ///
 /// # Errors
-/// If the checkpoint in the folder is of another training, data or network fail, a file cannot be written, or the loss
-/// of ten steps in a row is not finite (the last good checkpoint stays).
-pub fn train(task: &mut dyn Task, settings: &RunSettings, stop: &Stop) -> Result<Ended> {
+/// If the folder has a checkpoint of another training, data or network fail, a file cannot be written, or ten
+/// consecutive losses are not finite (the last good checkpoint stays).
+pub fn train(task: &mut dyn Task, settings: &RunSettings, stop: &Stop) -> Result<RunEnd> {
     let out = &settings.out;
     std::fs::create_dir_all(out).with_context(|| out.display().to_string())?;
     let mut run = Run::new(task, settings)?;
@@ -164,14 +168,14 @@ pub fn train(task: &mut dyn Task, settings: &RunSettings, stop: &Stop) -> Result
                 false => "among steps that are not finite, with the checkpoint from before them,",
             };
             println!("stopped {saved} after step {done} of {all}; the same command resumes");
-            // Without a checkpoint of them the weights would be in the way of the next run; at step 0 they are noise.
+            // Without their checkpoint, the weights would block the next run; at step 0 they are noise.
             if is_saved
                 && done > 0
                 && let Err(error) = run.write()
             {
                 tracing::warn!("what is saved is not written as a model: {error:#}");
             }
-            return Ok(Ended::Stopped);
+            return Ok(RunEnd::Stopped);
         }
         let line = run.step()?;
         progress.step(&line);
@@ -189,21 +193,21 @@ pub fn train(task: &mut dyn Task, settings: &RunSettings, stop: &Stop) -> Result
     }
     drop(progress);
     if !run.has_written {
-        // An earlier run took the last step, and ended before it could write.
+        // An earlier run took the last step, but ended before writing.
         run.write()?;
     }
-    Ok(Ended::Finished)
+    Ok(RunEnd::Finished)
 }
 
-/// The checkpoint of the training `name` in its folder.
+/// Checkpoint of the training `name` in its folder.
 pub(crate) fn checkpoint(out: &Path, name: &str) -> PathBuf {
     out.join(format!("{name}.checkpoint.safetensors"))
 }
 
-/// A training that begins must not replace files that are not its own, as the model that it begins from.
+/// Ensures that a new training replaces no foreign files, such as the model that it starts from.
 ///
 /// # Errors
-/// Names the first of `files` that is in `out`.
+/// Names the first of `files` that exists in `out`.
 pub(crate) fn expect_nothing_to_overwrite(out: &Path, files: &[&str]) -> Result<()> {
     let mut paths = files.iter().map(|file| out.join(file));
     if let Some(path) = paths.find(|path| path.exists()) {
@@ -221,7 +225,7 @@ struct Run<'a> {
     optimiser: AdamW,
     journal: Journal,
     events: Events,
-    /// Steps in a row that were not finite.
+    /// Consecutive steps that were not finite.
     in_a_row: u32,
     has_written: bool,
 }
@@ -289,7 +293,7 @@ impl<'a> Run<'a> {
         );
     }
 
-    /// One step; what to say of it.
+    /// Takes one step; returns its message.
     fn step(&mut self) -> Result<String> {
         let step = self.optimiser.steps_taken();
         let rate = self.settings.schedule.at(step);
@@ -336,7 +340,8 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// Writes checkpoint and journal; whether it did. Not while steps are skipped: what is kept is then from before.
+    /// Writes checkpoint and journal, except while steps are skipped, to keep the earlier state; returns whether it
+    /// did.
     fn save(&mut self) -> Result<bool> {
         if self.in_a_row > 0 {
             return Ok(false);
@@ -348,7 +353,7 @@ impl<'a> Run<'a> {
         Ok(true)
     }
 
-    /// Writes the model, with the mark of an unfinished one before the last step.
+    /// Writes the model, with the mark of an unfinished one until the last step.
     fn write(&mut self) -> Result<()> {
         let (out, name) = (&self.settings.out, self.task.name());
         let (step, steps) = (self.optimiser.steps_taken(), self.settings.steps);
@@ -364,7 +369,7 @@ impl<'a> Run<'a> {
         Ok(())
     }
 
-    /// Writes the model and measures it; what to say of it.
+    /// Writes and measures the model; returns a message.
     fn validate(&mut self, is_last: bool) -> Result<String> {
         self.write()?;
         let figures = self.task.validate(is_last)?;

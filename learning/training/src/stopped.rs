@@ -1,4 +1,4 @@
-//! What there is of a model whose training was stopped, and what can be done with it.
+//! The state of a model after its training was stopped, and its possible uses.
 
 use std::{fmt::Write as _, path::Path};
 
@@ -7,21 +7,20 @@ use wm_zoo::{ModelFolder, Unfinished};
 
 use crate::run::checkpoint;
 
-/// What has become of a training's part.
+/// State of one part.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum State {
-    /// Its last step is taken.
+    /// The last step is done.
     Done,
-    /// There are weights, and steps to come.
+    /// Weights exist, and steps remain.
     Written(Unfinished),
-    /// There is a checkpoint, and nothing to run.
+    /// A checkpoint exists, but no weights.
     Begun,
-    /// There is nothing of it.
+    /// Nothing exists.
     NotBegun,
 }
 
-/// Says of the model in `out` how far the trainings `parts` are that make it, whether it can be run as it is, and how to go
-/// on with it.
+/// Describes the model in `out`: progress of the trainings `parts`, whether it can run, and how to continue.
 ///
 /// # Errors
 /// If the folder cannot be read.
@@ -42,20 +41,20 @@ pub fn summary(out: &Path, parts: &[&str]) -> Result<String> {
     if predicts {
         writeln!(
             text,
-            "It predicts, as well as it has learnt by now. To see what it is, and to run it on a recording:\n    \
+            "It can predict with its training so far. To inspect it, and to run it on a recording:\n    \
              wm model info {name}\n    \
              wm launch launch-configs/replay.launch.yaml model:={name} bag:=BAG"
         )?;
     } else if parts.contains(&"transition") && parts.len() > 1 {
         writeln!(
             text,
-            "There is no transition model yet: nothing can be predicted with it, and no launch takes it. A whole model, less \
-             trained, comes sooner from another --out with --share 0.05."
+            "There is no transition model yet, so it can neither predict nor be launched. For a complete model with less training, \
+             use another --out with --share 0.05."
         )?;
     }
     write!(
         text,
-        "To go on, run the same command again: the model becomes what it would have become without the stop."
+        "To continue, run the same command again; the model will equal that of an uninterrupted training."
     )?;
     Ok(text)
 }
@@ -76,7 +75,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_part_is_told_and_what_can_be_done() {
+    fn summary_has_all_parts_and_next_steps() {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path();
         let file = |name: &str| std::fs::write(out.join(name), "").unwrap();
@@ -111,7 +110,7 @@ mod tests {
             text.contains(&format!("model:={}", out.display())),
             "{text}"
         );
-        // Of a part by itself there is nothing to say of others.
+        // A part alone does not mention others.
         let text = summary(&out.join("idm"), &["idm"]).unwrap();
         assert!(!text.contains("transition"), "{text}");
     }

@@ -1,4 +1,4 @@
-//! The file of weights that a training leaves.
+//! Weights files of trainings.
 
 use anyhow::Result;
 use serde::Serialize;
@@ -9,20 +9,19 @@ use wm_model::{
 };
 use wm_motion::actions::ActionEncoding;
 
-use crate::optimiser::Trained;
+use crate::optimiser::ParameterValues;
 
 /// Weights are saved as half floats.
 pub(crate) const PRECISION: Precision = Precision::F16;
 
-/// A file with these tensors, of a network whose configuration belongs under `key`; of one that reads latents, with their
-/// `space`.
+/// A file with these tensors of a network with its configuration under `key`, and its latent `space`, if it reads latents.
 pub(crate) fn trained_weights(
-    tensors: &mut dyn Iterator<Item = Trained<'_>>,
+    tensors: &mut dyn Iterator<Item = ParameterValues<'_>>,
     (key, config): (&str, &impl Serialize),
     space: Option<&LatentSpace>,
 ) -> Result<WeightsBuilder> {
     let mut weights = WeightsBuilder::new();
-    for Trained {
+    for ParameterValues {
         name,
         shape,
         values,
@@ -37,9 +36,9 @@ pub(crate) fn trained_weights(
     Ok(weights)
 }
 
-/// The same for a network of actions.
+/// [`trained_weights`] of a network for actions.
 pub(crate) fn trained_weights_of_actions(
-    tensors: &mut dyn Iterator<Item = Trained<'_>>,
+    tensors: &mut dyn Iterator<Item = ParameterValues<'_>>,
     config: (&str, &impl Serialize),
     space: &LatentSpace,
     actions: &ActionEncoding,

@@ -1,9 +1,9 @@
 //! Training of the transition model on the latents of a frozen encoder.
 //!
-//! Flow matching on clips of model steps: the first frames are history, the later ones are learned, each at a random noise
-//! level of its own. What they see of one another is the recipe's: clean predecessors (teacher forcing), or one another's
-//! noisy frames (diffusion forcing, the paper's). A step's clips are split into small batches whose activations stay in
-//! cache; see [`Workers`].
+//! Flow matching on clips of model steps: the first frames are history, the later ones are learned, each at its own
+//! random noise level. By the recipe, they see clean predecessors (teacher forcing), or each other's noisy frames
+//! (diffusion forcing, the paper's). A step's clips are split into small batches whose activations stay in cache; see
+//! [`Workers`].
 
 mod arguments;
 mod noised_at_once;
@@ -32,8 +32,8 @@ use crate::{
     arguments::RunArgs,
     fresh_weights::FreshWeights,
     model_folder::carry_encoder,
-    optimiser::{Group, Parameter, Trained, Variables},
-    run::{Ended, StepLoss, Stop, Task},
+    optimiser::{Group, Parameter, ParameterValues, Variables},
+    run::{RunEnd, StepLoss, Stop, Task},
     trained_weights::trained_weights_of_actions,
     workers::{BatchLoss, Batches, Workers},
 };
@@ -42,28 +42,28 @@ pub(crate) use objective::{Batch, normals};
 pub use objective::{Forcing, Objective, ObjectiveRecipe, TauDistribution};
 pub use recipe::{ModelRecipe, RECIPES, SamplerRecipe, TransitionRecipe};
 
-/// Model steps that are predicted in an evaluation.
+/// Predicted model steps of an evaluation.
 pub(crate) const HORIZON: usize = 8;
-/// Windows of the evaluations during the training.
+/// Windows of evaluations during the training.
 pub(crate) const QUICK_WINDOWS: usize = 32;
-/// The weights' file in a model's folder.
+/// File of the weights in a model's folder.
 pub(crate) const FILE: &str = "transition.safetensors";
 
 impl TrainTransitionArgs {
-    /// The recipe that these arguments ask for.
+    /// The recipe with overrides.
     ///
     /// # Errors
-    /// Names what is wrong in it.
+    /// Names an invalid setting.
     pub fn recipe(&self) -> Result<TransitionRecipe> {
         let run = &self.run;
         Ok(crate::recipe::load(RECIPES, &run.recipe, &run.overrides())?)
     }
 
-    /// Trains until the last step, or until `stop` asks for the end.
+    /// Trains until the last step, or until `stop` is set.
     ///
     /// # Errors
-    /// When data, recipe, checkpoint or weights cannot be read or written, or the training diverges.
-    pub fn run(&self, stop: &Stop) -> Result<Ended> {
+    /// If data, recipe, checkpoint or weights cannot be read or written, or the training diverges.
+    pub fn run(&self, stop: &Stop) -> Result<RunEnd> {
         let recipe = self.recipe()?;
         let folder = ModelFolder::open(&self.encoder)?;
         let on = self.run.encoded(&*folder.encoder()?)?;
@@ -78,7 +78,7 @@ impl TrainTransitionArgs {
     }
 }
 
-/// What decodes latents, and the frames that they are of.
+/// A decoder of latents, and their frames.
 pub(crate) type Pictures<'a> = (&'a dyn Decoder, &'a Dataset);
 
 pub(crate) fn train_on(
@@ -88,7 +88,7 @@ pub(crate) fn train_on(
     train: &Latents,
     held_out: Option<(&Latents, Option<Pictures<'_>>)>,
     stop: &Stop,
-) -> Result<Ended> {
+) -> Result<RunEnd> {
     let recipe = &recipe.of_views(train.views())?;
     let (encoding, config) = match &from {
         None => {
@@ -128,12 +128,12 @@ struct TransitionTask<'a> {
     clips: ClipSource<'a>,
     held_out: Option<HeldOut<'a>>,
     variables: Variables,
-    /// Names of what was taken from another model.
+    /// Names of fine-tuned tensors.
     old: BTreeSet<String>,
     groups: Vec<Group>,
     model: Transition,
     workers: Workers,
-    /// The model that was written last.
+    /// The model written last.
     written: Option<Transition>,
 }
 
@@ -209,13 +209,13 @@ impl Task for TransitionTask<'_> {
         })
     }
 
-    fn assign(&mut self, weights: &mut dyn Iterator<Item = Trained<'_>>) -> Result<()> {
+    fn assign(&mut self, weights: &mut dyn Iterator<Item = ParameterValues<'_>>) -> Result<()> {
         Ok(self.variables.assign(weights)?)
     }
 
     fn write(
         &mut self,
-        averaged: &mut dyn Iterator<Item = Trained<'_>>,
+        averaged: &mut dyn Iterator<Item = ParameterValues<'_>>,
         folder: &Path,
     ) -> Result<()> {
         let (config, space) = ((CONFIG_KEY, &self.config), self.train.space());
@@ -225,7 +225,7 @@ impl Task for TransitionTask<'_> {
             weights.metadata(TRAINED_ON_KEY, json!(size).to_string());
         }
         weights.write(&path)?;
-        // Of exactly what was written.
+        // From exactly the written file.
         self.written = Some(Transition::from_weights(Weights::open(&path)?)?);
         Ok(())
     }
@@ -259,11 +259,11 @@ impl Task for TransitionTask<'_> {
 }
 
 impl EvaluateTransitionArgs {
-    /// Prints latent errors against persistence for the true, the negated, no and another window's action, the PSNR of
-    /// the decoded pictures against that of the last frame held, and how well planning recovers actions.
+    /// Prints latent errors relative to persistence for true, negated, zero and shuffled actions, the PSNR of decoded
+    /// pictures against persistence, and the recovery of actions by planning.
     ///
     /// # Errors
-    /// When data or weights cannot be read.
+    /// If data or weights cannot be read.
     pub fn run(&self) -> Result<()> {
         let folder = ModelFolder::open(&self.encoder)?;
         let encoder = folder.encoder()?;
@@ -321,7 +321,7 @@ impl EvaluateTransitionArgs {
     }
 }
 
-/// What a model becomes that goes on with the latents and actions of `train`: its sizes and conventions stay.
+/// Encoding and configuration of a model fine-tuned on `train`: its sizes and conventions stay.
 fn tuned(from: &TransitionTensors, train: &Latents) -> Result<(ActionEncoding, TransitionConfig)> {
     let (old, actions, space) = (&from.encoding, train.action_space(), train.space());
     let null = old.action_dim() - old.space().len();
@@ -336,7 +336,7 @@ fn tuned(from: &TransitionTensors, train: &Latents) -> Result<(ActionEncoding, T
         latent_width: space.width,
         channels: space.channels,
         action_dim: encoding.action_dim(),
-        // Positions have no weights: those of further views are there at once.
+        // Positions have no weights, so further views need none.
         views: train.views(),
         ..from.config.clone()
     };

@@ -13,13 +13,13 @@ use crate::{
     run::StepLoss,
 };
 
-/// The loss of a small batch.
+/// Loss of a small batch.
 pub struct BatchLoss {
-    /// What is minimised: a scalar.
+    /// The minimised value, a scalar.
     pub loss: Tensor,
-    /// Parts of it worth following, by name, in the same order for every batch.
+    /// Notable parts by name, in the same order for all batches.
     pub parts: Vec<(&'static str, f64)>,
-    /// Gradients that do not come with the loss's own.
+    /// Gradients outside the loss's graph.
     pub gradients: WeightGradients,
 }
 
@@ -33,27 +33,27 @@ impl From<Tensor> for BatchLoss {
     }
 }
 
-/// Threads that each compute whole small batches by themselves.
+/// Threads that each compute whole small batches.
 ///
-/// Operations that are split over threads wait for each other at every layer; whole batches side by side do not.
+/// Operations split over threads wait for each other at every layer; whole batches in parallel do not.
 pub struct Workers {
-    /// One pool of one thread a worker, so that operations within do not spread.
+    /// One single-threaded pool per worker, so that operations do not spread.
     pools: Vec<ThreadPool>,
 }
 
-/// The batches of a step: how many, and the seed of their samples.
+/// Batches of a step, with the seed of their samples.
 #[derive(Clone, Copy, Debug)]
 pub struct Batches {
-    /// Small batches a step.
+    /// Number of small batches per step.
     pub count: usize,
     /// Seed.
     pub seed: u64,
-    /// The step.
+    /// Index of the step.
     pub step: u64,
 }
 
 impl Workers {
-    /// This many threads.
+    /// Starts `threads` threads.
     ///
     /// # Errors
     /// If it is 0, or they cannot be started.
@@ -65,14 +65,8 @@ impl Workers {
         Ok(Self { pools })
     }
 
-    /// Number of threads.
-    #[must_use]
-    pub fn threads(&self) -> usize {
-        self.pools.len()
-    }
-
-    /// The mean loss over one step's batches, and its gradient by `variables`. `loss` computes that of one batch, from
-    /// random numbers of its own: what comes out does not depend on the number of threads.
+    /// Mean loss over one step's batches, and its gradient by `variables`. `loss` computes one batch from its own
+    /// random numbers, so the result does not depend on the number of threads.
     ///
     /// # Errors
     /// If `loss` fails, or a variable has no gradient.
@@ -85,7 +79,7 @@ impl Workers {
         let Batches { count, seed, step } = batches;
         let next = AtomicUsize::new(0);
         let batch = |index: usize| -> Result<(BatchLoss, GradStore)> {
-            // A stream of its own for each batch, whichever worker takes it.
+            // An independent stream per batch, whichever worker takes it.
             let mut rng = step_rng(seed, step * count as u64 + index as u64);
             let mut found = loss(&mut rng)?;
             found.loss = (found.loss / count as f64)?;
@@ -127,7 +121,7 @@ impl Workers {
             }
             Ok(results)
         })?;
-        // In this order, sums do not depend on which worker was faster.
+        // Sorted, so that sums do not depend on the speed of workers.
         results.sort_by_key(|(index, _)| *index);
         let results = results.into_iter().map(|(_, result)| result);
         let mut results = results.collect::<Result<Vec<StepLoss>>>()?.into_iter();

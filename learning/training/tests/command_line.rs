@@ -1,4 +1,4 @@
-//! The program itself: a whole model from simulated bags, interrupted and taken up again.
+//! The whole program: trains a model from simulated bags, with interruptions.
 
 #![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
 
@@ -31,39 +31,39 @@ fn done(command: &mut Command) -> String {
     stdout
 }
 
-/// What a training tells that is sent a signal once it has taken steps of a part.
+/// Output of a training that receives a signal after steps of a part.
 fn stopped(command: &mut Command, signal: &str, part: &str) -> String {
-    // On a busy machine the signal may come before the first step, and nothing is trained. The next try goes on from there.
+    // On a busy machine the signal may arrive before the first step; the next try continues.
     let mut tries = (0..20).map(|_| stopped_at_once(command, signal, part));
-    let told = tries.find(|told| !told.contains("after step 0 of"));
-    told.expect("a step is taken before the signal comes")
+    let output = tries.find(|output| !output.contains("after step 0 of"));
+    output.expect("a step is taken before the signal comes")
 }
 
-/// The same, but the signal may come before the first step.
+/// [`stopped`], but the signal may arrive before the first step.
 fn stopped_at_once(command: &mut Command, signal: &str, part: &str) -> String {
     let mut training = command.stdout(Stdio::piped()).spawn().unwrap();
     let lines = BufReader::new(training.stdout.take().unwrap()).lines();
     let announced = format!("{part}:");
     let mut has_asked = false;
-    let mut told = String::new();
+    let mut output = String::new();
     for line in lines {
         let line = line.unwrap();
-        // It is said before the first step, in which the signal mostly comes.
+        // Printed before the first step, during which the signal usually arrives.
         if !has_asked && line.starts_with(&announced) {
             let pid = training.id().to_string();
             let asked = Command::new("kill").args(["-s", signal, &pid]).status();
             assert!(asked.unwrap().success());
             has_asked = true;
         }
-        told += &line;
-        told.push('\n');
+        output += &line;
+        output.push('\n');
     }
-    assert_eq!(training.wait().unwrap().code(), Some(130), "{told}");
-    assert!(told.contains("the same command resumes"), "{told}");
-    told
+    assert_eq!(training.wait().unwrap().code(), Some(130), "{output}");
+    assert!(output.contains("the same command resumes"), "{output}");
+    output
 }
 
-/// `wm train model` of every part with small networks and few steps.
+/// `wm train model` with all parts, small networks and few steps.
 fn train_model(data: &Path, cache: &Path, out: &Path) -> Command {
     let mut command = wm_training();
     command.args(["train", "model", "--threads", "2"]);
@@ -100,11 +100,11 @@ fn train_model(data: &Path, cache: &Path, out: &Path) -> Command {
 }
 
 #[test]
-fn a_model_is_trained_by_one_command_and_an_interrupted_one_gives_the_same_bytes() {
+fn interrupted_model_training_gives_the_same_bytes() {
     let scratch = tempfile::tempdir().unwrap();
     let at = |name: &str| scratch.path().join(name);
     let (bags, data, cache) = (at("bags"), at("data"), at("cache"));
-    // Long enough for a window of the transition's validation, and with failures for the probe.
+    // Long enough for a window of the transition's validation, with failures for the probe.
     let sim = [
         "sim",
         "--episodes",
@@ -127,51 +127,51 @@ fn a_model_is_trained_by_one_command_and_an_interrupted_one_gives_the_same_bytes
     assert!(summary.contains("6 bags"), "{summary}");
 
     let whole = at("whole");
-    let told = done(&mut train_model(&data, &cache, &whole));
-    assert!(told.contains("model:="), "{told}");
+    let output = done(&mut train_model(&data, &cache, &whole));
+    assert!(output.contains("model:="), "{output}");
 
-    // Stopped by a signal in its first part and in its second, and started again until it is through.
+    // Stopped in its first and second part, and restarted until complete.
     let parts = at("parts");
     let model = || ModelFolder::open(parts.to_str().unwrap()).unwrap();
-    let told = stopped(
+    let output = stopped(
         &mut train_model(&data, &cache, &parts),
         "INT",
         "autoencoder",
     );
-    assert!(told.contains("no transition model yet"), "{told}");
-    assert!(told.contains("transition   not begun"), "{told}");
+    assert!(output.contains("no transition model yet"), "{output}");
+    assert!(output.contains("transition   not begun"), "{output}");
     let [autoencoder] = &model().unfinished().unwrap()[..] else {
-        panic!("{told}");
+        panic!("{output}");
     };
     assert_eq!((&*autoencoder.part, autoencoder.steps), ("autoencoder", 20));
     assert!(
-        told.contains(&format!("autoencoder  {autoencoder}")),
-        "{told}"
+        output.contains(&format!("autoencoder  {autoencoder}")),
+        "{output}"
     );
     model().decoder().unwrap();
     assert!(model().require_transition().is_err());
 
-    let told = stopped(
+    let output = stopped(
         &mut train_model(&data, &cache, &parts),
         "TERM",
         "transition",
     );
-    assert!(told.contains("autoencoder  done"), "{told}");
-    assert!(told.contains("idm          not begun"), "{told}");
+    assert!(output.contains("autoencoder  done"), "{output}");
+    assert!(output.contains("idm          not begun"), "{output}");
     assert!(
-        told.contains(&format!("wm model info {}", parts.display())),
-        "{told}"
+        output.contains(&format!("wm model info {}", parts.display())),
+        "{output}"
     );
     let [transition] = &model().unfinished().unwrap()[..] else {
-        panic!("{told}");
+        panic!("{output}");
     };
     assert_eq!((&*transition.part, transition.steps), ("transition", 12));
-    // It is no less a model.
+    // It is still a model.
     model().world_model().unwrap();
 
-    let told = done(&mut train_model(&data, &cache, &parts));
-    assert!(model().unfinished().unwrap().is_empty(), "{told}");
-    assert!(told.contains("resumes after step"), "{told}");
+    let output = done(&mut train_model(&data, &cache, &parts));
+    assert!(model().unfinished().unwrap().is_empty(), "{output}");
+    assert!(output.contains("resumes after step"), "{output}");
     for file in [
         "autoencoder.safetensors",
         "transition.safetensors",
@@ -190,12 +190,12 @@ fn a_model_is_trained_by_one_command_and_an_interrupted_one_gives_the_same_bytes
     for part in ["autoencoder", "transition", "idm", "probe"] {
         let checkpoint = tuned.join(format!("{part}.checkpoint.safetensors"));
         let checkpoint = std::fs::read(&checkpoint).unwrap();
-        // Its header says what it began from.
+        // Its header has the origin.
         let header = String::from_utf8_lossy(&checkpoint[..checkpoint.len().min(1 << 16)]);
         assert!(header.contains(model), "{part} does not begin from {model}");
     }
 
-    // What was trained is measured by its own commands.
+    // Trained parts are measured by their own commands.
     let weights = |name: &str| whole.join(name).to_str().unwrap().to_owned();
     for (part, file) in [
         ("transition", "transition.safetensors"),
@@ -214,12 +214,12 @@ fn a_model_is_trained_by_one_command_and_an_interrupted_one_gives_the_same_bytes
         if part == "transition" {
             eval.args(["--plans", "1"]);
         }
-        let told = done(eval.arg("--cache").arg(&cache).arg("--data").arg(&bags));
-        assert!(!told.is_empty(), "{part}");
+        let output = done(eval.arg("--cache").arg(&cache).arg("--data").arg(&bags));
+        assert!(!output.is_empty(), "{part}");
     }
 }
 
-/// A training of a model on a semantic encoder: its name, where the model that it builds on is, and its settings.
+/// A training of a model on a semantic encoder: its name, the path of its base model, and its settings.
 type Stage = (
     &'static str,
     &'static [&'static str],
@@ -276,10 +276,10 @@ const STAGES: [Stage; 4] = [
     ),
 ];
 
-/// Each with a few steps, in one go and in two: the encoder, the adapter that compresses its features, the transition model
-/// of what it gives, which belongs into the adapter's folder, and a student of that.
+/// Each with a few steps, uninterrupted and interrupted: the encoder, the adapter of its features, the transition model of
+/// its latents in the adapter's folder, and a student.
 #[test]
-fn every_training_of_a_semantic_model_is_taken_up_again_to_the_same_bytes() {
+fn resumed_semantic_trainings_give_the_same_bytes() {
     let scratch = tempfile::tempdir().unwrap();
     let at = |name: &str| scratch.path().join(name);
     let (bags, cache) = (at("bags"), at("cache"));
@@ -291,7 +291,7 @@ fn every_training_of_a_semantic_model_is_taken_up_again_to_the_same_bytes() {
             let mut command = wm_training();
             command.args(["train", name, "--threads", "2", "--validation", "0"]);
             command.args(["--steps", &steps.to_string()]);
-            // With a learning rate that does not depend on the length, it makes no difference where a run paused.
+            // A learning rate that does not depend on the length, so that pauses do not matter.
             command.args(["--set", "optimisation.final_rate=1.0"]);
             command.args(["--set", "optimisation.warm_up=0 steps"]);
             for setting in settings {
@@ -329,7 +329,7 @@ fn every_training_of_a_semantic_model_is_taken_up_again_to_the_same_bytes() {
 }
 
 #[test]
-fn a_wrong_setting_is_named_before_anything_is_read() {
+fn wrong_setting_is_named_first() {
     let mut train = wm_training();
     train.args([
         "train",
@@ -341,19 +341,19 @@ fn a_wrong_setting_is_named_before_anything_is_read() {
     ]);
     let output = train.args(["--set", "decoder.batch=1"]).output().unwrap();
     assert_eq!(output.status.code(), Some(1));
-    let told = String::from_utf8_lossy(&output.stderr);
+    let output = String::from_utf8_lossy(&output.stderr);
     assert!(
-        told.contains("decoder.batch=1") && told.contains("autoencoder, transition"),
-        "{told}"
+        output.contains("decoder.batch=1") && output.contains("autoencoder, transition"),
+        "{output}"
     );
 }
 
-/// Those of the last part too: hours lie between.
+/// Including those of the last part, hours later.
 #[test]
-fn what_a_later_part_cannot_take_is_named_before_the_first_begins() {
+fn faults_of_later_parts_are_named_first() {
     let scratch = tempfile::tempdir().unwrap();
     let (data, out) = (scratch.path().join("data"), scratch.path().join("out"));
-    for (wrong, told) in [
+    for (wrong, named) in [
         (
             ["--set", "probe.optimisation.learing_rate=1"],
             "optimisation.learing_rate",
@@ -368,11 +368,11 @@ fn what_a_later_part_cannot_take_is_named_before_the_first_begins() {
         let output = train.output().unwrap();
         assert_eq!(output.status.code(), Some(1), "{wrong:?}");
         let error = String::from_utf8_lossy(&output.stderr);
-        assert!(error.contains(told), "{wrong:?}: {error}");
+        assert!(error.contains(named), "{wrong:?}: {error}");
         assert!(output.stdout.is_empty(), "{wrong:?}: a part has begun");
         assert!(!out.exists(), "{wrong:?}");
     }
-    // So are the data: once, by name, and with what is expected.
+    // Data too: once, by name, with the expectation.
     let train = || {
         let mut train = wm_training();
         train.args(["train", "model"]);
@@ -389,7 +389,7 @@ fn what_a_later_part_cannot_take_is_named_before_the_first_begins() {
     std::fs::create_dir(&data).unwrap();
     let error = train();
     assert!(error.contains("found no recording"), "{error}");
-    // And what a later part would replace.
+    // And files that a later part would replace.
     std::fs::create_dir(&out).unwrap();
     std::fs::write(out.join("idm.safetensors"), "theirs").unwrap();
     std::fs::create_dir(data.join("bag")).unwrap();
@@ -398,20 +398,20 @@ fn what_a_later_part_cannot_take_is_named_before_the_first_begins() {
     assert!(error.contains("idm.safetensors is there"), "{error}");
 }
 
-/// What `wm` has of it in its completions and man pages.
+/// The completions and man pages of `wm` use it.
 #[test]
-fn the_program_tells_its_command_line() {
+fn program_describes_its_command_line() {
     let program = Path::new(env!("CARGO_BIN_EXE_wm-training"));
-    let told = wm_program::command_line::query(program).unwrap();
-    told.clone().debug_assert();
+    let output = wm_program::command_line::query(program).unwrap();
+    output.clone().debug_assert();
     let model = ["train", "model"]
         .iter()
-        .try_fold(&told, |command, word| command.find_subcommand(word));
+        .try_fold(&output, |command, word| command.find_subcommand(word));
     let flags = model.unwrap().get_arguments();
     let flags: Vec<&str> = flags.filter_map(clap::Arg::get_long).collect();
     for flag in ["data", "out", "share", "validation"] {
         assert!(flags.contains(&flag), "{flag}: {flags:?}");
     }
-    let eval = told.find_subcommand("eval").unwrap();
+    let eval = output.find_subcommand("eval").unwrap();
     assert!(eval.find_subcommand("imagined").is_some());
 }

@@ -1,4 +1,4 @@
-//! `wm eval SUITE`, whole: the embedded model on bags of the simulator.
+//! `wm eval SUITE` with the embedded model on simulated bags.
 
 #![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
 
@@ -10,7 +10,7 @@ use std::{
 
 use serde_json::Value;
 
-/// Everything in few seconds.
+/// A few seconds for everything.
 const SMALL: &str = "
 resamples: 200
 fidelity: {episodes: 2, steps: 4, strips: 1}
@@ -49,7 +49,7 @@ fn refused(arguments: &[&str], paths: &[(&str, &Path)]) -> String {
     String::from_utf8(found.stderr).unwrap()
 }
 
-/// Opens the report as a person would, wide and narrow, and looks whether anything is to be seen.
+/// Opens the report in a browser, wide and narrow, and checks that something is visible.
 fn in_a_browser(report: &Path) {
     let browsers = ["chromium-headless-shell", "chromium", "google-chrome"];
     let version = |name: &&str| Command::new(name).arg("--version").output().is_ok();
@@ -78,7 +78,7 @@ fn in_a_browser(report: &Path) {
         );
         let picture = image::open(&picture).unwrap().into_rgb8();
         assert_eq!(picture.dimensions(), (width, 2400));
-        // Text and lines on a background: many colours (anti-aliasing).
+        // Text and lines on a background have many colours (anti-aliasing).
         let mut counts = std::collections::HashMap::new();
         for pixel in picture.pixels() {
             *counts.entry(pixel.0).or_insert(0_u32) += 1;
@@ -107,7 +107,7 @@ fn in_a_browser(report: &Path) {
 }
 
 #[test]
-fn threads_shards_and_interruptions_change_no_byte() {
+fn results_do_not_depend_on_threads_shards_or_interruptions() {
     let dir = tempfile::tempdir().unwrap();
     let path = |name: &str| dir.path().join(name);
     let (bags, cache, settings) = (path("bags"), path("cache"), path("settings.yaml"));
@@ -166,7 +166,7 @@ fn threads_shards_and_interruptions_change_no_byte() {
 
     in_a_browser(&first.join("report.html"));
 
-    // Two threads, and a run that was killed within a line.
+    // Two threads, and a run killed within a line.
     let second = path("two");
     eval(&["--threads", "2"], &[("--report", &second)]);
     assert_eq!(written(&second), expected);
@@ -205,19 +205,16 @@ fn threads_shards_and_interruptions_change_no_byte() {
     );
     assert_eq!(written(&fourth), expected);
 
-    // Nothing is replaced, and other settings do not go on with these records.
+    // Existing files are kept, and other settings do not continue these records.
     let all = ["eval", "fidelity", "--model", "tiny"];
     let on: [(&str, &Path); 3] = [("--bags", &bags), ("--cache", &cache), ("--report", &first)];
     let error = refused(&all, &on);
-    assert!(
-        error.contains("report.html: it is there already"),
-        "{error}"
-    );
+    assert!(error.contains("report.html: exists already"), "{error}");
     for name in ["report.html", "figures.json", "figures.csv"] {
         fs::remove_file(first.join(name)).unwrap();
     }
     let error = refused(&all, &on);
-    assert!(error.contains("is of another evaluation"), "{error}");
+    assert!(error.contains("of another evaluation"), "{error}");
     assert!(
         error.contains("header.settings.control.population"),
         "{error}"
@@ -229,10 +226,10 @@ const ENCODER: &str =
 const ADAPTER: &str = "micro_batch=1 model.latent=4 model.layers=1 model.ffn=16 model.base=8 \
                        model.multipliers=[1,1,1,1,1] loss.kl_warm_up=0.0";
 
-/// A semantic model of small untrained networks; inverse dynamics models of its latents and of its encoder's features, and
-/// a linear probe.
+/// A semantic model of small untrained networks, inverse dynamics models of its latents and of its encoder's features, and a
+/// linear probe.
 #[test]
-fn further_models_read_the_latents_and_the_features_behind_them() {
+fn further_readers_use_latents_and_encoder_features() {
     let dir = tempfile::tempdir().unwrap();
     let path = |name: &str| dir.path().join(name);
     let (bags, cache, settings) = (path("bags"), path("cache"), path("settings.yaml"));
@@ -298,12 +295,12 @@ fn further_models_read_the_latents_and_the_features_behind_them() {
         let figure = &json["metrics"][format!("latents.{name}")];
         assert!(figure["value"].is_number(), "{name}: {json}");
     }
-    // Latents that go through the adapter's decoder are not what the other one reads.
+    // Latents from the adapter's decoder do not suit the other model.
     assert!(json["metrics"]["latents.idm_k1_r_real"].is_null(), "{json}");
     let names: Vec<&String> = json["readers"].as_object().unwrap().keys().collect();
     assert_eq!(names, ["idm_k4", "idm_native_k1", "success_linear"]);
 
-    // Records know what they were read with.
+    // Records include their readers.
     fs::remove_file(report.join("report.html")).unwrap();
     fs::remove_file(report.join("figures.json")).unwrap();
     fs::remove_file(report.join("figures.csv")).unwrap();
@@ -312,7 +309,7 @@ fn further_models_read_the_latents_and_the_features_behind_them() {
         &[&on[..], &readers[..2], &own].concat(),
     );
     assert!(fewer.contains("header.readers.success_linear"), "{fewer}");
-    // Of several models each takes its own; a file that fits none is named.
+    // Each model takes its own; a file that suits none is named.
     let error = refused(
         &["eval", "latents", "--model", "tiny"],
         &[&on[..], &readers[..1]].concat(),
@@ -323,9 +320,9 @@ fn further_models_read_the_latents_and_the_features_behind_them() {
     );
 }
 
-/// The semantic model of the repository is whole, and predicts the bundled bag better than persistence does.
+/// The repository's semantic model is complete, and predicts the bundled bag better than persistence.
 #[test]
-fn the_bundled_semantic_model_beats_the_persistence_baseline() {
+fn bundled_semantic_model_beats_persistence() {
     let dir = tempfile::tempdir().unwrap();
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let (model, bags) = (
@@ -353,7 +350,7 @@ fn the_bundled_semantic_model_beats_the_persistence_baseline() {
 }
 
 #[test]
-fn what_cannot_be_evaluated_is_refused_by_name() {
+fn invalid_evaluations_are_rejected_by_name() {
     let dir = tempfile::tempdir().unwrap();
     let path = |name: &str| dir.path().join(name);
     let all = ["eval", "all", "--model"];
@@ -384,7 +381,7 @@ fn what_cannot_be_evaluated_is_refused_by_name() {
         error.contains("s.yaml") && error.contains("populaton"),
         "{error}"
     );
-    // What is wrong is found before anything is measured.
+    // Faults are found before measuring.
     let settings = path("ok.yaml");
     fs::write(&settings, SMALL).unwrap();
     let on: [(&str, &Path); 3] = [
@@ -394,11 +391,11 @@ fn what_cannot_be_evaluated_is_refused_by_name() {
     ];
     let json = path("f.json");
     for (more, told) in [
-        (vec!["--compare", "tiny"], "there is nothing to compare"),
+        (vec!["--compare", "tiny"], "nothing to compare"),
         (vec!["--compare", "nowhere"], "nowhere: no such folder"),
         (vec!["--sampling-steps", "0"], "--sampling-steps"),
         (vec!["--about", "no.yaml", "--card", "c.md"], "no.yaml"),
-        (vec!["--csv", "no/such/f.csv"], "its folder does not exist"),
+        (vec!["--csv", "no/such/f.csv"], "the folder does not exist"),
     ] {
         let paths = [&on[..], &[("--json", json.as_path())]].concat();
         let words = [&all[..], &["tiny"], &more[..]].concat();
@@ -406,7 +403,7 @@ fn what_cannot_be_evaluated_is_refused_by_name() {
         assert!(error.contains(told), "{error}");
         assert!(!path("f.records").exists(), "{more:?}");
     }
-    // One episode has no other's actions, and no figure pretends so; an interrupted run would go on from beside the file.
+    // With one episode there is no other episode's action; an interrupted run continues beside the file.
     let words = ["eval", "control", "--model", "tiny"];
     done(&words, &[&on[..], &[("--json", json.as_path())]].concat());
     let found: Value = serde_json::from_str(&fs::read_to_string(&json).unwrap()).unwrap();
@@ -417,9 +414,9 @@ fn what_cannot_be_evaluated_is_refused_by_name() {
         &["dataset", "latents", "--encoder", "tiny"],
         &[("--", &bags)],
     );
-    assert!(error.contains("it is no prepared data set"), "{error}");
+    assert!(error.contains("not a prepared data set"), "{error}");
 
     fs::write(path("r.jsonl"), "{}\n").unwrap();
     let error = refused(&["eval", "merge"], &[("--", &path("r.jsonl"))]);
-    assert!(error.contains("r.jsonl: its first line"), "{error}");
+    assert!(error.contains("r.jsonl: the first line"), "{error}");
 }

@@ -1,4 +1,4 @@
-//! What a training makes of pictures of another aspect, and what it writes about them.
+//! Training on pictures of another aspect, and the fit that it records.
 
 #![allow(clippy::unwrap_used)] // the helpers of tests too, not only what is marked #[test]
 
@@ -20,7 +20,7 @@ struct Cli<A: Args> {
     arguments: A,
 }
 
-/// The arguments of a training, with settings for a small model.
+/// Arguments of a training, with settings for a small model.
 fn parsed<A: Args>(
     [data, out]: [&str; 2],
     more: &[&str],
@@ -34,7 +34,7 @@ fn parsed<A: Args>(
     Cli::try_parse_from(line).map(|cli: Cli<A>| cli.arguments)
 }
 
-/// A bag of `width` x `height` pictures of a square that moves over a shaded ground.
+/// A bag of `width` x `height` pictures of a square that moves over a shaded background.
 fn bag(dir: &Path, width: u32, height: u32) -> String {
     let frames = (0..24).map(|at| {
         let picture = RgbImage::from_fn(width, height, |x, y| {
@@ -76,7 +76,7 @@ fn size(width: u32, height: u32) -> Option<PictureSize> {
 }
 
 #[test]
-fn an_autoencoder_crops_unless_another_fit_is_set() {
+fn autoencoder_crops_by_default() {
     let dir = tempfile::tempdir().unwrap();
     let bag = bag(dir.path(), 40, 20);
     let cases: [(&[&str], Fit); 3] = [
@@ -105,7 +105,7 @@ fn an_autoencoder_crops_unless_another_fit_is_set() {
 }
 
 #[test]
-fn a_transition_model_takes_the_fit_of_its_encoder() {
+fn transition_model_uses_the_fit_of_its_encoder() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("model");
     let text = out.to_str().unwrap();
@@ -128,7 +128,7 @@ fn a_transition_model_takes_the_fit_of_its_encoder() {
 }
 
 #[test]
-fn an_encoder_describes_its_fit() {
+fn encoder_describes_its_fit() {
     let dir = tempfile::tempdir().unwrap();
     let bag = bag(dir.path(), 40, 20);
     let out = dir.path().join("encoder");

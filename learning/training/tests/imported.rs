@@ -1,5 +1,5 @@
-//! Real episodes of Bridge V2 and DROID, imported and prepared. They are read from the directory that the environment
-//! variable WM_SHARED_DATA names (with `bridge_v2/` and `droid/` in it), and are not part of the repository.
+//! Real episodes of Bridge V2 and DROID, imported and prepared, from the directory in the environment variable
+//! WM_SHARED_DATA (with `bridge_v2/` and `droid/`); they are not part of the repository.
 
 #![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
 
@@ -12,7 +12,7 @@ use wm_import::{ImportOptions, import_bridge, import_droid};
 use folder::shared;
 
 #[test]
-fn bridge_is_prepared_as_it_is() {
+fn bridge_episodes_are_prepared() {
     let Some(source) = shared("bridge_v2") else {
         return;
     };
@@ -27,14 +27,14 @@ fn bridge_is_prepared_as_it_is() {
     let validation = data.validation.unwrap();
     let count = data.training.episodes().len() + validation.episodes().len();
     assert_eq!(count, made.len());
-    // A WidowX moves less than 5 cm in 0.2 s, and not always by nothing.
+    // A WidowX moves less than 5 cm in 0.2 s, but does move.
     let action = data.training.statistics().unwrap().action;
     assert!(action.max[0] < 0.05 && action.min[0] > -0.05, "{action:?}");
     assert!(action.std[0] > 1e-3, "{action:?}");
 }
 
 #[test]
-fn droid_is_prepared_with_three_cameras() {
+fn droid_episodes_are_prepared_with_three_cameras() {
     let Some(source) = shared("droid") else {
         return;
     };

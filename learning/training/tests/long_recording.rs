@@ -1,4 +1,4 @@
-//! Memory while a long recording is prepared: that of some pictures, whatever the recording's length.
+//! Memory of the preparation of a long recording, which must not grow with its length.
 
 #![cfg(target_os = "linux")]
 #![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
@@ -39,7 +39,7 @@ fn record(bag: &Path) {
     writer.finish().unwrap();
 }
 
-/// Most memory that a process has had so far \[MiB\]; none once it has ended.
+/// Peak memory of a process so far \[MiB\]; `None` once it has ended.
 fn most_memory(process: u32) -> Option<u64> {
     let status = std::fs::read_to_string(format!("/proc/{process}/status")).ok()?;
     let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"))?;
@@ -47,7 +47,7 @@ fn most_memory(process: u32) -> Option<u64> {
     Some(kib / 1024)
 }
 
-/// The pictures of this recording, which is one episode, take 220 MiB at the size that they are prepared at.
+/// This one-episode recording takes 220 MiB at its prepared size.
 #[test]
 fn memory_does_not_grow_with_the_recording() {
     let dir = tempfile::tempdir().unwrap();

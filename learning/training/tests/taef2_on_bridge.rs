@@ -1,6 +1,6 @@
-//! The published TAEF2 weights on real Bridge V2 episodes. Neither is part of this repository: the test looks for them
-//! in the folders `WM_TAEF2_DIR` (taef2_encoder.safetensors, taef2_decoder.safetensors) and `WM_BRIDGE_DIR` (episodes
-//! as NNN.mp4 + NNN.npz), and says so and passes where they are not given.
+//! The published TAEF2 weights on real Bridge V2 episodes. Neither is part of this repository: the test reads the folders
+//! `WM_TAEF2_DIR` (taef2_encoder.safetensors, taef2_decoder.safetensors) and `WM_BRIDGE_DIR` (episodes as NNN.mp4 +
+//! NNN.npz), and is skipped with a message if they are not given.
 
 #![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
 
@@ -20,7 +20,7 @@ fn folder(variable: &str) -> Option<PathBuf> {
 }
 
 #[test]
-fn taef2_gives_back_real_frames_at_32_db() {
+fn taef2_reconstructs_real_frames_at_32_db() {
     let (Some(weights), Some(episodes)) = (folder("WM_TAEF2_DIR"), folder("WM_BRIDGE_DIR")) else {
         return;
     };

@@ -13,7 +13,7 @@
 //! as missing, never printed.
 //!
 //! ```
-//! use crate::findings::{Better, Header, Metric, ModelFindings, Section, Suite};
+//! use wm_metrics::findings::{Better, Header, Metric, ModelFindings, Section, Suite};
 //!
 //! let mut control = Section::new(Suite::Control);
 //! control.metric("cem_k1_error", Metric::plain(0.084, 20, Better::Lower, "Error of planned actions."));
@@ -34,10 +34,10 @@
 //!     },
 //!     sections: vec![control],
 //! };
-//! assert!(crate::findings::csv(&[findings.clone()]).contains("control.cem_k1_error,0.084"));
-//! let report = crate::findings::html("tiny on Bridge", &[findings])?;
+//! assert!(wm_metrics::findings::csv(&[findings.clone()]).contains("control.cem_k1_error,0.084"));
+//! let report = wm_metrics::findings::html("tiny on Bridge", &[findings])?;
 //! assert!(report.contains("Do predictions obey the actions?"));
-//! # Ok::<(), crate::findings::FindingsError>(())
+//! # Ok::<(), wm_metrics::findings::FindingsError>(())
 //! ```
 
 mod card;

@@ -175,8 +175,8 @@ fn classification_matches_scikit_learn() {
     let scores = numbers(&case["scores"]);
     let truth = case["truth"].as_array().unwrap();
     let truth: Vec<bool> = truth.iter().map(|truth| truth.as_bool().unwrap()).collect();
-    let told: Vec<bool> = scores.iter().map(|score| *score > 0.0).collect();
-    let counts = Confusion::of(&told, &truth).unwrap();
+    let verdicts: Vec<bool> = scores.iter().map(|score| *score > 0.0).collect();
+    let counts = Confusion::of(&verdicts, &truth).unwrap();
     let expected = [0, 1, 2, 3].map(|index| count(&case["confusion"][index]));
     assert_eq!(
         [

@@ -1,4 +1,4 @@
-//! Acting, one model step after the other.
+//! Acts step by step.
 
 use std::time::Instant;
 
@@ -25,26 +25,26 @@ use super::{
 /// Index of the gripper in an action of the arm.
 const GRIPPER: usize = 6;
 
-/// Somebody who acts in an environment.
+/// A controller in an environment.
 pub struct Actor<'a> {
     settings: &'a ClosedLoopSettings,
-    acts: Acts<'a>,
+    acts: ActorKind<'a>,
     rng: ChaCha8Rng,
 }
 
-enum Acts<'a> {
+enum ActorKind<'a> {
     Oracle,
     Hold,
     Random(&'a Model),
-    Plans(Box<Planning<'a>>),
+    Plans(Box<PlannerState<'a>>),
 }
 
 /// A planner's memory of an episode.
-struct Planning<'a> {
+struct PlannerState<'a> {
     model: &'a Model,
     choice: PlannerChoice,
     is_perfect: bool,
-    /// Latents to reach in order, one a model step.
+    /// Latents to reach in order, one per model step.
     goals: Vec<Tensor>,
     at: Waypoint,
     /// Latents of the last two model steps, and the action (1, A) between them.
@@ -56,7 +56,7 @@ struct Planning<'a> {
 }
 
 impl<'a> Actor<'a> {
-    /// Somebody who acts from the beginning of an episode; `model` is needed by all but the oracle and who holds still.
+    /// Starts an episode; only the oracle and `hold` need no `model`.
     pub fn new(
         controller: Controller,
         is_perfect: bool,
@@ -66,9 +66,9 @@ impl<'a> Actor<'a> {
     ) -> Result<Self> {
         let needed = || model.context("this planner needs a model");
         let acts = match controller {
-            Controller::Oracle => Acts::Oracle,
-            Controller::Hold => Acts::Hold,
-            Controller::Random => Acts::Random(needed()?),
+            Controller::Oracle => ActorKind::Oracle,
+            Controller::Hold => ActorKind::Hold,
+            Controller::Random => ActorKind::Random(needed()?),
             Controller::Planner(choice) => {
                 let model = needed()?;
                 let every = NonZeroUsize::new(model.frames_per_step()).context("no frames")?;
@@ -80,7 +80,7 @@ impl<'a> Actor<'a> {
                         latents.collect::<Result<_>>()?
                     }
                 };
-                Acts::Plans(Box::new(Planning {
+                ActorKind::Plans(Box::new(PlannerState {
                     model,
                     choice,
                     is_perfect,
@@ -101,19 +101,19 @@ impl<'a> Actor<'a> {
         })
     }
 
-    /// Acts for a while: one model step, or as many as are carried out of a plan.
+    /// Acts for one model step, or for the executed steps of a plan.
     pub fn act(&mut self, environment: &mut Environment, frames: usize) -> Result<()> {
         match &mut self.acts {
-            Acts::Oracle => {
+            ActorKind::Oracle => {
                 for _ in 0..frames {
                     let command = environment.oracle();
                     environment.step(&command)?;
                 }
             }
-            Acts::Hold => {
+            ActorKind::Hold => {
                 rest(environment, frames)?;
             }
-            Acts::Random(model) => {
+            ActorKind::Random(model) => {
                 let bounds = model.world.encoding.bounds();
                 let drawn = bounds
                     .iter()
@@ -122,21 +122,21 @@ impl<'a> Actor<'a> {
                     environment.step(&command)?;
                 }
             }
-            Acts::Plans(planning) => planning.act(environment, self.settings)?,
+            ActorKind::Plans(planning) => planning.act(environment, self.settings)?,
         }
         Ok(())
     }
 
-    /// What its plans took.
+    /// Costs of its plans.
     pub fn plans(self) -> Vec<PlanTime> {
         match self.acts {
-            Acts::Plans(planning) => planning.plans,
+            ActorKind::Plans(planning) => planning.plans,
             _ => Vec::new(),
         }
     }
 }
 
-/// Holds still, and returns the actions of that.
+/// Holds still, and returns the actions.
 pub fn rest(environment: &mut Environment, frames: usize) -> Result<Vec<EndEffectorAction>> {
     let still = EndEffectorAction {
         translation: Vector3::zeros(),
@@ -147,10 +147,10 @@ pub fn rest(environment: &mut Environment, frames: usize) -> Result<Vec<EndEffec
     done.collect()
 }
 
-impl Planning<'_> {
+impl PlannerState<'_> {
     fn act(&mut self, environment: &mut Environment, settings: &ClosedLoopSettings) -> Result<()> {
         if self.seen.is_empty() {
-            // A model that was trained on motion has always seen two frames.
+            // A model trained on motion always needs two frames.
             self.observe(environment)?;
             let done = rest(environment, self.model.frames_per_step())?;
             self.done = Some(self.model.action(&done)?);
@@ -193,7 +193,7 @@ impl Planning<'_> {
         settings: &ClosedLoopSettings,
         started: Instant,
     ) -> Result<PlannedActions> {
-        let observed = self.seen.last().context("nothing was observed")?.clone();
+        let observed = self.seen.last().context("expected an observation")?.clone();
         let goals = self.goals_from(&observed, settings)?;
         let planner = self
             .choice
@@ -248,7 +248,7 @@ impl Planning<'_> {
         Ok(found)
     }
 
-    /// The latents to reach from here, in order: those from the first one on that is not reached yet.
+    /// The remaining latents to reach, in order.
     fn goals_from(
         &mut self,
         observed: &Tensor,
@@ -260,6 +260,7 @@ impl Planning<'_> {
         };
         let passed = if self.plans.is_empty() { 0.0 } else { 1.0 };
         self.at = self.at.advance(passed, &self.goals, observed, arrival)?;
+        // `advance` never passes the last goal.
         Ok(self.goals.get(self.at.index..).unwrap_or_default().to_vec())
     }
 

@@ -9,7 +9,7 @@ use wm_sim::GoalKind;
 
 use super::{
     controller::Controller,
-    findings::{self, About},
+    findings::{self, RunInfo},
     live,
     model::Model,
     seeds::Seeds,
@@ -18,47 +18,47 @@ use super::{
 };
 use crate::open_model;
 
-/// Measures how often a planner succeeds on the simulated arm.
+/// Measure the success rate of a planner on the simulated arm
 #[derive(Clone, Debug, Args)]
 pub struct ClosedLoopArgs {
-    /// What the arm is to do: reach, push or pick-place.
+    /// Task of the arm: reach, push or pick-place
     #[arg(long)]
     pub task: GoalKind,
-    /// Who acts: cem, icem, mppi, idm, idm+cem, idm+icem, idm+mppi, oracle, hold or random.
+    /// Controller: cem, icem, mppi, idm, idm+cem, idm+icem, idm+mppi, oracle, hold or random
     #[arg(long, default_value = "idm+icem")]
     pub planner: Controller,
-    /// The model: tiny, or a model's folder.
+    /// Model: tiny, or a model's folder
     #[arg(long, default_value = EMBEDDED)]
     pub model: String,
-    /// The simulator is the planner's model: how often it would succeed if its predictions were perfect.
+    /// Use the simulator as the planner's model, for the success rate of perfect predictions
     #[arg(long)]
     pub perfect_model: bool,
-    /// Number of episodes.
+    /// Number of episodes
     #[arg(long, default_value_t = 50)]
     pub episodes: usize,
-    /// Seed of the first episode; each later one adds 1. The bundled model was not trained on the default.
+    /// Seed of the first episode; each later one adds 1. The bundled model was not trained on the default
     #[arg(long, default_value_t = 5_000_000)]
     pub seed: u64,
-    /// Model steps of a plan.
+    /// Model steps of a plan
     #[arg(long)]
     pub horizon: Option<usize>,
-    /// The pictures that the planner is given.
+    /// Goal pictures given to the planner
     #[arg(long, value_enum)]
     pub goals: Option<Goals>,
-    /// YAML with settings, named as in the JSON.
+    /// YAML file with settings, named as in the JSON
     #[arg(long, value_name = "FILE")]
     pub settings: Option<PathBuf>,
-    /// Where the findings go as JSON.
+    /// File for the findings as JSON
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
-    /// Number of episodes at a time. Times of plans are a robot's only with 1.
+    /// Number of parallel episodes; planning times are realistic only with 1
     #[arg(long, default_value_t = 1)]
     pub parallel: usize,
-    /// Through the nodes and DDS, in real time, on the live simulated arm. The planner's settings are then those of the
-    /// launch file.
+    /// Run through the nodes and DDS, in real time, on the live simulated arm, with the planner's settings of the
+    /// launch file
     #[arg(long, conflicts_with_all = ["perfect_model", "horizon", "goals", "settings", "parallel"])]
     pub live: bool,
-    /// The launch file of --live.
+    /// Launch file for --live
     #[arg(
         long,
         value_name = "FILE",
@@ -68,17 +68,17 @@ pub struct ClosedLoopArgs {
 }
 
 impl ClosedLoopArgs {
-    /// Acts, and prints and writes what came of it.
+    /// Runs the episodes, prints and writes the findings.
     ///
     /// # Errors
-    /// When the model or the settings cannot be used, or the file is there.
+    /// If the model or the settings are unusable, or the file exists.
     pub fn run(&self) -> Result<()> {
         if let Some(json) = &self.json {
-            ensure!(!json.exists(), "{} is there already", json.display());
+            ensure!(!json.exists(), "{} exists already", json.display());
         }
         ensure!(
             !self.perfect_model || matches!(self.planner, Controller::Planner(_)),
-            "--perfect-model is for planners, which {} is not",
+            "--perfect-model needs a planner, but {} is none",
             self.planner
         );
         if self.live {
@@ -101,7 +101,7 @@ impl ClosedLoopArgs {
             parallel: self.parallel,
         };
         let trials = seeds.run("acting in", |seed| run(&setup, seed))?;
-        let about = About {
+        let about = RunInfo {
             task: self.task.to_string(),
             planner: self.planner.to_string(),
             perfect_model: self.perfect_model,

@@ -1,20 +1,20 @@
-//! Who acts, by name.
+//! Controllers by name.
 
 use std::{fmt, str::FromStr};
 
 use anyhow::{Error, bail};
 use wm_planner::PlannerChoice;
 
-/// Who acts.
+/// A controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Controller {
     /// A planner, from pictures.
     Planner(PlannerChoice),
     /// The simulator's own controller, which knows the state.
     Oracle,
-    /// Nobody: the arm stays where it is.
+    /// No motion.
     Hold,
-    /// Actions drawn evenly within the model's bounds.
+    /// Uniformly random actions within the model's bounds.
     Random,
 }
 
@@ -47,7 +47,7 @@ impl FromStr for Controller {
             None => {
                 let names: Vec<String> = Self::all().map(|known| known.to_string()).collect();
                 bail!(
-                    "there is no planner {name:?}; expected one of {}",
+                    "unknown planner {name:?}; expected one of {}",
                     names.join(", ")
                 )
             }

@@ -1,4 +1,4 @@
-//! What closed loops found.
+//! Findings of closed loops.
 
 use std::fmt;
 
@@ -8,9 +8,9 @@ use wm_metrics::findings::{ClosedLoop, Episode};
 
 use super::{settings::ClosedLoopSettings, trial::Trial};
 
-/// What was run.
+/// Description of the run.
 #[derive(Clone, Debug, Serialize)]
-pub struct About {
+pub struct RunInfo {
     pub task: String,
     pub planner: String,
     /// Whether the simulator was the planner's model.
@@ -23,8 +23,8 @@ pub struct About {
     pub step_ms: f64,
 }
 
-/// What came of all trials.
-pub fn of(about: About, trials: &[Trial]) -> Result<ClosedLoop<About>> {
+/// Findings of all trials.
+pub fn of(about: RunInfo, trials: &[Trial]) -> Result<ClosedLoop<RunInfo>> {
     let episode = |trial: &Trial| Episode {
         seed: trial.seed,
         success: trial.success,
@@ -41,7 +41,7 @@ pub fn of(about: About, trials: &[Trial]) -> Result<ClosedLoop<About>> {
     Ok(ClosedLoop::of(about, step_ms, episodes, &plans)?)
 }
 
-impl fmt::Display for About {
+impl fmt::Display for RunInfo {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let with = match self.perfect_model {
             true => ", with the simulator as its model",

@@ -1,4 +1,4 @@
-//! The same through the nodes, in real time.
+//! Closed loops through the nodes, in real time.
 
 use std::{path::PathBuf, process::Command};
 
@@ -9,19 +9,19 @@ use super::{arguments::ClosedLoopArgs, controller::Controller};
 /// The program with the nodes.
 const WM: &str = "wm";
 
-/// Has `wm launch` run the episodes, and copies what came of them.
+/// Runs the episodes with `wm launch`, and copies the findings.
 pub fn run(args: &ClosedLoopArgs) -> Result<()> {
     ensure!(
         matches!(args.planner, Controller::Planner(_)),
-        "--live is for planners, which {} is not",
+        "--live needs a planner, but {} is none",
         args.planner
     );
     ensure!(
         args.launch.is_file(),
-        "the launch file {} is not there: name arm.launch.yaml with --launch",
+        "no launch file {}; give the path of arm.launch.yaml with --launch",
         args.launch.display()
     );
-    let output = tempfile::tempdir().context("a folder for what comes of it")?;
+    let output = tempfile::tempdir().context("creating a folder for the findings")?;
     let program = program();
     let status = Command::new(&program)
         .arg("launch")
@@ -37,7 +37,7 @@ pub fn run(args: &ClosedLoopArgs) -> Result<()> {
         ])
         .status();
     let status = status.with_context(|| format!("starting {}", program.display()))?;
-    // 3: a node lost data, which it says itself.
+    // 3: a node lost data, and reports it itself.
     if !matches!(status.code(), Some(0 | 3)) {
         bail!("{} launch ended with {status}", program.display());
     }

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use anyhow::{Context as _, Result, ensure};
+use anyhow::{Context as _, Result, bail};
 use candle_core::{Device, Tensor};
 use image::RgbImage;
 use wm_model::{Encoder, WorldModel};
@@ -20,7 +20,7 @@ pub struct Model {
 }
 
 impl Model {
-    /// Loads a model whose actions the simulated arm takes.
+    /// Loads a model whose actions suit the simulated arm.
     pub fn load(folder: &ModelFolder) -> Result<Self> {
         let (encoder, world) = (folder.encoder()?, folder.world_model()?);
         let space = world.encoding.space();
@@ -43,27 +43,23 @@ impl Model {
         self.world.encoding.frame_skip()
     }
 
-    /// What the arm does in one model step of this model action: the same in each of its frames.
+    /// The arm's actions for one model action: the same in each frame of the step.
     pub fn commands(&self, action: &[f32]) -> Result<Vec<EndEffectorAction>> {
         let whole = self.world.encoding.decode_step(action)?;
-        ensure!(
-            whole.len() == 7,
-            "an action of {} values, not 7",
-            whole.len()
-        );
-        let frames = self.frames_per_step();
-        let part = |index: usize| -> f64 {
-            f64::from(whole.get(index).copied().unwrap_or_default()) / frames as f64
+        let [x, y, z, roll, pitch, yaw, gripper] = *whole.as_slice() else {
+            bail!("expected an action of 7 values, got {}", whole.len());
         };
+        let frames = self.frames_per_step();
+        let part = |value: f32| f64::from(value) / frames as f64;
         let command = EndEffectorAction {
-            translation: Vector3::new(part(0), part(1), part(2)),
-            rotation: Vector3::new(part(3), part(4), part(5)),
-            gripper: part(6) * frames as f64,
+            translation: Vector3::new(part(x), part(y), part(z)),
+            rotation: Vector3::new(part(roll), part(pitch), part(yaw)),
+            gripper: part(gripper) * frames as f64,
         };
         Ok(vec![command; frames])
     }
 
-    /// The model action (1, A) of what the arm did in the frames of one model step.
+    /// The model action (1, A) of the arm's actions in one model step.
     pub fn action(&self, done: &[EndEffectorAction]) -> Result<Tensor> {
         let values: Vec<[f32; 7]> = done.iter().map(EndEffectorAction::values).collect();
         let action = self.world.encoding.encode_step(&values)?;
@@ -71,7 +67,7 @@ impl Model {
         Ok(Tensor::from_vec(action.values, shape, &Device::Cpu)?)
     }
 
-    /// The model's value for a gripper that is to be open, or closed.
+    /// The model's value of an open or closed gripper.
     pub fn gripper(&self, is_open: bool) -> Result<f32> {
         let action = EndEffectorAction {
             translation: Vector3::zeros(),

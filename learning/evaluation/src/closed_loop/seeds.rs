@@ -4,18 +4,18 @@ use anyhow::{Context as _, Result, ensure};
 use rayon::prelude::*;
 use wm_program::progress::Progress;
 
-/// Which episodes.
+/// The seeds of all episodes.
 #[derive(Clone, Copy, Debug)]
 pub struct Seeds {
-    /// Seed of the first one; each later one adds 1.
+    /// Seed of the first episode; each later one adds 1.
     pub first: u64,
     pub count: usize,
-    /// How many at a time.
+    /// Number of parallel episodes.
     pub parallel: usize,
 }
 
 impl Seeds {
-    /// What `one` makes of each seed, in their order, whatever the number at a time.
+    /// Results of `one` for each seed, in order, independent of the parallelism.
     pub fn run<T: Send>(self, verb: &str, one: impl Fn(u64) -> Result<T> + Sync) -> Result<Vec<T>> {
         ensure!(self.count > 0, "--episodes is at least 1");
         ensure!(self.parallel > 0, "--parallel is at least 1");

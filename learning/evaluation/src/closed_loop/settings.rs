@@ -1,4 +1,4 @@
-//! What can be chosen of a closed loop.
+//! Settings of a closed loop.
 
 use anyhow::{Result, ensure};
 use clap::ValueEnum;
@@ -8,36 +8,36 @@ use wm_sim::GoalKind;
 
 use crate::settings::changed;
 
-/// Which pictures of the solution a planner is given.
+/// Pictures of the solution given to a planner.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Goals {
-    /// The last one alone.
+    /// The last one only.
     #[default]
     Final,
-    /// One of each model step, in order.
+    /// One per model step, in order.
     Subgoals,
 }
 
-/// What can be chosen of a closed loop; a YAML file may hold any of it by its name.
+/// Settings of a closed loop; a YAML file may hold any of them by name.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ClosedLoopSettings {
     /// Model steps of a plan.
     pub horizon: usize,
-    /// Model steps of each plan that are carried out before the next plan.
+    /// Executed model steps of each plan.
     pub execute: usize,
-    /// Most model steps of an episode, as a multiple of the oracle's; never fewer than ten.
+    /// Most model steps of an episode, as a multiple of the oracle's; at least ten.
     pub patience: f64,
-    /// The pictures that the planner is given.
+    /// Pictures given to the planner.
     pub goals: Goals,
-    /// A subgoal is reached when its latent is nearer than this share of its distance from the next one.
+    /// A subgoal is reached when its latent distance is below this share of its distance to the next subgoal.
     pub arrival: f32,
-    /// Model steps after which the next subgoal is tried all the same.
+    /// Model steps after which the next subgoal is tried anyway.
     pub wait: usize,
-    /// Whether the gripper is searched; it keeps its state otherwise.
+    /// Whether to search the gripper; otherwise it keeps its state.
     pub gripper: bool,
-    /// Time that a plan may take \[ms\]; 0 for no limit, without which the same seed gives the same actions.
+    /// Time limit of a plan \[ms\]; 0 for none, which makes actions deterministic.
     pub deadline_ms: u64,
     /// Candidates rolled out at once.
     pub batch: usize,
@@ -54,8 +54,8 @@ pub struct ClosedLoopSettings {
 }
 
 impl ClosedLoopSettings {
-    /// The defaults for a task: where an object is to be moved, the gripper is searched, and the planner is given subgoals,
-    /// since the last picture alone does not tell the way.
+    /// Defaults for a task. To move an object, the gripper is searched, and the planner gets subgoals, since the last
+    /// picture alone does not show the path.
     pub fn of(task: GoalKind) -> Self {
         let moves_object = task != GoalKind::Reach;
         Self {
@@ -71,18 +71,18 @@ impl ClosedLoopSettings {
 }
 
 impl ClosedLoopSettings {
-    /// The same with the settings of a YAML text in their place.
+    /// Applies the settings of a YAML text.
     ///
     /// # Errors
-    /// Names what there is not.
+    /// Names an unknown setting.
     pub fn with(&self, text: &str) -> Result<Self> {
         changed(self, text)
     }
 
-    /// Whether the numbers can serve; the planner checks its own.
+    /// Checks the numbers, except those of the planner.
     ///
     /// # Errors
-    /// Names what cannot.
+    /// Names the first invalid number.
     pub fn validate(&self) -> Result<()> {
         ensure!(
             (1..=16).contains(&self.horizon) && (1..=self.horizon).contains(&self.execute),

@@ -7,11 +7,11 @@ use wm_sim::Environment;
 
 use super::model::Model;
 
-/// Dynamics that know what will come: each candidate is carried out on a copy of the table, and its pictures are encoded.
+/// Perfect dynamics: each candidate runs on a copy of the table, and its pictures are encoded.
 pub struct Simulator<'a> {
     pub environment: Environment,
     pub model: &'a Model,
-    /// What the camera sees now (h, w, C).
+    /// Current observation (h, w, C).
     pub observed: Tensor,
 }
 

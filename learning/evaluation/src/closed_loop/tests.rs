@@ -6,13 +6,13 @@ use wm_zoo::ModelFolder;
 
 use super::{
     controller::Controller,
-    findings::{self, About},
+    findings::{self, RunInfo},
     model::Model,
     settings::{ClosedLoopSettings, Goals},
     trial::{Setup, Trial, run},
 };
 
-/// Nothing that tiny was trained on.
+/// tiny was not trained on it.
 const SEED: u64 = 5_000_000;
 
 fn setup<'a>(
@@ -31,7 +31,7 @@ fn setup<'a>(
 }
 
 #[test]
-fn the_oracle_succeeds_and_nobody_does_not() {
+fn oracle_succeeds_and_hold_fails() {
     let settings = ClosedLoopSettings::default();
     for seed in SEED..SEED + 3 {
         let trial = |controller| run(&setup(controller, None, &settings), seed).unwrap();
@@ -45,7 +45,7 @@ fn the_oracle_succeeds_and_nobody_does_not() {
 }
 
 #[test]
-fn a_planner_reaches_what_a_picture_shows_and_repeats_itself() {
+fn planner_reaches_the_pictured_goal_deterministically() {
     let model = Model::load(&ModelFolder::open("tiny").unwrap()).unwrap();
     let settings = ClosedLoopSettings {
         horizon: 2,
@@ -67,7 +67,7 @@ fn a_planner_reaches_what_a_picture_shows_and_repeats_itself() {
 }
 
 #[test]
-fn with_the_simulator_as_its_model_a_search_comes_nearer() {
+fn perfect_model_brings_a_search_nearer() {
     let model = Model::load(&ModelFolder::open("tiny").unwrap()).unwrap();
     let settings = ClosedLoopSettings {
         horizon: 1,
@@ -95,7 +95,7 @@ fn findings_count_successes_and_slow_plans() {
         distance_m: 0.01,
         plans: vec![wm_metrics::findings::PlanTime { ms, candidates: 10 }],
     };
-    let about = About {
+    let about = RunInfo {
         task: "reach".into(),
         planner: "idm".into(),
         perfect_model: false,
@@ -117,7 +117,7 @@ fn findings_count_successes_and_slow_plans() {
 }
 
 #[test]
-fn settings_are_changed_by_name_and_refused_by_name() {
+fn settings_are_changed_and_rejected_by_name() {
     let settings = ClosedLoopSettings::of(GoalKind::Push);
     assert_eq!((settings.goals, settings.gripper), (Goals::Subgoals, true));
     let changed = settings.with("planner: {icem: {population: 7}}").unwrap();

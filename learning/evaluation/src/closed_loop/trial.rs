@@ -6,34 +6,34 @@ use wm_sim::{Environment, GoalKind, Variety};
 
 use super::{actor::Actor, controller::Controller, model::Model, settings::ClosedLoopSettings};
 
-/// Fewest model steps that an episode may take.
+/// Fewest model steps allowed for an episode.
 pub const LEAST_STEPS: f64 = 10.0;
 
-/// What came of an episode.
+/// Result of an episode.
 #[derive(Clone, Debug)]
 pub struct Trial {
     pub seed: u64,
     pub success: bool,
-    /// Model steps that were taken.
+    /// Model steps taken.
     pub steps: usize,
-    /// What was missing in the end \[m\].
+    /// Remaining distance to the goal \[m\].
     pub distance_m: f64,
     pub plans: Vec<PlanTime>,
 }
 
-/// Who acts, and how.
+/// Settings of all trials.
 pub struct Setup<'a> {
     pub task: GoalKind,
     pub controller: Controller,
-    /// The simulator is the planner's model.
+    /// Whether the simulator is the planner's model.
     pub is_perfect: bool,
     pub model: Option<&'a Model>,
-    /// Actions of the arm in a model step.
+    /// The arm's actions per model step.
     pub frames_per_step: usize,
     pub settings: &'a ClosedLoopSettings,
 }
 
-/// Acts until the goal is attained at the end of a step, or the steps are over.
+/// Acts until the goal is reached at the end of a step, or the steps are over.
 pub fn run(setup: &Setup<'_>, seed: u64) -> Result<Trial> {
     let mut environment = Environment::new(setup.task, seed, &Variety::default())?;
     let frames = setup.frames_per_step;

@@ -10,34 +10,34 @@ use wm_planner::{
 
 use crate::{Settings, Subject, Windows};
 
-/// Candidates that are rolled out at once.
+/// Candidates rolled out at once.
 const BATCH: usize = 64;
 
 /// The searches in one window.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Recovered {
-    /// Names of the dimensions that are searched.
+pub struct RecoveredActions {
+    /// Names of the searched dimensions.
     pub dimensions: Vec<String>,
-    /// Steps that are searched together.
+    /// Number of steps searched together.
     pub k: usize,
-    /// Cost at the true actions.
+    /// Cost of the true actions.
     pub cost_of_truth: f64,
-    /// Error of actions drawn evenly within the bounds.
+    /// Error of uniformly random actions within the bounds.
     pub random_error: f64,
     /// Error of no motion.
     pub zero_error: f64,
-    /// Error of what the inverse dynamics model tells from the same latents; `None` without one of this many steps.
+    /// Error of the inverse dynamics model on the same latents; `None` without a model of this many steps.
     pub told_error: Option<f64>,
     /// The searches.
     pub searches: Vec<Search>,
 }
 
-/// Where a search starts.
+/// Start of a search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Start {
-    /// At the true actions: the paper's.
+    /// The true actions, as in the paper.
     Truth,
-    /// At zero: what a planner on a robot knows.
+    /// Zero, the start of a planner on a robot.
     Zero,
 }
 
@@ -46,33 +46,33 @@ pub enum Start {
 pub struct Search {
     /// Where it started.
     pub start: Start,
-    /// Mean over the steps of the distance to the true action.
+    /// Mean distance to the true action, over the steps.
     pub error: f64,
-    /// Mean over the steps of the absolute error of each dimension.
+    /// Mean absolute error of each dimension, over the steps.
     pub by_dimension: Vec<f64>,
-    /// Cost of what was found.
+    /// Cost of the result.
     pub cost: f64,
     /// Least cost of each iteration.
     pub iteration_costs: Vec<f64>,
 }
 
-/// Searches for the actions of window `unit`, k steps together, from every start.
+/// Searches for the k actions of window `unit` from every start.
 pub(super) fn measure(
     subject: &Subject,
     settings: &Settings,
     windows: &Windows,
     (unit, k): (usize, usize),
-) -> Result<Recovered> {
+) -> Result<RecoveredActions> {
     let own = &settings.control;
     let values = subject.world.encoding.space().len();
-    // One noise a window, which all candidates of all searches share; another seed for each window.
+    // All candidates and searches of a window share one noise; each window has its own.
     let seed = settings.seed.wrapping_add(unit as u64);
     let (context, past) = windows.context(unit)?;
     let told = windows.actions(unit)?;
     let target = Target::EachStep(windows.coming(unit)?.narrow(0, 0, k)?.contiguous()?);
     let model = &subject.world.transition;
-    // The last predicted frame carries the action that was recorded there, which is not searched (architecture.md,
-    // section 2: it never saw zeros in training).
+    // The last predicted frame carries its recorded action, which is not searched: training never had zeros there
+    // (architecture.md, section 2).
     let after = told.narrow(0, k, 1)?;
     let mut dynamics =
         TransitionDynamics::new(model, subject.sampler(), &context, Some(&past), seed)?
@@ -124,19 +124,19 @@ pub(super) fn measure(
         })
         .collect();
     let space = subject.world.encoding.space();
-    Ok(Recovered {
+    Ok(RecoveredActions {
         dimensions: space.dimensions().iter().map(|d| d.name.clone()).collect(),
         k,
         cost_of_truth: cost.map(f64::from).context("no cost of the true actions")?,
         random_error: error(&random, &truth),
         zero_error: error(&vec![vec![0.0; values]; k], &truth),
-        told_error: told_by_idm(subject, windows, unit, k)?.map(|told| error(&told, &truth)),
+        told_error: infer_by_idm(subject, windows, unit, k)?.map(|told| error(&told, &truth)),
         searches,
     })
 }
 
-/// What an inverse dynamics model of k steps tells from the observed latents.
-fn told_by_idm(
+/// Actions inferred from the observed latents by an inverse dynamics model of k steps.
+fn infer_by_idm(
     subject: &Subject,
     windows: &Windows,
     unit: usize,
@@ -154,7 +154,7 @@ fn told_by_idm(
     Ok(Some(told.narrow(1, 0, values)?.to_vec2()?))
 }
 
-/// Mean over the steps of the L2 norm over all dimensions (the paper's CEM error).
+/// Mean L2 norm of the error over the steps (the paper's CEM error).
 fn error(found: &[Vec<f32>], truth: &[Vec<f32>]) -> f64 {
     let steps = found.iter().zip(truth).map(|(found, truth)| {
         let pairs = found.iter().zip(truth);

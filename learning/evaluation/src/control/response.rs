@@ -4,17 +4,17 @@ use serde::{Deserialize, Serialize};
 
 use crate::{ActionChange, Subject, Windows, squared};
 
-/// What predictions of one window do under right and wrong actions. Squared latent errors, and squared changes from one
-/// frame to the next, step by step.
+/// Predictions of one window under right and wrong actions: squared latent errors, and squared changes between frames,
+/// by step.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Response {
-    /// Error of the last observed latent, repeated.
+    /// Error of repeating the last observed latent.
     pub persistence: Vec<f64>,
     /// Error of the predictions under the true actions.
     pub told: Vec<f64>,
-    /// Under wrong actions; of a change that does not apply to these actions there is none.
+    /// Error under wrong actions, for the changes that apply.
     pub wrong: Vec<(ActionChange, Vec<f64>)>,
-    /// Squared change of what came.
+    /// Squared change of the true latents.
     pub motion: Vec<f64>,
     /// Squared change of the predictions under the true actions.
     pub predicted_motion: Vec<f64>,

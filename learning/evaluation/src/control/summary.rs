@@ -1,17 +1,17 @@
 use wm_metrics::correlation::spearman;
 use wm_metrics::findings::{Better, Curve, Section, Series, Suite, TextTable};
 
-use super::{Recovered, Response, Start, WindowControl, recovered::Search};
+use super::{RecoveredActions, Response, Start, WindowControl, recovered::Search};
 use crate::{
     ActionChange, Settings,
     figures::{figure_of_units, mean_over_units},
 };
 
-/// The findings of all windows, which are in their order.
+/// Findings of all windows, in order.
 #[must_use]
 pub fn summarise(windows: &[(String, WindowControl)], settings: &Settings) -> Section {
     let mut section = Section::new(Suite::Control);
-    let searches: Vec<(&String, &Recovered)> = windows
+    let searches: Vec<(&String, &RecoveredActions)> = windows
         .iter()
         .filter_map(|(name, found)| match found {
             WindowControl::Recovered(found) => Some((name, found)),
@@ -32,14 +32,14 @@ pub fn summarise(windows: &[(String, WindowControl)], settings: &Settings) -> Se
     if settings.control.searches.is_empty() {
         section.absent(
             "cem_k1_error",
-            "no searches were asked for, which take minutes: wm eval control",
+            "searches take minutes and were not requested; run wm eval control",
         );
         return section;
     }
     section.notes.push(
-        "The search of the paper starts at the true actions with a deviation of a quarter of the range, so that a model \
-         which ignores actions keeps some of the truth: beside it, the same search from zero, and the errors of a random \
-         guess, of no motion and of the inverse dynamics model."
+        "The search of the paper starts at the true actions with a deviation of a quarter of the range, so even a model \
+                     that ignores actions keeps some of the truth. For comparison: the same search from zero, and the errors of a \
+                     random guess, of no motion and of the inverse dynamics model."
             .into(),
     );
     section
@@ -47,20 +47,20 @@ pub fn summarise(windows: &[(String, WindowControl)], settings: &Settings) -> Se
 
 fn of_horizon(
     section: &mut Section,
-    windows: &[(&String, &Recovered)],
+    windows: &[(&String, &RecoveredActions)],
     settings: &Settings,
     k: usize,
 ) {
     let of = windows.iter().filter(|(_, found)| found.k == k);
-    let of: Vec<(&String, &Recovered)> = of.copied().collect();
-    let values = |figure: &dyn Fn(&Recovered) -> Option<f64>| -> Vec<(String, f64)> {
+    let of: Vec<(&String, &RecoveredActions)> = of.copied().collect();
+    let values = |figure: &dyn Fn(&RecoveredActions) -> Option<f64>| -> Vec<(String, f64)> {
         let values = of
             .iter()
             .filter_map(|(name, of)| Some(((*name).clone(), figure(of)?)));
         values.collect()
     };
-    let mut add = |name: &str, about: &str, figure: &dyn Fn(&Recovered) -> Option<f64>| {
-        // A random guess and no motion are of the data, and costs are of a latent space: they rank no models.
+    let mut add = |name: &str, about: &str, figure: &dyn Fn(&RecoveredActions) -> Option<f64>| {
+        // Random guess and no motion depend only on the data, and costs on the latent space: they do not rank models.
         let better = match name {
             "error" | "error_from_zero" | "error_idm" => Better::Lower,
             _ => Better::Neither,
@@ -69,12 +69,12 @@ fn of_horizon(
             Some(metric) => section.metric(&format!("cem_k{k}_{name}"), metric),
             None => section.absent(
                 &format!("cem_k{k}_{name}"),
-                format!("no inverse dynamics model of {k} steps: give its file by --idm"),
+                format!("no inverse dynamics model of {k} steps; give its file with --idm"),
             ),
         }
     };
     let of_search = |start: Start, figure: fn(&Search) -> f64| {
-        move |of: &Recovered| {
+        move |of: &RecoveredActions| {
             let search = of.searches.iter().find(|search| search.start == start)?;
             Some(figure(search))
         }
@@ -97,7 +97,7 @@ fn of_horizon(
     });
     add(
         "error_idm",
-        "distance of what the inverse dynamics model tells from the same latents",
+        "distance of the inverse dynamics model's actions from the same latents",
         &|of| of.told_error,
     );
     add("cost_at_truth", "cost at the true actions", &|of| {
@@ -105,7 +105,7 @@ fn of_horizon(
     });
     add(
         "cost_found",
-        "cost of what the search from the truth found",
+        "cost of the result of the search from the truth",
         &of_search(Start::Truth, |s| s.cost),
     );
 
@@ -145,14 +145,14 @@ fn of_horizon(
     }
 }
 
-fn convergence(of: &[(&String, &Recovered)], start: Start, name: &str) -> Series {
+fn convergence(of: &[(&String, &RecoveredActions)], start: Start, name: &str) -> Series {
     let ratios: Vec<Vec<f64>> = of
         .iter()
         .flat_map(|(_, of)| {
             let searches = of.searches.iter().filter(move |s| s.start == start);
             searches.map(|search| {
                 let costs = search.iteration_costs.iter();
-                // What was found so far, not what this iteration found.
+                // The best cost so far, not that of this iteration.
                 let mut least = f64::INFINITY;
                 let best = costs.map(|cost| {
                     least = least.min(*cost);
@@ -177,8 +177,8 @@ fn convergence(of: &[(&String, &Recovered)], start: Start, name: &str) -> Series
     }
 }
 
-/// Steps whose ratios are figures; the others are in the curve.
-const TOLD_STEPS: [usize; 3] = [1, 4, 8];
+/// Steps with a ratio figure; the curve has all.
+const FIGURE_STEPS: [usize; 3] = [1, 4, 8];
 
 fn of_responses(section: &mut Section, windows: &[(&String, &Response)], settings: &Settings) {
     let steps = windows.iter().map(|(_, found)| found.told.len()).max();
@@ -201,8 +201,10 @@ fn of_responses(section: &mut Section, windows: &[(&String, &Response)], setting
             section.absent(
                 &format!("ratio_k1_{}", change.name()),
                 match change {
-                    ActionChange::Shuffled => "another's actions: all windows are of one episode",
-                    _ => "the model's actions are no changes, which have no opposite",
+                    ActionChange::Shuffled => {
+                        "another window's actions: all windows are of one episode"
+                    }
+                    _ => "the model's actions are states, which have no opposite",
                 },
             );
         }
@@ -240,7 +242,7 @@ fn of_responses(section: &mut Section, windows: &[(&String, &Response)], setting
         } else {
             Better::Higher
         };
-        for k in TOLD_STEPS.into_iter().filter(|k| *k <= steps) {
+        for k in FIGURE_STEPS.into_iter().filter(|k| *k <= steps) {
             let sentence = format!(
                 "squared latent error over that of persistence at k = {k}, predictions under {about}"
             );
@@ -273,7 +275,7 @@ fn of_responses(section: &mut Section, windows: &[(&String, &Response)], setting
         Some(metric) => section.metric("action_following", metric),
         None => section.absent("action_following", "nothing moves in the data"),
     }
-    let about = "share of the true motion that is in the predictions: squared change from frame to frame over that of what \
+    let about = "share of the true motion in the predictions: squared change between frames, relative to the true \
                  came";
     let share = figure_of_units(windows.len(), settings, Better::Neither, about, |chosen| {
         let (mut predicted, mut truth) = (0.0, 0.0);

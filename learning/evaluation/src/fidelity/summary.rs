@@ -6,7 +6,7 @@ use crate::{Settings, figures::mean_over_units, perception};
 type Of = fn(&StepFidelity) -> &Similarity;
 type Figure = fn(&Similarity) -> f64;
 
-/// The findings of all episodes, which are in the order of the data.
+/// Findings of all episodes, in order.
 #[must_use]
 pub fn summarise(episodes: &[(String, EpisodeFidelity)], settings: &Settings) -> Section {
     let mut section = Section::new(Suite::Fidelity);
@@ -49,7 +49,7 @@ pub fn summarise(episodes: &[(String, EpisodeFidelity)], settings: &Settings) ->
         for (end, what, of) in pictures {
             let values = per_episode(episodes, |step| figure(of(step)));
             let about = format!("{about}: {what}; mean over frames, then episodes");
-            // The baseline is a property of the data.
+            // Persistence depends only on the data.
             let better = match end {
                 "_persistence" => Better::Neither,
                 _ => Better::Higher,
@@ -62,7 +62,7 @@ pub fn summarise(episodes: &[(String, EpisodeFidelity)], settings: &Settings) ->
         let gaps = per_episode(episodes, |step| {
             figure(&step.reconstructed) - figure(&step.predicted)
         });
-        let about = format!("{about}: ceiling minus predictions, what the transition model costs");
+        let about = format!("{about}: ceiling minus predictions: the loss by the transition model");
         if let Some(metric) = mean_over_units(&gaps, settings, Better::Lower, &about) {
             section.metric(&format!("{name}_gap"), metric.in_unit(unit));
         }
@@ -81,7 +81,7 @@ pub fn summarise(episodes: &[(String, EpisodeFidelity)], settings: &Settings) ->
     let shown = episodes.iter().filter_map(|(name, episode)| {
         Some(Picture {
             caption: format!(
-                "{name}: what came, what was predicted from the first two frames and all actions, and the frames \
+                "{name}: true frames, predictions from the first two frames and all actions, and the frames \
                  encoded and decoded; evenly spaced from step 1 to step {}",
                 episode.steps.len()
             ),
@@ -92,8 +92,8 @@ pub fn summarise(episodes: &[(String, EpisodeFidelity)], settings: &Settings) ->
     let lengths = episodes.iter().map(|(_, episode)| episode.steps.len());
     if let (Some(least), Some(most)) = (lengths.clone().min(), lengths.max()) {
         section.notes.push(format!(
-            "Rollouts of {least} to {most} steps from two observed frames; the paper's have 45. One that ends with its \
-             episode counts for the steps that it has."
+            "Rollouts of {least} to {most} steps from two observed frames; the paper's have 45. One cut short by its \
+             episode counts for its own steps."
         ));
     }
     let found = episodes.iter();
@@ -146,7 +146,7 @@ fn by_step(
     }
 }
 
-/// The mean over the episodes that have a step, for every step.
+/// Mean over the episodes with this step, for every step.
 fn series(
     name: &str,
     episodes: &[(String, EpisodeFidelity)],

@@ -8,7 +8,7 @@ use wm_model::trained_folder::EMBEDDED;
 use wm_sim::GoalKind;
 
 use super::{
-    findings::{About, Findings},
+    findings::{Findings, RunInfo},
     scripted::ScriptedPolicy,
     start::Setup,
 };
@@ -17,44 +17,45 @@ use crate::{
     open_model,
 };
 
-/// Measures whether success in imagination ranks policies as success on the simulated arm does.
+/// Measure whether success in imagination ranks policies as success on the simulated arm does
 #[derive(Clone, Debug, Args)]
 pub struct ImaginedArgs {
-    /// What the arm is to do: reach, push or pick-place.
+    /// Task of the arm: reach, push or pick-place
     #[arg(long)]
     pub task: GoalKind,
-    /// Who acts, the simulator's own controller and worse ones: oracle, noise-MM, distracted-PERCENT, beside-MM,
-    /// slow-PERCENT, stop-PERCENT, frozen-gripper, random or hold [default: 16 of them].
+    /// Policies, the simulator's own controller and worse ones: oracle, noise-MM, distracted-PERCENT, beside-MM,
+    /// slow-PERCENT, stop-PERCENT, frozen-gripper, random or hold [default: 16 of them]
     #[arg(long, num_args = 1.., value_name = "NAME")]
     pub policy: Vec<ScriptedPolicy>,
-    /// The model: tiny, or a model's folder. It needs a success probe.
+    /// Model: tiny, or a model's folder; it needs a success probe
     #[arg(long, default_value = EMBEDDED)]
     pub model: String,
-    /// Number of episodes of each policy.
+    /// Number of episodes per policy
     #[arg(long, default_value_t = 50)]
     pub episodes: usize,
-    /// Seed of the first episode; each later one adds 1. The bundled model was not trained on the default.
+    /// Seed of the first episode; each later one adds 1. The bundled model was not trained on the default
     #[arg(long, default_value_t = 5_000_000)]
     pub seed: u64,
-    /// Model steps of an episode, as a multiple of the oracle's; never fewer than ten, nor more than the success probe reads.
+    /// Model steps of an episode, as a multiple of the oracle's; at least ten, at most those that the success probe
+    /// reads
     #[arg(long, default_value_t = 1.5)]
     pub patience: f64,
-    /// Where the findings go as JSON.
+    /// File for the findings as JSON
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
-    /// Number of episodes at a time.
+    /// Number of parallel episodes
     #[arg(long, default_value_t = 1)]
     pub parallel: usize,
 }
 
 impl ImaginedArgs {
-    /// Acts and imagines, and prints and writes what came of it.
+    /// Acts and imagines, prints and writes the findings.
     ///
     /// # Errors
-    /// When the model cannot be used, or the file is there.
+    /// If the model is unusable, or the file exists.
     pub fn run(&self) -> Result<()> {
         if let Some(json) = &self.json {
-            ensure!(!json.exists(), "{} is there already", json.display());
+            ensure!(!json.exists(), "{} exists already", json.display());
         }
         ensure!(
             self.patience.is_finite() && self.patience > 0.0,
@@ -68,7 +69,7 @@ impl ImaginedArgs {
         let folder = open_model(&self.model)?;
         let probe = folder.probe()?.with_context(|| {
             format!(
-                "{} has no success probe: wm train probe makes one",
+                "{} has no success probe; train one with wm train probe",
                 self.model
             )
         })?;
@@ -86,7 +87,7 @@ impl ImaginedArgs {
             parallel: self.parallel,
         };
         let starts = seeds.run("acting and imagining in", |seed| setup.run(seed))?;
-        let about = About {
+        let about = RunInfo {
             task: self.task.to_string(),
             model: model.world.name.clone(),
             model_hash: model.world.hash.clone(),

@@ -1,4 +1,4 @@
-//! How a score in imagination goes together with success on the arm, over policies.
+//! Correlation of imagined scores with success on the arm, over policies.
 
 use anyhow::Result;
 use serde::Serialize;
@@ -10,7 +10,7 @@ use wm_metrics::{
 
 use super::start::{Outcome, Start};
 
-/// What a policy is scored by: the mean over its episodes.
+/// Score of a policy: the mean over its episodes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Score {
@@ -18,17 +18,17 @@ pub enum Score {
     Imagined,
     /// Whether that probability is above one half.
     ImaginedRate,
-    /// Probability of success by the pictures that came.
+    /// Probability of success by the true pictures.
     Seen,
 }
 
-/// What it is compared with: the share of a policy's episodes.
+/// Reference of a score: a share of a policy's episodes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Success {
-    /// That attained the goal.
+    /// Share that reached the goal.
     Executed,
-    /// In which things stood as the instruction asks, which is all that the probe is told.
+    /// Share whose final state follows the instruction, the only input of the probe.
     Followed,
 }
 
@@ -37,7 +37,7 @@ pub enum Success {
 pub struct Agreement {
     pub score: Score,
     pub success: Success,
-    /// `None` where one side is the same for all policies.
+    /// `None` if one side is equal for all policies.
     pub pearson: Option<Coefficient>,
     pub spearman: Option<Coefficient>,
 }
@@ -46,9 +46,9 @@ pub struct Agreement {
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Coefficient {
     pub value: f64,
-    /// 95 % percentile bootstrap of the starts: how sure it is of these policies.
+    /// 95 % percentile bootstrap over the starts, for these policies.
     pub interval: [f64; 2],
-    /// 95 % interval by Fisher's z of the policies, as if drawn from many; `None` below four.
+    /// 95 % interval by Fisher's z over the policies, as random draws; `None` below four.
     pub interval_of_policies: Option<[f64; 2]>,
 }
 
@@ -77,7 +77,7 @@ impl Success {
 }
 
 impl Agreement {
-    /// Every score with every success; all starts have outcomes of the same policies.
+    /// Every score with every success; all starts have the same policies.
     pub fn all(starts: &[Start]) -> Result<Vec<Self>> {
         let pairs = Success::ALL
             .into_iter()
@@ -124,7 +124,7 @@ impl Sides<'_> {
         let Some(found) = of(&every)? else {
             return Ok(None);
         };
-        // Starts that tell no policy from another show no correlation.
+        // Starts without differences between policies show no correlation.
         let estimate = bootstrap(self.starts.len(), &Bootstrap::default(), |drawn| {
             of(drawn).ok().flatten().map_or(0.0, |found| found.r)
         })?;
@@ -135,7 +135,7 @@ impl Sides<'_> {
         }))
     }
 
-    /// Of each policy, over the starts that were drawn.
+    /// Mean of each policy over the drawn starts.
     fn means(&self, drawn: &[usize], value: &dyn Fn(&Outcome) -> f64) -> Vec<f64> {
         let mut sums: Vec<f64> = Vec::new();
         for start in drawn.iter().filter_map(|index| self.starts.get(*index)) {
@@ -144,7 +144,6 @@ impl Sides<'_> {
                 *sum += value(outcome);
             }
         }
-        // Counts stay far below 2^52.
         sums.iter().map(|sum| sum / drawn.len() as f64).collect()
     }
 }

@@ -1,4 +1,4 @@
-//! What was found, as JSON and as text.
+//! The findings, as JSON and text.
 
 use std::fmt;
 
@@ -12,40 +12,40 @@ use super::{
     start::{Outcome, Start},
 };
 
-/// What came of all policies.
+/// Results of all policies.
 #[derive(Clone, Debug, Serialize)]
 pub struct Findings {
     #[serde(flatten)]
-    pub about: About,
+    pub about: RunInfo,
     pub agreements: Vec<Agreement>,
     pub policies: Vec<Policy>,
 }
 
-/// What was run.
+/// Description of the run.
 #[derive(Clone, Debug, Serialize)]
-pub struct About {
+pub struct RunInfo {
     pub task: String,
     pub model: String,
     pub model_hash: String,
     pub seed: u64,
-    /// Starts of each policy.
+    /// Starts per policy.
     pub starts: usize,
     /// Length of an episode, as a multiple of the oracle's.
     pub patience: f64,
 }
 
-/// What came of a policy.
+/// Results of a policy.
 #[derive(Clone, Debug, Serialize)]
 pub struct Policy {
     pub policy: String,
-    /// Share of episodes that attained the goal.
+    /// Share of episodes that reached the goal.
     pub executed: Share,
-    /// Share of episodes in which things stood as the instruction asks.
+    /// Share of episodes whose final state follows the instruction.
     pub followed: Share,
-    /// By the pictures that came.
-    pub seen: Judged,
-    /// By what the world model predicted.
-    pub imagined: Judged,
+    /// By the true pictures.
+    pub seen: ProbeResult,
+    /// By the predictions of the world model.
+    pub imagined: ProbeResult,
     pub episodes: Vec<Episode>,
 }
 
@@ -57,9 +57,9 @@ pub struct Share {
     pub interval: [f64; 2],
 }
 
-/// What the success probe says.
+/// Success according to the probe.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub struct Judged {
+pub struct ProbeResult {
     /// Mean probability of success.
     pub probability: f64,
     /// 95 % percentile bootstrap of the starts.
@@ -68,7 +68,7 @@ pub struct Judged {
     pub successes: Share,
 }
 
-/// One of the episodes.
+/// One episode.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Episode {
     pub seed: u64,
@@ -76,17 +76,17 @@ pub struct Episode {
     pub steps: usize,
     pub executed: bool,
     pub followed: bool,
-    /// What was missing in the end.
+    /// Remaining distance to the goal \[m\].
     pub distance_m: f64,
-    /// Probability by the pictures that came.
+    /// Probability by the true pictures.
     pub seen: f32,
     /// Probability in imagination.
     pub imagined: f32,
 }
 
 impl Findings {
-    /// Of the policies from all starts.
-    pub fn of(about: About, policies: &[ScriptedPolicy], starts: &[Start]) -> Result<Self> {
+    /// Findings of the policies from all starts.
+    pub fn of(about: RunInfo, policies: &[ScriptedPolicy], starts: &[Start]) -> Result<Self> {
         let found = policies.iter().enumerate();
         let found = found.map(|(index, policy)| Policy::of(*policy, index, starts));
         Ok(Self {
@@ -118,11 +118,11 @@ impl Policy {
                 interval: [interval.low, interval.high],
             })
         };
-        let judged = |probability: fn(&Outcome) -> f32| -> Result<Judged> {
+        let judged = |probability: fn(&Outcome) -> f32| -> Result<ProbeResult> {
             let values = found.iter().map(|(_, own)| f64::from(probability(own)));
             let values: Vec<f64> = values.collect();
             let mean = bootstrap_mean(&values, &Bootstrap::default())?;
-            Ok(Judged {
+            Ok(ProbeResult {
                 probability: mean.value,
                 interval: [mean.interval.low, mean.interval.high],
                 successes: share(&|own| probability(own) > 0.5)?,
@@ -152,7 +152,7 @@ impl Policy {
 
 impl fmt::Display for Findings {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let About { task, starts, .. } = &self.about;
+        let RunInfo { task, starts, .. } = &self.about;
         let count = self.policies.len();
         writeln!(
             f,

@@ -1,4 +1,4 @@
-//! A scripted policy at work.
+//! Execution of a scripted policy.
 
 use nalgebra::Vector3;
 use rand::{Rng as _, SeedableRng as _};
@@ -12,19 +12,19 @@ use super::scripted::ScriptedPolicy;
 #[derive(Clone, Debug)]
 pub struct Performance {
     policy: ScriptedPolicy,
-    /// What it believes the goal to be.
+    /// Its assumed goal.
     target: Target,
-    /// Actions that the oracle takes.
+    /// Number of the oracle's actions.
     solution: usize,
-    /// Actions so far.
+    /// Number of actions so far.
     taken: usize,
-    /// The gripper at the start, and as it was commanded last.
+    /// The gripper at the start, and its last command.
     grippers: [f64; 2],
     rng: ChaCha8Rng,
 }
 
 impl Performance {
-    /// From here on. Policies share the draws of a seed: one of a higher grade errs in the same directions, by more.
+    /// Starts here. Policies of a seed share random numbers: a higher grade errs in the same direction, by more.
     pub fn new(policy: ScriptedPolicy, environment: &Environment, seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let angle = rng.random_range(0.0..std::f64::consts::TAU);
@@ -47,7 +47,7 @@ impl Performance {
 
     /// The next command.
     pub fn command(&mut self, environment: &Environment) -> EndEffectorAction {
-        // Drawn whether needed or not, so that the draws of later actions are the same.
+        // Always drawn, so that later draws do not depend on the policy.
         let shift = normal(&mut self.rng);
         let any = any_action(&mut self.rng);
         let chance = self.rng.random_range(0..100);
@@ -67,7 +67,7 @@ impl Performance {
                 ..oracle
             },
             ScriptedPolicy::Stop(percent) => {
-                // Episodes have a few dozen actions.
+                // An episode has a few dozen actions.
                 let is_over = self.taken as f64 >= share(percent) * self.solution as f64;
                 if is_over {
                     EndEffectorAction::still(last)

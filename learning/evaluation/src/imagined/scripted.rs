@@ -1,34 +1,34 @@
-//! Scripted policies, by name.
+//! Scripted policies by name.
 
 use std::{fmt, str::FromStr};
 
 use anyhow::{Error, bail};
 
-/// A policy made of the simulator's own controller, the oracle, and what is wrong with it.
+/// The simulator's own controller (the oracle) with a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ScriptedPolicy {
     /// The oracle.
     Oracle,
     /// Normal noise of this standard deviation \[mm\] on each axis of each action.
     Noise(u32),
-    /// An action drawn evenly in the oracle's place, with this probability \[%\].
+    /// A uniformly random action instead of the oracle's, with this probability \[%\].
     Distracted(u32),
-    /// It goes, or brings the object, to a place that lies so far \[mm\] beside the goal, on a side drawn for the episode.
+    /// Goal displaced by this distance \[mm\] to a side drawn for the episode.
     Beside(u32),
-    /// Its motion is this share \[%\] of the oracle's.
+    /// This share \[%\] of the oracle's motion.
     Slow(u32),
-    /// It stops after this share \[%\] of the actions that the oracle takes.
+    /// Stops after this share \[%\] of the oracle's actions.
     Stop(u32),
-    /// The gripper stays as it was at the start.
+    /// The gripper stays as it was.
     FrozenGripper,
-    /// Actions drawn evenly.
+    /// Uniformly random actions.
     Random,
     /// No motion.
     Hold,
 }
 
 impl ScriptedPolicy {
-    /// From the best to what does nothing, with grades between that bring success on the arm from all to none.
+    /// From the best to none, with grades that cover all success rates on the arm.
     pub const ALL: [Self; 16] = [
         Self::Oracle,
         Self::Noise(10),
@@ -86,7 +86,7 @@ impl FromStr for ScriptedPolicy {
             _ => {
                 let alone: Vec<String> = alone.map(|known| known.to_string()).collect();
                 bail!(
-                    "there is no policy {name:?}; expected {}, noise-N or beside-N of 1 to 200 mm, or distracted-N, slow-N or \
+                    "unknown policy {name:?}; expected {}, noise-N or beside-N of 1 to 200 mm, or distracted-N, slow-N or \
                      stop-N of 1 to 99 %",
                     alone.join(", ")
                 )

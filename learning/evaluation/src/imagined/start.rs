@@ -12,7 +12,7 @@ use crate::{
     closed_loop::{actor::rest, model::Model, trial::LEAST_STEPS},
 };
 
-/// What is tried.
+/// Settings of all starts.
 pub struct Setup<'a> {
     pub task: GoalKind,
     pub policies: &'a [ScriptedPolicy],
@@ -22,33 +22,33 @@ pub struct Setup<'a> {
     pub patience: f64,
 }
 
-/// What came of the policies from one start.
+/// Results of the policies from one start.
 #[derive(Clone, Debug)]
 pub struct Start {
     pub seed: u64,
-    /// Model steps after the observed frames, the same for all policies.
+    /// Model steps after the observed frames, equal for all policies.
     pub steps: usize,
-    /// In the order of the policies.
+    /// By policy.
     pub outcomes: Vec<Outcome>,
 }
 
-/// What came of a policy.
+/// Result of a policy.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Outcome {
-    /// Whether the goal was attained in the end.
+    /// Whether the goal was reached in the end.
     pub executed: bool,
-    /// Whether in the end things stood as the instruction asks.
+    /// Whether the final state follows the instruction.
     pub followed: bool,
-    /// What was missing in the end \[m\].
+    /// Remaining distance to the goal \[m\].
     pub distance_m: f64,
-    /// Probability of success by the pictures that came.
+    /// Probability of success by the true pictures.
     pub seen: f32,
     /// Probability of success in imagination.
     pub imagined: f32,
 }
 
-/// What a policy did, and what the camera saw of it.
-struct Executed {
+/// Commands of a policy, and the resulting pictures.
+struct Execution {
     /// (steps, A): the commands.
     actions: Tensor,
     /// (steps, h, w, C): after each step.
@@ -57,16 +57,16 @@ struct Executed {
 }
 
 impl Setup<'_> {
-    /// Lets all policies act from the start of a seed.
+    /// Runs all policies from the start of a seed.
     ///
     /// # Errors
-    /// If there is no such start, the probe does not read its instruction, or the model fails.
+    /// If the start does not exist, the probe does not know its instruction, or the model fails.
     pub fn run(&self, seed: u64) -> Result<Start> {
         let Self { model, probe, .. } = self;
         let mut environment = Environment::new(self.task, seed, &Variety::default())?;
         let instruction = probe.instruction(environment.instruction())?;
         let steps = self.steps(&environment)?;
-        // Two frames are what the model starts from.
+        // The model starts from two frames.
         let first = model.encode(&environment.picture())?;
         let between = model.action(&rest(&mut environment, model.frames_per_step())?)?;
         let observed = Tensor::stack(&[first, model.encode(&environment.picture())?], 0)?;
@@ -74,7 +74,7 @@ impl Setup<'_> {
         let executed = executed.map(|policy| self.execute(*policy, environment.clone(), steps));
         let executed = executed.collect::<Result<Vec<_>>>()?;
         let imagined = self.imagine(&observed, &between, &executed, seed)?;
-        let outcome = |(index, executed): (usize, &Executed)| -> Result<Outcome> {
+        let outcome = |(index, executed): (usize, &Execution)| -> Result<Outcome> {
             let probability = |after: &Tensor| {
                 let episode = Tensor::cat(&[&observed, after], 0)?;
                 Ok::<f32, anyhow::Error>(probe.probability(&episode, &instruction)?)
@@ -95,8 +95,8 @@ impl Setup<'_> {
         })
     }
 
-    /// Model steps of an episode: for all policies the same, so that its length tells nothing, and no more than the probe
-    /// reads.
+    /// Model steps of an episode: equal for all policies, so that its length is no clue, and at most those that the
+    /// probe reads.
     fn steps(&self, environment: &Environment) -> Result<usize> {
         let most = self.probe.max_frames().checked_sub(CONTEXT);
         let most = most.filter(|most| *most > 0);
@@ -112,7 +112,7 @@ impl Setup<'_> {
         policy: ScriptedPolicy,
         mut environment: Environment,
         steps: usize,
-    ) -> Result<Executed> {
+    ) -> Result<Execution> {
         let seed = environment.seed();
         let mut performance = Performance::new(policy, &environment, seed);
         let (mut actions, mut latents) = (Vec::new(), Vec::new());
@@ -126,19 +126,19 @@ impl Setup<'_> {
             actions.push(self.model.action(&commands)?);
             latents.push(self.model.encode(&environment.picture())?);
         }
-        Ok(Executed {
+        Ok(Execution {
             actions: Tensor::cat(&actions, 0)?,
             latents: Tensor::stack(&latents, 0)?,
             environment,
         })
     }
 
-    /// What the world model makes of the policies' commands, side by side and under one noise: (policies, steps, h, w, C).
+    /// Predictions for the policies' commands, in one batch with one noise: (policies, steps, h, w, C).
     fn imagine(
         &self,
         observed: &Tensor,
         between: &Tensor,
-        executed: &[Executed],
+        executed: &[Execution],
         seed: u64,
     ) -> Result<Tensor> {
         let transition = &self.model.world.transition;

@@ -4,18 +4,18 @@ use wm_sim::{Environment, GoalKind, Variety};
 use wm_zoo::ModelFolder;
 
 use super::{
-    findings::{About, Findings},
+    findings::{Findings, RunInfo},
     performance::Performance,
     scripted::ScriptedPolicy,
     start::{Outcome, Setup, Start},
 };
 use crate::closed_loop::model::Model;
 
-/// Nothing that tiny was trained on.
+/// tiny was not trained on it.
 const SEED: u64 = 5_000_000;
 
 #[test]
-fn names_are_read_back_and_others_refused() {
+fn names_round_trip_and_others_are_rejected() {
     for policy in ScriptedPolicy::ALL {
         let name = policy.to_string();
         assert_eq!(name.parse::<ScriptedPolicy>().unwrap(), policy);
@@ -33,7 +33,7 @@ fn names_are_read_back_and_others_refused() {
     }
 }
 
-/// Share of pushes and carries that a policy attains.
+/// Share of pushes and carries with success.
 fn attained(policy: ScriptedPolicy) -> f64 {
     let episodes = [GoalKind::Push, GoalKind::PickPlace]
         .into_iter()
@@ -51,7 +51,7 @@ fn attained(policy: ScriptedPolicy) -> f64 {
 }
 
 #[test]
-fn a_higher_grade_of_what_is_wrong_attains_less() {
+fn higher_fault_grade_succeeds_less() {
     assert_eq!(attained(ScriptedPolicy::Oracle), 1.0);
     assert_eq!(attained(ScriptedPolicy::Hold), 0.0);
     let falling: [&[ScriptedPolicy]; 4] = [
@@ -70,7 +70,7 @@ fn a_higher_grade_of_what_is_wrong_attains_less() {
 }
 
 #[test]
-fn a_policy_is_judged_alike_whoever_else_is_there() {
+fn policy_result_does_not_depend_on_other_policies() {
     let folder = ModelFolder::open("tiny").unwrap();
     let model = Model::load(&folder).unwrap();
     let probe = folder.probe().unwrap().unwrap();
@@ -94,8 +94,8 @@ fn a_policy_is_judged_alike_whoever_else_is_there() {
     assert!(oracle.imagined > hold.imagined, "{both:?}");
 }
 
-fn about() -> About {
-    About {
+fn run_info() -> RunInfo {
+    RunInfo {
         task: "reach".into(),
         model: "tiny".into(),
         model_hash: "00".into(),
@@ -105,7 +105,7 @@ fn about() -> About {
     }
 }
 
-/// Starts of five policies, of which the nth attains the goal in n of four; `imagined` of n.
+/// Starts of five policies; the nth reaches the goal in n of four; `imagined` is its probability.
 fn starts(imagined: impl Fn(u8) -> f32) -> Vec<Start> {
     let start = |seed: u64| Start {
         seed,
@@ -127,7 +127,7 @@ fn starts(imagined: impl Fn(u8) -> f32) -> Vec<Start> {
 fn findings_rank_policies() {
     let policies = &ScriptedPolicy::ALL[..5];
     let json = |imagined: fn(u8) -> f32| -> serde_json::Value {
-        let found = Findings::of(about(), policies, &starts(imagined)).unwrap();
+        let found = Findings::of(run_info(), policies, &starts(imagined)).unwrap();
         assert!(found.to_string().contains("none: all policies"), "{found}");
         serde_json::from_str(&found.to_json().unwrap()).unwrap()
     };
@@ -150,7 +150,7 @@ fn findings_rank_policies() {
         low > 0.5 && low < 1.0 - 1e-9,
         "starts change the rates: {low}"
     );
-    // Of one start to the next the arm's success differs, the probability does not.
+    // Between starts the arm's success differs, the probability does not.
     assert_eq!(line["policies"][2]["executed"]["rate"], 0.5);
     assert_eq!(line["policies"][2]["imagined"]["probability"], 0.25);
     assert_eq!(line["policies"][2]["imagined"]["successes"]["rate"], 0.0);

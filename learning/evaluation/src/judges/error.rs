@@ -1,9 +1,9 @@
 use std::{io, path::PathBuf};
 
-/// The result of this crate's functions.
+/// Result of this module's functions.
 pub type Result<T> = std::result::Result<T, Error>;
 
-/// What can go wrong, but for an answer that says nothing usable: that is [`crate::judges::verdict::VerdictError`], and kept.
+/// Errors, except unusable answers: these are a [`crate::judges::verdict::VerdictError`], and are kept.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -11,83 +11,83 @@ pub enum Error {
     /// A file cannot be read.
     #[error("{}: {source}", path.display())]
     File {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// Why.
+        /// Cause.
         source: io::Error,
     },
-    /// A file is too large for what it should be.
+    /// A file that is too large.
     #[error("{} is larger than {limit} bytes, which no file of settings is", path.display())]
     FileTooLarge {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// Bytes that it may have.
+        /// Limit \[bytes\].
         limit: u64,
     },
-    /// YAML that is not what it should be.
+    /// Invalid YAML.
     #[error("not {what}: {source}")]
     Yaml {
-        /// What it should be.
+        /// Expected content.
         what: &'static str,
-        /// Where it is not.
+        /// Fault.
         source: serde_yaml_ng::Error,
     },
-    /// A prompt with a placeholder that means nothing there.
-    #[error("the prompt {prompt:?} has the placeholder {{{found}}}, which is none of {expected:?}")]
+    /// A prompt with an unknown placeholder.
+    #[error(
+        "the prompt {prompt:?} has the unknown placeholder {{{found}}}, expected one of {expected:?}"
+    )]
     UnknownPlaceholder {
-        /// The prompt's key in the file.
+        /// Key of the prompt.
         prompt: &'static str,
         /// The placeholder.
         found: String,
-        /// What the prompt may have.
+        /// Accepted placeholders.
         expected: Vec<&'static str>,
     },
-    /// A prompt without a placeholder that it needs.
+    /// A prompt without a required placeholder.
     #[error("the prompt {prompt:?} lacks the placeholder {{{expected}}}")]
     MissingPlaceholder {
-        /// The prompt's key in the file.
+        /// Key of the prompt.
         prompt: &'static str,
         /// The placeholder.
         expected: &'static str,
     },
-    /// A task that contradicts its file.
+    /// An invalid task.
     #[error("the task {instruction:?}: {problem}")]
     Task {
-        /// Its instruction.
+        /// Instruction of the task.
         instruction: String,
-        /// What is wrong, and what was expected.
+        /// Fault and expectation.
         problem: String,
     },
-    /// A setting that cannot be.
+    /// An invalid setting.
     #[error("{owner}: {setting} is {found}, expected {expected}")]
     Setting {
-        /// The judge, or the part of the file.
+        /// The judge, or a part of the file.
         owner: String,
-        /// The setting's key.
+        /// Key of the setting.
         setting: &'static str,
-        /// Its value.
+        /// Value.
         found: String,
-        /// What it may be.
+        /// Accepted values.
         expected: &'static str,
     },
-    /// An endpoint behind https, in a build without TLS.
-    #[error(
-        "judge {judge}: {base_url} takes TLS, which is not built in: build with the feature `https` of wm_evaluation"
-    )]
+    /// An https endpoint in a build without TLS.
+    #[error("judge {judge}: {base_url} needs TLS; build with the feature `https` of wm_evaluation")]
     NeedsHttps {
-        /// The judge.
+        /// Name of the judge.
         judge: String,
-        /// Its endpoint.
+        /// Address of its endpoint.
         base_url: String,
     },
-    /// The API key is not where the settings say. Never has the key in it.
+    /// The API key is missing or invalid. The error never contains the key.
     #[error("judge {judge}: the environment variable {variable} {problem}, expected an API key")]
     ApiKey {
-        /// The judge.
+        /// Name of the judge.
         judge: String,
-        /// The variable.
+        /// Environment variable.
         variable: String,
-        /// What is wrong with it.
+        /// Fault.
         problem: &'static str,
     },
 
@@ -95,140 +95,142 @@ pub enum Error {
     /// A rollout without frames.
     #[error("a rollout of {instruction:?} has no frames, expected at least one")]
     NoFrames {
-        /// Its instruction.
+        /// Instruction of the rollout.
         instruction: String,
     },
     /// A frame that cannot be encoded.
     #[error("frame {frame} of {width}x{height} pixels: {problem}")]
     Picture {
-        /// Its place among the frames.
+        /// Index of the frame.
         frame: usize,
-        /// In pixels.
+        /// Width \[px\].
         width: u32,
-        /// In pixels.
+        /// Height \[px\].
         height: u32,
-        /// What the encoder says.
+        /// Message of the encoder.
         problem: String,
     },
 
     // Endpoints.
-    /// The server refused a question; asking it again would not help.
-    #[error("judge {judge}: the server refused with status {status}, expected 200: {message}")]
-    Refused {
-        /// The judge.
+    /// The server rejected a question permanently.
+    #[error(
+        "judge {judge}: the server rejected the question with status {status}, expected 200: {message}"
+    )]
+    Rejected {
+        /// Name of the judge.
         judge: String,
         /// HTTP status.
         status: u16,
-        /// An excerpt of what the server says.
+        /// Excerpt of the server's message.
         message: String,
     },
-    /// No answer, however often it was asked for.
+    /// No answer after all retries.
     #[error("judge {judge}: no answer after {attempts} attempts: {last}")]
     GaveUp {
-        /// The judge.
+        /// Name of the judge.
         judge: String,
-        /// Requests that were sent.
+        /// Number of requests.
         attempts: u32,
-        /// Why the last of them failed.
+        /// Failure of the last request.
         last: String,
     },
-    /// The server wants more patience than a run has.
+    /// The server requests too long a wait.
     #[error(
-        "judge {judge}: the server asks to wait for {wait_s} s, expected at most {limit_s} s: {last}"
+        "judge {judge}: the server requests a wait of {wait_s} s, expected at most {limit_s} s: {last}"
     )]
     WaitTooLong {
-        /// The judge.
+        /// Name of the judge.
         judge: String,
-        /// Seconds that it asks for.
+        /// Requested wait \[s\].
         wait_s: u64,
-        /// Seconds that are waited for at most.
+        /// Longest wait \[s\].
         limit_s: u64,
-        /// Why the request failed.
+        /// Failure of the request.
         last: String,
     },
-    /// An answer that does not end.
+    /// An answer that is too large.
     #[error("judge {judge}: the server's answer is larger than {limit} bytes, which no verdict is")]
     BodyTooLarge {
-        /// The judge.
+        /// Name of the judge.
         judge: String,
-        /// Bytes that it may have.
+        /// Limit \[bytes\].
         limit: u64,
     },
-    /// A request that cannot be sent at all.
+    /// A request that cannot be sent.
     #[error("judge {judge}: {problem}")]
     Request {
-        /// The judge.
+        /// Name of the judge.
         judge: String,
-        /// What the client says.
+        /// Message of the client.
         problem: String,
     },
-    /// The next question might pass the cap of costs. The answers so far are kept.
+    /// The next question may exceed the cost limit. Earlier answers are kept.
     #[error(
         "judge {judge}: {spent:.4} spent, the next question may cost {next:.4}, and max_cost is {cap:.4}; the answers so \
          far are kept"
     )]
     CostCap {
-        /// The judge.
+        /// Name of the judge.
         judge: String,
-        /// By all answers in the record.
+        /// Cost of all answers in the record.
         spent: f64,
-        /// At most, by the next.
+        /// Greatest cost of the next answer.
         next: f64,
-        /// The cap.
+        /// Limit.
         cap: f64,
     },
-    /// A cap of costs that cannot be held.
+    /// A cost limit that cannot be checked.
     #[error(
-        "judge {judge}: {answers} answers came without `usage`, so max_cost cannot be held; the answers so far are kept"
+        "judge {judge}: {answers} answers lack `usage`, so max_cost cannot be checked; the answers so far are kept"
     )]
     UsageMissing {
-        /// The judge.
+        /// Name of the judge.
         judge: String,
-        /// How many.
+        /// Number of answers.
         answers: u64,
     },
 
     // Records.
-    /// The file is something else, and is left alone.
-    #[error("{} is no record of answers: its first line is not {expected}", path.display())]
+    /// The file is not a record, and is left unchanged.
+    #[error("{} is not a record of answers: the first line is not {expected}", path.display())]
     NotARecord {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What the first line of a record is.
+        /// Expected first line.
         expected: &'static str,
     },
-    /// A line of the record is damaged.
+    /// A damaged line of the record.
     #[error("{}, line {line}: {source}", path.display())]
     RecordLine {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Counted from 1.
+        /// Number from 1.
         line: u64,
-        /// What is wrong with it.
+        /// Fault.
         source: serde_json::Error,
     },
-    /// A line of the record is too long.
+    /// A line of the record that is too long.
     #[error("{}, line {line}: longer than {limit} bytes, which no answer is", path.display())]
     RecordLineTooLong {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Counted from 1.
+        /// Number from 1.
         line: u64,
-        /// Bytes that it may have.
+        /// Limit \[bytes\].
         limit: u64,
     },
-    /// Another process writes to the record.
+    /// The record is open in another process.
     #[error("{} is in use by another process", path.display())]
     RecordInUse {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
     },
     /// The record cannot be read or written.
     #[error("the record {}: {source}", path.display())]
     Record {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Why.
+        /// Cause.
         source: io::Error,
     },
 }

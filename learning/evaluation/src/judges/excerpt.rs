@@ -1,9 +1,9 @@
 //! Foreign text in messages.
 
-/// Characters of foreign text that a message quotes.
+/// Characters of foreign text in a message.
 pub(crate) const EXCERPT_CHARS: usize = 300;
 
-/// The start of a text, with every character escaped that a terminal might obey or reorder by.
+/// The start of a text; characters that a terminal may obey or reorder by are escaped.
 pub(crate) fn excerpt(text: &str) -> String {
     let mut out = String::new();
     let mut chars = text.trim().chars();
@@ -20,7 +20,7 @@ pub(crate) fn excerpt(text: &str) -> String {
     out
 }
 
-/// The end of a text, likewise: where an answer should have had its score.
+/// The end of a text, escaped: where an answer should have its score.
 pub(crate) fn excerpt_of_end(text: &str) -> String {
     let text = text.trim();
     let skipped = text.chars().count().saturating_sub(EXCERPT_CHARS);
@@ -33,7 +33,7 @@ pub(crate) fn excerpt_of_end(text: &str) -> String {
     }
 }
 
-/// Unicode's marks, embeddings, overrides and isolates of direction, and its separators of lines.
+/// Unicode marks, embeddings, overrides and isolates of direction, and line separators.
 fn is_bidi(c: char) -> bool {
     matches!(c, '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
 }
@@ -43,7 +43,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn it_is_bounded_and_harmless() {
+    fn excerpt_is_bounded_and_escaped() {
         assert_eq!(excerpt(" a\x1b[2Jb\u{202e}c\n "), "a\\u{1b}[2Jb\\u{202e}c");
         let long = "ä".repeat(EXCERPT_CHARS + 1);
         assert_eq!(excerpt(&long).chars().count(), EXCERPT_CHARS + 1);

@@ -1,4 +1,4 @@
-//! Which frames of a video a judge sees.
+//! The choice of frames shown to a judge.
 
 use std::collections::BTreeSet;
 
@@ -6,17 +6,17 @@ use serde::{Deserialize, Serialize};
 
 use crate::judges::{Error, Result};
 
-/// More pictures in one question than any server takes.
+/// Most pictures in one question; more than any server accepts.
 pub const MAX_FRAMES: usize = 256;
 
-/// How many frames of a video a judge sees, and of what part. The default is the paper's: 16, "with 10 sampled uniformly
-/// throughout the video and 6 sampled uniformly from the second half", because the end says most about success.
+/// Number of frames shown, by part of the video. The default is the paper's: 16, "with 10 sampled uniformly throughout
+/// the video and 6 sampled uniformly from the second half", because the end shows success best.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct FrameChoice {
-    /// Spread over the whole video, the first and the last frame included.
+    /// Spread over the whole video, first and last frame included.
     pub whole: usize,
-    /// Spread over the second half, its first and its last frame included.
+    /// Spread over the second half, first and last frame included.
     pub tail: usize,
 }
 
@@ -27,10 +27,10 @@ impl Default for FrameChoice {
 }
 
 impl FrameChoice {
-    /// Refuses numbers that no server could be asked with.
+    /// Checks the numbers.
     ///
     /// # Errors
-    /// When both are 0, or their sum is above [`MAX_FRAMES`].
+    /// If both are 0, or their sum exceeds [`MAX_FRAMES`].
     pub fn check(self) -> Result<()> {
         let total = self.whole.saturating_add(self.tail);
         if (1..=MAX_FRAMES).contains(&total) {
@@ -44,13 +44,11 @@ impl FrameChoice {
         })
     }
 
-    /// The frames of a video of `n`, counted from 0, in the order of time: `whole + tail` of them, no frame twice, or all
-    /// `n` where there are no more.
+    /// Indices of `whole + tail` distinct frames of a video of `n`, ascending; all `n` if there are no more.
     ///
-    /// Of `k` frames spread over `first..=last`, frame `i` is `first + i * (last - first) / (k - 1)`, rounded to the
-    /// nearest, halves upwards; a single one is the last. The second half starts at `n / 2`, rounded down. The paper does
-    /// not say what becomes of a frame that both choose (the last always is): here the tail takes the nearest frame that is
-    /// free instead, the later of two.
+    /// Of `k` frames over `first..=last`, frame `i` is `first + i * (last - first) / (k - 1)`, rounded half up; a
+    /// single frame is the last. The second half starts at `n / 2`, rounded down. The paper does not define frames that
+    /// both parts choose (the last always is): here the tail takes the nearest free frame, the later of two.
     #[must_use]
     pub fn indices(self, n: usize) -> Vec<usize> {
         let total = self.whole.saturating_add(self.tail);
@@ -60,7 +58,7 @@ impl FrameChoice {
         let last = n - 1;
         let mut chosen: BTreeSet<usize> = spread(self.whole, 0, last).collect();
         for wanted in spread(self.tail, n / 2, last) {
-            // Ends, since fewer than n are taken.
+            // Terminates, since fewer than n are used.
             let near = (0..n).find_map(|distance| {
                 let later = wanted.checked_add(distance).filter(|i| *i <= last);
                 let earlier = wanted.checked_sub(distance);
@@ -73,9 +71,9 @@ impl FrameChoice {
     }
 }
 
-/// `count` numbers spread over `first..=last`.
+/// `count` numbers over `first..=last`.
 fn spread(count: usize, first: usize, last: usize) -> impl Iterator<Item = usize> {
-    // In u128, for the product of two usize.
+    // The product needs u128.
     let (gaps, length) = (count.saturating_sub(1) as u128, (last - first) as u128);
     (0..count as u128).map(move |i| {
         let steps = if gaps == 0 {
@@ -95,8 +93,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_papers_sixteen_of_a_rollout_of_fifty() {
-        // The whole: 0 5 11 16 22 27 33 38 44 49. The tail: 25 30 35 39 44 49, of which 44 and 49 are taken.
+    fn sixteen_of_fifty_frames_match_the_paper() {
+        // Whole: 0 5 11 16 22 27 33 38 44 49. Tail: 25 30 35 39 44 49, of which 44 and 49 are used already.
         assert_eq!(
             FrameChoice::default().indices(50),
             [0, 5, 11, 16, 22, 25, 27, 30, 33, 35, 38, 39, 44, 45, 48, 49]
@@ -104,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn short_videos_are_seen_whole() {
+    fn short_videos_are_shown_whole() {
         for n in 0..=16 {
             let all: Vec<usize> = (0..n).collect();
             assert_eq!(FrameChoice::default().indices(n), all);
@@ -121,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_without_sense_are_refused() {
+    fn invalid_numbers_are_rejected() {
         for (whole, tail) in [(0, 0), (250, 7), (usize::MAX, 1)] {
             let error = FrameChoice { whole, tail }.check().unwrap_err().to_string();
             assert!(error.contains("1 to 256"), "{error}");
@@ -131,7 +129,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn sorted_in_range_and_of_the_right_number(whole in 0_usize..40, tail in 0_usize..40, n in 0_usize..300) {
+        fn indices_are_sorted_in_range_and_complete(whole in 0_usize..40, tail in 0_usize..40, n in 0_usize..300) {
             let indices = FrameChoice { whole, tail }.indices(n);
             prop_assert_eq!(indices.len(), n.min(whole + tail));
             prop_assert!(indices.iter().all(|i| *i < n));
@@ -142,11 +140,11 @@ mod tests {
         }
 
         #[test]
-        fn of_any_length(n in 17..=usize::MAX) {
+        fn indices_exist_for_any_length(n in 17..=usize::MAX) {
             let indices = FrameChoice::default().indices(n);
             prop_assert_eq!(indices.len(), 16);
             prop_assert!(indices.is_sorted_by(|a, b| a < b) && indices[15] == n - 1);
-            // Ten of the whole have five in the second half, and six of the tail are all there.
+            // Ten of the whole have five in the second half, plus six of the tail.
             prop_assert!(n < 40 || indices.iter().filter(|i| **i >= n / 2).count() >= 11);
         }
     }

@@ -19,19 +19,19 @@ use crate::judges::{
 };
 use form::Form;
 
-/// What a judge says.
+/// Result of a judge.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
-pub struct Judged<T> {
-    /// None where no answer was usable: that is in the record, and counted there.
+pub struct Judgement<T> {
+    /// `None` without a usable answer, which the record has and counts.
     pub verdict: Option<T>,
     /// Whether it was in the record already.
     pub from_record: bool,
-    /// The entry's key in the record.
+    /// Key of the entry in the record.
     pub key: String,
 }
 
-/// A model that judges rollouts, by a question each. Every answer goes to a [`Record`] before it is returned.
+/// A model that judges rollouts with one question each. Every answer goes to a [`Record`] before it is returned.
 #[derive(Debug)]
 pub struct Judge {
     client: Client,
@@ -40,10 +40,10 @@ pub struct Judge {
 }
 
 impl Judge {
-    /// A judge that sees `frames` of each video. Nothing is sent yet.
+    /// A judge that sees `frames` of each video. Sends nothing yet.
     ///
     /// # Errors
-    /// When a setting cannot be, or the environment lacks the API key.
+    /// If a setting is invalid, or the environment lacks the API key.
     pub fn new(
         settings: EndpointSettings,
         prompts: Arc<Prompts>,
@@ -52,10 +52,10 @@ impl Judge {
         Self::with_clock(settings, prompts, frames, Arc::new(SystemClock::default()))
     }
 
-    /// As [`Self::new`], with another clock.
+    /// [`Self::new`] with another clock.
     ///
     /// # Errors
-    /// As for [`Self::new`].
+    /// Those of [`Self::new`].
     pub fn with_clock(
         settings: EndpointSettings,
         prompts: Arc<Prompts>,
@@ -70,28 +70,28 @@ impl Judge {
         })
     }
 
-    /// How it is asked.
+    /// Settings of its endpoint.
     #[must_use]
     pub fn settings(&self) -> &EndpointSettings {
         self.client.settings()
     }
 
-    /// What it is called.
+    /// Name of the judge.
     #[must_use]
     pub fn name(&self) -> &str {
         &self.settings().name
     }
 
-    /// Asks whether the robot did as it was told: 0 or 1, or 0.5 where the rollout has criteria of half a success.
+    /// Judges whether the robot followed the instruction: 0 or 1, or 0.5 if the rollout has partial criteria.
     ///
     /// # Errors
-    /// When the server gives no answer, the next might pass the cap of costs, or the record cannot be written. An answer that
-    /// says nothing usable is no error.
+    /// If the server does not answer, the next answer may exceed the cost limit, or the record cannot be written. An
+    /// unusable answer is not an error.
     pub fn success(
         &mut self,
         rollout: &Rollout,
         record: &mut Record,
-    ) -> Result<Judged<SuccessScore>> {
+    ) -> Result<Judgement<SuccessScore>> {
         let criteria = rollout.partial_criteria.as_deref();
         let prompt = self.prompts.success(&rollout.instruction, criteria);
         let form = Form::Success {
@@ -103,15 +103,15 @@ impl Judge {
         })
     }
 
-    /// Asks for interaction quality, perspectivity and instruction following, 1 to 5 each.
+    /// Judges interaction quality, perspectivity and instruction following, 1 to 5 each.
     ///
     /// # Errors
-    /// As for [`Self::success`].
+    /// Those of [`Self::success`].
     pub fn rubric(
         &mut self,
         rollout: &Rollout,
         record: &mut Record,
-    ) -> Result<Judged<RubricScores>> {
+    ) -> Result<Judgement<RubricScores>> {
         let prompt = self.prompts.rubric(&rollout.instruction);
         self.ask(
             Form::Rubric,
@@ -132,7 +132,7 @@ impl Judge {
         rollout: &Rollout,
         record: &mut Record,
         verdict: impl FnOnce(Outcome) -> Option<T>,
-    ) -> Result<Judged<T>> {
+    ) -> Result<Judgement<T>> {
         let settings = self.client.settings();
         let frames = self.frames.indices(rollout.frames.len());
         let pictures = frames
@@ -147,7 +147,7 @@ impl Judge {
         }
         let hashes = pictures.iter().map(|picture| picture.pixel_hash.as_str());
         let request = request(settings, self.sampling(0), prompt, hashes);
-        // The name too: servers of one's own often call every model the same.
+        // Includes the name: private servers often use one model name.
         let how = json!([
             self.name(),
             form.name(),
@@ -157,7 +157,7 @@ impl Judge {
         ]);
         let key = question_key(&[&request, &how]);
         if let Some(outcome) = record.outcome(&key) {
-            return Ok(Judged {
+            return Ok(Judgement {
                 verdict: verdict(outcome.clone()),
                 from_record: true,
                 key,
@@ -166,9 +166,9 @@ impl Judge {
 
         let mut answers = Vec::new();
         let tally = record.tally(self.name());
-        let asked = self.ask_until_usable(form, prompt, &pictures, &key, tally, &mut answers);
-        // Paid for, if not usable: not to be lost.
-        let (outcome, error) = match asked {
+        let result = self.ask_until_usable(form, prompt, &pictures, &key, tally, &mut answers);
+        // Paid answers must not be lost, even if unusable.
+        let (outcome, error) = match result {
             Ok(outcome) => (outcome, None),
             Err(error) if answers.is_empty() => return Err(error),
             Err(error) => (Outcome::Interrupted(error.to_string()), Some(error)),
@@ -186,7 +186,7 @@ impl Judge {
         })?;
         match error {
             Some(error) => Err(error),
-            None => Ok(Judged {
+            None => Ok(Judgement {
                 verdict: verdict(outcome),
                 from_record: false,
                 key,

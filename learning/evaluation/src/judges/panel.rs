@@ -1,4 +1,4 @@
-//! Several judges of the same rollouts.
+//! Several judges of one set of rollouts.
 
 use std::{borrow::Borrow, collections::BTreeSet, path::Path, sync::Arc};
 
@@ -15,17 +15,17 @@ use crate::judges::{
     text_file,
 };
 
-/// An example of a panel's file, with every key.
+/// Example of a panel file, with every key.
 pub const EXAMPLE_YAML: &str = include_str!("../../judges.yaml");
 
-/// A panel's file.
+/// A panel file.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PanelSettings {
-    /// Which frames of a video all judges see.
+    /// Frames shown to all judges.
     #[serde(default)]
     pub frames: FrameChoice,
-    /// The judges, each with another name.
+    /// Judges with distinct names.
     pub judges: Vec<EndpointSettings>,
 }
 
@@ -33,7 +33,7 @@ impl PanelSettings {
     /// Reads a file like [`EXAMPLE_YAML`].
     ///
     /// # Errors
-    /// When it cannot be read, or as for [`Self::parse`].
+    /// If it cannot be read, and those of [`Self::parse`].
     pub fn read(path: &Path) -> Result<Self> {
         Self::parse(&text_file::read(path)?)
     }
@@ -41,7 +41,7 @@ impl PanelSettings {
     /// Parses a text like [`EXAMPLE_YAML`].
     ///
     /// # Errors
-    /// When a key is missing or unknown, a value cannot be, there is no judge, or two have the same name.
+    /// For a missing or unknown key, an invalid value, no judge, or equal names.
     pub fn parse(yaml: &str) -> Result<Self> {
         let settings: Self = text_file::parse("a file of judges", yaml)?;
         settings.check()?;
@@ -74,14 +74,14 @@ impl PanelSettings {
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Ratings {
-    /// The judges' names.
+    /// Names of the judges.
     pub judges: Vec<String>,
-    /// 0, 0.5 or 1, of `[judge][rollout]`; none where the judge gave no usable answer.
+    /// 0, 0.5 or 1, as `[judge][rollout]`; `None` for an unusable answer.
     pub scores: Vec<Vec<Option<f64>>>,
 }
 
 impl Ratings {
-    /// Of each judge, how many rollouts have no score.
+    /// Number of rollouts without a score, by judge.
     #[must_use]
     pub fn unusable(&self) -> Vec<usize> {
         let rows = self.scores.iter();
@@ -90,39 +90,39 @@ impl Ratings {
     }
 }
 
-/// A rollout was rated by a judge.
+/// A rating of one rollout by one judge.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Progress<'a> {
-    /// Which judge.
+    /// Name of the judge.
     pub judge: &'a str,
-    /// Which rollout, counted from 0.
+    /// Index of the rollout.
     pub rollout: usize,
-    /// What it says.
+    /// Score.
     pub score: Option<f64>,
-    /// Whether it had said so in an earlier run.
+    /// Whether it comes from an earlier run.
     pub from_record: bool,
 }
 
-/// Judges that are all asked about every rollout.
+/// Judges that all rate every rollout.
 #[derive(Debug)]
 pub struct Panel {
     judges: Vec<Judge>,
 }
 
 impl Panel {
-    /// The judges of a file. Nothing is sent yet.
+    /// The judges of a file. Sends nothing yet.
     ///
     /// # Errors
-    /// When a setting cannot be, or the environment lacks an API key.
+    /// If a setting is invalid, or the environment lacks an API key.
     pub fn new(settings: PanelSettings, prompts: Arc<Prompts>) -> Result<Self> {
         Self::with_clock(settings, prompts, Arc::new(SystemClock::default()))
     }
 
-    /// As [`Self::new`], with another clock.
+    /// [`Self::new`] with another clock.
     ///
     /// # Errors
-    /// As for [`Self::new`].
+    /// Those of [`Self::new`].
     pub fn with_clock(
         settings: PanelSettings,
         prompts: Arc<Prompts>,
@@ -138,17 +138,17 @@ impl Panel {
         })
     }
 
-    /// The judges, to be asked one by one: the paper asks the rubric of one only.
+    /// The judges, for single questions: in the paper, only one fills the rubric.
     pub fn judges(&mut self) -> &mut [Judge] {
         &mut self.judges
     }
 
-    /// Asks every judge about the success of every rollout, one question after another. The rollouts are taken one at a time,
+    /// Rates the success of every rollout by every judge, one question after another. Rollouts are taken one at a time,
     /// so that an iterator may load them.
     ///
     /// # Errors
-    /// As for [`Judge::success`], by the first judge that fails. The answers so far are in the record, and the same call
-    /// later goes on from there.
+    /// Those of [`Judge::success`] for the first failing judge. Earlier answers are in the record, and the same call
+    /// resumes there.
     pub fn success<R: Borrow<Rollout>>(
         &mut self,
         rollouts: impl IntoIterator<Item = R>,
@@ -185,7 +185,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_example_has_every_key_at_its_default() {
+    fn example_has_every_key_with_its_default() {
         let settings = PanelSettings::parse(EXAMPLE_YAML).unwrap();
         assert_eq!(settings.frames, FrameChoice::default());
         let [first, second] = &settings.judges[..] else {
@@ -207,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn panels_that_cannot_be_are_refused() {
+    fn invalid_panels_are_rejected() {
         let judge = "{name: a, base_url: 'http://localhost', model: m}";
         for (yaml, named) in [
             ("judges: []".to_owned(), "at least one judge"),

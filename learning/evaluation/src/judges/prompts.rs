@@ -1,4 +1,4 @@
-//! What judges are asked.
+//! The prompts of judges.
 
 mod template;
 
@@ -9,7 +9,7 @@ use serde::Deserialize;
 use crate::judges::{Result, text_file};
 use template::{Placeholder, Template};
 
-/// The embedded prompts, annotated: what of them is the paper's, and what had to be written.
+/// Embedded prompts, with notes on which parts are the paper's.
 pub const PAPER_YAML: &str = include_str!("../../prompts/paper.yaml");
 
 /// The prompts of one file.
@@ -40,7 +40,7 @@ impl Prompts {
     /// The embedded prompts.
     ///
     /// # Errors
-    /// None, as long as this crate's tests pass.
+    /// None, as tested.
     pub fn paper() -> Result<Self> {
         Self::parse(PAPER_YAML)
     }
@@ -48,7 +48,7 @@ impl Prompts {
     /// Reads a file like [`PAPER_YAML`].
     ///
     /// # Errors
-    /// When it cannot be read, or as for [`Self::parse`].
+    /// If it cannot be read, and those of [`Self::parse`].
     pub fn read(path: &Path) -> Result<Self> {
         Self::parse(&text_file::read(path)?)
     }
@@ -56,7 +56,7 @@ impl Prompts {
     /// Parses a text like [`PAPER_YAML`].
     ///
     /// # Errors
-    /// When a key is missing or unknown, or a placeholder is.
+    /// For a missing or unknown key or placeholder.
     pub fn parse(yaml: &str) -> Result<Self> {
         use Placeholder::{Instruction, PartialCriteria};
         let document: Document = text_file::parse("a file of prompts", yaml)?;
@@ -69,7 +69,7 @@ impl Prompts {
         })
     }
 
-    /// Asks for a success, of 0 or 1, or with criteria of 0, 0.5 or 1.
+    /// The question for success: 0 or 1, or 0, 0.5 or 1 with criteria.
     #[must_use]
     pub fn success(&self, instruction: &str, partial_criteria: Option<&str>) -> String {
         match partial_criteria {
@@ -78,13 +78,13 @@ impl Prompts {
         }
     }
 
-    /// Asks for interaction quality, perspectivity and instruction following.
+    /// The question for interaction quality, perspectivity and instruction following.
     #[must_use]
     pub fn rubric(&self, instruction: &str) -> String {
         self.rubric.fill(instruction, "")
     }
 
-    /// What an image editor is told that adds distractors to a first frame. No judge is asked this.
+    /// The prompt of an image editor that adds distractors to a first frame. Judges never get it.
     #[must_use]
     pub fn distractor(&self, instruction: &str) -> String {
         self.distractor.fill(instruction, "")
@@ -96,7 +96,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_papers_prompts() {
+    fn prompts_match_the_paper() {
         let prompts = Prompts::paper().unwrap();
         let binary = prompts.success("close oven", None);
         assert!(binary.starts_with("Here is a sequence of frames from a robot policy which"));
@@ -126,16 +126,16 @@ mod tests {
     }
 
     #[test]
-    fn an_instruction_is_never_a_template() {
-        let asked = Prompts::paper()
+    fn instructions_are_never_templates() {
+        let prompt = Prompts::paper()
             .unwrap()
             .success("put {partial_criteria} in {cup}", Some("{instruction}"));
-        assert!(asked.contains("Instruction: put {partial_criteria} in {cup}\n"));
-        assert!(asked.contains("Partial: {instruction}\n"));
+        assert!(prompt.contains("Instruction: put {partial_criteria} in {cup}\n"));
+        assert!(prompt.contains("Partial: {instruction}\n"));
     }
 
     #[test]
-    fn files_with_faults_are_refused_by_name() {
+    fn faulty_files_are_rejected_by_name() {
         let cases = [
             (
                 "Instruction: {instruction}\n\n    Score rubric:\n    0 = Failure\n    1",

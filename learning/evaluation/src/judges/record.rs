@@ -1,4 +1,4 @@
-//! Every answer, on disk.
+//! All answers, on disk.
 
 mod entry;
 mod key;
@@ -17,38 +17,37 @@ use crate::judges::{Error, Result, endpoint::Usage};
 pub use entry::{Answer, Entry, Outcome};
 pub(crate) use key::question_key;
 
-/// The first line of a record: by it no other file is taken for one.
+/// First line of a record, which identifies the file.
 pub const HEADER: &str = "{\"wm_judge_record\":1}";
-/// More than the answers to one question can have: 11 of [`MAX_BODY_BYTES`](crate::judges::endpoint::MAX_BODY_BYTES), and the
-/// request.
+/// More than the answers to one question: 11 of [`MAX_BODY_BYTES`](crate::judges::endpoint::MAX_BODY_BYTES), and the request.
 const MAX_LINE_BYTES: u64 = 128 << 20;
 
-/// A file of JSON lines: [`HEADER`], then an [`Entry`] per question that was asked. Each line is on the disk before the next
-/// question is asked.
+/// A file of JSON lines: [`HEADER`], then an [`Entry`] per question. Each line is on disk before the next question is
+/// sent.
 ///
-/// Opening the file again goes on with it: a question that has an answer is not asked again, one that was interrupted is. In
-/// memory are the keys, the verdicts and the sums of tokens, not the answers.
+/// Reopening the file resumes: answered questions are not sent again, interrupted ones are. Only keys, verdicts and
+/// token sums are in memory.
 #[derive(Debug)]
 pub struct Record {
     path: PathBuf,
     file: File,
-    /// Of the lines that are whole.
+    /// Length of the complete lines.
     bytes: u64,
     outcomes: HashMap<String, Outcome>,
     tallies: HashMap<String, Tally>,
 }
 
-/// What a judge has used up.
+/// Consumption of a judge.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Tally {
-    /// Tokens of all its answers.
+    /// Tokens of all answers.
     pub usage: Usage,
-    /// The most that one answer took, input and output each.
+    /// Greatest input and greatest output of one answer.
     pub largest: Usage,
     /// Answers whose tokens are unknown.
     pub uncounted: u64,
-    /// Questions whose answers say nothing usable.
+    /// Questions without a usable answer.
     pub unusable: u64,
 }
 
@@ -65,12 +64,11 @@ impl Tally {
 }
 
 impl Record {
-    /// Opens a record, or begins one where there is no file. A last line without an end, which a process left that was killed
-    /// while it wrote, is dropped with a warning.
+    /// Opens or creates a record. An incomplete last line of a killed process is dropped with a warning.
     ///
     /// # Errors
-    /// When the file is none of this crate's, has a damaged line, is open in another process, or cannot be read or written.
-    /// It is then as it was.
+    /// If the file is not a record, has a damaged line, is open in another process, or cannot be read or written. It is
+    /// then unchanged.
     pub fn open(path: &Path) -> Result<Self> {
         let failed = |source| Error::Record {
             path: path.to_owned(),
@@ -99,7 +97,7 @@ impl Record {
         record.read_lines()?;
         if record.bytes < length {
             let torn = length - record.bytes;
-            warn!(path = %path.display(), bytes = torn, "the last line is torn and was dropped");
+            warn!(path = %path.display(), bytes = torn, "dropping the incomplete last line");
             record.file.set_len(record.bytes).map_err(failed)?;
         }
         if record.bytes == 0 {
@@ -108,40 +106,40 @@ impl Record {
         Ok(record)
     }
 
-    /// The file.
+    /// Path of the file.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// What came of the question with this key; none, if it was not asked, or was interrupted.
+    /// Outcome of the question with this key; `None` if it was never sent, or was interrupted.
     #[must_use]
     pub fn outcome(&self, key: &str) -> Option<&Outcome> {
         self.outcomes.get(key)
     }
 
-    /// Number of questions that need not be asked again.
+    /// Number of answered questions.
     #[must_use]
     pub fn len(&self) -> usize {
         self.outcomes.len()
     }
 
-    /// Whether there is no such question.
+    /// Whether no question is answered.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.outcomes.is_empty()
     }
 
-    /// What the judge of this name has used up, in all runs.
+    /// Consumption of a judge in all runs.
     #[must_use]
     pub fn tally(&self, judge: &str) -> Tally {
         self.tallies.get(judge).copied().unwrap_or_default()
     }
 
-    /// Adds a question with its answers.
+    /// Appends a question with its answers.
     ///
     /// # Errors
-    /// When the file cannot be written. What was in it before still is.
+    /// If the file cannot be written. Its earlier content stays.
     pub fn append(&mut self, entry: Entry) -> Result<()> {
         let line = serde_json::to_string(&entry);
         let written = line
@@ -159,8 +157,7 @@ impl Record {
         let line = format!("{line}\n");
         let written = self.file.write_all(line.as_bytes());
         if let Err(error) = written.and_then(|()| self.file.sync_data()) {
-            // Half a line would damage the one after it. If this fails too, the file ends in a torn line, which is dropped
-            // when it is opened.
+            // Half a line would damage the next one. If truncation fails too, reopening drops the incomplete line.
             self.file.set_len(self.bytes).ok();
             return Err(error);
         }
@@ -174,7 +171,7 @@ impl Record {
             tally.add(answer);
         }
         match entry.outcome {
-            // To be asked again.
+            // Sent again after reopening.
             Outcome::Interrupted(_) => return,
             Outcome::Unusable(_) => tally.unusable += 1,
             Outcome::Success(_) | Outcome::Rubric(_) => {}
@@ -194,7 +191,7 @@ impl Record {
         let mut line = Vec::new();
         for number in 1_u64.. {
             line.clear();
-            // The first decides whether the file is ours, before more of it is read.
+            // The first line identifies the file; read no more if it is another.
             let limit = if number == 1 {
                 HEADER.len() as u64 + 1
             } else {

@@ -1,24 +1,24 @@
-//! What is judged.
+//! Rollouts to judge.
 
 use image::RgbImage;
 
-/// A video of a robot, real or imagined, and what the robot was told.
+/// A video of a robot, real or imagined, with its instruction.
 #[derive(Clone, Debug)]
 pub struct Rollout {
-    /// What the robot was told.
+    /// Instruction of the robot.
     pub instruction: String,
-    /// What counts as half a success; without them there is none.
+    /// Criteria of half a success; without them a score is 0 or 1.
     pub partial_criteria: Option<String>,
-    /// The whole video, in the order of time.
+    /// The whole video in order.
     pub frames: Vec<RgbImage>,
-    /// Which of the rollouts with this instruction. Even two that look alike are asked about apart.
+    /// Index among the rollouts with this instruction. Even equal rollouts are judged separately.
     pub trial: u64,
-    /// When it was made, or whatever the record should say.
+    /// Time of creation, or another stamp for the record.
     pub stamp_ns: u64,
 }
 
 impl Rollout {
-    /// The first trial, without criteria of half a success.
+    /// The first trial, without partial criteria.
     #[must_use]
     pub fn new(instruction: impl Into<String>, frames: Vec<RgbImage>) -> Self {
         Self {

@@ -1,4 +1,4 @@
-//! What rollouts are judged on.
+//! Tasks of rollouts.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -9,7 +9,7 @@ use serde::Deserialize;
 
 use crate::judges::{Error, Result, text_file};
 
-/// The embedded tasks: the paper's 20 of Bridge V2, ten of them with an instruction out of distribution.
+/// Embedded tasks: the paper's 20 of Bridge V2, ten of them with an out-of-distribution instruction.
 pub const BRIDGE_V2_YAML: &str = include_str!("../../tasks/bridge_v2.yaml");
 
 /// The tasks of one file.
@@ -23,23 +23,23 @@ pub struct Tasks {
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Task {
-    /// What the robot is told.
+    /// Instruction of the robot.
     pub instruction: String,
-    /// How difficult it is; [`Tasks::level_name`] says what that means.
+    /// Level of difficulty; see [`Tasks::level_name`].
     pub level: u8,
-    /// What replaces the instruction in the test out of distribution.
+    /// Replacement of the instruction in the out-of-distribution test.
     pub ood: Option<OodInstruction>,
-    /// What counts as half a success.
+    /// Criteria of half a success.
     pub partial_criteria: Option<String>,
 }
 
-/// An instruction that the policy was not meant for in this scene.
+/// An instruction that does not match the scene.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct OodInstruction {
-    /// What the robot is told instead.
+    /// The other instruction.
     pub instruction: String,
-    /// In what it differs, as `Action reversal`.
+    /// Kind of difference, such as `Action reversal`.
     pub variation: String,
 }
 
@@ -64,7 +64,7 @@ impl Tasks {
     /// The embedded tasks.
     ///
     /// # Errors
-    /// None, as long as this crate's tests pass.
+    /// None, as tested.
     pub fn bridge_v2() -> Result<Self> {
         Self::parse(BRIDGE_V2_YAML)
     }
@@ -72,7 +72,7 @@ impl Tasks {
     /// Reads a file like [`BRIDGE_V2_YAML`].
     ///
     /// # Errors
-    /// When it cannot be read, or as for [`Self::parse`].
+    /// If it cannot be read, and those of [`Self::parse`].
     pub fn read(path: &Path) -> Result<Self> {
         Self::parse(&text_file::read(path)?)
     }
@@ -80,7 +80,7 @@ impl Tasks {
     /// Parses a text like [`BRIDGE_V2_YAML`].
     ///
     /// # Errors
-    /// When a key is missing or unknown, or a task is there twice, is empty, has a level without a name, or only one of
+    /// For a missing or unknown key, or a task that is repeated, is empty, has a level without a name, or only one of
     /// `ood_instruction` and `variation`.
     pub fn parse(yaml: &str) -> Result<Self> {
         let Document { levels, tasks } = text_file::parse("a file of tasks", yaml)?;
@@ -105,25 +105,25 @@ impl Tasks {
         Ok(Self { levels, tasks })
     }
 
-    /// In the order of the file.
+    /// Tasks in the order of the file.
     #[must_use]
     pub fn tasks(&self) -> &[Task] {
         &self.tasks
     }
 
-    /// Those with an instruction out of distribution.
+    /// Tasks with an out-of-distribution instruction.
     pub fn out_of_distribution(&self) -> impl Iterator<Item = (&Task, &OodInstruction)> {
         let pairs = self.tasks.iter();
         pairs.filter_map(|task| Some((task, task.ood.as_ref()?)))
     }
 
-    /// The levels with their names.
+    /// Names of the levels.
     #[must_use]
     pub fn levels(&self) -> &BTreeMap<u8, String> {
         &self.levels
     }
 
-    /// What a level is called; of every task's level there is a name.
+    /// Name of a level; every task's level has one.
     #[must_use]
     pub fn level_name(&self, level: u8) -> Option<&str> {
         self.levels.get(&level).map(String::as_str)
@@ -189,7 +189,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_papers_tasks() {
+    fn tasks_match_the_paper() {
         let tasks = Tasks::bridge_v2().unwrap();
         let of_level = |level| {
             tasks
@@ -221,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn files_with_faults_are_refused_by_name() {
+    fn faulty_files_are_rejected_by_name() {
         let cases = [
             (
                 "levels: {1: a}\ntasks: [{instruction: b, level: 2}]",

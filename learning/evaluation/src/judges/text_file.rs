@@ -1,4 +1,4 @@
-//! Files of settings.
+//! Settings files.
 
 use std::{fs::File, io::Read as _, path::Path};
 
@@ -6,10 +6,10 @@ use serde::de::DeserializeOwned;
 
 use crate::judges::{Error, Result};
 
-/// A file of settings larger than this is none.
+/// Largest accepted settings file.
 const MAX_BYTES: u64 = 1 << 20;
 
-/// Reads a file of settings.
+/// Reads a settings file.
 pub(crate) fn read(path: &Path) -> Result<String> {
     let failed = |source| Error::File {
         path: path.to_owned(),
@@ -29,7 +29,7 @@ pub(crate) fn read(path: &Path) -> Result<String> {
     Ok(text)
 }
 
-/// Parses YAML; `what` is what it should be.
+/// Parses YAML; `what` names the expected content.
 pub(crate) fn parse<T: DeserializeOwned>(what: &'static str, yaml: &str) -> Result<T> {
     serde_yaml_ng::from_str(yaml).map_err(|source| Error::Yaml { what, source })
 }

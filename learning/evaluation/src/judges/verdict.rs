@@ -1,4 +1,4 @@
-//! What an answer says.
+//! Verdicts in answers.
 
 mod rubric;
 mod success;
@@ -6,64 +6,64 @@ mod success;
 pub use rubric::{RUBRIC_KEYS, Rating, RubricScores, parse_rubric};
 pub use success::{SUCCESS_THRESHOLD, SuccessScore, parse_success};
 
-/// An answer longer than this, in bytes, is not searched for a score.
+/// Longest answer that is searched for a score \[bytes\].
 pub const MAX_ANSWER_BYTES: usize = 1 << 20;
 
-/// Why an answer is no verdict.
+/// An unusable answer.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum VerdictError {
-    /// There is no line with a score.
+    /// A missing score line.
     #[error("no line \"Final Score: X\" in the answer: {excerpt}")]
     NoScore {
-        /// The answer's end.
+        /// End of the answer.
         excerpt: String,
     },
-    /// The line has something else.
+    /// An invalid score.
     #[error("the final score is \"{found}\", expected {expected}")]
     Score {
-        /// What the line has.
+        /// Text of the score.
         found: String,
-        /// What it may have.
+        /// Accepted scores.
         expected: &'static str,
     },
-    /// There is no JSON object.
+    /// A missing JSON object.
     #[error("no JSON object in the answer: {excerpt}")]
     NoObject {
-        /// The answer's end.
+        /// End of the answer.
         excerpt: String,
     },
-    /// The object has other keys than it should.
+    /// An object with other keys.
     #[error("the object has the keys {found:?}, expected {RUBRIC_KEYS:?}")]
     Keys {
-        /// Its keys, the first few.
+        /// The first few keys.
         found: Vec<String>,
     },
-    /// A rating is not one.
+    /// An invalid rating.
     #[error("{key} is {found}, expected {{\"score\": 1 to 5, \"reason\": \"...\"}}")]
     Rating {
-        /// Which.
+        /// Key of the rating.
         key: &'static str,
-        /// What it is.
+        /// Value.
         found: String,
     },
-    /// The answer is too long.
+    /// An answer that is too long.
     #[error("the answer has {bytes} bytes, expected at most {MAX_ANSWER_BYTES}")]
     TooLong {
-        /// Its length.
+        /// Length \[bytes\].
         bytes: usize,
     },
-    /// The server cut the answer off, so that even its last line may be half of one.
+    /// An answer cut off by the server; even its last line may be incomplete.
     #[error("the answer was cut off at max_tokens, expected a whole one; it ends: {excerpt}")]
     CutOff {
-        /// The answer's end.
+        /// End of the answer.
         excerpt: String,
     },
 }
 
-/// The answer without what the model thought before it: up to the last `</think>`, and from a `<think>` that was never
-/// closed. Thoughts quote the form of the answer, and weigh scores that they then dismiss.
-fn spoken(text: &str) -> Result<&str, VerdictError> {
+/// The answer without reasoning: after the last `</think>`, and up to an unclosed `<think>`. Reasoning quotes the form
+/// of the answer, and mentions scores that it dismisses.
+fn without_reasoning(text: &str) -> Result<&str, VerdictError> {
     if text.len() > MAX_ANSWER_BYTES {
         return Err(VerdictError::TooLong { bytes: text.len() });
     }

@@ -1,13 +1,12 @@
-//! Runs of a constant number of inputs.
+//! Batches of constant size.
 
-/// Items in groups of one size. The last group is filled up with its last item, so that a run always has the same shape: a
-/// network's file may fix it, and a plan for each other shape would cost more than what is computed in vain.
+/// Items in groups of one size. The last group is padded with its last item, so that all runs have one shape: a file may fix
+/// the shape, and a plan for another shape costs more than the padding.
 pub(crate) struct Batches<'a, T> {
     items: std::slice::Chunks<'a, T>,
     size: usize,
 }
 
-/// One group.
 pub(crate) struct Batch<'a, T> {
     items: &'a [T],
     size: usize,
@@ -36,12 +35,12 @@ impl<'a, T> Iterator for Batches<'a, T> {
 }
 
 impl<'a, T> Batch<'a, T> {
-    /// Items of the run.
+    /// Items of the run, with padding.
     pub(crate) fn len(&self) -> usize {
         self.size
     }
 
-    /// Those of them that are not there to fill it up.
+    /// Items without padding.
     pub(crate) fn given(&self) -> usize {
         self.items.len()
     }

@@ -7,21 +7,21 @@ use crate::onnx::field::on_the_picture;
 use crate::onnx::input::size_of;
 use crate::onnx::{Network, Result, Role};
 
-/// A network that gives depth: `depth`.
+/// A network for depth: `depth`.
 #[derive(Debug)]
 pub struct Depth {
     network: Network,
     output: usize,
 }
 
-/// A number per pixel.
+/// One number per pixel.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DepthMap {
-    /// Width, in pixels.
+    /// Width \[px\].
     pub width: usize,
-    /// Height, in pixels.
+    /// Height \[px\].
     pub height: usize,
-    /// In the network's unit, row by row: many networks give the inverse of the depth up to a scale and an offset.
+    /// In the network's unit, row by row; many networks give the inverse depth up to scale and offset.
     pub values: Vec<f32>,
 }
 
@@ -40,7 +40,7 @@ impl Depth {
         &self.network
     }
 
-    /// The depth of a picture, resized (bilinear) to the picture's own size.
+    /// Depth of a picture, resized (bilinear) to the picture's size.
     pub fn of(&self, picture: &RgbImage) -> Result<DepthMap> {
         let network = &self.network;
         let (input, size) = network.single(picture)?;

@@ -14,7 +14,7 @@ impl Digest {
     /// The digest of `bytes`.
     ///
     /// ```
-    /// let digest = crate::onnx::Digest::of(b"abc");
+    /// let digest = wm_evaluation::onnx::Digest::of(b"abc");
     /// assert!(digest.to_string().starts_with("ba7816bf"));
     /// ```
     pub fn of(bytes: &[u8]) -> Self {
@@ -58,7 +58,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn text_and_back() {
+    fn digest_round_trips_as_text() {
         let digest = Digest::of(b"a network");
         assert_eq!(Digest::try_from(digest.to_string()), Ok(digest));
         for wrong in ["", "abc", &"g".repeat(64), &"0".repeat(63), &"0".repeat(65)] {

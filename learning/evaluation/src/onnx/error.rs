@@ -1,22 +1,22 @@
-//! The one error type of this crate.
+//! Errors of networks.
 
 use std::path::PathBuf;
 
 use crate::onnx::{Digest, Role};
 
-/// Result with the error of this crate.
+/// Result of this module.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
-/// What can go wrong with a network; each message names the role and the file, what was expected and what came.
+/// Errors of networks; each message names the role, the file, the expectation and the finding.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
     /// A file could not be read.
     #[error("{file}: {reason}", file = .file.display())]
     Io {
-        /// The file.
+        /// Path of the file.
         file: PathBuf,
-        /// What the system said. No source, since the message has it.
+        /// Cause; not a `source`, since the message includes it.
         reason: std::io::Error,
     },
 
@@ -25,42 +25,42 @@ pub enum Error {
     Yaml {
         /// The file.
         file: PathBuf,
-        /// What is wrong, and where.
+        /// Fault with its location.
         reason: serde_yaml_ng::Error,
     },
 
-    /// A key of `networks.yaml` has a value that cannot be, or is missing.
+    /// A missing or invalid key of `networks.yaml`.
     #[error("{file}: {role}: {key}: {reason}", file = .file.display())]
     Key {
-        /// The file.
+        /// Path of the file.
         file: PathBuf,
-        /// Under which role.
+        /// Role of the network.
         role: Role,
-        /// Which key, such as `input.size`.
+        /// Key, such as `input.size`.
         key: &'static str,
-        /// What is wrong with it.
+        /// Fault.
         reason: String,
     },
 
-    /// No network has this role.
-    #[error("{}; {file} may name one", .role.not_measured(), file = .file.display())]
-    Absent {
+    /// A role without a network.
+    #[error("{}; add one to {file}", .role.not_measured(), file = .file.display())]
+    MissingNetwork {
         /// The role.
         role: Role,
-        /// Where the network would be named.
+        /// File to add it to.
         file: PathBuf,
     },
 
-    /// The role's network gives something else.
-    #[error("{role}: its network does not give {asked}")]
+    /// A network with another output.
+    #[error("{role}: the network does not give {requested}")]
     Role {
         /// The role.
         role: Role,
-        /// What was asked of it.
-        asked: &'static str,
+        /// Requested output.
+        requested: &'static str,
     },
 
-    /// The program was built without a runtime for ONNX files.
+    /// A build without an ONNX runtime.
     #[error(
         "{role}: {file}: this program was built without ONNX; build it with the feature `onnx` \
          (cargo build --features onnx)",
@@ -69,85 +69,85 @@ pub enum Error {
     NoRuntime {
         /// The role.
         role: Role,
-        /// The network's file.
+        /// Path of the network.
         file: PathBuf,
     },
 
-    /// The file is not the one that `networks.yaml` means.
+    /// A file other than the one in `networks.yaml`.
     #[error("{role}: {file}: SHA-256 expected {expected}, found {found}", file = .file.display())]
     Digest {
         /// The role.
         role: Role,
-        /// The network's file.
+        /// Path of the network.
         file: PathBuf,
-        /// As stated in `networks.yaml`.
+        /// Digest in `networks.yaml`.
         expected: Digest,
-        /// Of the file.
+        /// Digest of the file.
         found: Digest,
     },
 
-    /// The file is not a network that can be run: damaged, too large, or with an operator that the runtime lacks.
+    /// A file that cannot run: damaged, too large, or with an unsupported operator.
     #[error("{role}: {file}: not a network that can be run: {reason}", file = .file.display())]
     Unusable {
         /// The role.
         role: Role,
-        /// The network's file.
+        /// Path of the network.
         file: PathBuf,
-        /// What the runtime said.
+        /// Message of the runtime.
         reason: String,
     },
 
-    /// The network failed while it ran.
+    /// A failed run.
     #[error("{role}: {file}: {reason}", file = .file.display())]
     Run {
         /// The role.
         role: Role,
-        /// The network's file.
+        /// Path of the network.
         file: PathBuf,
-        /// What the runtime said.
+        /// Message of the runtime.
         reason: String,
     },
 
-    /// An input or an output has another shape than the role's.
+    /// An input or output of the wrong shape.
     #[error("{role}: {file}: {tensor}: expected {expected}, found {found}", file = .file.display())]
     Shape {
         /// The role.
         role: Role,
-        /// The network's file.
+        /// Path of the network.
         file: PathBuf,
-        /// Which input or output.
+        /// Name of the input or output.
         tensor: String,
-        /// The shape that the role asks for.
+        /// Shape required by the role.
         expected: String,
-        /// The shape that is there, or what is there in its stead.
+        /// Shape found, or its replacement.
         found: String,
     },
 
-    /// An output has a number that is infinite or none.
+    /// An output with an infinite or NaN value.
     #[error("{role}: {file}: {tensor}: {value} at element {index}", file = .file.display())]
     NotFinite {
         /// The role.
         role: Role,
-        /// The network's file.
+        /// Path of the network.
         file: PathBuf,
-        /// Which output.
+        /// Name of the output.
         tensor: String,
-        /// First element that is not finite.
+        /// Index of the first such element.
         index: usize,
-        /// What it is.
+        /// Value.
         value: f32,
     },
 
-    /// A picture, a clip or a query that the network cannot take.
+    /// An unsuitable picture, clip or query.
     #[error("{role}: {what}: expected {expected}, found {found}")]
     Input {
         /// The role.
         role: Role,
-        /// What was given.
+        /// Kind of input.
         what: &'static str,
-        /// What the network takes.
+        /// Accepted.
         expected: String,
-        /// What came.
+        /// Found.
         found: String,
     },
 }

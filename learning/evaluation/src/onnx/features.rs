@@ -6,14 +6,14 @@ use crate::onnx::batches::Batches;
 use crate::onnx::pooling::pooled;
 use crate::onnx::{Error, Network, OutputKind, Result};
 
-/// A network that gives features of pictures: `fid`, `subject`, `background`, or `jepa` without `input.frames`.
+/// A network for features of pictures: `fid`, `subject`, `background`, or `jepa` without `input.frames`.
 #[derive(Debug)]
 pub struct Features {
     network: Network,
     output: usize,
 }
 
-/// A network that gives features of clips: `fvd`, or `jepa` with `input.frames`.
+/// A network for features of clips: `fvd`, or `jepa` with `input.frames`.
 #[derive(Debug)]
 pub struct ClipFeatures {
     network: Network,
@@ -36,8 +36,7 @@ impl Features {
         &self.network
     }
 
-    /// One vector per picture, in their order; all have the same length. The pictures may differ in size where
-    /// `networks.yaml` states one to resize to.
+    /// One vector per picture, in order, all of one length. Pictures may differ in size if `networks.yaml` has a size.
     pub fn of(&self, pictures: &[RgbImage]) -> Result<Vec<Vec<f32>>> {
         let network = &self.network;
         let mut features = Vec::with_capacity(pictures.len());
@@ -76,12 +75,12 @@ impl ClipFeatures {
         &self.network
     }
 
-    /// Pictures that a clip must have.
+    /// Pictures per clip.
     pub fn frames(&self) -> usize {
         self.frames
     }
 
-    /// One vector per clip, in their order; all have the same length.
+    /// One vector per clip, in order, all of one length.
     pub fn of(&self, clips: &[&[RgbImage]]) -> Result<Vec<Vec<f32>>> {
         let network = &self.network;
         let mut features = Vec::with_capacity(clips.len());
@@ -105,9 +104,9 @@ impl ClipFeatures {
     }
 }
 
-pub(crate) fn other(network: &Network, asked: &'static str) -> Error {
+pub(crate) fn other(network: &Network, requested: &'static str) -> Error {
     Error::Role {
         role: network.role(),
-        asked,
+        requested,
     }
 }

@@ -1,4 +1,4 @@
-//! Outputs that lie on the picture: a number or two per pixel.
+//! Outputs with one or two numbers per pixel.
 
 use image::RgbImage;
 
@@ -7,7 +7,7 @@ use crate::onnx::resample::resized;
 use crate::onnx::{Network, Resize, Result, Tensor};
 
 impl Network {
-    /// One picture as an input, repeated where the file fixes a larger batch, and its height and width as the network sees it.
+    /// One picture as input, repeated if the file fixes a larger batch, with its height and width for the network.
     pub(crate) fn single(&self, picture: &RgbImage) -> Result<(Tensor, [usize; 2])> {
         let prepared = self.prepare(picture)?;
         let size = prepared.size;
@@ -16,8 +16,8 @@ impl Network {
     }
 }
 
-/// The first entry of an output, plane by plane, resized from `size`, the picture as the network sees it, to the picture's own
-/// size. Resizing averages where it shrinks.
+/// The first entry of an output, by plane, resized from `size` (the network's picture) to the picture's own size. Shrinking
+/// averages.
 pub(crate) fn on_the_picture<const PLANES: usize>(
     network: &Network,
     outputs: &[Tensor],
@@ -53,6 +53,6 @@ pub(crate) fn on_the_picture<const PLANES: usize>(
         })
         .ok_or_else(|| {
             let expected = format!("[batch, {PLANES}, {height}, {width}]");
-            network.misshapen("output", expected, format!("{shape:?}"))
+            network.shape_error("output", expected, format!("{shape:?}"))
         })
 }

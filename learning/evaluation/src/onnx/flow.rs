@@ -8,23 +8,23 @@ use crate::onnx::input::size_of;
 use crate::onnx::scores::same_size;
 use crate::onnx::{Network, Result, Role};
 
-/// A network that gives optical flow: `flow`.
+/// A network for optical flow: `flow`.
 #[derive(Debug)]
 pub struct Flow {
     network: Network,
     output: usize,
 }
 
-/// Where each pixel of a picture goes in the next one.
+/// Displacement of each pixel from one picture to the next.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FlowField {
-    /// Width, in pixels.
+    /// Width \[px\].
     pub width: usize,
-    /// Height, in pixels.
+    /// Height \[px\].
     pub height: usize,
-    /// Displacement to the right, in pixels; row by row.
+    /// Displacement to the right \[px\], row by row.
     pub u: Vec<f32>,
-    /// Displacement down, in pixels; row by row.
+    /// Displacement down \[px\], row by row.
     pub v: Vec<f32>,
 }
 
@@ -43,10 +43,10 @@ impl Flow {
         &self.network
     }
 
-    /// The flow from the first picture to the second, of the same size: for each pixel of the first, how far it has moved.
+    /// The flow from the first picture to the second, of equal size: the displacement of each pixel of the first.
     ///
-    /// Where the network works on a resized picture, its field is resized back (bilinear) and its displacements are scaled
-    /// by the ratio of the sides, so that they are pixels of the pictures given here.
+    /// If the network works on a resized picture, its field is resized back (bilinear) and scaled by the ratio of the
+    /// sides, so that displacements are in pixels of the given pictures.
     pub fn between(&self, first: &RgbImage, second: &RgbImage) -> Result<FlowField> {
         let network = &self.network;
         same_size(network, first, second)?;

@@ -1,17 +1,17 @@
-//! From pictures to the numbers that a network takes.
+//! Converts pictures to network inputs.
 
 use image::RgbImage;
 
 use crate::onnx::resample::resized;
 use crate::onnx::{Channels, Input, Layout, Resize, Size, Tensor};
 
-/// As for settings: a longer side beyond this is a mistake.
+/// A longer side beyond this is a mistake in the settings.
 const MAX_LONGER_SIDE: usize = 16_384;
 
-/// What was expected, and what came.
+/// Expectation and finding.
 pub(crate) type Mismatch = (String, String);
 
-/// A picture as the network sees it: pixel by pixel, the colours of a pixel together.
+/// A picture for the network: pixel by pixel, colours interleaved.
 #[derive(Clone)]
 pub(crate) struct Prepared {
     /// Height and width.
@@ -20,7 +20,7 @@ pub(crate) struct Prepared {
 }
 
 impl Input {
-    /// Resizes, cuts, and normalises one picture, in this order and without rounding to levels in between.
+    /// Resizes, crops and normalises a picture, in this order, without rounding in between.
     pub(crate) fn prepare(&self, picture: &RgbImage) -> Result<Prepared, Mismatch> {
         let from = size_of(picture);
         if from.contains(&0) {
@@ -79,7 +79,7 @@ impl Input {
     }
 }
 
-/// Pictures of one size as one input: pictures where `frames` is `None`, else clips of so many.
+/// Pictures of one size as one input: pictures if `frames` is `None`, else clips of that length.
 pub(crate) fn arranged(
     pictures: &[Prepared],
     layout: Layout,
@@ -131,16 +131,16 @@ impl Prepared {
 
 /// Height and width.
 pub(crate) fn size_of(picture: &RgbImage) -> [usize; 2] {
-    // u32 to usize: this is no 16-bit machine.
+    // u32 fits into usize on all supported machines.
     [picture.height() as usize, picture.width() as usize]
 }
 
-/// Size as messages write it, width first as pictures are.
+/// A size for messages, width first.
 pub(crate) fn text([height, width]: [usize; 2]) -> String {
     format!("{width}x{height}")
 }
 
-/// The middle of a picture. An odd rest is split as torchvision's `center_crop` does, whose `round` goes to even numbers.
+/// Crops the middle. An odd margin is split as in torchvision's `center_crop`, whose `round` goes to even numbers.
 fn cut(pixels: &[f32], from: [usize; 2], to: [usize; 2]) -> Result<Vec<f32>, Mismatch> {
     let ([from_height, from_width], [height, width]) = (from, to);
     if from_height < height || from_width < width {

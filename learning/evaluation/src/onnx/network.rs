@@ -1,4 +1,4 @@
-//! A network that is loaded.
+//! Loaded networks.
 
 use std::fs::File;
 use std::io::Read as _;
@@ -11,13 +11,13 @@ use crate::onnx::runtime::Session;
 use crate::onnx::spec::MAX_BATCH;
 use crate::onnx::{Digest, Error, Input, Layout, Output, Result, Role, Spec, Tensor};
 
-/// No ONNX file with its weights in it is larger: protobuf ends there.
+/// Largest ONNX file: the limit of protobuf.
 const MAX_FILE: u64 = 1 << 31;
 
-/// A role's network, loaded, with the description it was opened by.
+/// A loaded network with its description.
 ///
-/// The typed front ends ([`Features`](crate::onnx::Features), [`Flow`](crate::onnx::Flow), ...) are what metrics use; this is what they
-/// share. A run uses one thread, and the same numbers in give the same numbers out.
+/// Metrics use typed front ends ([`Features`](crate::onnx::Features), [`Flow`](crate::onnx::Flow), ...), which share
+/// this type. A run uses one thread, and is deterministic.
 #[derive(Debug)]
 pub struct Network {
     role: Role,
@@ -27,17 +27,17 @@ pub struct Network {
     session: Session,
 }
 
-/// An input of a network as its file declares it.
+/// A declared input of a network.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Port {
-    /// Its name in the file.
+    /// Name in the file.
     pub name: String,
-    /// Its axes: a number where the file fixes it. `None` if the file does not even fix how many there are.
+    /// Axes: a number if fixed by the file. `None` if even the number of axes is free.
     pub shape: Option<Vec<Option<usize>>>,
 }
 
 impl Network {
-    /// Loads `file`, and verifies its SHA-256 if `spec` states one.
+    /// Loads `file`, and verifies its SHA-256 if `spec` has one.
     pub(crate) fn open(role: Role, spec: Spec, file: &Path) -> Result<Self> {
         let bytes = read(role, file)?;
         let digest = Digest::of(&bytes);
@@ -66,37 +66,37 @@ impl Network {
         }
     }
 
-    /// What it is for.
+    /// Role.
     pub fn role(&self) -> Role {
         self.role
     }
 
-    /// Its file.
+    /// Path of the file.
     pub fn file(&self) -> &Path {
         &self.file
     }
 
-    /// The SHA-256 of its file, for reports.
+    /// SHA-256 of the file, for reports.
     pub fn digest(&self) -> Digest {
         self.digest
     }
 
-    /// What `networks.yaml` says of it.
+    /// Description in `networks.yaml`.
     pub fn spec(&self) -> &Spec {
         &self.spec
     }
 
-    /// Its inputs, in the file's order.
+    /// Inputs in the file's order.
     pub fn inputs(&self) -> &[Port] {
         self.session.inputs()
     }
 
-    /// The names of its outputs, in the file's order.
+    /// Names of the outputs in the file's order.
     pub fn outputs(&self) -> &[String] {
         self.session.outputs()
     }
 
-    /// Runs it once: as many inputs as it has, in the file's order; all its outputs, finite.
+    /// Runs once, with all inputs in the file's order; returns all outputs, which are finite.
     pub fn run(&self, inputs: &[Tensor]) -> Result<Vec<Tensor>> {
         self.check_inputs(inputs)?;
         let outputs = self.session.run(inputs).map_err(|reason| Error::Run {
@@ -118,34 +118,34 @@ impl Network {
         Ok(outputs)
     }
 
-    /// Inputs per run: what the file fixes, else what `networks.yaml` says.
+    /// Inputs per run: fixed by the file, else from `networks.yaml`.
     pub(crate) fn batch(&self) -> usize {
         self.fixed_batch().unwrap_or(self.spec.batch).max(1)
     }
 
-    /// Inputs per run where the file fixes it.
+    /// Inputs per run, if fixed by the file.
     pub(crate) fn fixed_batch(&self) -> Option<usize> {
         *self.inputs().first()?.shape.as_ref()?.first()?
     }
 
-    /// How it takes pictures.
+    /// Preparation of pictures.
     pub(crate) fn input(&self) -> &Input {
         &self.spec.input
     }
 
-    /// How it takes pictures: their order of axes, which the check of the role has filled in.
+    /// Order of axes; the check of the role has set it.
     pub(crate) fn layout(&self) -> Layout {
         self.spec.input.layout.unwrap_or(Layout::Nchw)
     }
 
-    /// One picture as the network sees it.
+    /// Prepares one picture.
     pub(crate) fn prepare(&self, picture: &RgbImage) -> Result<Prepared> {
         self.input()
             .prepare(picture)
             .map_err(|(expected, found)| self.wrong("picture (width x height)", expected, found))
     }
 
-    /// Pictures as one input.
+    /// Arranges pictures as one input.
     pub(crate) fn arrange(&self, pictures: &[Prepared], frames: Option<usize>) -> Result<Tensor> {
         arranged(pictures, self.layout(), frames).ok_or_else(|| {
             let expected = "pictures of one size in a run".to_owned();
@@ -153,14 +153,16 @@ impl Network {
         })
     }
 
-    /// The place of an output among those of [`Network::run`].
+    /// Index of an output of [`Network::run`].
     pub(crate) fn index_of(&self, output: &Output, key: &str) -> Result<usize> {
         let names = self.outputs();
-        let (found, asked) = match output {
+        let (found, requested) = match output {
             Output::Index(index) => ((*index < names.len()).then_some(*index), index.to_string()),
             Output::Name(name) => (names.iter().position(|other| other == name), name.clone()),
         };
-        found.ok_or_else(|| self.misshapen(key, format!("one of {names:?}"), format!("`{asked}`")))
+        found.ok_or_else(|| {
+            self.shape_error(key, format!("one of {names:?}"), format!("`{requested}`"))
+        })
     }
 
     /// Fails unless there are `count` inputs.
@@ -173,14 +175,14 @@ impl Network {
             .iter()
             .map(|port| port.name.as_str())
             .collect();
-        Err(self.misshapen(
+        Err(self.shape_error(
             "inputs",
             format!("{count}: {what}"),
             format!("{}: {names:?}", names.len()),
         ))
     }
 
-    pub(crate) fn misshapen(
+    pub(crate) fn shape_error(
         &self,
         tensor: impl Into<String>,
         expected: String,
@@ -220,7 +222,7 @@ impl Network {
                     .iter()
                     .map(|side| side.map_or("any".to_owned(), |side| side.to_string()))
                     .collect();
-                return Err(self.misshapen(
+                return Err(self.shape_error(
                     format!("input `{}`", port.name),
                     format!("[{}]", sides.join(", ")),
                     format!("{:?}", tensor.shape()),

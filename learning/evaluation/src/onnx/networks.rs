@@ -1,4 +1,4 @@
-//! The networks that a user has.
+//! The user's networks.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -11,14 +11,14 @@ use crate::onnx::{
     Tracks,
 };
 
-/// What a `networks.yaml` says: which roles have a network, and how each is run. Opens none of the files until asked.
+/// Contents of a `networks.yaml`: the networks by role. Opens their files on request only.
 #[derive(Clone, Debug)]
 pub struct Networks {
     file: PathBuf,
     specs: BTreeMap<Role, Spec>,
 }
 
-/// The file as it is written. A struct, not a map: so a role that comes twice is an error, and a wrong one lists the right ones.
+/// A struct instead of a map, so that repeated roles are errors, and wrong ones list the right ones.
 #[derive(Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Roles {
@@ -36,7 +36,7 @@ struct Roles {
 }
 
 impl Networks {
-    /// No network at all: every role is absent. `file` is where messages say that one would be named.
+    /// No networks. Messages name `file` as the place to add them.
     pub fn none(file: impl Into<PathBuf>) -> Self {
         Self {
             file: file.into(),
@@ -44,7 +44,7 @@ impl Networks {
         }
     }
 
-    /// Reads `networks.yaml`. The networks' own files are not opened.
+    /// Reads `networks.yaml`, without opening the networks.
     pub fn read(file: impl Into<PathBuf>) -> Result<Self> {
         let file = file.into();
         match fs::read_to_string(&file) {
@@ -53,12 +53,12 @@ impl Networks {
         }
     }
 
-    /// Likewise, from text that is in memory. Paths in it are relative to the folder of `file`.
+    /// Parses a text. Its paths are relative to the folder of `file`.
     ///
     /// ```
-    /// use crate::onnx::{Networks, Role};
+    /// use wm_evaluation::onnx::{Networks, Role};
     ///
-    /// # fn main() -> crate::onnx::Result<()> {
+    /// # fn main() -> wm_evaluation::onnx::Result<()> {
     /// let text = "
     /// fid:
     ///   file: inception.onnx
@@ -72,7 +72,7 @@ impl Networks {
     /// ```
     pub fn parse(text: &str, file: impl Into<PathBuf>) -> Result<Self> {
         let file = file.into();
-        // An empty file, or one of comments alone, is null: no network.
+        // An empty file, or one with comments only, is null: no network.
         let roles = match serde_yaml_ng::from_str::<Option<Roles>>(text) {
             Ok(roles) => roles.unwrap_or_default(),
             Err(reason) => return Err(Error::Yaml { file, reason }),
@@ -90,12 +90,12 @@ impl Networks {
         Ok(Self { file, specs })
     }
 
-    /// The `networks.yaml`.
+    /// Path of `networks.yaml`.
     pub fn file(&self) -> &Path {
         &self.file
     }
 
-    /// What is said of a role's network, with its defaults; `None` if it has none.
+    /// Description of a role's network, with defaults; `None` if missing.
     pub fn spec(&self, role: Role) -> Option<&Spec> {
         self.specs.get(&role)
     }
@@ -105,7 +105,7 @@ impl Networks {
         self.specs.keys().copied()
     }
 
-    /// Roles without one; [`Role::not_measured`] is what a report says of each.
+    /// Roles without a network; see [`Role::not_measured`].
     pub fn absent(&self) -> impl Iterator<Item = Role> {
         let specs = &self.specs;
         Role::ALL
@@ -113,9 +113,9 @@ impl Networks {
             .filter(|role| !specs.contains_key(role))
     }
 
-    /// Opens a role's network: reads the file, verifies its SHA-256 if one is stated, and loads it.
+    /// Opens a role's network: reads the file, verifies its SHA-256 if given, and loads it.
     pub fn open(&self, role: Role) -> Result<Network> {
-        let spec = self.spec(role).ok_or_else(|| Error::Absent {
+        let spec = self.spec(role).ok_or_else(|| Error::MissingNetwork {
             role,
             file: self.file.clone(),
         })?;
@@ -123,12 +123,12 @@ impl Networks {
         Network::open(role, spec.clone(), &folder.join(&spec.file))
     }
 
-    /// The network of `fid`, `subject`, `background`, or of `jepa` where it takes pictures.
+    /// The network of `fid`, `subject`, `background`, or of `jepa` for pictures.
     pub fn features(&self, role: Role) -> Result<Features> {
         Features::new(self.open(role)?)
     }
 
-    /// The network of `fvd`, or of `jepa` where it takes clips.
+    /// The network of `fvd`, or of `jepa` for clips.
     pub fn clip_features(&self, role: Role) -> Result<ClipFeatures> {
         ClipFeatures::new(self.open(role)?)
     }

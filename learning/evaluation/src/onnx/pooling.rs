@@ -1,8 +1,8 @@
-//! From an output to one vector per picture.
+//! Pools an output to one vector per picture.
 
 use crate::onnx::{Network, Pooling, Result, Tensor};
 
-/// `count` vectors of features from output `index`, as the network's `pooling` says.
+/// Pools output `index` to `count` feature vectors by the network's `pooling`.
 pub(crate) fn pooled(
     network: &Network,
     outputs: &[Tensor],
@@ -21,11 +21,11 @@ pub(crate) fn pooled(
                 Pooling::Tokens | Pooling::FirstToken => format!("[{count}, tokens, features]"),
                 Pooling::Space => format!("[{count}, features, height, width]"),
             };
-            network.misshapen("output", expected, format!("{shape:?}"))
+            network.shape_error("output", expected, format!("{shape:?}"))
         })
 }
 
-/// `None` if the shape is not one that `pooling` is for.
+/// `None` if the shape does not suit `pooling`.
 fn vectors(tensor: &Tensor, pooling: Pooling) -> Option<Vec<Vec<f32>>> {
     let (_, shape) = tensor.shape().split_first()?;
     let rows = tensor.rows();
@@ -60,7 +60,7 @@ fn mean_of_tokens(row: &[f32], tokens: usize, features: usize) -> Vec<f32> {
         .collect()
 }
 
-/// Summed in f64, so that the order does not matter to what is compared.
+/// Summed in f64, so that rounding does not depend on the order.
 fn mean(values: &[f32]) -> f32 {
     let sum: f64 = values.iter().copied().map(f64::from).sum();
     (sum / values.len() as f64) as f32
@@ -77,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn every_way() {
+    fn every_pooling_gives_vectors() {
         use Pooling::{FirstToken, None, Space, Tokens};
         assert_eq!(
             pooled(&[2, 2], None),

@@ -1,4 +1,4 @@
-//! Resampling of a plane of numbers as PyTorch does it.
+//! Resampling of a plane, as in PyTorch.
 
 use crate::onnx::Resize;
 
@@ -8,10 +8,10 @@ struct Tap {
     weights: Vec<f32>,
 }
 
-/// How a row of `from` elements becomes one of `to`.
+/// Resamples a row of `from` elements to `to`.
 ///
-/// The weights are those of PyTorch's `interpolate` with `align_corners=False`, source `UpSample.h` and
-/// `UpSampleKernel.cpp`: with antialias the kernel is stretched by the ratio when the row shrinks.
+/// Weights as in PyTorch's `interpolate` with `align_corners=False` (`UpSample.h`, `UpSampleKernel.cpp`): with
+/// antialias the kernel is stretched by the ratio when shrinking.
 pub(crate) struct Taps {
     taps: Vec<Tap>,
 }
@@ -34,7 +34,7 @@ impl Taps {
         }
     }
 
-    /// Every row of `plane`, whose rows have `from` elements of `channels` numbers each.
+    /// Resamples every row of `plane`, of `from` elements with `channels` numbers each.
     pub(crate) fn rows(&self, plane: &[f32], from: usize, channels: usize) -> Vec<f32> {
         let rows = plane.len() / (from * channels).max(1);
         let mut out = Vec::with_capacity(rows * self.taps.len() * channels);
@@ -44,14 +44,14 @@ impl Taps {
         out
     }
 
-    /// Down the columns of `plane`, whose rows have `stride` numbers.
+    /// Resamples the columns of `plane`, whose rows have `stride` numbers.
     pub(crate) fn columns(&self, plane: &[f32], stride: usize) -> Vec<f32> {
         let mut out = Vec::with_capacity(self.taps.len() * stride);
         self.onto(plane, stride, &mut out);
         out
     }
 
-    /// One line of elements of `width` numbers each.
+    /// Resamples one line of elements of `width` numbers each.
     fn onto(&self, line: &[f32], width: usize, out: &mut Vec<f32>) {
         for tap in &self.taps {
             let begin = out.len();
@@ -69,7 +69,7 @@ impl Taps {
     }
 }
 
-/// A plane of `from` = (height, width) with `channels` numbers per pixel, resized to `to`.
+/// Resizes a plane of `from` = (height, width) with `channels` numbers per pixel to `to`.
 pub(crate) fn resized(
     plane: &[f32],
     from: [usize; 2],
@@ -83,12 +83,12 @@ pub(crate) fn resized(
     Taps::new(from_height, height, resize, antialias).columns(&rows, width * channels)
 }
 
-/// Weights of a kernel of `support` elements either side, centred on output element `i`.
+/// Weights of a kernel with `support` elements on either side of output element `i`.
 fn averaged(from: usize, i: usize, ratio: f64, support: f64, kernel: impl Fn(f64) -> f64) -> Tap {
     let stretch = ratio.max(1.0);
     let support = support * stretch;
     let center = ratio * (i as f64 + 0.5);
-    // Casts to usize round down, and negative numbers to 0, as the source does.
+    // Casts to usize round down, and negative numbers to 0, as in PyTorch.
     let start = (center - support + 0.5) as usize;
     let end = ((center + support + 0.5) as usize).min(from);
     let mut weights: Vec<f64> = (start..end)
@@ -118,7 +118,7 @@ fn bilinear(from: usize, i: usize, ratio: f64) -> Tap {
     }
 }
 
-/// Four neighbours; beyond the border, the outermost element stands for those that are not there.
+/// Four neighbours; beyond the border, the outermost element repeats.
 fn bicubic(from: usize, i: usize, ratio: f64) -> Tap {
     let place = ratio * (i as f64 + 0.5) - 0.5;
     let last = from.saturating_sub(1) as f64;
@@ -127,7 +127,7 @@ fn bicubic(from: usize, i: usize, ratio: f64) -> Tap {
     let start = (base - 1.0).clamp(0.0, last);
     let mut weights = [0.0; 4];
     for offset in [-1.0, 0.0, 1.0, 2.0] {
-        // Within 0..4: the clamped place is at or after the clamped first one, and no more than 3 further.
+        // Within 0..4: the clamped index is at most 3 after the clamped first one.
         let at = ((base + offset).clamp(0.0, last) - start) as usize;
         if let Some(weight) = weights.get_mut(at) {
             *weight += cubic(offset - part, -0.75) as f32;

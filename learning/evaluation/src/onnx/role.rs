@@ -1,8 +1,8 @@
-//! What a network is for, and what it takes and gives.
+//! Roles of networks, with their inputs and outputs.
 
 use std::fmt;
 
-/// What a network is for: its key in `networks.yaml`.
+/// Purpose of a network: its key in `networks.yaml`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Role {
     /// Perceptual distance of two pictures.
@@ -13,7 +13,7 @@ pub enum Role {
     Fvd,
     /// Technical quality of a picture.
     Musiq,
-    /// How well a picture pleases.
+    /// Appeal of a picture.
     Aesthetic,
     /// Features for the maximum mean discrepancy in a JEPA's space.
     Jepa,
@@ -25,11 +25,11 @@ pub enum Role {
     Flow,
     /// Depth of a single picture.
     Depth,
-    /// Points followed through a video, such as CoTracker's.
+    /// Points tracked through a video, such as CoTracker's.
     Tracks,
 }
 
-/// What a network takes.
+/// Input of a network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum InputKind {
@@ -39,13 +39,13 @@ pub enum InputKind {
     Pair,
     /// A clip of a fixed number of pictures.
     Clip,
-    /// A clip where `input.frames` is given, else a picture.
+    /// A clip if `input.frames` is given, else a picture.
     PictureOrClip,
     /// A video of any length and query points `N x 3`: step, x, y.
     Queries,
 }
 
-/// What a network gives, without the leading batch axis.
+/// Output of a network, without the batch axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum OutputKind {
@@ -57,12 +57,12 @@ pub enum OutputKind {
     Flow,
     /// `H x W` or `1 x H x W`, in the network's unit.
     Depth,
-    /// `T x N x 2` places (x, y) in pixels of the network's picture, and `T x N` visibilities.
+    /// `T x N x 2` positions (x, y) in pixels of the network's picture, and `T x N` visibilities.
     Tracks,
 }
 
 impl Role {
-    /// Every role, in the order in which reports list them.
+    /// All roles, in the order of reports.
     pub const ALL: [Self; 11] = [
         Self::Lpips,
         Self::Fid,
@@ -77,7 +77,7 @@ impl Role {
         Self::Tracks,
     ];
 
-    /// Its key in `networks.yaml`.
+    /// Key in `networks.yaml`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Lpips => "lpips",
@@ -94,7 +94,7 @@ impl Role {
         }
     }
 
-    /// The metrics that need it, as reports name them.
+    /// Metrics that need it, as in reports.
     pub fn metric(self) -> &'static str {
         match self {
             Self::Lpips => "LPIPS",
@@ -111,7 +111,7 @@ impl Role {
         }
     }
 
-    /// What its network takes.
+    /// Input of its network.
     pub fn input(self) -> InputKind {
         match self {
             Self::Lpips | Self::Flow => InputKind::Pair,
@@ -127,7 +127,7 @@ impl Role {
         }
     }
 
-    /// What its network gives.
+    /// Output of its network.
     pub fn output(self) -> OutputKind {
         match self {
             Self::Fid | Self::Fvd | Self::Jepa | Self::Subject | Self::Background => {
@@ -140,17 +140,17 @@ impl Role {
         }
     }
 
-    /// The line of a report that stands for what this role would have measured.
+    /// Line of a report if the network is missing.
     ///
     /// ```
-    /// use crate::onnx::Role;
+    /// use wm_evaluation::onnx::Role;
     /// assert_eq!(Role::Fid.not_measured(), "FID: not measured: no network for `fid`");
     /// ```
     pub fn not_measured(self) -> String {
         format!("{}: not measured: no network for `{self}`", self.metric())
     }
 
-    /// Whether the output lies on the picture, so that nothing of the picture may be cut off.
+    /// Whether the output covers the picture, which must then not be cropped.
     pub(crate) fn is_on_the_picture(self) -> bool {
         matches!(
             self.output(),

@@ -1,4 +1,4 @@
-//! What runs an ONNX file, if the program was built with anything that does.
+//! The runtime of ONNX files, if built in.
 
 #[cfg(not(feature = "onnx"))]
 mod absent;

@@ -6,7 +6,7 @@ use crate::onnx::batches::Batches;
 use crate::onnx::features::other;
 use crate::onnx::{Network, Result, Role, Tensor};
 
-/// A network that scores pictures: `musiq` or `aesthetic`.
+/// A network for scores of pictures: `musiq` or `aesthetic`.
 #[derive(Debug)]
 pub struct Scores {
     network: Network,
@@ -14,16 +14,16 @@ pub struct Scores {
     range: [f32; 2],
 }
 
-/// What a network says of one picture.
+/// Score of one picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Score {
-    /// As the network gave it, on its own scale.
+    /// On the network's own scale.
     pub raw: f32,
-    /// With `score_range` mapped to 0 and 1; cut off there, since a network may go beyond its scale.
+    /// With `score_range` mapped to 0 and 1, and clipped, since networks may exceed their scale.
     pub normalised: f32,
 }
 
-/// A network that gives the perceptual distance of two pictures: `lpips`.
+/// A network for the perceptual distance of two pictures: `lpips`.
 #[derive(Debug)]
 pub struct Distance {
     network: Network,
@@ -51,7 +51,7 @@ impl Scores {
         &self.network
     }
 
-    /// One score per picture, in their order.
+    /// One score per picture, in order.
     pub fn of(&self, pictures: &[RgbImage]) -> Result<Vec<Score>> {
         let network = &self.network;
         let [worst, best] = self.range;
@@ -87,7 +87,7 @@ impl Distance {
         &self.network
     }
 
-    /// One distance per pair, in their order. The two pictures of a pair must have the same size.
+    /// One distance per pair, in order. Both pictures of a pair must have one size.
     pub fn between(&self, pairs: &[(&RgbImage, &RgbImage)]) -> Result<Vec<f32>> {
         let network = &self.network;
         let mut distances = Vec::with_capacity(pairs.len());
@@ -128,13 +128,13 @@ fn numbers<'a>(
     let found = outputs.get(index);
     let shape = found.map_or(&[][..], Tensor::shape);
     match found {
-        // A network for one picture may leave out the axis.
+        // A network for one picture may omit the batch axis.
         Some(tensor)
             if tensor.data().len() == count && (count == 1 || shape.first() == Some(&count)) =>
         {
             Ok(tensor.data())
         }
-        _ => Err(network.misshapen(
+        _ => Err(network.shape_error(
             "output",
             format!("[{count}] or [{count}, 1]"),
             format!("{shape:?}"),

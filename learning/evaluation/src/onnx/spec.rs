@@ -1,4 +1,4 @@
-//! What `networks.yaml` says of one network.
+//! Descriptions in `networks.yaml`.
 
 mod check;
 
@@ -10,52 +10,52 @@ use crate::onnx::Digest;
 
 pub(crate) use check::MAX_BATCH;
 
-/// One network: its file, what it takes and where its result is. See `networks.example.yaml` in this crate's folder for every key.
+/// One network: file, input and output. `networks.example.yaml` in this crate's folder has every key.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Spec {
     /// The ONNX file, relative to the folder of `networks.yaml`.
     pub file: PathBuf,
-    /// The file's SHA-256. Default: any file will do.
+    /// SHA-256 of the file. Default: not verified.
     pub sha256: Option<Digest>,
-    /// What becomes of a picture before the network sees it.
+    /// Preparation of pictures.
     pub input: Input,
-    /// The output with the result; for `tracks`, with the places. Default: the first.
+    /// Output with the result; for `tracks`, with the positions. Default: the first.
     #[serde(default)]
     pub output: Output,
-    /// What becomes of axes between batch and features. Default: there are none.
+    /// Pooling of axes between batch and features. Default: none.
     #[serde(default)]
     pub pooling: Pooling,
-    /// Scores that become 0 and 1, for `musiq` and `aesthetic`. Default for `aesthetic`: 0 and 10; `musiq` has none.
+    /// Scores that map to 0 and 1, for `musiq` and `aesthetic`. Default for `aesthetic`: 0 and 10; `musiq` has none.
     pub score_range: Option<[f32; 2]>,
-    /// For `tracks`: the output with the visibilities. Default: the second.
+    /// For `tracks`: output with the visibilities. Default: the second.
     pub visibility: Option<Output>,
-    /// For `tracks`: a point is visible where its visibility is above this. Default: 0.5.
+    /// For `tracks`: least visibility of a visible point. Default: 0.5.
     pub visible_above: Option<f32>,
-    /// Pictures, pairs or clips per run, 1 to 64, where the file does not fix it. Default: 1; with more, the last bits of what a
-    /// picture gives may depend on its place among the others.
+    /// Pictures, pairs or clips per run, 1 to 64, unless fixed by the file. Default: 1. With more, the last bits of a result may
+    /// depend on the position in the batch.
     #[serde(default = "one")]
     pub batch: usize,
 }
 
-/// What becomes of a picture before the network sees it: resize, centre crop, range, mean and deviation, layout.
+/// Preparation of a picture: resize, centre crop, range, mean and deviation, layout.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Input {
-    /// How pictures are resized.
+    /// Resizing.
     pub resize: Resize,
-    /// Size after the resize. With `resize: none`, the size that pictures must have; default there: any.
+    /// Size after the resize. With `resize: none`, the required size; default there: any.
     pub size: Option<Size>,
-    /// Whether a smaller picture averages over the larger one. Must be said for `bilinear` and `bicubic`.
+    /// Whether shrinking averages. Required for `bilinear` and `bicubic`.
     pub antialias: Option<bool>,
-    /// Height and width that are cut out of the middle after the resize. Default: nothing is cut off.
+    /// Height and width of the centre crop after the resize. Default: no crop.
     pub crop: Option<[usize; 2]>,
-    /// What levels 0 and 255 become, before mean and deviation.
+    /// Values of levels 0 and 255, before mean and deviation.
     pub range: [f32; 2],
-    /// Subtracted from each channel, in the order of `channels`. Default: 0.
+    /// Subtracted by channel, in the order of `channels`. Default: 0.
     #[serde(default)]
     pub mean: [f32; 3],
-    /// Divides each channel, in the order of `channels`. Default: 1.
+    /// Divisor by channel, in the order of `channels`. Default: 1.
     #[serde(default = "ones")]
     pub std: [f32; 3],
     /// Order of the axes. Default: `nchw` for pictures, `ncthw` for clips, `ntchw` for `tracks`.
@@ -67,18 +67,18 @@ pub struct Input {
     pub frames: Option<usize>,
 }
 
-/// How a picture is resized, as PyTorch's `interpolate` with `align_corners=False` does. With antialias the bicubic kernel has
-/// `a = -0.5`, without it `a = -0.75`, as there.
+/// Resizing as in PyTorch's `interpolate` with `align_corners=False`. The bicubic kernel has `a = -0.5` with antialias,
+/// and `a = -0.75` without.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Resize {
-    /// Straight lines between neighbours.
+    /// Linear interpolation.
     Bilinear,
-    /// Cubic polynomials through four neighbours.
+    /// Cubic interpolation of four neighbours.
     Bicubic,
-    /// The neighbour at or before each place: PyTorch's `nearest`, not its `nearest-exact`.
+    /// The neighbour at or before each position: PyTorch's `nearest`, not its `nearest-exact`.
     Nearest,
-    /// Not at all.
+    /// No resizing.
     None,
 }
 
@@ -89,19 +89,19 @@ pub enum Resize {
     expecting = "expected a number for the shorter side, or [height, width]"
 )]
 pub enum Size {
-    /// The shorter side; the longer one keeps the ratio, rounded down, as torchvision's `Resize` with one number.
+    /// The shorter side; the longer one keeps the ratio, rounded down, as in torchvision's `Resize`.
     Shorter(usize),
     /// Height and width.
     Exact([usize; 2]),
 }
 
-/// Order of the axes of an input: n batch, c colour, t time, h height, w width.
+/// Axes of an input: n batch, c colour, t time, h height, w width.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Layout {
-    /// Pictures, a plane per colour.
+    /// Pictures by colour plane.
     Nchw,
-    /// Pictures, the colours of a pixel together.
+    /// Pictures with interleaved colours.
     Nhwc,
     /// Clips, time within colour.
     Ncthw,
@@ -120,16 +120,16 @@ pub enum Channels {
     Bgr,
 }
 
-/// One of the outputs of a network.
+/// An output of a network.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(
     untagged,
     expecting = "expected the number of an output, from 0, or its name"
 )]
 pub enum Output {
-    /// By its place, from 0.
+    /// By index, from 0.
     Index(usize),
-    /// By its name.
+    /// By name.
     Name(String),
 }
 
@@ -139,11 +139,11 @@ impl Default for Output {
     }
 }
 
-/// What becomes of axes between batch and features. Axes of one element need none.
+/// Pooling of axes between batch and features. Axes of one element need none.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Pooling {
-    /// The output is `batch x features` already.
+    /// The output is `batch x features`.
     #[default]
     None,
     /// Mean over the tokens of `batch x tokens x features`.

@@ -1,6 +1,6 @@
 //! Numbers with a shape.
 
-/// Numbers with a shape, the last axis fastest.
+/// Numbers with a shape, row-major.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tensor {
     shape: Vec<usize>,
@@ -8,10 +8,10 @@ pub struct Tensor {
 }
 
 impl Tensor {
-    /// `data` in `shape`; `None` if the shape has another number of elements.
+    /// `data` in `shape`; `None` if the numbers of elements differ.
     ///
     /// ```
-    /// use crate::onnx::Tensor;
+    /// use wm_evaluation::onnx::Tensor;
     /// assert!(Tensor::new(vec![2, 3], vec![0.0; 6]).is_some());
     /// assert!(Tensor::new(vec![2, 3], vec![0.0; 5]).is_none());
     /// ```
@@ -32,12 +32,12 @@ impl Tensor {
         &self.data
     }
 
-    /// The elements, without a copy.
+    /// The elements, moved.
     pub fn into_data(self) -> Vec<f32> {
         self.data
     }
 
-    /// The entries along the first axis, one slice each; none where there is no axis or no element.
+    /// Entries along the first axis; none without axes or elements.
     pub fn rows(&self) -> impl ExactSizeIterator<Item = &[f32]> {
         let count = self.shape.first().copied().unwrap_or(0).max(1);
         self.data.chunks_exact((self.data.len() / count).max(1))

@@ -1,4 +1,4 @@
-//! Points followed through a video.
+//! Points tracked through a video.
 
 use image::RgbImage;
 
@@ -6,11 +6,11 @@ use crate::onnx::features::other;
 use crate::onnx::input::{size_of, text};
 use crate::onnx::{Network, Output, Result, Role, Tensor};
 
-/// Longest video and most points of a run: a tracker keeps all of it in memory.
+/// Longest video and most points of a run: a tracker keeps everything in memory.
 const MAX_STEPS: usize = 1024;
 const MAX_QUERIES: usize = 4096;
 
-/// A network that follows points: `tracks`.
+/// A network that tracks points: `tracks`.
 #[derive(Debug)]
 pub struct Tracks {
     network: Network,
@@ -19,10 +19,10 @@ pub struct Tracks {
     visible_above: f32,
 }
 
-/// A point to follow.
+/// A point to track.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Query {
-    /// The picture of the video in which it is at this place, from 0.
+    /// Index of the picture with this position.
     pub step: usize,
     /// Pixels from the centre of the leftmost pixels.
     pub x: f32,
@@ -30,16 +30,16 @@ pub struct Query {
     pub y: f32,
 }
 
-/// Where a point is in one picture of the video.
+/// A point in one picture of the video.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrackPoint {
-    /// Pixels from the centre of the leftmost pixels; beyond the picture where the network says so.
+    /// Pixels from the centre of the leftmost pixels; may lie outside the picture.
     pub x: f32,
     /// Pixels from the centre of the topmost pixels.
     pub y: f32,
-    /// What the network says of its visibility, on the network's own scale.
+    /// Visibility on the network's own scale.
     pub visibility: f32,
-    /// Whether that is above `visible_above`.
+    /// Whether it exceeds `visible_above`.
     pub visible: bool,
 }
 
@@ -67,11 +67,10 @@ impl Tracks {
         &self.network
     }
 
-    /// One track per query, in their order, with one point per picture of the video. The pictures must have one size.
+    /// One track per query, in order, with one point per picture of the video. All pictures must have one size.
     ///
-    /// The network sees a video `1 x T x 3 x H x W` (or as its layout says) and queries `1 x N x 3` of step, x and y, in
-    /// pixels of the picture as it sees it. Places are turned so that centres of pixels stay centres of pixels, as the resize
-    /// does.
+    /// The network gets a video `1 x T x 3 x H x W` (or by its layout) and queries `1 x N x 3` of step, x and y in
+    /// pixels of its own picture. Positions are converted so that pixel centres stay pixel centres, as in the resize.
     pub fn follow(&self, video: &[RgbImage], queries: &[Query]) -> Result<Vec<Vec<TrackPoint>>> {
         let network = &self.network;
         let (Some(first), false) = (video.first(), queries.is_empty()) else {
@@ -174,12 +173,12 @@ impl Tracks {
         };
         found.filter(fits).map(Tensor::data).ok_or_else(|| {
             self.network
-                .misshapen(key, format!("{shape:?}"), format!("{other:?}"))
+                .shape_error(key, format!("{shape:?}"), format!("{other:?}"))
         })
     }
 }
 
-/// Places in the picture given and in the picture as the network sees it.
+/// Positions in the given picture and in the network's picture.
 struct Scale {
     across: f32,
     down: f32,

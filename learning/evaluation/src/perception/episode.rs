@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{EpisodeFigure, FeatureSpace, Vectors};
 
-/// What networks say of one rollout. A figure that is in neither of the maps has no network.
+/// Metrics of one rollout by networks. A figure in neither map has no network.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct EpisodePerception {
@@ -13,30 +13,30 @@ pub struct EpisodePerception {
     pub figures: BTreeMap<EpisodeFigure, Values>,
     /// Features, for figures of all rollouts together.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
-    pub features: BTreeMap<FeatureSpace, Of<Vectors>>,
-    /// Why there is no figure though there is a network, by the name of the figure or of the features.
+    pub features: BTreeMap<FeatureSpace, BySource<Vectors>>,
+    /// Reasons for missing results of a network, by figure or features.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub lacking: BTreeMap<String, String>,
 }
 
-/// The values of a figure: one a step, or one of the whole rollout.
+/// Values of a figure: one per step, or one for the rollout.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Values {
     /// Of the decoded predictions.
     pub predicted: Vec<f64>,
-    /// Of the frames that were encoded and decoded; empty where the figure has no ceiling.
+    /// Of the reconstructions; empty if the figure has no ceiling.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub reconstructed: Vec<f64>,
 }
 
-/// Something of what came, of the decoded predictions, and of the frames that were encoded and decoded.
+/// Values for true frames, decoded predictions and reconstructions (encoded and decoded).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Of<T> {
-    /// Of what came.
+pub struct BySource<T> {
+    /// Of the true frames.
     pub truth: T,
     /// Of the decoded predictions.
     pub predicted: T,
-    /// Of the frames that were encoded and decoded.
+    /// Of the reconstructions.
     pub reconstructed: T,
 }
 
@@ -47,7 +47,7 @@ impl EpisodePerception {
         self.figures.is_empty() && self.features.is_empty() && self.lacking.is_empty()
     }
 
-    /// Keeps what was found, or why there is nothing.
+    /// Stores a result, or the reason for its absence.
     pub(super) fn keep(&mut self, figure: EpisodeFigure, found: Result<Values, impl fmt::Display>) {
         match found {
             Ok(values) => {
@@ -57,14 +57,14 @@ impl EpisodePerception {
         }
     }
 
-    /// Says why there is nothing.
+    /// Stores the reason for a missing result.
     pub(super) fn lack(&mut self, name: &str, why: String) {
         self.lacking.insert(name.to_owned(), why);
     }
 }
 
 impl Values {
-    /// Those of a figure without a ceiling.
+    /// Values of a figure without a ceiling.
     #[must_use]
     pub fn of(predicted: Vec<f64>) -> Self {
         Self {

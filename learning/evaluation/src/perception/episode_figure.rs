@@ -5,7 +5,6 @@ use wm_metrics::findings::Better;
 /// A figure of one rollout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-#[expect(missing_docs, reason = "EpisodeFigure::about says it")]
 pub enum EpisodeFigure {
     Lpips,
     TLpips,
@@ -40,7 +39,7 @@ impl EpisodeFigure {
         Self::PckCoverage,
     ];
 
-    /// Its name, also in records.
+    /// Name, also in records.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -60,23 +59,25 @@ impl EpisodeFigure {
         }
     }
 
-    /// What it says.
+    /// Meaning.
     #[must_use]
     pub fn about(self) -> &'static str {
         match self {
-            Self::Lpips => "LPIPS: learned perceptual distance to what came, mean over frames",
+            Self::Lpips => {
+                "LPIPS: learned perceptual distance to the true frames, mean over frames"
+            }
             Self::TLpips => {
-                "t-LPIPS: LPIPS of each frame to its follower, warped back by the flow of what came, against that of what came"
+                "t-LPIPS: LPIPS of each frame to its successor, warped back by the true flow, against that of the true frames"
             }
             Self::ImageQuality => "image quality (MUSIQ), 0 to 1, mean over frames",
             Self::AestheticQuality => {
                 "aesthetic quality (LAION's predictor), 0 to 1, mean over frames"
             }
             Self::SubjectConsistency => {
-                "subject consistency: how alike the features of predicted frames are to those of the first and of the one before"
+                "subject consistency: similarity of predicted frames' features to those of the first and of the previous frame"
             }
             Self::BackgroundConsistency => {
-                "background consistency: how alike the features of predicted frames are to those of the first and of the one before"
+                "background consistency: similarity of predicted frames' features to those of the first and of the previous frame"
             }
             Self::DynamicDegree => {
                 "dynamic degree: share of the pairs of predicted frames whose longest 5 % of flow exceed 6 px (the paper's text)"
@@ -89,10 +90,10 @@ impl EpisodeFigure {
             }
             Self::FlowMean => "flow score: mean length of all flow vectors (WorldArena's code)",
             Self::PhotometricConsistency => {
-                "photometric consistency: how far a pixel is from itself after the flow to the next frame and back"
+                "photometric consistency: distance of a pixel to itself after the flow to the next frame and back"
             }
             Self::DepthAbsRel => {
-                "relative error of the depth of predicted frames against that of what came, scaled to its median"
+                "relative depth error of predicted frames against true frames, scaled to their median"
             }
             Self::PckCoverage => {
                 "PCK coverage: share of 16x16 points of the last observed frame that are seen in predicted ones"
@@ -100,7 +101,7 @@ impl EpisodeFigure {
         }
     }
 
-    /// Whose networks it needs, all of them.
+    /// Roles of the networks that it needs.
     #[must_use]
     pub fn roles(self) -> &'static [Role] {
         match self {
@@ -120,7 +121,7 @@ impl EpisodeFigure {
         }
     }
 
-    /// Which way it is better, as the paper's tables have it.
+    /// Better direction, as in the paper's tables.
     #[must_use]
     pub fn better(self) -> Better {
         match self {
@@ -131,7 +132,7 @@ impl EpisodeFigure {
         }
     }
 
-    /// Its unit.
+    /// Unit.
     #[must_use]
     pub fn unit(self) -> &'static str {
         match self {
@@ -140,7 +141,7 @@ impl EpisodeFigure {
         }
     }
 
-    /// What a curve of it by step is called; `None` where it is none of steps.
+    /// Title of its curve by step; `None` without one.
     #[must_use]
     pub fn curve(self) -> Option<&'static str> {
         match self {
@@ -156,7 +157,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn records_have_the_names() {
+    fn names_match_the_records() {
         for figure in EpisodeFigure::ALL {
             assert_eq!(serde_json::to_value(figure).unwrap(), figure.name());
         }

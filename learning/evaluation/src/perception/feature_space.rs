@@ -1,7 +1,7 @@
 use crate::onnx::Role;
 use serde::{Deserialize, Serialize};
 
-/// Features that two sets of frames, or of clips, are compared in.
+/// Features for comparing sets of frames or clips.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FeatureSpace {
@@ -17,7 +17,7 @@ impl FeatureSpace {
     /// All.
     pub const ALL: [Self; 3] = [Self::Fid, Self::Fvd, Self::Jepa];
 
-    /// Its name in records.
+    /// Name in records.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -27,7 +27,7 @@ impl FeatureSpace {
         }
     }
 
-    /// Whose network gives them.
+    /// Role of its network.
     #[must_use]
     pub fn role(self) -> Role {
         match self {
@@ -37,7 +37,7 @@ impl FeatureSpace {
         }
     }
 
-    /// Names of the metrics that are of them.
+    /// Names of its metrics.
     #[must_use]
     pub fn metrics(self) -> &'static [&'static str] {
         match self {

@@ -2,7 +2,7 @@ use crate::onnx::{ClipFeatures, Features, Network, Networks, Role};
 use anyhow::Result;
 use image::RgbImage;
 
-/// A network that gives features of the frames of a video, or of its clips.
+/// A network for features of frames or of clips.
 #[derive(Debug)]
 pub(super) enum FrameFeatures {
     Frames(Features),
@@ -28,18 +28,18 @@ impl FrameFeatures {
         }
     }
 
-    /// Why a video of `frames` has no features.
+    /// The reason if a video of `frames` is too short.
     pub(super) fn too_few(&self, frames: usize) -> Option<String> {
         match self {
             Self::Clips(features) if frames < features.frames() => Some(format!(
-                "{frames} predicted frames, and a clip has {}",
+                "{frames} predicted frames, but a clip has {}",
                 features.frames()
             )),
             _ => None,
         }
     }
 
-    /// Vectors of the frames, or of the clips one after another; what is left at the end is in none.
+    /// Vectors of the frames, or of consecutive clips; a rest is ignored.
     pub(super) fn of(&self, video: &[RgbImage]) -> Result<Vec<Vec<f32>>> {
         Ok(match self {
             Self::Frames(features) => features.of(video)?,
@@ -48,7 +48,7 @@ impl FrameFeatures {
     }
 }
 
-/// Clips that do not overlap.
+/// Consecutive clips without overlap.
 fn clips<T>(video: &[T], frames: usize) -> Vec<&[T]> {
     video.chunks_exact(frames.max(1)).collect()
 }
@@ -58,7 +58,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn clips_do_not_overlap_and_a_rest_is_in_none() {
+    fn clips_do_not_overlap_and_a_rest_is_ignored() {
         let frames: Vec<u8> = (0..45).collect();
         let clips = clips(&frames, 16);
         assert_eq!(clips, [&frames[..16], &frames[16..32]]);

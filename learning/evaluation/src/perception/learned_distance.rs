@@ -7,10 +7,10 @@ use serde_json::{Map, Value};
 use wm_model::image::preprocess;
 use wm_zoo::lpips::Lpips;
 
-/// Endings of the files of `--lpips`, in the order in which they are looked for.
+/// Extensions of the files of `--lpips`, in order of preference.
 const ENDINGS: [&str; 3] = ["safetensors", "pth", "pt"];
 
-/// LPIPS, of an ONNX file or of torch's.
+/// LPIPS from an ONNX file or from torch's files.
 #[derive(Debug)]
 pub(super) enum LearnedDistance {
     Network(Box<Distance>),
@@ -18,7 +18,7 @@ pub(super) enum LearnedDistance {
 }
 
 impl LearnedDistance {
-    /// AlexNet and the heads in a folder, with the digests of both.
+    /// AlexNet and the heads of a folder, with the digests of both.
     pub(super) fn open(folder: &Path) -> Result<(Self, Value)> {
         let mut digests = Map::new();
         let mut file = |name: &str| -> Result<PathBuf> {
@@ -32,7 +32,7 @@ impl LearnedDistance {
         Ok((Self::AlexNet(lpips), digests.into()))
     }
 
-    /// The distances of pairs of pictures, which have one size.
+    /// Distances of pairs of pictures of one size.
     pub(super) fn between<'a>(
         &self,
         pairs: impl Iterator<Item = (&'a RgbImage, &'a RgbImage)>,
@@ -46,7 +46,7 @@ impl LearnedDistance {
                 .map(|(a, b)| {
                     let tensor = |picture: &RgbImage| {
                         let (width, height) = picture.dimensions();
-                        // Its own size: nothing is resized.
+                        // The picture's own size: no resizing.
                         preprocess(picture, (height as usize, width as usize))
                     };
                     let distance = lpips.distance(&tensor(a)?, &tensor(b)?)?;

@@ -11,7 +11,7 @@ use wm_metrics::{
 
 use super::{EpisodeFigure, EpisodePerception, Values};
 
-/// Motion from each predicted frame to the next.
+/// Motion between consecutive predicted frames.
 pub(super) fn measure(
     network: &FlowNetwork,
     predicted: &[RgbImage],
@@ -42,7 +42,7 @@ pub(super) fn measure(
         if flows.is_empty() {
             found.lack(
                 figure.name(),
-                "one predicted frame, and motion takes two".into(),
+                "one predicted frame, but motion needs two".into(),
             );
         } else {
             found.keep(figure, values.map(Values::of));

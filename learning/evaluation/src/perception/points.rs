@@ -5,12 +5,12 @@ use wm_metrics::{MetricError, motion::point_coverage};
 
 use super::RolloutPictures;
 
-/// Points along a side of the grid.
+/// Points per side of the grid.
 const SIDE: usize = 16;
-/// Width of a picture over the margin of the grid, as CoTracker's `get_points_on_a_grid` has it.
+/// Width of a picture relative to the grid's margin, as in CoTracker's `get_points_on_a_grid`.
 const WIDTHS_OF_MARGIN: f32 = 64.0;
 
-/// The share of the points of the last observed frame that are seen in each predicted one.
+/// Share of the last observed frame's points that are visible in each predicted frame.
 pub(super) fn coverage(
     network: &Tracks,
     pictures: &RolloutPictures<'_>,
@@ -28,14 +28,14 @@ pub(super) fn coverage(
     Ok(point_coverage(&visible).map(|coverage| coverage.per_step))
 }
 
-/// Points of the first frame of a video, row after row.
+/// Points of the first frame of a video, row by row.
 fn grid(width: u32, height: u32) -> Vec<Query> {
     // Sides of pictures are exact in f32.
     let margin = width as f32 / WIDTHS_OF_MARGIN;
     let places = |side: u32| -> Vec<f32> {
         let side = side as f32;
         let at = |index| margin + (side - 2.0 * margin) * index as f32 / (SIDE - 1) as f32;
-        // Below 64 px of width the last one would be beyond the last pixel.
+        // Below 64 px of width, the last point would lie beyond the last pixel.
         let last = (side - 1.0).max(0.0);
         (0..SIDE).map(|index| at(index).clamp(0.0, last)).collect()
     };
@@ -51,7 +51,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_grid_is_cotrackers() {
+    fn grid_matches_cotracker() {
         // get_points_on_a_grid(16, (384, 512)): from 8 to 504 across, from 8 to 376 down.
         let points = grid(512, 384);
         assert_eq!(points.len(), 256);
@@ -68,7 +68,7 @@ mod tests {
     }
 
     #[test]
-    fn all_points_are_on_the_picture() {
+    fn points_are_inside_the_picture() {
         for (width, height) in [(32, 32), (1, 1), (200, 3)] {
             let (right, bottom) = ((width - 1) as f32, (height - 1) as f32);
             let points = grid(width, height);

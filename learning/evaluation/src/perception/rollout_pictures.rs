@@ -4,21 +4,21 @@ use wm_metrics::MetricError;
 
 use super::Values;
 
-/// The pictures of a rollout, all of one size.
+/// Pictures of a rollout, all of one size.
 #[derive(Clone, Copy, Debug)]
 pub struct RolloutPictures<'a> {
     /// The last observed frame.
     pub held: &'a RgbImage,
-    /// What came, step by step.
+    /// True frames, by step.
     pub truth: &'a [RgbImage],
-    /// What was predicted.
+    /// Predicted frames.
     pub predicted: &'a [RgbImage],
-    /// What came, encoded and decoded.
+    /// Encoded and decoded true frames.
     pub reconstructed: &'a [RgbImage],
 }
 
 impl RolloutPictures<'_> {
-    /// A figure of the predictions and of its ceiling.
+    /// A figure of the predictions and of their ceiling.
     pub(super) fn both(&self, of: impl Fn(&[RgbImage]) -> Result<Vec<f64>>) -> Result<Values> {
         Ok(Values {
             predicted: of(self.predicted)?,
@@ -26,7 +26,7 @@ impl RolloutPictures<'_> {
         })
     }
 
-    /// One number of the predictions and one of their ceiling, or why there is none.
+    /// One number for the predictions and one for their ceiling, or the reason for its absence.
     pub(super) fn one_each(
         &self,
         of: impl Fn(&[RgbImage]) -> Result<Result<f64, MetricError>>,

@@ -8,13 +8,13 @@ use wm_metrics::findings::{Better, Curve, Section, Series};
 use super::{EpisodeFigure, EpisodePerception, FeatureSpace, Values};
 use crate::{Settings, figures::mean_over_units};
 
-/// Episodes that a note names.
-const NAMED: usize = 8;
+/// Most episodes named in a note.
+const MAX_NAMED: usize = 8;
 
-/// An episode's name and what was found in it.
+/// An episode's name and result.
 type Episode<'a> = (&'a str, &'a EpisodePerception);
 
-/// Adds the findings of all episodes, which are in the order of the data; nothing where there are none.
+/// Adds findings of all episodes, in order; nothing without networks.
 pub fn summarise(section: &mut Section, episodes: &[Episode<'_>], settings: &Settings) {
     if episodes.is_empty() {
         return;
@@ -51,7 +51,7 @@ pub fn summarise(section: &mut Section, episodes: &[Episode<'_>], settings: &Set
             "_gap",
             &gap,
             Better::Lower,
-            "predictions minus ceiling, what the transition model costs",
+            "predictions minus ceiling: the loss by the transition model",
         );
         curves(section, episodes, figure);
     }
@@ -85,17 +85,16 @@ fn per_episode(
 }
 
 fn mean(values: &[f64]) -> Option<f64> {
-    // Counts stay far below 2^52.
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
-/// Why no episode has it: its network is not there, or the network found nothing.
+/// Why no episode has it: a missing network, or its reasons.
 fn why_absent(episodes: &[Episode<'_>], name: &str, roles: &[Role]) -> String {
     if let Some(why) = episodes
         .iter()
         .find_map(|(_, found)| found.lacking.get(name))
     {
-        return format!("no episode has one: {why}");
+        return format!("missing in all episodes: {why}");
     }
     let absent = roles.iter().filter(|role| !is_present(episodes, **role));
     let absent: Vec<String> = absent
@@ -104,7 +103,7 @@ fn why_absent(episodes: &[Episode<'_>], name: &str, roles: &[Role]) -> String {
     format!("{}; see docs/evaluation.md", absent.join("; "))
 }
 
-/// Whether there was a network: what it alone decides is then there, or is lacking for a reason.
+/// Whether there was a network: its metrics exist, or have a reason for their absence.
 fn is_present(episodes: &[Episode<'_>], role: Role) -> bool {
     let mut figures = EpisodeFigure::ALL.into_iter();
     figures.any(|figure| {
@@ -158,7 +157,7 @@ fn curves(section: &mut Section, episodes: &[Episode<'_>], figure: EpisodeFigure
     }
 }
 
-/// Which episodes are in none of a figure that has a network.
+/// Episodes without some figure, by network.
 fn notes(episodes: &[Episode<'_>]) -> Vec<String> {
     let mut lacking: BTreeMap<&str, Vec<String>> = BTreeMap::new();
     for (episode, found) in episodes {
@@ -168,13 +167,13 @@ fn notes(episodes: &[Episode<'_>]) -> Vec<String> {
         }
     }
     let notes = lacking.into_iter().map(|(name, without)| {
-        let named: Vec<&str> = without.iter().take(NAMED).map(String::as_str).collect();
+        let named: Vec<&str> = without.iter().take(MAX_NAMED).map(String::as_str).collect();
         let more = match without.len() - named.len() {
             0 => String::new(),
             more => format!(", and {more} more"),
         };
         format!(
-            "{name} is of {} of {} episodes; without one: {}{more}.",
+            "{name} covers {} of {} episodes; missing: {}{more}.",
             episodes.len() - without.len(),
             episodes.len(),
             named.join(", ")

@@ -8,7 +8,7 @@ use wm_metrics::{
 
 use super::{RolloutPictures, Values, learned_distance::LearnedDistance, motion::between};
 
-/// t-LPIPS: every frame but the first is warped back onto the one before by the flow of what came.
+/// t-LPIPS: each frame except the first is warped back onto its predecessor by the true flow.
 pub(super) fn measure(
     lpips: &LearnedDistance,
     network: &FlowNetwork,
@@ -23,7 +23,7 @@ pub(super) fn measure(
         let warped: Vec<RgbImage> = followers
             .map(|(picture, flow)| {
                 let picture = DynamicImage::from(picture.clone()).into_rgb32f();
-                // Rounded to 8 bits, which a network takes.
+                // Rounded to 8 bits for the network.
                 Ok(DynamicImage::from(warp(&picture, flow)?).into_rgb8())
             })
             .collect::<Result<_>>()?;

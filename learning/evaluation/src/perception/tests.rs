@@ -3,7 +3,7 @@ use image::{Rgb, RgbImage};
 use super::*;
 
 #[test]
-fn no_network_says_nothing() {
+fn without_networks_there_are_no_metrics() {
     let picture = RgbImage::from_pixel(8, 8, Rgb([1, 2, 3]));
     let pictures = [picture.clone(), picture.clone()];
     let pictures = RolloutPictures {
@@ -24,7 +24,7 @@ fn no_network_says_nothing() {
 }
 
 #[test]
-fn records_come_back() {
+fn records_round_trip() {
     let mut found = EpisodePerception::default();
     found.keep(
         EpisodeFigure::TLpips,
@@ -32,7 +32,7 @@ fn records_come_back() {
     );
     found.keep(EpisodeFigure::FlowScore, Err("too short"));
     let vectors = Vectors::of(&[vec![1.0, 2.0]]).unwrap();
-    let of = Of {
+    let of = BySource {
         truth: vectors.clone(),
         predicted: vectors.clone(),
         reconstructed: vectors,

@@ -2,25 +2,25 @@ use anyhow::{Context as _, Result, ensure};
 use base64::{Engine as _, engine::general_purpose::STANDARD};
 use serde::{Deserialize, Serialize};
 
-/// Vectors of one length; in records, the base64 of f32, little-endian.
+/// Vectors of one length; in records, base64 of little-endian f32.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "Written", into = "Written")]
+#[serde(try_from = "EncodedVectors", into = "EncodedVectors")]
 pub struct Vectors {
     length: usize,
     values: Vec<f32>,
 }
 
 #[derive(Serialize, Deserialize)]
-struct Written {
+struct EncodedVectors {
     length: usize,
     base64: String,
 }
 
 impl Vectors {
-    /// Of vectors.
+    /// From rows.
     ///
     /// # Errors
-    /// If there are none, or their lengths differ.
+    /// If empty, or lengths differ.
     pub fn of(vectors: &[Vec<f32>]) -> Result<Self> {
         let length = vectors.first().context("no vector")?.len();
         ensure!(
@@ -31,7 +31,7 @@ impl Vectors {
         Ok(Self { length, values })
     }
 
-    /// How long each is.
+    /// Length of each.
     #[must_use]
     pub fn length(&self) -> usize {
         self.length
@@ -43,7 +43,7 @@ impl Vectors {
     }
 }
 
-impl From<Vectors> for Written {
+impl From<Vectors> for EncodedVectors {
     fn from(vectors: Vectors) -> Self {
         let bytes: Vec<u8> = vectors
             .values
@@ -57,10 +57,10 @@ impl From<Vectors> for Written {
     }
 }
 
-impl TryFrom<Written> for Vectors {
+impl TryFrom<EncodedVectors> for Vectors {
     type Error = String;
 
-    fn try_from(written: Written) -> Result<Self, String> {
+    fn try_from(written: EncodedVectors) -> Result<Self, String> {
         let bytes = STANDARD
             .decode(written.base64)
             .map_err(|error| error.to_string())?;
@@ -83,7 +83,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_bit_comes_back() {
+    fn vectors_round_trip_bit_for_bit() {
         let rows = [
             vec![0.1, -3.0e-30, f32::MAX],
             vec![-0.0, 1.0 / 3.0, f32::MIN_POSITIVE],
@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_vector_is_refused() {
+    fn invalid_vectors_are_rejected() {
         assert!(Vectors::of(&[]).is_err());
         assert!(Vectors::of(&[vec![1.0], vec![1.0, 2.0]]).is_err());
         assert!(Vectors::of(&[vec![]]).is_err());

@@ -2,17 +2,17 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 
-/// Who acts in the imagined environment, on what, and who judges.
+/// Policy, tasks and judges of imagined episodes.
 #[derive(Clone, Debug, Default, Args)]
 pub struct PolicyArgs {
-    /// Who acts in the imagined environment; --policy-command names a program instead.
+    /// Policy in the imagined environment; --policy-command names a program instead
     #[arg(long, value_enum, default_value_t)]
     pub policy: BuiltIn,
-    /// The policy as a program that answers JSON lines, as 'python3 examples/imagined_policy/policy.py'. No shell: quotes are
-    /// understood, nothing is expanded.
+    /// Program that answers JSON lines as the policy, such as 'python3 examples/imagined_policy/policy.py'; quotes work
+    /// as in a shell, without expansion
     #[arg(long, value_name = "COMMAND", conflicts_with = "policy")]
     pub policy_command: Option<String>,
-    /// Most seconds for an answer of the program; its first has to load the policy too.
+    /// Time limit for an answer of the program \[s\]; its first answer includes loading the policy
     #[arg(
         long,
         value_name = "SECONDS",
@@ -20,30 +20,29 @@ pub struct PolicyArgs {
         value_parser = clap::value_parser!(u64).range(1..=86_400)
     )]
     pub policy_timeout: u64,
-    /// Tasks (YAML): only episodes with one of these instructions, and the level of each. bridge_v2: the paper's twenty.
+    /// Tasks (YAML): only episodes with these instructions, with their levels. bridge_v2: the paper's twenty
     #[arg(long, value_name = "FILE")]
     pub tasks: Option<PathBuf>,
-    /// Trials of each task, which differ in the noise.
+    /// Trials per task, which differ in the noise
     #[arg(long)]
     pub trials: Option<usize>,
-    /// Besides, trials out of distribution: under the other instruction that the file of tasks gives.
+    /// Add out-of-distribution trials, with the other instruction of the tasks file
     #[arg(long, value_enum, requires = "tasks")]
     pub ood: Option<OutOfDistribution>,
-    /// Besides, trials that begin with another first frame: pictures (PNG, JPEG) named as their episode, as with things that
-    /// distract.
+    /// Add trials with other first frames: pictures (PNG, JPEG) named as their episode, for example with distractors
     #[arg(long, value_name = "DIR")]
     pub start_images: Option<PathBuf>,
-    /// Vision-language models that judge the imagined episodes (YAML, as learning/evaluation/judges.yaml). Their answers are
-    /// kept beside the records.
+    /// Vision-language models that judge the imagined episodes (YAML, as learning/evaluation/judges.yaml). Their
+    /// answers are stored beside the records
     #[arg(long, value_name = "FILE")]
     pub judges: Option<PathBuf>,
-    /// What they are asked (YAML); the paper's prompts by default.
+    /// Prompts of the judges (YAML); the paper's by default
     #[arg(long, value_name = "FILE", requires = "judges")]
     pub prompts: Option<PathBuf>,
 }
 
 impl PolicyArgs {
-    /// Whether nothing was asked for.
+    /// Whether no option was given.
     pub(crate) fn is_default(&self) -> bool {
         self.policy == BuiltIn::default()
             && self.policy_command.is_none()
@@ -56,17 +55,17 @@ impl PolicyArgs {
     }
 }
 
-/// A policy that takes no program.
+/// A built-in policy.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum BuiltIn {
-    /// The episode's own actions, then no motion: what the world model makes of a known outcome, and the most to hope for.
+    /// The episode's own actions, then no motion: the model's view of a known outcome, and an upper bound
     #[default]
     Recorded,
-    /// No motion, the gripper as it is: the least.
+    /// No motion, the gripper as it is: a lower bound
     Still,
 }
 
-/// What is out of distribution.
+/// An out-of-distribution condition.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum OutOfDistribution {
     /// The instruction.
@@ -91,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn the_recorded_policy_acts_unless_another_is_named() {
+    fn recorded_policy_is_the_default() {
         let plain = parse(&[]).unwrap();
         assert_eq!(plain.policy, BuiltIn::Recorded);
         assert_eq!(plain.policy_timeout, 600);

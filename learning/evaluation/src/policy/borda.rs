@@ -3,11 +3,11 @@
 use wm_metrics::findings::{ModelFindings, Suite, TextTable};
 use wm_metrics::ranking::{Ties, borda, ranks};
 
-/// What the names of success rates by judge begin with.
+/// Prefix of success rates by judge.
 const BY_JUDGE: &str = "policy.success_by_";
 
-/// Borda ranks: the sum over judges of a model's rank by that judge's success rate, 1 being the best and equal ones sharing
-/// the better rank; the lowest sum is the best. Of all judges that have judged every model; none of less than two models.
+/// Borda ranks: the sum over judges of a model's rank by success rate; equal models share the better rank; the lowest
+/// sum is best. Only judges of all models count; `None` for fewer than two models.
 #[must_use]
 pub fn borda_of(findings: &[ModelFindings]) -> Option<TextTable> {
     let (first, others) = findings.split_first()?;
@@ -59,7 +59,7 @@ pub fn borda_of(findings: &[ModelFindings]) -> Option<TextTable> {
     })
 }
 
-/// Adds the ranks to what was found about each of several models.
+/// Adds the ranks to the findings of several models.
 pub(crate) fn with_borda(mut findings: Vec<ModelFindings>) -> Vec<ModelFindings> {
     if let Some(table) = borda_of(&findings) {
         for model in &mut findings {
@@ -93,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn ranks_add_up_over_the_judges_that_all_models_have() {
+    fn ranks_are_summed_over_common_judges() {
         let models = [
             model("a", &[("x", 0.5), ("y", 0.1), ("z", 0.9)]),
             model("b", &[("x", 0.5), ("y", 0.4)]),
@@ -108,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn one_model_or_no_judge_has_no_rank() {
+    fn ranks_need_two_models_and_a_judge() {
         let judged = model("a", &[("x", 0.5)]);
         assert_eq!(borda_of(std::slice::from_ref(&judged)), None);
         assert_eq!(borda_of(&[judged, model("b", &[])]), None);

@@ -1,23 +1,23 @@
 use serde::{Deserialize, Serialize};
 
-/// What an episode begins with, and what the policy is told.
+/// Start and instruction of a trial.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Condition {
     /// As recorded.
     #[default]
     Recorded,
-    /// Another instruction, which does not go with the scene: the paper's "OOD instruction".
+    /// Another instruction that does not match the scene: the paper's "OOD instruction".
     OtherInstruction,
-    /// Another first frame, as with things that distract: the paper's "OOD distractor".
+    /// Another first frame, for example with distractors: the paper's "OOD distractor".
     OtherFrame,
 }
 
 impl Condition {
-    /// Those out of distribution.
+    /// Out-of-distribution conditions.
     pub const CHANGED: [Self; 2] = [Self::OtherInstruction, Self::OtherFrame];
 
-    /// What the names of its figures begin with.
+    /// Prefix of its figures.
     #[must_use]
     pub fn prefix(self) -> &'static str {
         match self {
@@ -27,7 +27,7 @@ impl Condition {
         }
     }
 
-    /// What the names of its units end with.
+    /// Suffix of its units.
     #[must_use]
     pub fn suffix(self) -> &'static str {
         match self {
@@ -37,7 +37,7 @@ impl Condition {
         }
     }
 
-    /// For a table.
+    /// Name in tables.
     #[must_use]
     pub fn words(self) -> &'static str {
         match self {

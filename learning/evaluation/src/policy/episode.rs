@@ -1,4 +1,4 @@
-//! One imagined episode: the policy acts, the world model shows what comes of it.
+//! Runs one imagined episode: the policy acts, the world model predicts.
 
 use std::collections::VecDeque;
 
@@ -9,12 +9,12 @@ use wm_model::sampler::{Given, Rollout};
 use wm_motion::actions::{ActionEncoding, ActionSpace};
 
 use super::{
-    protocol::{Request, SpaceOf, VERSION, actions},
+    protocol::{ActionSpaceInfo, Request, VERSION, actions},
     setup::Policy,
 };
 use crate::{Subject, picture_strip::png};
 
-/// What an episode begins with.
+/// Start of an episode.
 #[derive(Clone, Debug)]
 pub(super) struct Start {
     /// (1, `CONTEXT`, h, w, C).
@@ -23,13 +23,13 @@ pub(super) struct Start {
     pub past: Tensor,
     /// The newest frame.
     pub picture: RgbImage,
-    /// What the robot did last, before the newest frame.
+    /// The last action before the newest frame.
     pub last: Vec<f32>,
-    /// What it did from there on.
+    /// The recorded actions from there on.
     pub recorded: Vec<Vec<f32>>,
 }
 
-/// What tells a trial from others, for the policy.
+/// Identity of a trial, for the policy.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Trial<'a> {
     pub task: &'a str,
@@ -38,20 +38,20 @@ pub(super) struct Trial<'a> {
     pub instruction: &'a str,
 }
 
-/// What was imagined.
+/// An imagined episode.
 #[derive(Clone, Debug)]
 pub(super) struct Episode {
     /// Observed, then predicted: (`CONTEXT` + steps, h, w, C).
     pub latents: Tensor,
-    /// The newest observed frame, then the decoded predictions; empty if nobody looks.
+    /// The newest observed frame, then decoded predictions; empty if unused.
     pub pictures: Vec<RgbImage>,
-    /// Values of actions that the model takes only in part, since they are beyond its range.
+    /// Clipped values of actions.
     pub clipped: usize,
     /// Values of all actions.
     pub values: usize,
 }
 
-/// Lets a policy act for so many model steps. `is_seen`: whether predictions are decoded though the policy is blind.
+/// Runs a policy for some model steps. `is_seen`: whether to decode predictions even for a blind policy.
 ///
 /// # Errors
 /// If the policy fails, or model and start do not fit.
@@ -64,7 +64,7 @@ pub(super) fn imagine(
 ) -> Result<Episode> {
     let encoding = &subject.world.encoding;
     let skip = encoding.frame_skip();
-    let space = SpaceOf::of(encoding);
+    let space = ActionSpaceInfo::of(encoding);
     let mut actor = Actor::new(policy, encoding, start);
     let is_seen = is_seen || matches!(policy, Policy::Command(_));
     let (model, sampler) = (&subject.world.transition, subject.sampler());
@@ -86,7 +86,7 @@ pub(super) fn imagine(
             let Trial { task, trial, .. } = trial;
             format!("the policy, task {task}, trial {trial}, step {step}")
         };
-        if actor.is_at_a_loss() {
+        if actor.needs_actions() {
             let seen = pictures.last().context("a picture for the policy")?;
             let request = Request {
                 version: VERSION,
@@ -100,7 +100,7 @@ pub(super) fn imagine(
                 state: None,
                 action_space: &space,
             };
-            actor.ask(&request).with_context(failed)?;
+            actor.request(&request).with_context(failed)?;
         }
         let (taken, next) = actor.step();
         let action = encoding.encode_step(&taken).with_context(failed)?;
@@ -131,15 +131,15 @@ fn row(values: Vec<f32>) -> Result<Tensor> {
     Ok(Tensor::from_vec(values, shape, &Device::Cpu)?)
 }
 
-/// What a policy still has to do.
+/// A policy with its remaining actions.
 struct Actor<'a> {
     policy: &'a Policy,
     space: &'a ActionSpace,
-    /// Actions of a model step.
+    /// Actions per model step.
     skip: usize,
     /// Whole model steps of actions.
     queue: VecDeque<Vec<f32>>,
-    /// What was done last.
+    /// The last action.
     last: Vec<f32>,
 }
 
@@ -160,18 +160,18 @@ impl<'a> Actor<'a> {
         actor
     }
 
-    /// Fills up the last model step.
+    /// Fills the last model step with `action`.
     fn fill(&mut self, action: &[f32]) {
         let whole = self.queue.len().next_multiple_of(self.skip);
         self.queue.resize(whole, action.to_vec());
     }
 
-    /// Whether it has to be asked.
-    fn is_at_a_loss(&self) -> bool {
+    /// Whether it needs new actions.
+    fn needs_actions(&self) -> bool {
         self.queue.is_empty() && matches!(self.policy, Policy::Command(_))
     }
 
-    fn ask(&mut self, request: &Request<'_>) -> Result<()> {
+    fn request(&mut self, request: &Request<'_>) -> Result<()> {
         let Policy::Command(process) = self.policy else {
             return Ok(());
         };
@@ -185,7 +185,7 @@ impl<'a> Actor<'a> {
         Ok(())
     }
 
-    /// The actions of this model step, and those of the next one where they are known already.
+    /// Actions of this model step, and of the next one if known.
     fn step(&mut self) -> (Vec<Vec<f32>>, Option<Vec<Vec<f32>>>) {
         let count = self.skip.min(self.queue.len());
         let mut taken: Vec<Vec<f32>> = self.queue.drain(..count).collect();

@@ -1,24 +1,24 @@
 use crate::judges::FrameChoice;
 use serde::{Deserialize, Serialize};
 
-/// Imagined episodes of a policy.
+/// ImaginedTrial episodes of a policy.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PolicySettings {
-    /// Tasks at most, spread over all.
+    /// Most tasks, spread over all.
     pub tasks: usize,
-    /// Trials of each, which differ in the noise.
+    /// Trials per task, which differ in the noise.
     pub trials: usize,
     /// Model steps of a trial.
     pub steps: usize,
-    /// Tasks of which the report shows a trial.
+    /// Tasks with a trial in the report.
     pub strips: usize,
-    /// What the arguments name, whatever a file of settings says.
+    /// Inputs named by the arguments, which win over a settings file.
     #[serde(default)]
     pub inputs: PolicyInputs,
 }
 
-/// What else decides of the results: who acts in what, and who judges. Files are named by their contents.
+/// All other inputs that affect the results. Files are identified by their contents.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PolicyInputs {
@@ -26,19 +26,19 @@ pub struct PolicyInputs {
     pub policy: String,
     /// SHA-256 of the file of tasks.
     pub tasks: Option<String>,
-    /// Whether there are trials under other instructions.
+    /// Whether trials have other instructions.
     pub other_instructions: bool,
-    /// SHA-256 of the first frames of trials that begin with others.
+    /// SHA-256 of the other first frames.
     pub start_images: Option<String>,
-    /// SHA-256 of the file of prompts, if it is not the paper's.
+    /// SHA-256 of the prompts file, if not the paper's.
     pub prompts: Option<String>,
-    /// Which frames the judges see.
+    /// Frames shown to the judges.
     pub frames: Option<FrameChoice>,
     /// The judges.
     pub judges: Vec<JudgeInputs>,
 }
 
-/// What decides of a judge's answers.
+/// The inputs that affect a judge's answers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct JudgeInputs {

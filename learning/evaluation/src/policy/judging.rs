@@ -13,38 +13,38 @@ use serde::{Deserialize, Serialize};
 
 use crate::Shard;
 
-/// Folder of the answers, in that of the records, which has files of records only.
+/// Folder of the answers, inside the records folder, where only record files count.
 const FOLDER: &str = "judgements";
 
-/// What the judges say of an episode.
+/// Verdicts of the judges on an episode.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Verdicts {
-    /// By judge: 0, 0.5 or 1, or none where it gave no usable answer.
+    /// By judge: 0, 0.5 or 1; `None` for an unusable answer.
     pub scores: BTreeMap<String, Option<f64>>,
-    /// What the first judge says to the rubric, if its answer is usable.
+    /// The first judge's rubric, if usable.
     pub rubric: Option<Rubric>,
 }
 
-/// From 1 to 5 each.
+/// Scores from 1 to 5.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Rubric {
-    /// How plausible the contact of robot and objects is.
+    /// Plausibility of the contact between robot and objects.
     pub interaction_quality: u8,
-    /// How consistent the space is.
+    /// Spatial consistency.
     pub perspectivity: u8,
-    /// How far the instruction is carried out.
+    /// Completion of the instruction.
     pub instruction_following: u8,
 }
 
-/// The judges with their answers so far. One question is asked at a time.
+/// The judges with their earlier answers. Questions are asked one at a time.
 #[derive(Debug)]
-pub(super) struct Judging(Mutex<(Panel, Record)>);
+pub(super) struct JudgePanel(Mutex<(Panel, Record)>);
 
-impl Judging {
-    /// Opens the answers of a shard, of which one process writes one file.
+impl JudgePanel {
+    /// Opens the answers of a shard; each process writes its own file.
     ///
     /// # Errors
-    /// If a setting of a judge cannot be, or the answers cannot be read.
+    /// If a judge's settings are invalid, or the answers cannot be read.
     pub(super) fn open(
         panel: PanelSettings,
         prompts: Arc<Prompts>,
@@ -56,10 +56,10 @@ impl Judging {
         Ok(Self(Mutex::new((Panel::new(panel, prompts)?, record))))
     }
 
-    /// What the judges say. What they have said before is not asked again.
+    /// Verdicts of the judges. Known answers are reused.
     ///
     /// # Errors
-    /// If a judge gives no answer.
+    /// If a judge does not answer.
     pub(super) fn judge(&self, rollout: &Rollout) -> Result<Verdicts> {
         let both = self.0.lock();
         let mut both = both.map_err(|_| anyhow!("another thread failed while it asked a judge"))?;

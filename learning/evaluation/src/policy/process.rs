@@ -1,4 +1,4 @@
-//! A policy that is a program.
+//! A program as the policy.
 
 use std::{
     io::{BufRead as _, BufReader, Read as _, Write as _},
@@ -15,14 +15,13 @@ use anyhow::{Context as _, Result, anyhow, bail};
 
 use super::{protocol::Request, words::words};
 
-/// Longest answer in bytes.
+/// Longest answer \[bytes\].
 const MAX_LINE: u64 = 4 << 20;
 
-/// A program that is asked for actions. One process serves all trials, one request after the other: a policy that holds an
-/// accelerator is there once. It is started by the first request and killed when this is dropped. What it writes to its
-/// standard error goes to that of this process.
+/// A policy program. One process serves all trials in sequence, so that it loads an accelerator once. It starts with
+/// the first request, and is killed on drop. It shares the standard error of this process.
 #[derive(Debug)]
-pub(super) struct Process {
+pub(super) struct PolicyProcess {
     command: String,
     words: Vec<String>,
     limit: Duration,
@@ -32,21 +31,21 @@ pub(super) struct Process {
 #[derive(Debug)]
 enum State {
     NotStarted,
-    Running(Running),
-    /// It failed by this error, and the run with it.
+    RunningProgram(RunningProgram),
+    /// The error that ended it, and the run.
     Ended(String),
 }
 
-/// A program that runs.
+/// A running program.
 #[derive(Debug)]
-struct Running {
+struct RunningProgram {
     child: Child,
     requests: Sender<Vec<u8>>,
     lines: Receiver<Result<String>>,
 }
 
-impl Process {
-    /// The program of a command, which takes at most `limit` for an answer. Nothing is started yet.
+impl PolicyProcess {
+    /// Parses a command; `limit` bounds each answer. Starts nothing yet.
     ///
     /// # Errors
     /// If the command cannot be split into words.
@@ -64,32 +63,33 @@ impl Process {
         &self.command
     }
 
-    /// The line that answers a request.
+    /// Sends a request and returns the answer line.
     ///
     /// # Errors
-    /// If the program cannot be started, has ended, or does not answer in time; it is then ended, and is not asked again.
+    /// If the program cannot start, has ended, or exceeds the time limit; it is then killed and not restarted.
     pub(super) fn ask(&self, request: &Request<'_>) -> Result<String> {
         let mut line = serde_json::to_vec(request)?;
         line.push(b'\n');
         let state = self.state.lock();
-        let mut state = state.map_err(|_| anyhow!("another thread failed while it asked"))?;
+        let mut state =
+            state.map_err(|_| anyhow!("another thread failed while it waited for an answer"))?;
         if matches!(*state, State::NotStarted) {
-            *state = State::Running(Running::start(&self.words)?);
+            *state = State::RunningProgram(RunningProgram::start(&self.words)?);
         }
-        let asked = match &mut *state {
-            State::Running(running) => running.ask(line, self.limit),
-            // Of several threads, any may be the one whose error is shown.
-            State::Ended(error) => bail!("it was ended after an error: {error}"),
-            State::NotStarted => bail!("it was not started"),
+        let answer = match &mut *state {
+            State::RunningProgram(running) => running.ask(line, self.limit),
+            // Any of several threads may report the error.
+            State::Ended(error) => bail!("the program was ended after an error: {error}"),
+            State::NotStarted => bail!("the program was not started"),
         };
-        if let Err(error) = &asked {
+        if let Err(error) = &answer {
             *state = State::Ended(format!("{error:#}"));
         }
-        asked
+        answer
     }
 }
 
-impl Running {
+impl RunningProgram {
     fn start(words: &[String]) -> Result<Self> {
         let (program, arguments) = words.split_first().context("an empty command")?;
         let mut child = Command::new(program)
@@ -102,8 +102,7 @@ impl Running {
         let stdout = child.stdout.take().context("a pipe from it")?;
         let (requests, to_write) = channel();
         let (read, lines) = channel();
-        // Both apart from the thread that asks: neither a full pipe nor a silent program may hold it beyond the limit. They
-        // end with the pipes.
+        // Separate threads: neither a full pipe nor a silent program can exceed the time limit. They end with the pipes.
         thread::spawn(move || write(stdin, &to_write));
         thread::spawn(move || read_lines(stdout, &read));
         Ok(Self {
@@ -114,7 +113,7 @@ impl Running {
     }
 
     fn ask(&mut self, line: Vec<u8>, limit: Duration) -> Result<String> {
-        // If the program has ended, the other pipe tells.
+        // If the program has ended, reading reports it.
         self.requests.send(line).ok();
         match self.lines.recv_timeout(limit) {
             Ok(line) => line,
@@ -122,17 +121,15 @@ impl Running {
             Err(RecvTimeoutError::Disconnected) => {
                 let status = self.child.try_wait().ok().flatten();
                 let status = status.map_or(String::new(), |status| format!(" ({status})"));
-                bail!(
-                    "it has ended its output{status}; what it wrote to its standard error is above"
-                )
+                bail!("it ended its output{status}; its standard error is above")
             }
         }
     }
 }
 
-impl Drop for Running {
+impl Drop for RunningProgram {
     fn drop(&mut self) {
-        // Both fail only where it has been waited for.
+        // Both fail only after `wait`.
         self.child.kill().ok();
         self.child.wait().ok();
     }
@@ -154,13 +151,13 @@ fn read_lines(stdout: ChildStdout, lines: &Sender<Result<String>>) {
         let line = match read {
             Ok(0) => return,
             Ok(_) if line.ends_with(b"\n") => {
-                String::from_utf8(line).context("its answer is no UTF-8")
+                String::from_utf8(line).context("the answer is not UTF-8")
             }
             Ok(_) if line.len() as u64 == MAX_LINE => {
-                Err(anyhow!("its answer is longer than {MAX_LINE} bytes"))
+                Err(anyhow!("the answer is longer than {MAX_LINE} bytes"))
             }
-            Ok(_) => Err(anyhow!("it has ended within an answer")),
-            Err(error) => Err(error).context("its output cannot be read"),
+            Ok(_) => Err(anyhow!("it ended within an answer")),
+            Err(error) => Err(error).context("cannot read its output"),
         };
         let is_last = line.is_err();
         if lines.send(line).is_err() || is_last {
@@ -178,9 +175,9 @@ mod tests {
     use wm_motion::actions::ActionEncoding;
 
     use super::*;
-    use crate::policy::protocol::{SpaceOf, VERSION};
+    use crate::policy::protocol::{ActionSpaceInfo, VERSION};
 
-    fn ask(process: &Process) -> Result<String> {
+    fn ask(process: &PolicyProcess) -> Result<String> {
         let encoding = ActionEncoding::default();
         process.ask(&Request {
             version: VERSION,
@@ -193,14 +190,14 @@ mod tests {
             image: "A".repeat(1 << 20),
             views: 1,
             state: None,
-            action_space: &SpaceOf::of(&encoding),
+            action_space: &ActionSpaceInfo::of(&encoding),
         })
     }
 
-    /// The process that runs, if any.
-    fn pid(process: &Process) -> Option<u32> {
+    /// Id of the running process, if any.
+    fn pid(process: &PolicyProcess) -> Option<u32> {
         match &*process.state.lock().unwrap() {
-            State::Running(running) => Some(running.child.id()),
+            State::RunningProgram(running) => Some(running.child.id()),
             State::NotStarted | State::Ended(_) => None,
         }
     }
@@ -210,8 +207,8 @@ mod tests {
     }
 
     #[test]
-    fn one_process_answers_all_requests_and_does_not_outlive_its_owner() {
-        let process = Process::new("cat", Duration::from_secs(60)).unwrap();
+    fn one_process_serves_all_requests_and_ends_on_drop() {
+        let process = PolicyProcess::new("cat", Duration::from_secs(60)).unwrap();
         assert_eq!(pid(&process), None);
         let line = ask(&process).unwrap();
         assert!(
@@ -228,8 +225,8 @@ mod tests {
     }
 
     #[test]
-    fn a_silent_one_that_reads_nothing_is_ended_and_not_started_again() {
-        let process = Process::new("sleep 3600", Duration::from_millis(20)).unwrap();
+    fn silent_program_is_killed_and_not_restarted() {
+        let process = PolicyProcess::new("sleep 3600", Duration::from_millis(20)).unwrap();
         let error = ask(&process).unwrap_err().to_string();
         assert!(error.contains("no answer within 0.02 s"), "{error}");
         assert_eq!(pid(&process), None);
@@ -241,8 +238,8 @@ mod tests {
     }
 
     #[test]
-    fn an_endless_answer_is_cut_off() {
-        let process = Process::new("cat /dev/zero", Duration::from_secs(60)).unwrap();
+    fn endless_answer_is_cut_off() {
+        let process = PolicyProcess::new("cat /dev/zero", Duration::from_secs(60)).unwrap();
         let error = ask(&process).unwrap_err().to_string();
         assert!(error.contains("longer than"), "{error}");
     }

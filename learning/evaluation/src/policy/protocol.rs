@@ -1,16 +1,16 @@
-//! What a policy's program is asked, and what it answers: a line of JSON each, on its standard input and output.
+//! The protocol of policy programs: JSON lines on standard input (requests) and output (answers).
 //!
-//! The request: `{"version": 1, "task": "episode_7", "trial": 0, "seed": 81, "step": 0, "instruction": "open the drawer",
+//! A request: `{"version": 1, "task": "episode_7", "trial": 0, "seed": 81, "step": 0, "instruction": "open the drawer",
 //! "image": "...", "views": 1, "state": null, "action_space": {"name": "bridge_v2", "rate": 5.0, "actions_per_step": 2,
-//! "names": ["dx", ...], "units": ["m", ...], "kinds": ["translation_delta", ...]}}`. The image is a PNG in base64, of the
-//! model's size; several cameras lie side by side. There is no state: an imagined robot has no joints.
+//! "names": ["dx", ...], "units": ["m", ...], "kinds": ["translation_delta", ...]}}`. The image is a PNG in base64 of the
+//! model's size; several cameras are side by side. `state` is null: an imagined robot has no joints.
 //!
-//! The answer: `{"action": [0.01, 0, 0, 0, 0, 0, 1]}`, `{"actions": [[...], [...]]}` or `{"error": "why not"}`. Actions are in
-//! the units of the action space, at its rate: `actions_per_step` of them lead to the next image. Of a longer answer all are
-//! carried out before the next request; where the last model step is not filled, its last action is held.
+//! An answer: `{"action": [0.01, 0, 0, 0, 0, 0, 1]}`, `{"actions": [[...], [...]]}` or `{"error": "reason"}`. Actions are in
+//! the units and at the rate of the action space: `actions_per_step` of them lead to the next image. All actions of an
+//! answer are executed before the next request; the last one is held to fill the last model step.
 //!
-//! Requests of several episodes alternate: what a policy remembers belongs to a `task` and a `trial` of which `instruction`
-//! may differ too, and what it draws should come from `seed` and `step`.
+//! Requests of several episodes alternate: a policy must keep its state per `task`, `trial` and `instruction`, and should
+//! draw random numbers from `seed` and `step`.
 
 use anyhow::{Context as _, Result, bail, ensure};
 use serde::{Deserialize, Serialize};
@@ -20,53 +20,53 @@ use wm_motion::actions::{ActionEncoding, ActionSpace, Kind};
 pub const VERSION: u32 = 1;
 /// Most actions of an answer: more than any episode takes.
 const MAX_ACTIONS: usize = 10_000;
-/// Characters of a bad answer that an error quotes.
-const QUOTED: usize = 200;
+/// Characters quoted of an invalid answer.
+const MAX_QUOTE: usize = 200;
 
-/// What a policy is asked.
+/// A request to the policy.
 #[derive(Clone, Debug, Serialize)]
 pub struct Request<'a> {
     /// [`VERSION`].
     pub version: u32,
-    /// The task's name.
+    /// Name of the task.
     pub task: &'a str,
-    /// The trial, from 0.
+    /// Trial, from 0.
     pub trial: usize,
-    /// The trial's seed, below 2^53.
+    /// Seed of the trial, below 2^53.
     pub seed: u64,
     /// Model steps so far.
     pub step: usize,
-    /// What the robot is told.
+    /// Instruction for the robot.
     pub instruction: &'a str,
     /// A PNG in base64.
     pub image: String,
-    /// Cameras, side by side in the image.
+    /// Number of cameras, side by side in the image.
     pub views: usize,
-    /// Nothing.
+    /// Always null.
     pub state: Option<()>,
-    /// What the values of an action are.
-    pub action_space: &'a SpaceOf<'a>,
+    /// Description of the actions.
+    pub action_space: &'a ActionSpaceInfo<'a>,
 }
 
-/// What the values of an action are.
+/// Description of the actions.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct SpaceOf<'a> {
+pub struct ActionSpaceInfo<'a> {
     /// The space's name.
     pub name: &'a str,
-    /// Actions in a second.
+    /// Actions per second.
     pub rate: f64,
-    /// Actions that lead to the next image.
+    /// Actions per image.
     pub actions_per_step: usize,
-    /// Of each value.
+    /// By value.
     pub names: Vec<&'a str>,
-    /// Of each value.
+    /// By value.
     pub units: Vec<&'a str>,
-    /// Of each value.
+    /// By value.
     pub kinds: Vec<Kind>,
 }
 
-impl<'a> SpaceOf<'a> {
-    /// That of a model.
+impl<'a> ActionSpaceInfo<'a> {
+    /// The space of a model.
     #[must_use]
     pub fn of(encoding: &'a ActionEncoding) -> Self {
         let space = encoding.space();
@@ -90,10 +90,10 @@ struct Answer {
     error: Option<String>,
 }
 
-/// The actions of an answer, of which there is at least one.
+/// The actions of an answer, at least one.
 ///
 /// # Errors
-/// If it is none, says why there are none, or has values that no robot moves by.
+/// For an invalid answer, an error of the policy, or implausible values.
 pub fn actions(line: &str, space: &ActionSpace) -> Result<Vec<Vec<f32>>> {
     let answer: Answer = serde_json::from_str(line).with_context(|| {
         format!(
@@ -104,7 +104,7 @@ pub fn actions(line: &str, space: &ActionSpace) -> Result<Vec<Vec<f32>>> {
     let actions = match answer {
         Answer {
             error: Some(why), ..
-        } => bail!("it says: {}", excerpt(&why)),
+        } => bail!("the policy reports: {}", excerpt(&why)),
         Answer {
             action: Some(action),
             actions: None,
@@ -122,7 +122,7 @@ pub fn actions(line: &str, space: &ActionSpace) -> Result<Vec<Vec<f32>>> {
     };
     ensure!(
         (1..=MAX_ACTIONS).contains(&actions.len()),
-        "{} actions, expected 1 to {MAX_ACTIONS}",
+        "expected 1 to {MAX_ACTIONS} actions, got {}",
         actions.len()
     );
     for (number, action) in actions.iter().enumerate() {
@@ -132,9 +132,9 @@ pub fn actions(line: &str, space: &ActionSpace) -> Result<Vec<Vec<f32>>> {
     Ok(actions)
 }
 
-/// The beginning of what a program wrote, fit for a terminal.
+/// The beginning of a program's text, escaped for a terminal.
 pub(super) fn excerpt(text: &str) -> String {
-    let mut quoted: String = text.trim_end().escape_debug().take(QUOTED).collect();
+    let mut quoted: String = text.trim_end().escape_debug().take(MAX_QUOTE).collect();
     if quoted.len() < text.trim_end().len() {
         quoted.push_str("...");
     }
@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn one_action_or_several() {
+    fn one_or_several_actions_are_parsed() {
         let one = parse(&format!("{{\"action\": {GOOD}}}\n")).unwrap();
         assert_eq!(one, [[0.01, 0., 0., 0., 0., 0., 1.]]);
         let two = parse(&format!(
@@ -167,14 +167,14 @@ mod tests {
     }
 
     #[test]
-    fn anything_else_is_refused_by_name() {
+    fn other_answers_are_rejected_by_name() {
         for (line, named) in [
             ("", "expected {\"action\""),
             ("\u{1b}[2Jloading", "got `\\u{1b}[2Jloading`"),
             ("[0, 0]", "expected {\"action\""),
             ("{}", "either"),
             (r#"{"action": [0], "actions": []}"#, "either"),
-            (r#"{"actions": []}"#, "0 actions, expected 1 to"),
+            (r#"{"actions": []}"#, "expected 1 to 10000 actions, got 0"),
             (r#"{"action": [0, 0]}"#, "action 0"),
             (r#"{"action": [NaN, 0, 0, 0, 0, 0, 0]}"#, "got `"),
             (r#"{"action": [1e300, 0, 0, 0, 0, 0, 0]}"#, "value 0"),
@@ -182,7 +182,7 @@ mod tests {
             (r#"{"actions": [[0, 0, 0, 0, 0, 0, 1], [0]]}"#, "action 1"),
             (
                 r#"{"error": "no \u001b[2J GPU"}"#,
-                "it says: `no \\u{1b}[2J GPU`",
+                "the policy reports: `no \\u{1b}[2J GPU`",
             ),
             (r#"{"act": [0]}"#, "act"),
         ] {
@@ -194,13 +194,13 @@ mod tests {
     }
 
     #[test]
-    fn the_space_is_told_by_name_unit_and_kind() {
+    fn space_has_names_units_and_kinds() {
         let encoding = ActionEncoding::default();
-        let told = serde_json::to_value(SpaceOf::of(&encoding)).unwrap();
-        assert_eq!(told["names"][3], "droll");
-        assert_eq!(told["units"][3], "rad");
-        assert_eq!(told["kinds"][6], "gripper_binary");
-        assert_eq!(told["actions_per_step"], 2);
+        let json = serde_json::to_value(ActionSpaceInfo::of(&encoding)).unwrap();
+        assert_eq!(json["names"][3], "droll");
+        assert_eq!(json["units"][3], "rad");
+        assert_eq!(json["kinds"][6], "gripper_binary");
+        assert_eq!(json["actions_per_step"], 2);
     }
 
     proptest! {
@@ -211,7 +211,7 @@ mod tests {
         }
 
         #[test]
-        fn what_was_sent_arrives(values in prop::collection::vec(prop::array::uniform7(-0.4_f32..0.4), 1..5)) {
+        fn actions_round_trip(values in prop::collection::vec(prop::array::uniform7(-0.4_f32..0.4), 1..5)) {
             let line = serde_json::json!({"actions": values}).to_string();
             let values: Vec<Vec<f32>> = values.iter().map(|v| v.to_vec()).collect();
             prop_assert_eq!(parse(&line).unwrap(), values);

@@ -1,4 +1,4 @@
-//! From arguments to what is used.
+//! Resolves the arguments.
 
 use std::{fs, path::Path, sync::Arc, time::Duration};
 
@@ -9,14 +9,14 @@ use sha2::{Digest as _, Sha256};
 use super::{
     JudgeInputs, PolicyArgs, PolicyInputs,
     arguments::{BuiltIn, OutOfDistribution},
-    process::Process,
+    process::PolicyProcess,
     start_images::StartImages,
 };
 
-/// The name of the embedded tasks.
+/// Name of the embedded tasks.
 const EMBEDDED_TASKS: &str = "bridge_v2";
 
-/// Who acts.
+/// A policy.
 #[derive(Debug)]
 pub(super) enum Policy {
     /// The episode's own actions, then none.
@@ -24,10 +24,10 @@ pub(super) enum Policy {
     /// No motion.
     Still,
     /// A program.
-    Command(Process),
+    Command(PolicyProcess),
 }
 
-/// Who acts on what, and who judges: files are read, programs not started yet.
+/// Policy, tasks and judges: files are read, programs not yet started.
 #[derive(Debug)]
 pub struct Setup {
     pub(super) policy: Policy,
@@ -39,7 +39,7 @@ pub struct Setup {
 }
 
 impl Policy {
-    /// For the settings.
+    /// Name in the settings.
     fn name(&self) -> &str {
         match self {
             Self::Recorded => "recorded",
@@ -50,16 +50,16 @@ impl Policy {
 }
 
 impl Setup {
-    /// Reads what the arguments name.
+    /// Reads the files of the arguments.
     ///
     /// # Errors
-    /// If a file cannot be read or is not what it should be.
+    /// If a file cannot be read, or is invalid.
     pub fn new(arguments: &PolicyArgs) -> Result<Self> {
         ensure!(arguments.trials != Some(0), "--trials is at least 1");
         let limit = Duration::from_secs(arguments.policy_timeout);
         let policy = match (&arguments.policy_command, arguments.policy) {
             (Some(command), _) => {
-                let process = Process::new(command, limit).context("--policy-command")?;
+                let process = PolicyProcess::new(command, limit).context("--policy-command")?;
                 Policy::Command(process)
             }
             (None, BuiltIn::Recorded) => Policy::Recorded,
@@ -107,7 +107,7 @@ impl Setup {
         })
     }
 
-    /// What decides of the results.
+    /// Inputs that affect the results.
     #[must_use]
     pub fn inputs(&self) -> &PolicyInputs {
         &self.inputs

@@ -1,4 +1,4 @@
-//! First frames that replace those of episodes.
+//! Other first frames of episodes.
 
 use std::{
     collections::BTreeMap,
@@ -12,10 +12,10 @@ use sha2::{Digest as _, Sha256};
 use wm_camera::image_message::decode_picture;
 use wm_model::Framing;
 
-/// Ends of names of pictures.
+/// File extensions of pictures.
 const ENDS: [&str; 3] = ["png", "jpg", "jpeg"];
 
-/// Pictures by the names of episodes.
+/// Pictures by episode name.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct StartImages {
     paths: BTreeMap<String, PathBuf>,
@@ -23,10 +23,10 @@ pub(super) struct StartImages {
 }
 
 impl StartImages {
-    /// The pictures of a folder.
+    /// Opens the pictures of a folder.
     ///
     /// # Errors
-    /// If there are none, two are of one episode, or one cannot be read.
+    /// If there are none, two belong to one episode, or one cannot be read.
     pub(super) fn open(folder: &Path) -> Result<Self> {
         let name = || folder.display().to_string();
         let mut paths = BTreeMap::new();
@@ -49,7 +49,7 @@ impl StartImages {
         }
         ensure!(
             !paths.is_empty(),
-            "{}: no picture; expected PNG or JPEG files that are named as their episode",
+            "{}: no picture; expected PNG or JPEG files named as their episode",
             name()
         );
         let mut hash = Sha256::new();
@@ -74,15 +74,15 @@ impl StartImages {
         self.paths.keys().map(String::as_str)
     }
 
-    /// Whether there is one of an episode.
+    /// Whether an episode has one.
     pub(super) fn has(&self, episode: &str) -> bool {
         self.paths.contains_key(episode)
     }
 
-    /// That of an episode, as the episode's frames were prepared.
+    /// The picture of an episode, framed as the episode's frames.
     ///
     /// # Errors
-    /// If it is no picture, or an incomplete one.
+    /// For an invalid or incomplete picture.
     pub(super) fn picture(&self, episode: &str, framing: Framing) -> Result<RgbImage> {
         let path = self.paths.get(episode);
         let path = path.with_context(|| format!("no first frame of {episode}"))?;
@@ -100,7 +100,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pictures_are_found_by_episode_and_told_apart_by_content() {
+    fn pictures_are_found_by_episode_and_digested_by_content() {
         let dir = tempfile::tempdir().unwrap();
         let none = StartImages::open(dir.path()).unwrap_err().to_string();
         assert!(none.contains("named as their episode"), "{none}");

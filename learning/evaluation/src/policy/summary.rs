@@ -1,4 +1,4 @@
-//! What the trials say.
+//! Findings of the trials.
 
 mod agreement;
 mod rates;
@@ -6,16 +6,16 @@ mod tables;
 
 use wm_metrics::findings::{Picture, Section, Suite};
 
-use super::{Condition, Imagined};
+use super::{Condition, ImaginedTrial};
 use crate::Settings;
-use agreement::Agreed;
+use agreement::ConsensusPair;
 use rates::Score;
 
-/// The findings of all trials, which are in the order of the tasks.
+/// Findings of all trials, in the order of the tasks.
 #[must_use]
-pub fn summarise(trials: &[(String, Imagined)], settings: &Settings) -> Section {
+pub fn summarise(trials: &[(String, ImaginedTrial)], settings: &Settings) -> Section {
     let mut section = Section::new(Suite::Policy);
-    let trials_only: Vec<&Imagined> = trials.iter().map(|(_, trial)| trial).collect();
+    let trials_only: Vec<&ImaginedTrial> = trials.iter().map(|(_, trial)| trial).collect();
     let agreed = agreement::of(&trials_only, settings);
     let scores = rates::scores(settings, agreed.as_ref());
     rates::add(&mut section, &trials_only, &scores, settings);
@@ -37,8 +37,8 @@ pub fn summarise(trials: &[(String, Imagined)], settings: &Settings) -> Section 
     section
 }
 
-/// What was not asked, and what it would take.
-fn say_absent(section: &mut Section, trials: &[&Imagined], settings: &Settings) {
+/// Reports missing figures, and their requirements.
+fn say_absent(section: &mut Section, trials: &[&ImaginedTrial], settings: &Settings) {
     let inputs = &settings.policy.inputs;
     if trials.is_empty() {
         section.absent(
@@ -50,35 +50,35 @@ fn say_absent(section: &mut Section, trials: &[&Imagined], settings: &Settings) 
     if trials.iter().all(|trial| trial.probe.is_none()) {
         section.absent(
             "probe_success",
-            "the model has no success probe that reads these instructions: wm train probe makes one",
+            "the model has no success probe for these instructions; train one with wm train probe",
         );
     }
     match inputs.judges.len() {
         0 => {
             section.absent(
                 "consensus_success",
-                "no judges: --judges FILE asks two vision-language models (learning/evaluation/judges.yaml)",
+                "no judges; give two vision-language models with --judges FILE (learning/evaluation/judges.yaml)",
             );
             section.absent(
                 "interaction_quality",
-                "no judges: --judges FILE asks the first one for the rubric",
+                "no judges; the first one of --judges FILE fills the rubric",
             );
         }
-        1 => section.absent("consensus_success", "one judge: a consensus takes two"),
+        1 => section.absent("consensus_success", "one judge, but a consensus needs two"),
         _ => {}
     }
     let wanted = [
         (
             Condition::OtherInstruction,
             inputs.other_instructions,
-            "not asked: --tasks FILE --ood instruction",
-            "none of the tasks has another instruction in the file of tasks",
+            "not requested; use --tasks FILE --ood instruction",
+            "no task has another instruction in the tasks file",
         ),
         (
             Condition::OtherFrame,
             inputs.start_images.is_some(),
-            "not asked: --start-images DIR, with the first frames as an image editor adds things that distract",
-            "none of the tasks has another first frame",
+            "not requested; use --start-images DIR with edited first frames, for example with distractors",
+            "no task has another first frame",
         ),
     ];
     for (condition, is_asked, not_asked, none) in wanted {
@@ -89,27 +89,27 @@ fn say_absent(section: &mut Section, trials: &[&Imagined], settings: &Settings) 
     }
 }
 
-/// Remarks on how it was measured.
+/// Remarks on the measurement.
 fn say_how(
     section: &mut Section,
-    trials: &[&Imagined],
+    trials: &[&ImaginedTrial],
     settings: &Settings,
-    agreed: Option<&Agreed>,
+    agreed: Option<&ConsensusPair>,
 ) {
     let own = &settings.policy;
     section.notes.push(format!(
-        "Policy: {}. {} model steps from two observed frames, {} trials of a task (the paper: OpenVLA-7B, 50 steps, 8 \
+        "Policy: {}. {} model steps from two observed frames, {} trials per task (the paper: OpenVLA-7B, 50 steps, 8 \
          trials of 20 tasks). Intervals resample tasks, then trials.",
         own.inputs.policy, own.steps, own.trials
     ));
     let unread = trials.iter().filter(|trial| trial.probe.is_none()).count();
     if unread < trials.len() {
-        let mut note = "The success probe is no judge of the paper's: it was trained on real episodes, and can be fooled by \
+        let mut note = "The success probe is not a judge of the paper: it was trained on real episodes, and can be fooled by \
                         imagined ones."
             .to_owned();
         if unread > 0 {
             note += &format!(
-                " It does not read the instructions of {unread} of {} trials, which count for the judges only.",
+                " It does not know the instructions of {unread} of {} trials, which count only for the judges.",
                 trials.len()
             );
         }
@@ -120,7 +120,7 @@ fn say_how(
         .any(|trial| trial.condition == Condition::OtherFrame)
     {
         section.notes.push(
-            "Another first frame stands for both observed ones, with no motion between them. Its trials are compared with \
+            "Another first frame replaces both observed ones, without motion between them. Its trials are compared with \
              those of the same tasks from the recorded frames."
                 .into(),
         );
@@ -129,7 +129,7 @@ fn say_how(
     let values: usize = trials.iter().map(|trial| trial.values).sum();
     if clipped > 0 {
         section.notes.push(format!(
-            "{clipped} of {values} values of actions ({:.1} %) were beyond what the model was trained on, and were cut off \
+            "{clipped} of {values} values of actions ({:.1} %) were beyond the model's range and \
              there.",
             100.0 * clipped as f64 / values as f64
         ));
@@ -139,9 +139,9 @@ fn say_how(
     }
 }
 
-/// Mean of the scores that there are, with their number.
+/// Mean of the existing scores, with their number.
 fn mean<'a>(
-    trials: impl IntoIterator<Item = &'a Imagined>,
+    trials: impl IntoIterator<Item = &'a ImaginedTrial>,
     score: &Score<'_>,
 ) -> Option<(f64, usize)> {
     let values: Vec<f64> = trials

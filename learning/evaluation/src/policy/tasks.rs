@@ -1,4 +1,4 @@
-//! Which episodes are tasks, and what is known of them.
+//! The tasks among the episodes.
 
 use std::collections::BTreeMap;
 
@@ -12,22 +12,22 @@ use crate::{Subject, spread};
 /// An episode as a task.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Task {
-    /// Its number among the episodes.
+    /// Index of the episode.
     pub episode: usize,
-    /// The episode's name; where several have it, with a number.
+    /// Name of the episode, with a number if several share it.
     pub name: String,
     pub instruction: String,
-    /// Its level of difficulty with what that is called.
+    /// Level of difficulty, with its name.
     pub level: Option<(u8, String)>,
-    /// What replaces the instruction.
+    /// The other instruction.
     pub other_instruction: Option<String>,
     pub partial_criteria: Option<String>,
-    /// Whether there is another first frame.
+    /// Whether another first frame exists.
     pub has_other_frame: bool,
 }
 
 impl Task {
-    /// What it is tried under.
+    /// Conditions of its trials.
     pub fn conditions(&self, setup: &Setup) -> impl Iterator<Item = Condition> {
         let is_told_another = setup.other_instructions && self.other_instruction.is_some();
         let conditions = [
@@ -39,8 +39,8 @@ impl Task {
         conditions.map(|(condition, _)| condition)
     }
 
-    /// What the policy is told, and the judges.
-    pub fn told(&self, condition: Condition) -> &str {
+    /// The instruction for policy and judges.
+    pub fn instruction_under(&self, condition: Condition) -> &str {
         match (condition, &self.other_instruction) {
             (Condition::OtherInstruction, Some(other)) => other,
             _ => &self.instruction,
@@ -48,10 +48,10 @@ impl Task {
     }
 }
 
-/// At most so many tasks: of a file those with its instructions, each before any comes twice; else spread over all.
+/// Chooses at most `most` tasks: those of a file, each instruction once before any repeats; else spread over all.
 ///
 /// # Errors
-/// If no episode is one of the tasks that were asked for.
+/// If no episode is one of the requested tasks.
 pub(super) fn choose(subject: &Subject, setup: &Setup, most: usize) -> Result<Vec<Task>> {
     let names = unique_names(subject.dataset.episodes());
     let episodes = subject.dataset.episodes().iter().zip(names).enumerate();
@@ -64,7 +64,7 @@ pub(super) fn choose(subject: &Subject, setup: &Setup, most: usize) -> Result<Ve
         Some(tasks) => {
             ensure!(
                 !all.is_empty(),
-                "no episode has an instruction of the file of tasks, as {:?}: the data has {}",
+                "no episode has an instruction of the tasks file, such as {:?}; the data has {}",
                 tasks.tasks().first().map_or("", |task| &*task.instruction),
                 some_instructions(subject.dataset.episodes())
             );
@@ -117,7 +117,7 @@ fn task(index: usize, episode: &Episode, name: String, setup: &Setup) -> Option<
     })
 }
 
-/// Recordings write the same words in other cases.
+/// Ignores case, which varies between recordings.
 fn known<'a>(tasks: &'a Tasks, instruction: &str) -> Option<&'a crate::judges::tasks::Task> {
     let lower = instruction.to_lowercase();
     let mut tasks = tasks.tasks().iter();
@@ -141,7 +141,7 @@ fn each_once_first(all: Vec<Task>, most: usize) -> Vec<Task> {
     ranked.into_iter().map(|(_, task)| task).collect()
 }
 
-/// Bags of different folders may have the same name.
+/// Bags of different folders may share a name.
 fn unique_names(episodes: &[Episode]) -> Vec<String> {
     let mut seen: BTreeMap<&str, usize> = BTreeMap::new();
     let names = episodes.iter().map(|episode| {
@@ -156,14 +156,17 @@ fn unique_names(episodes: &[Episode]) -> Vec<String> {
 }
 
 fn some_instructions(episodes: &[Episode]) -> String {
-    let told = episodes
+    let instructions = episodes
         .iter()
         .filter_map(|episode| episode.instruction.as_deref());
-    let told: Vec<String> = told.take(3).map(|text| format!("{text:?}")).collect();
-    if told.is_empty() {
-        return "none at all (/task/instruction)".into();
+    let instructions: Vec<String> = instructions
+        .take(3)
+        .map(|text| format!("{text:?}"))
+        .collect();
+    if instructions.is_empty() {
+        return "no instruction (/task/instruction)".into();
     }
-    format!("{}, ...", told.join(", "))
+    format!("{}, ...", instructions.join(", "))
 }
 
 #[cfg(test)]
@@ -183,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn every_instruction_comes_before_one_comes_twice() {
+    fn instructions_come_once_before_any_repeats() {
         let all = || vec![named(0, "a"), named(1, "A"), named(2, "b"), named(3, "a")];
         let chosen = |most| -> Vec<usize> {
             let chosen = each_once_first(all(), most);
@@ -195,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn episodes_of_one_name_are_told_apart() {
+    fn episodes_of_one_name_get_numbers() {
         let of = |name: &str| Episode {
             name: name.into(),
             ..Episode::default()

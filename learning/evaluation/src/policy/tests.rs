@@ -19,7 +19,7 @@ use wm_metrics::findings::{Section, Suite};
 use super::{PolicyArgs, Setup, Trials, arguments::BuiltIn, *};
 use crate::{CONTEXT, Protocol, ReaderArgs, Settings, Shard, Subject, records, run};
 
-/// What the bundled probe reads.
+/// Instructions known to the bundled probe.
 const INSTRUCTIONS: [&str; 2] = ["pick up the red box", "push the blue box to the left"];
 const TASKS: &str = "levels: {1: Short, 2: Long}
 tasks:
@@ -27,7 +27,7 @@ tasks:
   - {instruction: push the blue box to the left, level: 2}
 ";
 
-/// The embedded model on two bags, of which the first is a success, and one without an instruction.
+/// The embedded model on two bags (the first is a success), and one without an instruction.
 struct Bags {
     dir: TempDir,
     subject: Subject,
@@ -60,7 +60,7 @@ impl Bags {
         path
     }
 
-    /// The records of all trials as they are written, and what is made of them.
+    /// The written records of all trials, and their section.
     fn run(&self, arguments: &PolicyArgs, folder: &str) -> anyhow::Result<(Vec<String>, Section)> {
         let setup = Setup::new(arguments)?;
         let mut settings = Settings::of(Protocol::Quick, 5);
@@ -118,7 +118,7 @@ fn threads(count: usize) -> rayon::ThreadPool {
 }
 
 #[test]
-fn threads_change_nothing_and_policies_do() {
+fn results_depend_on_policies_but_not_threads() {
     let bags = Bags::new();
     let mut of_each = Vec::new();
     for (name, policy) in [
@@ -150,7 +150,7 @@ fn threads_change_nothing_and_policies_do() {
 }
 
 #[test]
-fn the_recorded_policy_gives_the_rollout_under_the_recorded_actions() {
+fn recorded_policy_gives_the_recorded_rollout() {
     let bags = Bags::new();
     let setup = Setup::new(&of(BuiltIn::Recorded)).unwrap();
     let settings = Settings::of(Protocol::Quick, 0);
@@ -173,7 +173,7 @@ fn the_recorded_policy_gives_the_rollout_under_the_recorded_actions() {
 }
 
 #[test]
-fn trials_out_of_distribution_stand_beside_the_others() {
+fn ood_trials_accompany_the_others() {
     let bags = Bags::new();
     let images = bags.dir.path().join("images");
     fs::create_dir(&images).unwrap();
@@ -196,7 +196,7 @@ fn trials_out_of_distribution_stand_beside_the_others() {
     let metrics = &section.metrics;
     let instruction = &metrics["policy.ood_instruction_probe_probability"];
     assert_eq!((instruction.n, instruction.samples.len()), (2, 1));
-    // The same latents under the same seeds, and another instruction; another frame, and other latents.
+    // Equal latents under equal seeds with another instruction; other latents with another frame.
     for name in ["ood_instruction", "ood_distractor"] {
         let drop = &metrics[&format!("policy.{name}_probe_probability_drop")];
         assert_ne!(drop.value, 0.0, "{name}");
@@ -222,20 +222,23 @@ fn trials_out_of_distribution_stand_beside_the_others() {
 }
 
 #[test]
-fn a_program_that_fails_ends_the_run_and_is_named_with_the_trial() {
+fn failing_program_ends_the_run_with_its_trial_named() {
     let bags = Bags::new();
     for (line, named) in [
-        ("false", "it has ended its output"),
+        ("false", "it ended its output"),
         (
             "no_such_program_anywhere",
             "no_such_program_anywhere cannot be started",
         ),
         ("echo ready", "got `ready`"),
-        ("printf '{'", "ended within an answer"),
+        ("printf '{'", "it ended within an answer"),
         (r#"echo '{"action": [0, 0]}'"#, "action 0"),
         (r#"echo '{"action": [9, 0, 0, 0, 0, 0, 0]}'"#, "dx"),
-        (r#"echo '{"error": "no GPU"}'"#, "it says: `no GPU`"),
-        // It answers with the request.
+        (
+            r#"echo '{"error": "no GPU"}'"#,
+            "the policy reports: `no GPU`",
+        ),
+        // Echoes the request.
         ("cat", "unknown field `version`"),
     ] {
         let error = threads(1).install(|| bags.run(&command(line), line).unwrap_err());
@@ -249,7 +252,7 @@ fn a_program_that_fails_ends_the_run_and_is_named_with_the_trial() {
 }
 
 #[test]
-fn what_cannot_be_used_is_refused_before_anything_is_measured() {
+fn unusable_inputs_are_rejected_first() {
     let refused = |arguments: PolicyArgs| format!("{:#}", Setup::new(&arguments).unwrap_err());
     assert!(refused(command("a 'b")).contains("a quote is not closed"));
     let zero = PolicyArgs {

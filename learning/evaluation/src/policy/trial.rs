@@ -1,4 +1,4 @@
-//! The trials of all tasks, each a unit.
+//! The trials of all tasks, one per unit.
 
 use std::path::Path;
 
@@ -11,42 +11,42 @@ use sha2::{Digest as _, Sha256};
 use super::{
     Condition, Setup, Verdicts,
     episode::{Start, Trial, imagine, still},
-    judging::Judging,
+    judging::JudgePanel,
     setup::Policy,
     tasks::{Task, choose},
 };
 use crate::{CONTEXT, Settings, Shard, Subject, picture_strip::strip_of};
 
-/// What came of one trial.
+/// Result of one trial.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Imagined {
-    /// The task's name.
+pub struct ImaginedTrial {
+    /// Name of the task.
     pub task: String,
-    /// The trial, from 0.
+    /// Trial, from 0.
     pub trial: usize,
-    /// What it was tried under.
+    /// Condition.
     pub condition: Condition,
-    /// What the policy was told.
+    /// Instruction for the policy.
     pub instruction: String,
-    /// How difficult the task is, and what that is called, where a file of tasks says.
+    /// Level of difficulty with its name, if a tasks file has it.
     pub level: Option<(u8, String)>,
-    /// Probability of success on the imagined latents; none without a probe that reads the instruction.
+    /// Probability of success on the imagined latents; `None` without a probe for the instruction.
     pub probe: Option<f32>,
-    /// The same on the latents of the episode's own frames, of the recorded policy.
+    /// The same on the latents of the recorded frames, for the recorded policy.
     pub probe_on_frames: Option<f32>,
-    /// Whether the recording was a success, of the recorded policy.
+    /// Whether the recording was a success, for the recorded policy.
     pub outcome: Option<bool>,
-    /// What the judges say, if there are any.
+    /// Verdicts of the judges, if any.
     pub verdicts: Option<Verdicts>,
-    /// Values of actions beyond the model's range.
+    /// Clipped values of actions.
     pub clipped: usize,
     /// Values of all actions.
     pub values: usize,
-    /// What the policy saw, as a PNG in base64, if the report shows it.
+    /// The policy's pictures as a PNG in base64, if the report shows them.
     pub strip: Option<String>,
 }
 
-/// A trial to be made.
+/// A trial to run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Unit {
     task: usize,
@@ -61,15 +61,14 @@ pub struct Trials<'a> {
     setup: &'a Setup,
     tasks: Vec<Task>,
     units: Vec<Unit>,
-    judging: Option<Judging>,
+    judging: Option<JudgePanel>,
 }
 
 impl<'a> Trials<'a> {
-    /// Chooses the tasks, and opens what the judges have said so far, in the folder of the records.
+    /// Chooses the tasks, and opens the earlier answers of the judges in the records folder.
     ///
     /// # Errors
-    /// If there is no task of those that were asked for, somebody wants to see pictures and the model has no decoder, or the
-    /// judges cannot be asked.
+    /// If no requested task exists, pictures are needed and the model has no decoder, or the judges are unusable.
     pub fn new(
         subject: &'a Subject,
         settings: &'a Settings,
@@ -79,12 +78,12 @@ impl<'a> Trials<'a> {
         let blind = setup.judges.is_none() && !matches!(setup.policy, Policy::Command(_));
         anyhow::ensure!(
             blind || subject.decoder.is_some(),
-            "the model has no decoder, and programs and judges look at pictures"
+            "the model has no decoder, but programs and judges need pictures"
         );
         let tasks = choose(subject, setup, settings.policy.tasks)?;
         let units = units(&tasks, setup, settings.policy.trials);
         let judging = setup.judges.clone();
-        let judging = judging.map(|(panel, prompts)| Judging::open(panel, prompts, records));
+        let judging = judging.map(|(panel, prompts)| JudgePanel::open(panel, prompts, records));
         Ok(Self {
             subject,
             settings,
@@ -106,11 +105,11 @@ impl<'a> Trials<'a> {
         units.collect()
     }
 
-    /// Makes one.
+    /// Runs one trial.
     ///
     /// # Errors
     /// If the policy or a judge fails, or model and data do not fit.
-    pub fn measure(&self, unit: usize) -> Result<Imagined> {
+    pub fn measure(&self, unit: usize) -> Result<ImaginedTrial> {
         let Self { subject, setup, .. } = self;
         let own = &self.settings.policy;
         let found = self.units.get(unit);
@@ -123,10 +122,16 @@ impl<'a> Trials<'a> {
         } = unit;
         let start = self.start(task, condition)?;
         let is_shown = trial == 0 && number < own.strips && subject.decoder.is_some();
-        let told = self.told(task, unit);
-        let instruction = told.instruction;
+        let trial_of = self.trial_of(task, unit);
+        let instruction = trial_of.instruction;
         let is_seen = is_shown || self.judging.is_some();
-        let episode = imagine(subject, &setup.policy, &start, told, (own.steps, is_seen))?;
+        let episode = imagine(
+            subject,
+            &setup.policy,
+            &start,
+            trial_of,
+            (own.steps, is_seen),
+        )?;
         let strip = is_shown
             .then(|| strip_of(&[&episode.pictures]))
             .transpose()?;
@@ -135,7 +140,7 @@ impl<'a> Trials<'a> {
         let verdicts = self.judging.as_ref().map(|judging| {
             judging.judge(&Rollout {
                 instruction: instruction.to_owned(),
-                // They are of the recorded instruction.
+                // They belong to the recorded instruction.
                 partial_criteria: match condition {
                     Condition::OtherInstruction => None,
                     _ => task.partial_criteria.clone(),
@@ -151,7 +156,7 @@ impl<'a> Trials<'a> {
             probability(&subject.recording(task.episode, frames.len())?.frames)
         });
         let outcome = subject.dataset.episodes().get(task.episode);
-        Ok(Imagined {
+        Ok(ImaginedTrial {
             task: task.name.clone(),
             trial,
             condition,
@@ -167,16 +172,16 @@ impl<'a> Trials<'a> {
         })
     }
 
-    fn told<'t>(&self, task: &'t Task, unit: Unit) -> Trial<'t> {
+    fn trial_of<'t>(&self, task: &'t Task, unit: Unit) -> Trial<'t> {
         Trial {
             task: &task.name,
             trial: unit.trial,
             seed: seed(self.settings.seed, &task.name, unit.trial),
-            instruction: task.told(unit.condition),
+            instruction: task.instruction_under(unit.condition),
         }
     }
 
-    /// None without a probe that reads the instruction.
+    /// `None` without a probe for the instruction.
     fn probability(&self, latents: &Tensor, instruction: &str) -> Result<Option<f32>> {
         let Some(probe) = self.subject.probe() else {
             return Ok(None);
@@ -187,18 +192,18 @@ impl<'a> Trials<'a> {
         Ok(Some(probe.probability(latents, &instruction)?))
     }
 
-    /// Of the recorded frames and actions, for tests: what `steps` of a unit give.
+    /// Latents of the recorded frames and actions of a unit, for tests.
     #[cfg(test)]
     pub(super) fn latents(&self, unit: usize, steps: usize) -> Result<Tensor> {
         let unit = self.units.get(unit).context("no such unit")?;
         let task = self.tasks.get(unit.task).context("no such task")?;
         let start = self.start(task, unit.condition)?;
-        let told = self.told(task, *unit);
+        let trial_of = self.trial_of(task, *unit);
         let found = imagine(
             self.subject,
             &self.setup.policy,
             &start,
-            told,
+            trial_of,
             (steps, false),
         );
         Ok(found?.latents)
@@ -216,7 +221,7 @@ impl<'a> Trials<'a> {
         let recorded = recorded.to_vec();
         let images = self.setup.start_images.as_ref();
         if let (Condition::OtherFrame, Some(images)) = (condition, images) {
-            // One frame is all that there is: the robot rests between it and itself.
+            // With one frame only, the robot rests between it and itself.
             let picture = images.picture(&task.name, subject.dataset.framing())?;
             let latent = subject.encode(std::slice::from_ref(&picture))?;
             let last = still(last, encoding.space());
@@ -241,7 +246,7 @@ impl<'a> Trials<'a> {
     }
 }
 
-/// Task by task, condition by condition.
+/// By task, then by condition.
 fn units(tasks: &[Task], setup: &Setup, trials: usize) -> Vec<Unit> {
     let tasks = tasks.iter().enumerate();
     let conditions = tasks.flat_map(|(task, own)| {
@@ -258,8 +263,8 @@ fn units(tasks: &[Task], setup: &Setup, trials: usize) -> Vec<Unit> {
     units.collect()
 }
 
-/// The seed of a trial: the same under all conditions and whatever other tasks there are. Below 2^53, up to which every
-/// reader of JSON has whole numbers.
+/// Seed of a trial: equal for all conditions, independent of other tasks, and below 2^53, where integers in JSON are
+/// exact.
 pub(super) fn seed(of_all: u64, task: &str, trial: usize) -> u64 {
     let mut hash = Sha256::new();
     hash.update(of_all.to_le_bytes());
@@ -275,7 +280,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn seeds_depend_on_seed_task_and_trial_alone() {
+    fn seeds_depend_on_seed_task_and_trial() {
         let known = [
             seed(0, "a", 0),
             seed(0, "a", 1),

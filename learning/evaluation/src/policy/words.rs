@@ -1,8 +1,8 @@
-//! A command line as the words of a program's start.
+//! Splits a command line into words.
 
 use anyhow::{Result, ensure};
 
-/// The words of a command, as a shell splits them: quotes keep spaces, and outside of single quotes a backslash keeps the
+/// The words of a command, as split by a shell: quotes keep spaces, and outside single quotes a backslash keeps the
 /// next character. Nothing is expanded.
 pub(super) fn words(command: &str) -> Result<Vec<String>> {
     let mut words = Vec::new();
@@ -15,7 +15,7 @@ pub(super) fn words(command: &str) -> Result<Vec<String>> {
             (Some('\''), other) => word.get_or_insert_default().push(other),
             (_, '\\') => {
                 let kept = characters.next();
-                ensure!(kept.is_some(), "{command}: it ends with a backslash");
+                ensure!(kept.is_some(), "{command}: ends with a backslash");
                 word.get_or_insert_default().extend(kept);
             }
             (Some(_), other) => word.get_or_insert_default().push(other),
@@ -27,7 +27,7 @@ pub(super) fn words(command: &str) -> Result<Vec<String>> {
             (None, other) => word.get_or_insert_default().push(other),
         }
     }
-    ensure!(quote.is_none(), "{command}: a quote is not closed");
+    ensure!(quote.is_none(), "{command}: unclosed quote");
     words.extend(word);
     ensure!(!words.is_empty(), "the command of the policy is empty");
     Ok(words)
@@ -42,7 +42,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn as_a_shell_splits_them() {
+    fn words_are_split_as_by_a_shell() {
         for (command, expected) in [
             ("python3 policy.py", vec!["python3", "policy.py"]),
             ("  a\t b ", vec!["a", "b"]),
@@ -53,7 +53,7 @@ mod tests {
         ] {
             assert_eq!(words(command).unwrap(), expected, "{command}");
         }
-        for (command, named) in [("", "empty"), ("a 'b", "not closed"), ("a\\", "backslash")] {
+        for (command, named) in [("", "empty"), ("a 'b", "unclosed"), ("a\\", "backslash")] {
             let error = words(command).unwrap_err().to_string();
             assert!(error.contains(named), "{error}");
         }
@@ -61,7 +61,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn quoted_words_come_back(all in prop::collection::vec("[^']{0,12}", 1..6)) {
+        fn quoted_words_round_trip(all in prop::collection::vec("[^']{0,12}", 1..6)) {
             let quoted: Vec<String> = all.iter().map(|word| format!("'{word}'")).collect();
             prop_assert_eq!(words(&quoted.join(" ")).unwrap(), all);
         }

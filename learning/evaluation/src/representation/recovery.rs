@@ -6,33 +6,33 @@ use wm_zoo::idm::TrainedIdm;
 
 use crate::{ActionChange, Reader, Settings, Subject, Windows};
 
-/// The actions of one window, and what the inverse dynamics models tell.
+/// Actions of one window, true and inferred.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct ToldActions {
+pub struct InferredActions {
     /// Names and kinds of the dimensions.
     pub dimensions: Vec<(String, Kind)>,
-    /// One for each model.
-    pub models: Vec<Told>,
+    /// By model.
+    pub models: Vec<IdmActions>,
 }
 
-/// What one inverse dynamics model tells.
+/// Actions inferred by one model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Told {
-    /// What the names of its figures begin with.
+pub struct IdmActions {
+    /// Prefix of its figures.
     pub name: String,
-    /// Steps k that it tells at once.
+    /// Steps k inferred at once.
     pub k: usize,
-    /// Name of the latent space that it reads.
+    /// Name of its latent space.
     pub space: String,
     /// The true actions, a row each.
     pub truth: Vec<Vec<f32>>,
-    /// What it tells from the latents of the frames that came.
+    /// Actions inferred from the latents of the true frames.
     pub real: Vec<Vec<f32>>,
-    /// What it tells from the last observed frame and the predicted ones.
+    /// Actions inferred from the last observed frame and the predictions.
     pub predicted: Vec<Vec<f32>>,
 }
 
-/// Windows that are long enough for all models; `None` where there is no model.
+/// Windows of sufficient length for all models; `None` without a model.
 pub(super) fn windows(subject: &Subject, settings: &Settings) -> Result<Option<Windows>> {
     let idms = &subject.readers.idms;
     let horizons = idms.iter().map(|idm| idm.model.idm().horizon());
@@ -60,7 +60,11 @@ pub(super) fn windows(subject: &Subject, settings: &Settings) -> Result<Option<W
     .map(Some)
 }
 
-pub(super) fn measure(subject: &Subject, windows: &Windows, unit: usize) -> Result<ToldActions> {
+pub(super) fn measure(
+    subject: &Subject,
+    windows: &Windows,
+    unit: usize,
+) -> Result<InferredActions> {
     let model = &subject.world.transition;
     let last = windows.last_observed(unit)?;
     let real = Tensor::cat(&[&last, &windows.coming(unit)?], 0)?;
@@ -71,30 +75,31 @@ pub(super) fn measure(subject: &Subject, windows: &Windows, unit: usize) -> Resu
     let actions = windows.actions(unit)?.narrow(1, 0, values)?;
     let models = subject.readers.idms.iter().map(|idm| {
         let k = idm.model.idm().horizon();
-        // Chunks that follow one another, so that no action counts twice.
-        let starts = || (0..=predicted.dim(0).unwrap_or(0).saturating_sub(k + 1)).step_by(k);
+        // Consecutive chunks, so that no action counts twice.
+        let last = predicted.dim(0)?.saturating_sub(k + 1);
+        let starts = || (0..=last).step_by(k);
         let mut truth = Vec::new();
         for first in starts() {
             truth.extend(actions.narrow(0, first, k)?.to_vec2::<f32>()?);
         }
-        Ok(Told {
+        Ok(IdmActions {
             name: idm.name.clone(),
             k,
             space: idm.space.clone(),
             truth,
-            real: told(idm, &real, starts(), values)?,
-            predicted: told(idm, &predicted, starts(), values)?,
+            real: infer(idm, &real, starts(), values)?,
+            predicted: infer(idm, &predicted, starts(), values)?,
         })
     });
     let space = subject.world.encoding.space();
     let dimensions = space.dimensions().iter();
-    Ok(ToldActions {
+    Ok(InferredActions {
         dimensions: dimensions.map(|d| (d.name.clone(), d.kind)).collect(),
         models: models.collect::<Result<_>>()?,
     })
 }
 
-fn told(
+fn infer(
     idm: &Reader<TrainedIdm>,
     frames: &Tensor,
     starts: impl Iterator<Item = usize>,
@@ -105,8 +110,8 @@ fn told(
     let mut rows = Vec::new();
     for first in starts {
         let latents = frames.narrow(0, first, k + 1)?.unsqueeze(0)?;
-        let told = idm.model.actions(&latents)?.squeeze(0)?;
-        rows.extend(told.narrow(1, 0, values)?.to_vec2::<f32>()?);
+        let infer = idm.model.actions(&latents)?.squeeze(0)?;
+        rows.extend(infer.narrow(1, 0, values)?.to_vec2::<f32>()?);
     }
     Ok(rows)
 }

@@ -6,34 +6,34 @@ use wm_zoo::success_probe::SuccessClassifier;
 
 use crate::{CONTEXT, Reader, Settings, Subject, readers::OWN_PROBE};
 
-/// What the success probes say of one episode.
+/// Success probabilities of one episode.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Judged {
+pub struct EpisodeVerdicts {
     /// Its instruction.
     pub instruction: String,
-    /// Whether it was carried out.
+    /// Whether it succeeded.
     pub success: bool,
-    /// What each probe says, the model's own first.
+    /// Probabilities of each probe, the model's own first.
     pub probes: Vec<Answers>,
 }
 
-/// What a success probe says of one episode.
+/// Probabilities of a success probe for one episode.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Answers {
-    /// What the names of its figures begin with.
+    /// Prefix of its figures.
     pub name: String,
-    /// What it is, in words.
+    /// Description.
     pub about: String,
-    /// Probability on the latents of the frames.
+    /// On the latents of the true frames.
     pub real: f32,
-    /// Probability on a rollout from the first frames under the true actions.
+    /// On a rollout from the first frames under the true actions.
     pub predicted: f32,
-    /// Probability on the latents of the frames under another episode's instruction, of a success; `None` of a probe that
-    /// reads no instruction.
+    /// On the latents of a successful episode's frames under another episode's instruction; `None` for a probe without
+    /// instructions.
     pub mismatched: Option<f32>,
 }
 
-/// Episodes with an instruction that all probes know and an outcome, at most so many, spread over all.
+/// Evenly spread episodes with an outcome and an instruction known to all probes, at most the setting.
 pub(super) fn units(subject: &Subject, settings: &Settings) -> Vec<usize> {
     let probes = &subject.readers.probes;
     if probes.is_empty() {
@@ -50,7 +50,7 @@ pub(super) fn units(subject: &Subject, settings: &Settings) -> Vec<usize> {
         judged.partition(|(_, episode)| episode.success == Some(true));
     let [successes, failures] =
         [successes, failures].map(|of| of.into_iter().map(|(index, _)| index).collect::<Vec<_>>());
-    // Both outcomes, as far as there are: one alone has no accuracy.
+    // Both outcomes, if possible: one alone has no accuracy.
     let most = settings.latents.judged_episodes;
     let half = most.div_ceil(2);
     let of_failures = half.max(most.saturating_sub(successes.len()));
@@ -67,7 +67,7 @@ pub(super) fn units(subject: &Subject, settings: &Settings) -> Vec<usize> {
     chosen
 }
 
-pub(super) fn measure(subject: &Subject, episode: usize, seed: u64) -> Result<Judged> {
+pub(super) fn measure(subject: &Subject, episode: usize, seed: u64) -> Result<EpisodeVerdicts> {
     let episodes = subject.dataset.episodes();
     let own = episodes.get(episode).context("no such episode")?;
     let (Some(text), Some(success)) = (&own.instruction, own.success) else {
@@ -83,14 +83,14 @@ pub(super) fn measure(subject: &Subject, episode: usize, seed: u64) -> Result<Ju
         let real = probe.latents(&recording.frames)?;
         answers(probe, (&real, &probe.latents(&predicted)?), (text, other))
     });
-    Ok(Judged {
+    Ok(EpisodeVerdicts {
         instruction: text.clone(),
         success,
         probes: probes.collect::<Result<_>>()?,
     })
 }
 
-/// Of latents of the frames and of predicted ones, under the own instruction and another episode's.
+/// On true and predicted latents, under the episode's own and another instruction.
 fn answers(
     probe: &Reader<SuccessClassifier>,
     (real, predicted): (&Tensor, &Tensor),
@@ -116,7 +116,7 @@ fn answers(
     })
 }
 
-/// The instruction of the next episode that has another one.
+/// The instruction of the next episode with a different one.
 fn other(episodes: &[Episode], episode: usize) -> Option<&str> {
     let own = episodes.get(episode)?.instruction.as_deref()?;
     let after = episodes

@@ -7,7 +7,7 @@ mod actions;
 mod paths;
 mod success;
 
-/// The findings of all units, which are in their order.
+/// Findings of all units, in order.
 #[must_use]
 pub fn summarise(units: &[(String, Representation)], settings: &Settings) -> Section {
     let mut section = Section::new(Suite::Latents);
@@ -23,7 +23,7 @@ pub fn summarise(units: &[(String, Representation)], settings: &Settings) -> Sec
     if models == 0 {
         section.absent(
             "idm_r",
-            "the model has no inverse dynamics model (idm.safetensors): wm train idm",
+            "the model has no inverse dynamics model (idm.safetensors); train one with wm train idm",
         );
     }
     for model in 0..models {
@@ -34,7 +34,7 @@ pub fn summarise(units: &[(String, Representation)], settings: &Settings) -> Sec
     if probes == 0 {
         section.absent(
             "success_balanced_accuracy_real",
-            "it takes a success probe (wm train probe), and episodes with an instruction that it knows \
+            "needs a success probe (wm train probe), and episodes with an instruction known to it \
              (/task/instruction) and an outcome (/task/success)",
         );
     }

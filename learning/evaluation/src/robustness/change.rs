@@ -5,7 +5,7 @@ use rand::Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 use serde::{Deserialize, Serialize};
 
-/// What is changed.
+/// A change of the frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
@@ -24,16 +24,16 @@ pub enum Change {
     Blurred,
     /// Noise of standard deviation 20 of 255.
     Noisy,
-    /// The newest frame was lost: the one before stands in its place.
+    /// The newest frame was lost: the previous one replaces it.
     Dropped,
-    /// Frames come at half the rate, and nobody told the model.
+    /// Frames at half the rate, unknown to the model.
     HalfRate,
-    /// Frames come at twice the rate, and nobody told the model.
+    /// Frames at twice the rate, unknown to the model.
     DoubleRate,
 }
 
 impl Change {
-    /// All, that without a change first.
+    /// All changes; the first is none.
     pub const ALL: [Self; 10] = [
         Self::None,
         Self::Darker,
@@ -47,7 +47,7 @@ impl Change {
         Self::DoubleRate,
     ];
 
-    /// Its name in that of a metric.
+    /// Name in figures.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -100,12 +100,12 @@ impl Change {
         }
     }
 
-    /// Whether it changes anything where a step is `skip` camera frames: between two frames there is none.
+    /// Whether it has an effect for steps of `skip` camera frames: no rate lies between two frames.
     pub(super) fn applies_to(self, skip: usize) -> bool {
         self != Self::DoubleRate || skip > 1
     }
 
-    /// Camera frames from one step to the next, where the model believes that there are `skip`.
+    /// Camera frames per step, when the model assumes `skip`.
     pub(super) fn spacing(self, skip: usize) -> usize {
         match self {
             Self::HalfRate => 2 * skip,
@@ -145,7 +145,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_change_changes_something_and_is_repeatable() {
+    fn every_change_has_a_repeatable_effect() {
         let frame = RgbImage::from_fn(128, 128, |x, y| Rgb([(x * 7) as u8, (y * 5) as u8, 90]));
         let changed = |change: Change| change.of(&frame, &mut ChaCha8Rng::seed_from_u64(3));
         for change in Change::ALL {

@@ -6,7 +6,7 @@ use crate::{
     figures::{figure_of_units, mean_over_units},
 };
 
-/// The findings of all windows, which are in their order.
+/// Findings of all windows, in order.
 #[must_use]
 pub fn summarise(windows: &[(String, WindowRobustness)], settings: &Settings) -> Section {
     let mut section = Section::new(Suite::Robustness);
@@ -18,8 +18,10 @@ pub fn summarise(windows: &[(String, WindowRobustness)], settings: &Settings) ->
     let ratio = |chosen: &[usize], change: Change, k: usize| {
         let (mut error, mut held) = (0.0, 0.0);
         for found in chosen.iter().filter_map(|index| of(*index, change)) {
-            error += found.error.get(k).copied().unwrap_or(0.0);
-            held += found.persistence.get(k).copied().unwrap_or(0.0);
+            if let Some((of_model, of_held)) = found.error.get(k).zip(found.persistence.get(k)) {
+                error += of_model;
+                held += of_held;
+            }
         }
         error / held
     };
@@ -43,7 +45,7 @@ pub fn summarise(windows: &[(String, WindowRobustness)], settings: &Settings) ->
         let mut row = vec![change.to_string()];
         for k in [1, steps] {
             let about = format!(
-                "squared latent error over that of persistence at k = {k}; {change}. Above 1, standing still is the better \
+                "squared latent error over that of persistence at k = {k}; {change}. Above 1, persistence is the better \
                  guess"
             );
             let metric =
@@ -59,7 +61,7 @@ pub fn summarise(windows: &[(String, WindowRobustness)], settings: &Settings) ->
                 section.metric(&format!("ratio_k{k}_{name}"), metric);
             }
         }
-        // Of the PSNR itself a darker picture has more, whatever is predicted.
+        // PSNR itself is higher for darker pictures, whatever the prediction.
         let gains: Vec<(String, f64)> = windows
             .iter()
             .enumerate()
@@ -93,7 +95,7 @@ pub fn summarise(windows: &[(String, WindowRobustness)], settings: &Settings) ->
     }
     section.curves.push(curve);
     section.tables.push(TextTable {
-        title: "Where the model may be trusted".into(),
+        title: "Reliability under changed inputs".into(),
         header: vec![
             "frames".into(),
             "error / persistence, k = 1".into(),

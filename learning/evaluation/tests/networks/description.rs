@@ -46,7 +46,7 @@ fn nothing_is_no_network() {
         );
     }
     let error = Networks::none("networks.yaml").open(Role::Fid).unwrap_err();
-    assert!(matches!(error, Error::Absent { .. }));
+    assert!(matches!(error, Error::MissingNetwork { .. }));
     assert_eq!(
         error.to_string(),
         "FID: not measured: no network for `fid`; networks.yaml may name one"

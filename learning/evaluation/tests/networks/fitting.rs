@@ -1,4 +1,4 @@
-//! Files that are not what `networks.yaml` says, and networks that do not fit their role.
+//! Files that differ from `networks.yaml`, and networks that do not suit their role.
 
 use wm_evaluation::onnx::{Digest, Error, Pooling, Role, Size};
 
@@ -7,7 +7,7 @@ use crate::pictures::{networks, picture};
 const PLAIN: &str = "flow: { file: flow.onnx, input: { resize: none, range: [0, 1] } }";
 
 #[test]
-fn the_file_is_the_one_that_is_meant() {
+fn digest_of_the_file_is_verified() {
     let found = networks(PLAIN).open(Role::Flow).unwrap();
     let digest = Digest::of(include_bytes!("../../fixtures/flow.onnx"));
     assert_eq!(found.digest(), digest);
@@ -25,7 +25,7 @@ fn the_file_is_the_one_that_is_meant() {
 }
 
 #[test]
-fn what_does_not_fit_the_role_is_named() {
+fn unsuitable_networks_are_named() {
     let one = |role: &str, file: &str, rest: &str| {
         networks(&format!(
             "{role}:\n  file: {file}.onnx\n  input: {{ resize: none, range: [0, 1] }}\n  {rest}"

@@ -1,6 +1,6 @@
-//! Descriptions of networks, and networks that are run: those of `fixtures/`, damaged ones, and real ones where there are any.
+//! Descriptions of networks, and runs of networks: those of `fixtures/`, damaged ones, and real ones if available.
 
-// Clippy lets tests unwrap, but not what they share.
+// Clippy allows unwrap in tests, but not in their helpers.
 #![allow(clippy::unwrap_used)]
 
 #[cfg(feature = "onnx")]

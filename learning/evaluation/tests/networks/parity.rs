@@ -1,4 +1,4 @@
-//! Every way of running a network, against PyTorch.
+//! Parity of all networks with PyTorch.
 
 use image::RgbImage;
 use wm_evaluation::onnx::{Error, Query, Role};
@@ -53,7 +53,7 @@ fn pictures(size: (u32, u32), count: u32) -> Vec<RgbImage> {
 }
 
 #[test]
-fn features_of_pictures() {
+fn features_of_pictures_match_pytorch() {
     let (networks, golden) = (networks(ALL), results());
     let pictures = pictures((40, 30), 3);
     for (role, name) in [
@@ -75,7 +75,7 @@ fn features_of_pictures() {
         if features.network().spec().batch == 1 {
             assert_eq!(alone[0], found[1], "{role}: not the same alone");
         } else {
-            // Its place in the batch may decide in which order a product is summed.
+            // The position in the batch may change the order of a sum.
             assert!(crate::pictures::far(&alone[0], &found[1]) < 1e-6, "{role}");
         }
         assert!(features.of(&[]).unwrap().is_empty());
@@ -83,7 +83,7 @@ fn features_of_pictures() {
 }
 
 #[test]
-fn features_of_clips() {
+fn features_of_clips_match_pytorch() {
     let network = networks(ALL).clip_features(Role::Fvd).unwrap();
     assert_eq!(network.frames(), 16);
     let clip = pictures((128, 120), 16);
@@ -96,7 +96,7 @@ fn features_of_clips() {
 }
 
 #[test]
-fn scores_and_distances() {
+fn scores_and_distances_match_pytorch() {
     let (networks, golden) = (networks(ALL), results());
     let scores = networks
         .scores(Role::Musiq)
@@ -127,7 +127,7 @@ fn scores_and_distances() {
 }
 
 #[test]
-fn flow_sees_a_shift() {
+fn flow_finds_a_shift() {
     let network = networks(ALL).flow().unwrap();
     let [first, second] = [(0, 0), (2, -1)].map(|shift| picture((40, 32), 0, shift));
     let found = network.between(&first, &second).unwrap();
@@ -144,7 +144,7 @@ fn flow_sees_a_shift() {
     );
 }
 
-/// On a picture of half the width and a third of the height, the network sees half and a third of the shift.
+/// At half the width and a third of the height, the network sees half and a third of the shift.
 #[test]
 fn flow_is_scaled_back() {
     let text =
@@ -171,7 +171,7 @@ fn flow_is_scaled_back() {
 }
 
 #[test]
-fn depth_of_a_picture() {
+fn depth_matches_pytorch() {
     let network = networks(ALL).depth().unwrap();
     let found = network.of(&picture((24, 16), 0, (0, 0))).unwrap();
     assert_eq!((found.width, found.height), (24, 16));
@@ -203,7 +203,7 @@ fn depth_of_a_picture() {
 }
 
 #[test]
-fn points_are_followed() {
+fn points_are_tracked() {
     let network = networks(ALL).tracks().unwrap();
     let mut video: Vec<RgbImage> = (0..4)
         .map(|step| picture((32, 32), 0, (step, 2 * step)))
@@ -213,7 +213,7 @@ fn points_are_followed() {
         [(0, 10.0, 10.0), (1, 15.0, 12.0), (0, 12.5, 9.0)].map(|(step, x, y)| Query { step, x, y });
     let found = network.follow(&video, &queries).unwrap();
 
-    // The network's order is step by step, ours point by point.
+    // The network orders by step, ours by point.
     let (mut places, mut visible) = (Vec::new(), Vec::new());
     for step in 0..4 {
         for track in &found {

@@ -7,7 +7,7 @@ use image::{Rgb, RgbImage};
 use serde::Deserialize;
 use wm_evaluation::onnx::Networks;
 
-/// What PyTorch computed.
+/// PyTorch's results.
 #[derive(Deserialize)]
 pub struct Golden {
     pub shape: Vec<usize>,
@@ -18,7 +18,7 @@ pub fn results() -> BTreeMap<String, Golden> {
     serde_json::from_str(include_str!("../../fixtures/results.json")).unwrap()
 }
 
-/// A texture without repetition; with `shift`, what was at x is at x + shift.
+/// A texture without repetition; `shift` moves it.
 pub fn picture((width, height): (u32, u32), seed: u32, shift: (i32, i32)) -> RgbImage {
     RgbImage::from_fn(width, height, |x, y| {
         let x = x.wrapping_add_signed(64 - shift.0);
@@ -33,13 +33,13 @@ pub fn picture((width, height): (u32, u32), seed: u32, shift: (i32, i32)) -> Rgb
     })
 }
 
-/// Networks of `fixtures/`, as `text` describes them.
+/// Networks of `fixtures/`, described by `text`.
 pub fn networks(text: &str) -> Networks {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures");
     Networks::parse(text, folder.join("networks.yaml")).unwrap()
 }
 
-/// Largest difference, as a part of the largest value where that is above 1.
+/// Largest difference, relative to a largest value above 1.
 pub fn far(found: &[f32], expected: &[f32]) -> f32 {
     assert_eq!(found.len(), expected.len());
     let largest = expected

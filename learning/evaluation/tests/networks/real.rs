@@ -1,6 +1,6 @@
-//! Networks of real size, where there are any: `WM_ONNX_DIR` names a folder with, for each network, `<name>.onnx`,
-//! `<name>.shapes` (a line per input: its sides), `<name>.in0`, `.in1`, ... and `<name>.out` (the first output), the latter
-//! little-endian f32. `fixtures/real.py` writes such a folder.
+//! Real networks, if available: `WM_ONNX_DIR` is a folder with, for each network, `<name>.onnx`, `<name>.shapes` (a line per
+//! input: its sides), `<name>.in0`, `.in1`, ... and `<name>.out` (the first output), the latter little-endian f32.
+//! `fixtures/real.py` writes such a folder.
 
 use std::path::Path;
 use std::time::Instant;
@@ -19,7 +19,7 @@ fn numbers(file: &Path) -> Vec<f32> {
 }
 
 #[test]
-fn real_networks() {
+fn real_networks_match_their_outputs() {
     let Some(folder) = env::var_os("WM_ONNX_DIR") else {
         println!("skipped: WM_ONNX_DIR names no folder with real networks");
         return;

@@ -1,4 +1,4 @@
-//! A small evaluation, and what is read from its results.
+//! A small evaluation with readers of its results.
 
 use std::{
     fs,
@@ -82,7 +82,7 @@ pub fn why(figures: &Value, name: &str) -> String {
         .to_owned()
 }
 
-/// AlexNet of a few channels, and heads, as a training of an adapter is tested with.
+/// An AlexNet with few channels, and heads, as in the tests of adapter training.
 pub fn alexnet() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../training/tests/fixtures/adapter")
 }

@@ -1,6 +1,6 @@
 //! `wm eval fidelity` with networks: the embedded model on bags of the simulator.
 
-#![allow(clippy::unwrap_used)] // the helpers of tests too, not only what is marked #[test]
+#![allow(clippy::unwrap_used)] // also in the helpers of tests
 
 mod bench;
 #[cfg(feature = "onnx")]
@@ -14,7 +14,7 @@ use wm_metrics::findings::Suite;
 use bench::{Bench, Eval, METRICS, alexnet, value, why};
 
 #[test]
-fn without_networks_all_are_absent_by_name_and_lpips_takes_torchs_files() {
+fn missing_networks_are_named_and_lpips_reads_torch_files() {
     let bench = Bench::new();
     let figures = bench.figures("none.json", &[]);
     for name in METRICS {
@@ -52,7 +52,7 @@ fn without_networks_all_are_absent_by_name_and_lpips_takes_torchs_files() {
 }
 
 #[test]
-fn a_file_that_cannot_be_used_is_refused_by_name() {
+fn unusable_file_is_rejected_by_name() {
     let bench = Bench::new();
     let file = bench.path("networks.yaml");
     let refused = |text: &str| {
@@ -81,14 +81,14 @@ fn a_file_that_cannot_be_used_is_refused_by_name() {
     ]);
     let error = arguments.arguments.run(&[Suite::Control]).unwrap_err();
     assert!(
-        error.to_string().contains("for the suite fidelity"),
+        error.to_string().contains("only to the suite fidelity"),
         "{error}"
     );
 }
 
 #[cfg(not(feature = "onnx"))]
 #[test]
-fn a_build_without_onnx_says_how_to_build_with_it() {
+fn build_without_onnx_names_the_feature() {
     let bench = Bench::new();
     let file = bench.path("networks.yaml");
     let network = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/score.onnx");

@@ -57,7 +57,7 @@ fn networks(bench: &Bench, text: &str) -> PathBuf {
 }
 
 #[test]
-fn every_role_gives_its_metrics_and_shards_are_the_whole() {
+fn roles_give_their_metrics_and_shards_equal_the_whole() {
     let bench = Bench::new();
     let file = networks(&bench, ALL);
     let named: [(&str, &Path); 1] = [("--networks", &file)];
@@ -110,7 +110,7 @@ fn every_role_gives_its_metrics_and_shards_are_the_whole() {
     for text in [
         "LPIPS by step",
         "PCK coverage by step",
-        "fvd is of 2 of 3 episodes",
+        "fvd covers 2 of 3 episodes",
     ] {
         assert!(html.contains(text), "{text}");
     }
@@ -130,7 +130,7 @@ fn every_role_gives_its_metrics_and_shards_are_the_whole() {
     let read = |path: &Path| fs::read_to_string(path).unwrap();
     assert_eq!(read(&merged), read(&bench.path("whole.json")));
 
-    // Other networks do not go on with these records.
+    // Records of other networks are rejected.
     let file = networks(&bench, &ALL.replace("[-1, 1]", "[0, 1]"));
     let own: [(&str, &Path); 2] = [("--networks", &file), ("--records", &records)];
     bench

@@ -1,4 +1,4 @@
-//! What does not answer, or answers something else.
+//! Servers that do not answer, or answer something else.
 
 use wm_evaluation::judges::{Error, SuccessScore};
 
@@ -8,7 +8,7 @@ use crate::{
 };
 
 #[test]
-fn a_busy_server_is_waited_for_as_long_as_it_says() {
+fn busy_server_sets_the_wait() {
     let setup = Setup::new(|n, _| match n {
         0 => fails(429, "Retry-After: 17\r\n"),
         1 => fails(503, "Retry-After: Sun, 06 Nov 1994 08:49:37 GMT\r\n"),
@@ -28,7 +28,7 @@ fn a_busy_server_is_waited_for_as_long_as_it_says() {
 }
 
 #[test]
-fn a_server_that_only_fails_is_given_up() {
+fn failing_server_is_given_up() {
     let setup = Setup::new(|_, _| fails(500, ""));
     let error = setup.ask(0).unwrap_err();
     assert!(
@@ -51,12 +51,12 @@ fn a_server_that_only_fails_is_given_up() {
 }
 
 #[test]
-fn a_refusal_is_final() {
+fn rejection_is_final() {
     for status in [307, 400, 401, 404] {
         let setup = Setup::new(move |_, _| fails(status, "Location: /elsewhere\r\n"));
         let error = setup.ask(0).unwrap_err();
         assert!(
-            matches!(&error, Error::Refused { status: s, .. } if *s == status),
+            matches!(&error, Error::Rejected { status: s, .. } if *s == status),
             "{error}"
         );
         assert_eq!((setup.requests(), setup.clock.slept_s().len()), (1, 0));
@@ -64,9 +64,9 @@ fn a_refusal_is_final() {
 }
 
 #[test]
-fn an_answer_that_breaks_off_is_asked_for_again() {
+fn broken_off_answer_is_retried() {
     let setup = Setup::new(|n, _| match n {
-        // With a whole score in it: what is missing behind it is not known.
+        // With a complete score in it, though the rest is unknown.
         0 => match says("Final Score: 0") {
             Response::Whole(_, _, body) => Response::BrokenOff(body),
             other => other,
@@ -78,7 +78,7 @@ fn an_answer_that_breaks_off_is_asked_for_again() {
 }
 
 #[test]
-fn an_answer_without_end_is_not_read_to_its_end() {
+fn endless_answer_is_cut_off() {
     let setup = Setup::new(|_, _| Response::Endless);
     let error = setup.ask(0).unwrap_err();
     assert!(matches!(error, Error::BodyTooLarge { .. }), "{error}");
@@ -86,7 +86,7 @@ fn an_answer_without_end_is_not_read_to_its_end() {
 }
 
 #[test]
-fn what_is_no_chat_completion_is_asked_for_again_and_no_verdict() {
+fn other_bodies_are_retried_and_unusable() {
     let garbage = "<html>I am a test server</html>".to_owned();
     let setup = Setup::new(move |_, _| Response::Whole(200, "", garbage.clone()));
     let error = setup.ask(0).unwrap_err().to_string();
@@ -98,7 +98,7 @@ fn what_is_no_chat_completion_is_asked_for_again_and_no_verdict() {
 }
 
 #[test]
-fn a_server_that_hangs_up_is_given_up() {
+fn server_that_hangs_up_is_given_up() {
     let setup = Setup::new(|_, _| Response::HangUp);
     let error = setup.ask(0).unwrap_err();
     assert!(

@@ -1,4 +1,4 @@
-//! A server that speaks the judges' protocol. It judges nothing, and says so in every answer.
+//! A test server with the judges' protocol; every answer says that it is not a judge.
 
 use std::{
     io::{BufRead as _, BufReader, Read as _, Write as _},
@@ -12,22 +12,22 @@ use std::{
 
 use serde_json::{Value, json};
 
-/// A request that was received.
+/// A received request.
 #[derive(Clone, Debug)]
 pub struct Request {
     pub head: String,
     pub body: Value,
 }
 
-/// The response to a request.
+/// A scripted response.
 pub enum Response {
-    /// Status, more header lines, body.
+    /// Status, further header lines, body.
     Whole(u16, &'static str, String),
-    /// More bytes are announced than are sent.
+    /// More bytes are announced than sent.
     BrokenOff(String),
-    /// The connection is closed without a response.
+    /// The connection closes without a response.
     HangUp,
-    /// Never ends, unless the client hangs up.
+    /// Endless, until the client hangs up.
     Endless,
 }
 
@@ -54,7 +54,7 @@ pub fn fails(status: u16, header: &'static str) -> Response {
     Response::Whole(status, header, body.to_string())
 }
 
-/// Runs until it is dropped.
+/// Runs until dropped.
 pub struct Server {
     address: SocketAddr,
     requests: Arc<Mutex<Vec<Request>>>,
@@ -63,7 +63,7 @@ pub struct Server {
 }
 
 impl Server {
-    /// Sends `script(n, request)` as the response to request number n, from 0.
+    /// Answers request n, from 0, with `script(n, request)`.
     pub fn new(script: impl Fn(usize, &Request) -> Response + Send + 'static) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = listener.local_addr().unwrap();
@@ -107,7 +107,7 @@ impl Server {
 impl Drop for Server {
     fn drop(&mut self) {
         self.ended.store(true, Ordering::SeqCst);
-        // Wakes it up.
+        // Wakes the thread.
         TcpStream::connect(self.address).ok();
         self.thread.take().unwrap().join().unwrap();
     }

@@ -1,4 +1,4 @@
-//! A judge that asks the test server, at once.
+//! A judge with the test server, without waits.
 
 use std::{
     path::{Path, PathBuf},
@@ -14,7 +14,7 @@ use wm_evaluation::judges::{
 
 use crate::server::{Request, Response, Server};
 
-/// Sleeping moves it on, and is noted.
+/// Sleeping advances it, and is recorded.
 #[derive(Debug, Default)]
 pub struct FakeClock(Mutex<Vec<Duration>>);
 
@@ -39,7 +39,7 @@ impl FakeClock {
     }
 }
 
-/// A server, a judge there, and a record.
+/// A server with a judge and a record.
 pub struct Setup {
     pub server: Server,
     pub clock: Arc<FakeClock>,
@@ -74,7 +74,7 @@ impl Setup {
         Record::open(&self.path()).unwrap()
     }
 
-    /// Asks about the rollout as a process would that just started.
+    /// Judges the rollout in a new session.
     pub fn ask(&self, trial: u64) -> wm_evaluation::judges::Result<Option<SuccessScore>> {
         let judged = self.judge().success(&rollout(trial), &mut self.record());
         Ok(judged?.verdict)

@@ -9,32 +9,32 @@ use wm_zoo::{Checkpoint, ModelFolder};
 use super::{AdapterRecipe, AdapterTask, Data, FILE, Frames, Lpips, RECIPES, files};
 use crate::{
     arguments::RunArgs,
-    run::{Ended, Stop},
+    run::{RunEnd, Stop},
 };
 
-/// Trains the S-VAE adapter, which compresses the features of a frozen encoder, and its pixel decoder.
+/// Train the S-VAE adapter, which compresses the features of a frozen encoder, and its pixel decoder
 #[derive(Clone, Debug, Args)]
 pub struct TrainAdapterArgs {
-    /// What every training has.
+    /// Options of every training.
     #[command(flatten)]
     pub run: RunArgs,
-    /// The model whose frozen encoder makes the features: tiny, or a model's folder without adapter and normalisation.
+    /// Model whose frozen encoder makes the features: tiny, or a model's folder without adapter and normalisation
     #[arg(long)]
     pub encoder: String,
-    /// AlexNet as torchvision names it, for LPIPS: a safetensors or torch file.
+    /// AlexNet as named by torchvision, for LPIPS: a safetensors or torch file
     #[arg(long, requires = "lpips_heads")]
     pub lpips_trunk: Option<PathBuf>,
-    /// Linear heads of LPIPS v0.1 for AlexNet.
+    /// Linear heads of LPIPS v0.1 for AlexNet
     #[arg(long, requires = "lpips_trunk")]
     pub lpips_heads: Option<PathBuf>,
 }
 
 impl TrainAdapterArgs {
-    /// Trains until the last step, or until `stop` asks for the end.
+    /// Trains until the last step, or until `stop` is set.
     ///
     /// # Errors
-    /// When data, recipe, checkpoint or weights cannot be read or written, or the training diverges.
-    pub fn run(&self, stop: &Stop) -> Result<Ended> {
+    /// If data, recipe, checkpoint or weights cannot be read or written, or the training diverges.
+    pub fn run(&self, stop: &Stop) -> Result<RunEnd> {
         let run = &self.run;
         let recipe: AdapterRecipe = crate::recipe::load(RECIPES, &run.recipe, &run.overrides())?;
         recipe.check()?;
@@ -64,7 +64,7 @@ impl TrainAdapterArgs {
         train_on(run, &recipe, &data, self.files()?, stop)
     }
 
-    /// The weights to start from: an adapter.safetensors, in a model's folder or by itself, or a published checkpoint.
+    /// Weights to start from: an adapter.safetensors (a file, or in a model's folder), or a published checkpoint.
     fn start(&self) -> Option<PathBuf> {
         let from = Path::new(self.run.from.as_deref()?);
         Some(match from.is_dir() {
@@ -73,8 +73,7 @@ impl TrainAdapterArgs {
         })
     }
 
-    /// What the encoder's folder says of it, for the model that this training makes. `width` is that of the encoder's
-    /// input.
+    /// The description of the encoder's folder for the trained model. `width` is that of the encoder's input.
     fn description(
         &self,
         folder: &ModelFolder,
@@ -106,7 +105,7 @@ impl TrainAdapterArgs {
         files::encoder_of(Path::new(&self.encoder), &self.run.model_name()).map(Some)
     }
 
-    /// What of further files decides the result.
+    /// Contents of further files that affect the result.
     fn files(&self) -> Result<Value> {
         let digest = |path: &Option<PathBuf>| -> Result<Option<String>> {
             let Some(path) = path else { return Ok(None) };
@@ -124,14 +123,14 @@ impl TrainAdapterArgs {
     }
 }
 
-/// `files` tells which further files decide the result.
+/// `files` describes further files that affect the result.
 pub(super) fn train_on(
     run: &RunArgs,
     recipe: &AdapterRecipe,
     data: &Data<'_>,
     files: Value,
     stop: &Stop,
-) -> Result<Ended> {
+) -> Result<RunEnd> {
     let samples = data.train.episodes();
     let identity = [
         ("latent_space", json!(data.train.space().to_string())),

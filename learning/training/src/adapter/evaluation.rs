@@ -13,26 +13,26 @@ use super::{
     files::{ADAPTER, Output, PIXEL_DECODER},
 };
 
-/// Frames that are computed at once.
+/// Frames computed at once.
 const BATCH: usize = 8;
-/// Frames that the statistics of the latents are taken over, at most.
+/// Most frames in the statistics of the latents.
 const STATISTICS_FRAMES: usize = 1000;
 
-/// How well features and pictures come back from the mean of their latent.
+/// Reconstruction of features and pictures from the mean of their latent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reconstruction {
-    /// Frames looked at.
+    /// Number of frames.
     pub frames: usize,
-    /// Mean cosine between a token's features and what comes back.
+    /// Mean cosine between a token's features and their reconstruction.
     pub cosine: f64,
     /// Mean squared error of the features.
     pub squared_error: f64,
-    /// PSNR in dB of the squared error over all pixels of all frames.
+    /// PSNR of the squared error over all pixels of all frames \[dB\].
     pub psnr: f64,
 }
 
 impl Reconstruction {
-    /// The figures of a validation.
+    /// Figures of a validation.
     #[must_use]
     pub fn figures(&self) -> Vec<Figure> {
         vec![
@@ -53,14 +53,14 @@ impl fmt::Display for Reconstruction {
     }
 }
 
-/// Networks as they are in a file.
-pub(super) struct Written {
+/// Networks read back from a file.
+pub(super) struct SavedNetworks {
     adapter: Svae,
     decoder: PixelDecoder,
     views: usize,
 }
 
-impl Written {
+impl SavedNetworks {
     pub(super) fn open(output: &Output<'_>, views: usize) -> Result<Self> {
         let checkpoint = Checkpoint::open(output.weights())?;
         let adapter = checkpoint.require_part(ADAPTER)?;
@@ -94,7 +94,7 @@ impl Written {
         Ok(Normalisation::of(latents, channels)?)
     }
 
-    /// On at most `most` frames, spread over all.
+    /// On at most `most` evenly spread frames.
     pub(super) fn reconstruct(&self, frames: &Frames<'_>, most: usize) -> Result<Reconstruction> {
         let chosen = frames.spread(most);
         let (mut cosine, mut squared, mut weight) = (0.0, 0.0, 0.0);
@@ -118,15 +118,16 @@ impl Written {
             frames: chosen.len(),
             cosine: cosine / weight,
             squared_error: squared / weight,
+            // Without any error the ratio is infinite.
             psnr: pixels.psnr().unwrap_or(f64::INFINITY),
         })
     }
 
-    /// `count` frames spread over `frames`, a row each: the frame, what is decoded, and four times the difference.
+    /// `count` evenly spread frames, one per row: the frame, its reconstruction, and four times the difference.
     pub(super) fn picture(&self, frames: &Frames<'_>, count: usize) -> Result<RgbImage> {
         let count = count.clamp(1, frames.count());
         let chosen: Vec<usize> = (0..count)
-            // From the middle of each stretch: the first frames of episodes are much alike.
+            // From the middle of each stretch, since first frames of episodes are similar.
             .map(|i| (2 * i + 1) * frames.count() / (2 * count))
             .collect();
         let (features, pictures) = frames.of(&chosen, self.views)?;

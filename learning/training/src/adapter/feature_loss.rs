@@ -1,12 +1,12 @@
-//! What the adapter minimises: the error of features that come back from a latent, and the latent's divergence from a
-//! unit Gaussian.
+//! Loss of the adapter: the error of features reconstructed from a latent, and the latent's divergence from a unit
+//! Gaussian.
 
 use anyhow::{Context as _, Result};
 use candle_core::{D, Device, Tensor};
 
 use super::LossRecipe;
 
-/// Added to squares under a root, whose slope at 0 is infinite.
+/// Added under square roots, whose slope at 0 is infinite.
 const TINY: f64 = 1e-12;
 
 /// Squared error, cosine, spectrum and divergence.
@@ -18,7 +18,7 @@ pub(super) struct FeatureLoss {
 }
 
 impl FeatureLoss {
-    /// For features of this many tokens.
+    /// For features with `tokens` tokens.
     pub(super) fn new(recipe: &LossRecipe, tokens: usize, device: &Device) -> Result<Self> {
         Ok(Self {
             cosine: recipe.cosine,
@@ -27,8 +27,8 @@ impl FeatureLoss {
         })
     }
 
-    /// The loss of the features `found` for `truth`, both (N, h, w, D), by way of a latent of this mean and logarithm of
-    /// the variance; `divergence` is the weight of the latter's divergence.
+    /// Loss of the features `found` against `truth`, both (N, h, w, D), through a latent with this mean and log
+    /// variance; `divergence` is the weight of its divergence.
     pub(super) fn of(
         &self,
         truth: &Tensor,
@@ -51,8 +51,8 @@ impl FeatureLoss {
         weighted(&parts)
     }
 
-    /// (N, h, w, D) to (N D, frequencies): the magnitudes of each channel's spectrum along the tokens, as those of
-    /// `torch.fft.rfft`, which is not normalised.
+    /// (N, h, w, D) to (N D, frequencies): the magnitudes of each channel's spectrum along the tokens, unnormalised as
+    /// in `torch.fft.rfft`.
     fn magnitudes(&self, features: &Tensor) -> Result<Tensor> {
         let (n, h, w, channels) = features.dims4()?;
         let series = features.reshape((n, h * w, channels))?.transpose(1, 2)?;
@@ -64,7 +64,7 @@ impl FeatureLoss {
     }
 }
 
-/// The sum of parts by their weights, and the parts by name.
+/// The weighted sum of parts, and the parts by name.
 pub(super) fn weighted(
     parts: &[(&'static str, f64, Tensor)],
 ) -> Result<(Tensor, Vec<(&'static str, f64)>)> {
@@ -81,7 +81,7 @@ pub(super) fn weighted(
     Ok((total.context("a loss without parts")?, values))
 }
 
-/// The cosine between the vectors along the last dimension.
+/// Cosine between vectors along the last dimension.
 pub(super) fn cosines(a: &Tensor, b: &Tensor) -> Result<Tensor> {
     let length = |x: &Tensor| (x.sqr()?.sum(D::Minus1)? + TINY)?.sqrt();
     Ok(((a * b)?.sum(D::Minus1)? / (length(a)? * length(b)?)?)?)

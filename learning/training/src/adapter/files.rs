@@ -1,4 +1,4 @@
-//! What a training of an adapter leaves in its folder.
+//! Output files of adapter training.
 
 use std::path::{Path, PathBuf};
 
@@ -14,25 +14,25 @@ use wm_zoo::{Checkpoint, PixelDecoderConfig, SvaeConfig, checkpoint::Average, ki
 
 use crate::{
     model_folder::{description_of, write_description},
-    optimiser::{Trained, Variables},
+    optimiser::{ParameterValues, Variables},
     trained_weights::trained_weights,
 };
 
-/// The weights' file in a model's folder.
+/// File of the weights in a model's folder.
 pub const FILE: &str = "adapter.safetensors";
-/// The file of mean and standard deviation of the latents.
+/// File of the latents' mean and standard deviation.
 pub const STATISTICS: &str = "stats.safetensors";
-/// What names of the adapter's tensors begin with, as in the published checkpoints.
+/// Prefix of the adapter's tensors, as in the published checkpoints.
 pub(super) const ADAPTER: &str = "adapter";
-/// What names of the pixel decoder's tensors begin with.
+/// Prefix of the pixel decoder's tensors.
 pub(super) const PIXEL_DECODER: &str = "pixel_decoder";
 
-/// The files of a training, and what they are about.
+/// Output files with their context.
 pub(super) struct Output<'a> {
     pub folder: &'a Path,
     pub svae: &'a SvaeConfig,
     pub pixel: &'a PixelDecoderConfig,
-    /// Of the features.
+    /// Space of the features.
     pub space: &'a LatentSpace,
 }
 
@@ -41,10 +41,10 @@ impl Output<'_> {
         self.folder.join(FILE)
     }
 
-    /// Both networks, and their configurations as metadata.
+    /// Writes both networks, with their configurations as metadata.
     pub(super) fn write_weights(
         &self,
-        averaged: &mut dyn Iterator<Item = Trained<'_>>,
+        averaged: &mut dyn Iterator<Item = ParameterValues<'_>>,
     ) -> Result<()> {
         let config = ("adapter_config", self.svae);
         let mut weights = trained_weights(averaged, config, Some(self.space))?;
@@ -60,7 +60,7 @@ impl Output<'_> {
         Ok(file.write(self.folder.join(STATISTICS))?)
     }
 
-    /// The description of a model: that of the encoder, with what this training has made.
+    /// Writes the model's description: the encoder's, with the trained parts.
     pub(super) fn write_description(&self, of_encoder: &Value, views: usize) -> Result<()> {
         let mut description = of_encoder.clone();
         let mut set = |key: &str, value: Value| {
@@ -84,7 +84,7 @@ impl Output<'_> {
     }
 }
 
-/// What of the description in `folder` is about its encoder, under the name `name` and with absolute paths.
+/// The encoder's parts of the description in `folder`, under the name `name`, with absolute paths.
 pub(super) fn encoder_of(folder: &Path, name: &str) -> Result<Value> {
     let mut description = description_of(folder)?;
     if let Some(parts) = description.as_object_mut() {
@@ -96,7 +96,7 @@ pub(super) fn encoder_of(folder: &Path, name: &str) -> Result<Value> {
     Ok(description)
 }
 
-/// Has a training start from the weights of another one.
+/// Starts a training from the weights of another one.
 pub(super) fn start_from(checkpoint: &Checkpoint, variables: &Variables) -> Result<()> {
     let parts = [(ADAPTER, Kind::Svae), (PIXEL_DECODER, Kind::Pixel)]
         .map(|(part, kind)| (part, kind.weights(checkpoint, Average::Ema)));
@@ -115,7 +115,7 @@ pub(super) fn start_from(checkpoint: &Checkpoint, variables: &Variables) -> Resu
             parameter.shape
         );
         let values = weights.tensor(rest, DType::F32)?.flatten_all()?.to_vec1()?;
-        variables.assign(std::iter::once(Trained {
+        variables.assign(std::iter::once(ParameterValues {
             name,
             shape: &parameter.shape,
             values: &values,

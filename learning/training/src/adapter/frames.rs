@@ -3,30 +3,30 @@ use candle_core::{Device, Tensor};
 use wm_dataset::{Dataset, Latents};
 use wm_model::LatentSpace;
 
-/// Frames of bags with the features that a frozen encoder has of them.
+/// Frames of bags with their features from a frozen encoder.
 #[derive(Clone, Copy, Debug)]
 pub struct Frames<'a> {
     pictures: &'a Dataset,
     features: &'a Latents,
 }
 
-/// The size of one view.
+/// Size of one view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct View {
-    /// Of the features.
+    /// Rows of the features.
     pub rows: usize,
     pub columns: usize,
     pub channels: usize,
-    /// Of the picture.
+    /// Height of the picture.
     pub height: usize,
     pub width: usize,
 }
 
 impl<'a> Frames<'a> {
-    /// `features` are those of `pictures`.
+    /// `features` must belong to `pictures`.
     ///
     /// # Errors
-    /// If they are of other frames, or there are none.
+    /// If they belong to other frames, or are empty.
     pub fn new(pictures: &'a Dataset, features: &'a Latents) -> Result<Self> {
         ensure!(
             pictures.digest() == features.digest(),
@@ -36,7 +36,7 @@ impl<'a> Frames<'a> {
         Ok(Self { pictures, features })
     }
 
-    /// How many there are.
+    /// Number of frames.
     #[must_use]
     pub fn count(&self) -> usize {
         self.pictures.frame_count()
@@ -48,25 +48,25 @@ impl<'a> Frames<'a> {
         self.pictures.episodes().len()
     }
 
-    /// What they were made from.
+    /// Digest of the inputs.
     #[must_use]
     pub fn digest(&self) -> &str {
         self.pictures.digest()
     }
 
-    /// The space of the features.
+    /// Space of the features.
     #[must_use]
     pub fn space(&self) -> &LatentSpace {
         self.features.space()
     }
 
-    /// At most `most` frames, spread over all.
+    /// At most `most` evenly spread frames.
     pub(super) fn spread(&self, most: usize) -> Vec<usize> {
         let stride = self.count().div_ceil(most.max(1)).max(1);
         (0..self.count()).step_by(stride).collect()
     }
 
-    /// The size of one of `views` side by side.
+    /// Size of one of `views` side by side.
     pub(super) fn view(&self, views: usize) -> Result<View> {
         let (rows, columns, channels) = self.space().shape();
         let (height, width) = self.pictures.size();
@@ -84,8 +84,8 @@ impl<'a> Frames<'a> {
         })
     }
 
-    /// Features (V N, h, w, D) and pictures (V N, H, W, 3) in 0..1 of these frames: the first view of all, the second of
-    /// all, and so on.
+    /// Features (V N, h, w, D) and pictures (V N, H, W, 3) in 0..1 of these frames: the first view of all, the second
+    /// of all, and so on.
     pub(super) fn of(&self, frames: &[usize], views: usize) -> Result<(Tensor, Tensor)> {
         let (mut features, mut pictures) = (Vec::new(), Vec::new());
         for frame in frames {

@@ -3,22 +3,21 @@ use candle_core::{D, Device, Tensor};
 
 /// Side of the Gaussian window.
 const WINDOW: usize = 11;
-/// Its standard deviation in pixels.
+/// Its standard deviation \[px\].
 const SIGMA: f64 = 1.5;
 /// Weights of the scales, finest first.
 const WEIGHTS: [f64; 5] = [0.0448, 0.2856, 0.3001, 0.2363, 0.1333];
-/// What keeps quotients finite, for values in 0..1.
+/// Keep quotients finite, for values in 0..1.
 const C1: f64 = 0.01 * 0.01;
 const C2: f64 = 0.03 * 0.03;
-/// The power of a positive similarity below this is that of this one: its slope is infinite at 0.
+/// Lower bound of similarities in powers, whose slope is infinite at 0.
 const LEAST: f64 = 1e-6;
 
-/// Multi-scale structural similarity (Wang et al. 2003) of pictures in 0..1, by matrix products along the two axes, which
-/// propagate gradients.
+/// Multi-scale structural similarity (Wang et al. 2003) of pictures in 0..1, by matrix products along both axes, with
+/// gradients.
 ///
-/// As in pytorch_msssim, window positions lie wholly inside the picture, and the similarity is that of each colour,
-/// averaged. Pictures with a side below 161 have fewer of the five scales: as many as leave room for the window. The
-/// weights of those are scaled to the sum of all.
+/// As in pytorch_msssim, windows lie inside the picture, and similarity is averaged over colours. Pictures with a side
+/// below 161 have only the scales that fit the window, with weights rescaled to the sum of all five.
 #[derive(Debug)]
 pub struct MsSsim {
     scales: Vec<Scale>,
@@ -27,9 +26,9 @@ pub struct MsSsim {
 #[derive(Debug)]
 struct Scale {
     weight: f64,
-    /// Window along the columns' and the rows' axis: (side, side - 10).
+    /// Window along columns and rows: (side, side - 10).
     window: [Tensor; 2],
-    /// Halving, to the next scale: (side, half the side, rounded up).
+    /// Halving to the next scale: (side, half the side, rounded up).
     halving: [Tensor; 2],
 }
 
@@ -66,10 +65,10 @@ impl MsSsim {
         Ok(Self { scales })
     }
 
-    /// The same, for pictures on `device`.
+    /// Moves the tables to `device`.
     ///
     /// # Errors
-    /// If its tables do not fit there.
+    /// If they do not fit there.
     pub fn on(mut self, device: &Device) -> Result<Self> {
         for scale in &mut self.scales {
             for table in scale.window.iter_mut().chain(&mut scale.halving) {
@@ -85,7 +84,7 @@ impl MsSsim {
         self.scales.len()
     }
 
-    /// The mean similarity of the pictures `a` and `b` (N, H, W, C): a scalar.
+    /// Mean similarity of pictures `a` and `b` (N, H, W, C): a scalar.
     ///
     /// # Errors
     /// If they have another size.
@@ -95,7 +94,7 @@ impl MsSsim {
         for (index, scale) in self.scales.iter().enumerate() {
             let is_last = index + 1 == self.scales.len();
             let similarity = scale.similarity(&a, &b, is_last)?;
-            // What is unlike or opposite counts as 0.
+            // Negative similarity counts as 0.
             let is_like = similarity.detach().gt(0.0)?.to_dtype(similarity.dtype())?;
             let factor = (similarity.maximum(LEAST)?.powf(scale.weight)? * is_like)?;
             product = Some(match product {
@@ -117,7 +116,7 @@ impl MsSsim {
 }
 
 impl Scale {
-    /// The mean over the places of each plane: of contrast and structure, with luminance at the last scale.
+    /// Mean over the positions of each plane: contrast and structure, with luminance at the last scale.
     fn similarity(&self, a: &Tensor, b: &Tensor, with_luminance: bool) -> Result<Tensor> {
         let count = a.dim(0)?;
         let products = [a.clone(), b.clone(), a.sqr()?, b.sqr()?, (a * b)?];
@@ -147,7 +146,7 @@ fn planes(x: &Tensor) -> Result<Tensor> {
 
 /// (P, H, W) to (P, h, w), by matrices (H, h) and (W, w).
 fn along_both(x: &Tensor, [rows, columns]: &[Tensor; 2]) -> Result<Tensor> {
-    // Along the columns, then along the rows, each time along the last dimension.
+    // Columns first, then rows, each along the last dimension.
     let x = along(x, columns)?.transpose(1, 2)?.contiguous()?;
     Ok(along(&x, rows)?.transpose(1, 2)?.contiguous()?)
 }
@@ -170,7 +169,7 @@ fn window(side: usize) -> Result<Tensor> {
     })
 }
 
-/// Means of two neighbours; of an odd side, the first pixel is beside a zero, as in pytorch_msssim.
+/// Means of two neighbours; an odd side starts beside a zero, as in pytorch_msssim.
 fn halving(side: usize) -> Result<Tensor> {
     let shift = side % 2;
     matrix(side, side.div_ceil(2), |from, to| {
@@ -202,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_is_like_itself() {
+    fn equal_pictures_have_similarity_one() {
         let x = Tensor::rand(0f32, 1.0, (2, 37, 30, 3), &Device::Cpu).unwrap();
         let of = MsSsim::new((37, 30)).unwrap().of(&x, &x).unwrap();
         assert!((of.to_scalar::<f32>().unwrap() - 1.0).abs() < 1e-5);

@@ -12,10 +12,10 @@ use super::{
 };
 use crate::{fresh_weights::FreshWeights, optimiser::Variables};
 
-/// Both networks and what each minimises.
+/// Both networks with their losses.
 pub(super) struct Objective<'a> {
     recipe: &'a AdapterRecipe,
-    /// Steps in all.
+    /// Number of steps.
     steps: u64,
     adapter: Svae,
     pub(super) decoder_config: PixelDecoderConfig,
@@ -24,16 +24,16 @@ pub(super) struct Objective<'a> {
     pixel_loss: PixelLoss<'a>,
 }
 
-/// What is minimised for some frames: by the adapter, and by the pixel decoder.
+/// Losses of some frames, for the adapter and for the pixel decoder.
 pub(super) struct Losses {
     pub adapter: Tensor,
     pub pixel: Tensor,
-    /// Parts of both, by name.
+    /// Parts of both losses, by name.
     pub parts: Vec<(&'static str, f64)>,
 }
 
 impl<'a> Objective<'a> {
-    /// For frames of this size, with its networks' variables at the start of a training of `steps` steps.
+    /// For frames of this size, with fresh networks and a training of `steps` steps.
     pub(super) fn new(
         recipe: &'a AdapterRecipe,
         view: View,
@@ -70,12 +70,13 @@ impl<'a> Objective<'a> {
         Ok((objective, fresh.into_variables().0))
     }
 
-    /// The adapter's configuration.
+    /// Configuration of the adapter.
     pub(super) fn svae(&self) -> &SvaeConfig {
         self.adapter.config()
     }
 
-    /// Of features (N, h, w, D) and pictures (N, H, W, 3) of single views, with the noise of the latent (N, h, w, d).
+    /// Losses of features (N, h, w, D) and pictures (N, H, W, 3) of single views, with the noise of the latent (N, h,
+    /// w, d).
     pub(super) fn losses(
         &self,
         features: &Tensor,

@@ -1,11 +1,11 @@
-//! What the pixel decoder minimises.
+//! Loss of the pixel decoder.
 
 use anyhow::Result;
 use candle_core::{Device, Tensor};
 
 use super::{LossRecipe, Lpips, MsSsim, feature_loss::weighted};
 
-/// Squared error and, after a while, LPIPS and MS-SSIM.
+/// Squared error and, later, LPIPS and MS-SSIM.
 pub(super) struct PixelLoss<'a> {
     weight: f64,
     lpips: Option<(f64, &'a Lpips)>,
@@ -13,7 +13,7 @@ pub(super) struct PixelLoss<'a> {
 }
 
 impl<'a> PixelLoss<'a> {
-    /// For pictures of `size` (height, width). A term of weight 0 is not computed.
+    /// For pictures of `size` (height, width). Terms of weight 0 are not computed.
     pub(super) fn new(
         recipe: &LossRecipe,
         size: (usize, usize),
@@ -32,7 +32,7 @@ impl<'a> PixelLoss<'a> {
         })
     }
 
-    /// The loss of `found` for `truth`, both (N, H, W, 3) in 0..1; with the perceptual terms if `is_perceptual`.
+    /// Loss of `found` against `truth`, both (N, H, W, 3) in 0..1; with perceptual terms if `is_perceptual`.
     pub(super) fn of(
         &self,
         found: &Tensor,

@@ -4,16 +4,16 @@ use wm_zoo::{PixelDecoderConfig, SvaeConfig};
 
 use crate::recipe::{Bundled, Optimisation, Span, is_recipe};
 
-/// The recipes that are part of the program.
+/// Embedded recipes.
 pub const RECIPES: Bundled = &[
     ("tiny", include_str!("../../recipes/tiny/adapter.yaml")),
     ("paper", include_str!("../../recipes/paper/adapter.yaml")),
 ];
 
-/// Every number of a training of the adapter; `recipes/*/adapter.yaml` says what each is.
+/// Settings of adapter training, explained in `recipes/*/adapter.yaml`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-#[expect(missing_docs, reason = "the recipes say what each is")]
+#[expect(missing_docs, reason = "explained in the recipes")]
 pub struct AdapterRecipe {
     pub seed: u64,
     pub length: Span,
@@ -33,7 +33,7 @@ is_recipe!(AdapterRecipe);
 /// Shape of both networks.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-#[expect(missing_docs, reason = "the recipes say what each is")]
+#[expect(missing_docs, reason = "explained in the recipes")]
 pub struct AdapterModelRecipe {
     pub latent: usize,
     pub heads: usize,
@@ -48,7 +48,7 @@ pub struct AdapterModelRecipe {
 /// Weights of the terms of both losses.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-#[expect(missing_docs, reason = "the recipes say what each is")]
+#[expect(missing_docs, reason = "explained in the recipes")]
 pub struct LossRecipe {
     pub cosine: f64,
     pub spectrum: f64,
@@ -62,12 +62,7 @@ pub struct LossRecipe {
 
 impl AdapterRecipe {
     pub(super) fn check(&self) -> Result<()> {
-        ensure!(
-            self.micro_batch > 0 && self.batch.is_multiple_of(self.micro_batch) && self.batch > 0,
-            "batch {} cannot be split into parts of micro_batch {}",
-            self.batch,
-            self.micro_batch
-        );
+        crate::recipe::check_batch(self.batch, self.micro_batch)?;
         let loss = &self.loss;
         let part = loss.kl_warm_up;
         ensure!(
@@ -95,7 +90,7 @@ impl AdapterRecipe {
         Ok(())
     }
 
-    /// The adapter for features of this many channels; loading checks it.
+    /// The adapter for this number of feature channels; loading checks it.
     #[must_use]
     pub fn svae(&self, features: usize) -> SvaeConfig {
         let own = &self.model;
@@ -123,7 +118,7 @@ impl AdapterRecipe {
 }
 
 impl LossRecipe {
-    /// The weight of the latent's divergence at step `step` of `steps`.
+    /// Weight of the latent's divergence at `step` of `steps`.
     pub(super) fn divergence_at(&self, step: u64, steps: u64) -> f64 {
         let warm_up = self.kl_warm_up * steps as f64;
         match warm_up > step as f64 {

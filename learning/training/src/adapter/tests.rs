@@ -83,7 +83,7 @@ fn data((dataset, latents): &(Dataset, Latents)) -> Data<'_> {
     }
 }
 
-/// A recipe for such frames.
+/// A small recipe for these frames.
 fn small(name: &str, others: &[&str]) -> AdapterRecipe {
     let settings = [
         "batch=4",
@@ -117,7 +117,7 @@ fn journal(out: &Path) -> Vec<Value> {
 }
 
 #[test]
-fn it_learns_features_and_pictures() {
+fn training_learns_features_and_pictures() {
     let scratch = tempfile::tempdir().unwrap();
     let encoded = encoded(scratch.path());
     let out = scratch.path().join("run");
@@ -160,12 +160,12 @@ fn it_learns_features_and_pictures() {
 }
 
 #[test]
-fn a_paused_training_gives_the_same_bytes() {
+fn paused_training_gives_the_same_bytes() {
     let scratch = tempfile::tempdir().unwrap();
     let encoded = encoded(scratch.path());
     let data = data(&encoded);
     for name in ["tiny", "paper"] {
-        // What does not depend on the length: with it, it makes no difference where a run paused.
+        // Settings that do not depend on the length, so that pauses do not matter.
         let constant = ["optimisation.final_rate=1.0", "loss.kl_warm_up=0.0"];
         let train = |out: &Path, steps| {
             let recipe = AdapterRecipe {
@@ -187,7 +187,7 @@ fn a_paused_training_gives_the_same_bytes() {
 }
 
 #[test]
-fn another_training_starts_from_what_was_written() {
+fn training_starts_from_written_weights() {
     let scratch = tempfile::tempdir().unwrap();
     let encoded = encoded(scratch.path());
     let out = scratch.path().join("first");
@@ -197,7 +197,7 @@ fn another_training_starts_from_what_was_written() {
         start: Some(start.clone()),
         ..data(&encoded)
     };
-    // With another seed, of which nothing is to be seen; and two views, each half a picture.
+    // Another seed, without effect; and two views, each half a picture.
     let recipe = small("tiny", &["seed=5", "views=2", "loss.ms_ssim=0"]);
     let task = AdapterTask::new(&recipe, 1, &data, &run_in(Path::new("."))).unwrap();
     let parameters = task.parameters().unwrap();
@@ -219,7 +219,7 @@ fn another_training_starts_from_what_was_written() {
 }
 
 #[test]
-fn what_it_writes_is_a_model_with_the_encoder() {
+fn output_is_a_model_with_the_encoder() {
     let scratch = tempfile::tempdir().unwrap();
     let encoder = scratch.path().join("encoder");
     std::fs::create_dir_all(&encoder).unwrap();
@@ -274,7 +274,7 @@ fn what_it_writes_is_a_model_with_the_encoder() {
     assert_eq!(latent.dims(), [3, GRID, GRID, 6]);
     let decoded = model.decoder().unwrap().unwrap().decode(&latent).unwrap();
     assert_eq!(decoded.dims(), [3, SIDE, SIDE, 3]);
-    // Through the written statistics, the latents of the training data have mean 0 and standard deviation 1.
+    // With the written statistics, the latents of the training data have mean 0 and standard deviation 1.
     let all: Vec<usize> = (0..data.train.count()).collect();
     let (_, pictures) = data.train.of(&all, 1).unwrap();
     let latents = model.encoder().unwrap().encode(&pictures).unwrap();
@@ -284,7 +284,7 @@ fn what_it_writes_is_a_model_with_the_encoder() {
 }
 
 #[test]
-fn frames_that_do_not_fit_are_named() {
+fn unsuitable_frames_are_named() {
     let scratch = tempfile::tempdir().unwrap();
     let encoded = encoded(scratch.path());
     let data = data(&encoded);
@@ -303,14 +303,14 @@ fn frames_that_do_not_fit_are_named() {
 }
 
 #[test]
-fn the_divergence_counts_more_and_more() {
+fn divergence_weight_increases() {
     let loss = small("paper", &[]).loss;
     let at = |step| loss.divergence_at(step, 1000);
     assert_eq!([at(0), at(200), at(999)], [0.0, 1e-4, 1e-4]);
     assert!((at(50) - 0.25e-4).abs() < 1e-12);
 }
 
-/// Variables, and the losses at them, of a step with fixed frames and noise.
+/// Variables and losses of a step with fixed frames and noise.
 fn objective(recipe: &AdapterRecipe) -> (Objective<'_>, Variables, [Tensor; 3]) {
     let view = View {
         rows: GRID,
@@ -333,12 +333,12 @@ fn objective(recipe: &AdapterRecipe) -> (Objective<'_>, Variables, [Tensor; 3]) 
     (objective, variables, inputs)
 }
 
-/// Along its gradient each loss must change by the gradient's length.
+/// Along its gradient, each loss must change by the gradient's length.
 #[test]
-fn gradients_are_those_of_the_losses() {
+fn gradients_match_finite_differences() {
     let recipe = small(
         "tiny",
-        // Large enough to be seen.
+        // Large enough to be visible.
         &["loss.kl=0.3", "loss.kl_warm_up=0", "loss.ms_ssim=0.5"],
     );
     let (objective, variables, [features, pictures, noise]) = objective(&recipe);
@@ -369,7 +369,7 @@ fn gradients_are_those_of_the_losses() {
             for (parameter, gradient) in &own {
                 let moved = parameter.values.iter().zip(gradient);
                 let values: Vec<f32> = moved.map(|(w, g)| w + step * g / length).collect();
-                let trained = Trained {
+                let trained = ParameterValues {
                     name: &parameter.name,
                     shape: &parameter.shape,
                     values: &values,
@@ -406,9 +406,9 @@ fn fixture() -> (std::path::PathBuf, Fixture) {
     (folder, serde_json::from_str(&text).unwrap())
 }
 
-/// Both losses and the gradient of their sum are PyTorch's, to 1e-4 relative.
+/// Losses and the gradient of their sum match PyTorch to 1e-4 relative.
 #[test]
-fn a_step_is_pytorchs() {
+fn step_matches_pytorch() {
     let (folder, fixture) = fixture();
     let open = |name: &str| Checkpoint::open(folder.join(format!("{name}.safetensors"))).unwrap();
     let input = open("input");
@@ -477,15 +477,15 @@ fn a_step_is_pytorchs() {
         let expected = expected.tensor(name, DType::F32).unwrap();
         let expected: Vec<f32> = expected.flatten_all().unwrap().to_vec1().unwrap();
         let difference: Vec<f32> = found.iter().zip(&expected).map(|(a, b)| a - b).collect();
-        // Some parameters change nothing (biases of keys, and those before a norm of single channels): what they get is
-        // rounding of the others alone.
+        // Some parameters have no effect (biases of keys, and those before a norm of single channels): their gradients are
+        // rounding errors.
         let relative = length(&difference) / length(&expected).max(1e-3 * largest);
         assert!(relative < 1e-4, "{name}: {relative}");
     }
 }
 
 #[test]
-fn ms_ssim_is_pytorch_msssims() {
+fn ms_ssim_matches_pytorch() {
     let (_, fixture) = fixture();
     let (height, width) = (192usize, 176usize);
     let (mut a, mut b) = (Vec::new(), Vec::new());

@@ -11,26 +11,26 @@ use super::{AutoencoderRecipe, RECIPES, evaluate, picture, trainer::AutoencoderT
 use crate::{
     arguments::RunArgs,
     recipe::Override,
-    run::{Ended, Stop},
+    run::{RunEnd, Stop},
 };
 
-/// Trains the autoencoder on bags of episodes. If the bags have masks, pixels inside the masks get more weight.
+/// Train the autoencoder on bags; pixels inside masks, if any, get more weight
 #[derive(Args, Clone, Debug)]
 pub struct TrainAutoencoderArgs {
-    /// What every training has.
+    /// Options of every training.
     #[command(flatten)]
     pub run: RunArgs,
-    /// How pictures of another aspect become the model's, instead of the recipe's fit: crop (the middle), stretch or pad
-    /// (black bars).
+    /// How pictures of another aspect fit the model, instead of the recipe's fit: crop (the middle), stretch or pad
+    /// (black bars)
     #[arg(long, value_name = "FIT")]
     pub fit: Option<Fit>,
 }
 
 impl TrainAutoencoderArgs {
-    /// The recipe that these arguments ask for.
+    /// The recipe with overrides.
     ///
     /// # Errors
-    /// Names what is wrong in it.
+    /// Names an invalid setting.
     pub fn recipe(&self) -> Result<AutoencoderRecipe> {
         let mut overrides = self.run.overrides();
         overrides.push(Override::if_open("model.name", self.run.model_name()));
@@ -48,14 +48,14 @@ impl TrainAutoencoderArgs {
         Ok(recipe)
     }
 
-    /// Trains until the last step, or until `stop` asks for the end.
+    /// Trains until the last step, or until `stop` is set.
     ///
     /// # Errors
-    /// When the data, the recipe or a file cannot be used.
-    pub fn run(&self, stop: &Stop) -> Result<Ended> {
+    /// If the data, the recipe or a file is unusable.
+    pub fn run(&self, stop: &Stop) -> Result<RunEnd> {
         ensure!(
             self.run.device.is_cpu() && self.run.dtype == NumberFormat::F32,
-            "the autoencoder trains on the CPU, in f32: leave --device and --dtype out"
+            "the autoencoder trains on the CPU in f32; drop --device and --dtype"
         );
         let recipe = self.recipe()?;
         let framing = Framing::new((recipe.model.height, recipe.model.width), recipe.fit);
@@ -71,7 +71,7 @@ pub(super) fn train_on(
     train: &Dataset,
     held_out: Option<&Dataset>,
     stop: &Stop,
-) -> Result<Ended> {
+) -> Result<RunEnd> {
     let samples = train.episodes().len();
     let data = [("data", json!(train.digest()))];
     let settings = run.settings(recipe, samples, data)?;
@@ -102,19 +102,19 @@ pub(super) fn train_on(
     run.train(&mut task, &recipe, &settings, (&about, stop))
 }
 
-/// Measures how well an autoencoder reconstructs the frames of held-out bags.
+/// Measure how well an autoencoder reconstructs the frames of held-out bags
 #[derive(Args, Clone, Debug)]
 pub struct EvaluateAutoencoderArgs {
-    /// What to measure on.
+    /// Evaluation data.
     #[command(flatten)]
     pub on: HeldOutArgs,
-    /// The autoencoder: `tiny`, a model folder, or a file of weights.
+    /// The autoencoder: `tiny`, a model folder, or a file of weights
     #[arg(long)]
     pub autoencoder: PathBuf,
-    /// Maximum number of frames, spread over all bags.
+    /// Most frames, spread over all bags
     #[arg(long, default_value_t = 1000)]
     pub frames: usize,
-    /// Also write a picture with some frames, their reconstructions, and four times the difference.
+    /// File for a picture with some frames, their reconstructions, and four times the difference
     #[arg(long)]
     pub picture: Option<PathBuf>,
 }
@@ -123,7 +123,7 @@ impl EvaluateAutoencoderArgs {
     /// Prints the figures.
     ///
     /// # Errors
-    /// When the weights or the bags cannot be read, or the picture cannot be written.
+    /// If the weights or bags cannot be read, or the picture cannot be written.
     pub fn run(&self) -> Result<()> {
         let name = self.autoencoder.to_string_lossy();
         let model = ModelFolder::open(&name)?;

@@ -4,17 +4,17 @@ use wm_model::ops::GridSize;
 
 use super::{AutoencoderRecipe, salience::Salience};
 
-/// Pictures that one step trains on.
+/// Pictures of one training step.
 pub(super) struct Crops {
     /// Number and size.
     pub grid: GridSize,
     /// RGB in 0..1, (crop, row, column, colour).
     pub values: Vec<f32>,
-    /// Weight of each pixel in the loss, of mean 1.
+    /// Weight of each pixel in the loss, with mean 1.
     pub weights: Vec<f32>,
 }
 
-/// Draws the crops of a step, or, if `whole`, as many whole pictures as cost the same.
+/// Draws the crops of a step, or whole pictures of equal cost if `whole`.
 pub(super) fn draw(
     dataset: &Dataset,
     salience: &Salience<'_>,
@@ -28,7 +28,7 @@ pub(super) fn draw(
     } else {
         (recipe.crop.min(height), recipe.crop.min(width))
     };
-    // A step costs the same whether it sees crops or whole pictures.
+    // Crops and whole pictures cost the same per step.
     let count = if whole {
         (recipe.batch * recipe.crop * recipe.crop / (height * width)).max(1)
     } else {
@@ -44,6 +44,7 @@ pub(super) fn draw(
             .flatten();
         let top = start(centre.map(|c| c.0), rows, height, rng);
         let left = start(centre.map(|c| c.1), columns, width, rng);
+        // `frame` and the crop lie inside the dataset's frames.
         let picture = dataset.frame(frame).unwrap_or_default();
         let mask = dataset.mask(frame);
         for row in top..top + rows {
@@ -76,7 +77,7 @@ pub(super) fn draw(
     }
 }
 
-/// Where a crop of `length` begins: anywhere, or such that `centre` is near its middle.
+/// Start of a crop of `length`: anywhere, or with `centre` near its middle.
 fn start(centre: Option<usize>, length: usize, size: usize, rng: &mut impl Rng) -> usize {
     let last = size - length;
     match centre {
@@ -103,7 +104,7 @@ mod tests {
     use super::start;
 
     #[test]
-    fn a_crop_holds_its_centre_and_stays_inside() {
+    fn crop_contains_its_centre_and_stays_inside() {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         for centre in [0, 5, 64, 126, 127] {
             for _ in 0..50 {

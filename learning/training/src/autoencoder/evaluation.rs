@@ -6,16 +6,16 @@ use wm_model::{Autoencoder, Decoder as _, Encoder as _, image::to_rgb};
 
 use super::trainer::{TrainingError, pictures};
 
-/// How well an autoencoder reconstructs frames.
+/// Reconstruction of frames by an autoencoder.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reconstruction {
-    /// Frames looked at.
+    /// Number of frames.
     pub frames: usize,
-    /// PSNR in dB of the squared error over all pixels of all frames.
+    /// PSNR of the squared error over all pixels of all frames \[dB\].
     pub psnr: f64,
-    /// The same over the pixels inside masks (gripper and objects); `None` where the bags have no masks.
+    /// PSNR inside masks (gripper and objects) \[dB\]; `None` without masks.
     pub masked_psnr: Option<f64>,
-    /// Mean over the channels of the standard deviation of the normalised latents; 1 on the training data.
+    /// Mean standard deviation of the normalised latents' channels; 1 on the training data.
     pub latent_std: f64,
 }
 
@@ -32,7 +32,7 @@ impl std::fmt::Display for Reconstruction {
 /// Encodes and decodes at most `frames` frames spread over `dataset`.
 ///
 /// # Errors
-/// When the frames do not fit the autoencoder.
+/// If the frames do not fit the autoencoder.
 pub fn evaluate(
     autoencoder: &Autoencoder,
     dataset: &Dataset,
@@ -72,16 +72,17 @@ pub fn evaluate(
     let count = latents.max(1) as f64;
     Ok(Reconstruction {
         frames: chosen.len(),
+        // Without any error the ratio is infinite.
         psnr: all.psnr().unwrap_or(f64::INFINITY),
         masked_psnr: masked.psnr(),
         latent_std: (squares / count - (sum / count).powi(2)).max(0.0).sqrt(),
     })
 }
 
-/// `count` frames spread over `dataset`, a row each: the frame, what becomes of it, and four times the difference.
+/// `count` evenly spread frames, one per row: the frame, its reconstruction, and four times the difference.
 ///
 /// # Errors
-/// When the frames do not fit the autoencoder.
+/// If the frames do not fit the autoencoder.
 pub fn picture(
     autoencoder: &Autoencoder,
     dataset: &Dataset,
@@ -89,7 +90,7 @@ pub fn picture(
 ) -> Result<RgbImage, TrainingError> {
     let count = count.clamp(1, dataset.frame_count().max(1));
     let chosen: Vec<usize> = (0..count)
-        // From the middle of each stretch: the first frames of episodes are much alike.
+        // From the middle of each stretch, since first frames of episodes are similar.
         .map(|i| (2 * i + 1) * dataset.frame_count() / (2 * count))
         .collect();
     let frames = pictures(dataset, &chosen)?;

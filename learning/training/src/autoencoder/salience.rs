@@ -1,16 +1,15 @@
 use rand::{Rng, seq::IteratorRandom as _};
 use wm_dataset::{Dataset, Episode};
 
-/// Frames of an episode that its median is taken over.
+/// Frames of an episode in its median.
 const MEDIAN_FRAMES: usize = 11;
-/// Sum over the colours of the difference from the median from which on a pixel counts as moving.
+/// Least sum of colour differences from the median of a moving pixel.
 const MOVING: i32 = 48;
 
-/// Finds pixels that show something worth looking at: inside a mask where the data have masks, and otherwise where a
-/// frame differs from the median frame of its episode.
+/// Finds salient pixels: inside a mask, or without masks, where a frame differs from the median frame of its episode.
 pub(super) struct Salience<'a> {
     dataset: &'a Dataset,
-    /// Median frame of each episode; empty where there are masks.
+    /// Median frame of each episode; empty with masks.
     medians: Vec<Vec<u8>>,
 }
 
@@ -28,7 +27,7 @@ impl<'a> Salience<'a> {
         Self { dataset, medians }
     }
 
-    /// A salient pixel (row, column) of frame `frame`, which belongs to episode `episode`; `None` where nothing is.
+    /// A salient pixel (row, column) of frame `frame` in episode `episode`; `None` if there is none.
     pub(super) fn pixel(
         &self,
         episode: usize,
@@ -52,7 +51,7 @@ impl<'a> Salience<'a> {
     }
 }
 
-/// First one of the things that the mask shows, so that small ones come as often as large ones; then a pixel of it.
+/// Chooses a class of the mask first, so that small things come as often as large ones, then a pixel of it.
 fn salient_in_mask(mask: &[u8], rng: &mut impl Rng) -> Option<usize> {
     let mut seen = [false; 256];
     for class in mask {
@@ -92,6 +91,7 @@ fn median(dataset: &Dataset, episode: &Episode) -> Vec<u8> {
             values.clear();
             values.extend(frames.iter().filter_map(|frame| frame.get(at)));
             values.sort_unstable();
+            // Every episode has frames of this size.
             values.get(values.len() / 2).copied().unwrap_or_default()
         })
         .collect()
@@ -105,7 +105,7 @@ mod tests {
     use super::salient_in_mask;
 
     #[test]
-    fn a_small_thing_is_looked_at_as_often_as_a_large_one() {
+    fn small_things_are_chosen_as_often_as_large_ones() {
         // 990 pixels of class 1, 10 of class 2, the rest background.
         let mask: Vec<u8> = (0..5000)
             .map(|i| if i < 990 { 1 } else { u8::from(i < 1000) * 2 })
@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn an_empty_mask_has_nothing_to_look_at() {
+    fn empty_mask_has_no_salient_pixel() {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         assert_eq!(salient_in_mask(&[0; 100], &mut rng), None);
     }

@@ -15,12 +15,12 @@ use super::{
 use crate::{
     arguments::{RunArgs, tests::run_in},
     recipe::{self, Override, Span},
-    run::{Ended, Stop},
+    run::{RunEnd, Stop},
 };
 
 const SIZE: u32 = 16;
 
-/// A red square that moves over a shaded ground, and its mask.
+/// A red square that moves over a shaded background, with its mask.
 fn frame(at: u32) -> (DynamicImage, DynamicImage) {
     let inside = |x: u32, y: u32| (at..at + 5).contains(&x) && (4..9).contains(&y);
     let picture = RgbImage::from_fn(SIZE, SIZE, |x, y| {
@@ -118,12 +118,12 @@ fn trained(recipe: &AutoencoderRecipe, dataset: &Dataset, out: &Path) -> Autoenc
         Some(dataset),
         &Stop::default(),
     );
-    assert_eq!(ended.unwrap(), Ended::Finished);
+    assert_eq!(ended.unwrap(), RunEnd::Finished);
     Autoencoder::open(out).unwrap()
 }
 
 #[test]
-fn training_learns_and_leaves_weights_and_curve() {
+fn training_learns_and_writes_weights_and_curve() {
     let scratch = tempfile::tempdir().unwrap();
     for masks in [false, true] {
         let dataset = dataset(scratch.path(), masks);
@@ -150,13 +150,13 @@ fn training_learns_and_leaves_weights_and_curve() {
 }
 
 #[test]
-fn a_resumed_training_gives_the_weights_of_the_uninterrupted_one() {
+fn resumed_training_gives_the_uninterrupted_weights() {
     let scratch = tempfile::tempdir().unwrap();
     let dataset = dataset(scratch.path(), true);
     let (whole, parts) = (scratch.path().join("whole"), scratch.path().join("parts"));
     let shorter = AutoencoderRecipe {
         length: Span::Steps(20),
-        // With a learning rate that does not depend on the length, it makes no difference where a run paused.
+        // A learning rate that does not depend on the length, so that pauses do not matter.
         optimisation: recipe::Optimisation {
             final_rate: 1.0,
             ..recipe().optimisation
@@ -185,14 +185,14 @@ fn a_resumed_training_gives_the_weights_of_the_uninterrupted_one() {
     );
 }
 
-/// Along each half's gradient the loss must change by the gradient's length: this holds the chain of picture loss,
-/// decoder, clamp, noise, penalty and encoder against finite differences.
+/// Along each half's gradient the loss must change by the gradient's length: checks picture loss, decoder, clamp, noise,
+/// penalty and encoder against finite differences.
 #[test]
-fn the_whole_gradient_is_that_of_the_loss() {
+fn gradient_matches_finite_differences() {
     let scratch = tempfile::tempdir().unwrap();
     let dataset = dataset(scratch.path(), true);
     let recipe = AutoencoderRecipe {
-        // Large enough to be seen beside the picture's loss.
+        // Large enough to be visible beside the picture's loss.
         latent_penalty: 0.3,
         latent_noise: 0.3,
         ..recipe()
@@ -209,7 +209,7 @@ fn the_whole_gradient_is_that_of_the_loss() {
 }
 
 #[test]
-fn frames_of_another_size_are_refused() {
+fn frames_of_another_size_are_rejected() {
     let scratch = tempfile::tempdir().unwrap();
     let dataset = dataset(scratch.path(), true);
     let name = [Override::new("model.name", "test")];
@@ -230,7 +230,7 @@ fn frames_of_another_size_are_refused() {
 }
 
 #[test]
-fn a_short_training_sees_whole_pictures_in_the_same_share_of_its_steps() {
+fn short_training_keeps_the_share_of_whole_pictures() {
     let asked = |setting: &str| {
         let run = RunArgs {
             set: vec![setting.parse().unwrap()],

@@ -25,50 +25,50 @@ use super::{
     salience::Salience,
 };
 use crate::{
-    optimiser::{Group, OptimiserError, Parameter, Trained, step_rng},
+    optimiser::{Group, OptimiserError, Parameter, ParameterValues, step_rng},
     run::{StepLoss, Task},
     trained_weights::PRECISION,
 };
 
-/// Frames that the normalisation of the latents is taken over, at most.
+/// Most frames in the normalisation of the latents.
 const NORMALISATION_FRAMES: usize = 2000;
-/// Frames of a validation, and of one during the training.
+/// Frames of the final validation, and of one during the training.
 const VALIDATION_FRAMES: [usize; 2] = [1000, 200];
 /// Rows of the samples.
 const SAMPLES: usize = 6;
-/// The weights' file in a model's folder.
+/// File of the weights in a model's folder.
 pub(super) const FILE: &str = Autoencoder::FILE;
 
-/// Why a training stopped.
+/// A failed training.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum TrainingError {
-    /// The data cannot be used.
+    /// Unusable data.
     #[error(transparent)]
     Dataset(#[from] DatasetError),
-    /// The model cannot be made, run or saved.
+    /// A model that cannot be made, run or saved.
     #[error(transparent)]
     Model(#[from] wm_model::Error),
-    /// A step or a checkpoint failed.
+    /// A failed step or checkpoint.
     #[error(transparent)]
     Optimiser(#[from] OptimiserError),
-    /// A tensor operation failed.
+    /// A failed tensor operation.
     #[error(transparent)]
     Tensor(#[from] candle_core::Error),
-    /// A file cannot be written.
+    /// A file that cannot be written.
     #[error("{path}: {source}", path = .path.display())]
     Io {
-        /// The file or folder.
+        /// Path of the file or folder.
         path: PathBuf,
-        /// Why.
+        /// Cause.
         source: std::io::Error,
     },
-    /// The pictures have another size than the model.
+    /// Pictures of another size than the model's.
     #[error("the frames are {found:?} (height, width), expected {expected:?}")]
     FrameSize {
-        /// What the model takes.
+        /// Size of the model.
         expected: (usize, usize),
-        /// What the dataset has.
+        /// Size of the dataset.
         found: (usize, usize),
     },
 }
@@ -76,7 +76,7 @@ pub enum TrainingError {
 /// An autoencoder in training.
 pub(super) struct AutoencoderTask<'a> {
     recipe: AutoencoderRecipe,
-    /// Steps in all.
+    /// Number of steps.
     steps: u64,
     train: &'a Dataset,
     held_out: Option<&'a Dataset>,
@@ -86,7 +86,7 @@ pub(super) struct AutoencoderTask<'a> {
     decoder: Half,
     /// All parameters belong to the last one.
     groups: Vec<Group>,
-    /// The model that was written last.
+    /// The model written last.
     written: Option<Autoencoder>,
 }
 
@@ -96,10 +96,10 @@ struct Half {
     gradient: ConvGradients,
 }
 
-/// The parts of a step's loss.
+/// Parts of a step's loss.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct CropLoss {
-    /// What is minimised.
+    /// The minimised value.
     pub total: f32,
     /// Mean squared error of the crops.
     pub squared_error: f32,
@@ -111,7 +111,7 @@ impl<'a> AutoencoderTask<'a> {
     /// A training of `steps` steps.
     ///
     /// # Errors
-    /// When the recipe makes no sense, or the pictures have another size.
+    /// For an invalid recipe, or pictures of another size.
     pub(super) fn new(
         recipe: AutoencoderRecipe,
         steps: u64,
@@ -190,8 +190,8 @@ impl<'a> AutoencoderTask<'a> {
         })
     }
 
-    /// The length of the gradient of one half (0 encoder, 1 decoder) at step 0, and the slope of the loss along it by
-    /// a central difference of half-width `step`.
+    /// Length of the gradient of one half (0 encoder, 1 decoder) at step 0, and the slope of the loss along it by a central
+    /// difference of half-width `step`.
     #[cfg(test)]
     pub(super) fn slope_along_gradient(
         &mut self,
@@ -226,7 +226,7 @@ impl<'a> AutoencoderTask<'a> {
         Ok((length, (losses[0] - losses[1]) / (2.0 * step)))
     }
 
-    /// Begins with the weights of another model of the same shape, all of which belong to the second of these groups.
+    /// Starts from another model of equal shape, whose weights belong to the second group.
     pub(super) fn begin_with(&mut self, old: &Autoencoder, groups: Vec<Group>) {
         let named = halves(old).into_iter().flat_map(|(half, network)| {
             network.convs().flat_map(move |conv| {
@@ -237,7 +237,7 @@ impl<'a> AutoencoderTask<'a> {
             })
         });
         let named: Vec<(String, &[f32])> = named.collect();
-        let mut weights = named.iter().map(|(name, values)| Trained {
+        let mut weights = named.iter().map(|(name, values)| ParameterValues {
             name,
             shape: &[],
             values,
@@ -251,13 +251,13 @@ impl<'a> AutoencoderTask<'a> {
         crops::draw(self.train, &self.salience, &self.recipe, whole, rng)
     }
 
-    /// The autoencoder of these weights, with the normalisation of its latents over the training data.
+    /// The autoencoder with these weights, and the normalisation of its latents over the training data.
     ///
     /// # Errors
-    /// When a channel of the latents does not vary.
+    /// If a channel of the latents is constant.
     fn finished(
         &self,
-        weights: &mut dyn Iterator<Item = Trained<'_>>,
+        weights: &mut dyn Iterator<Item = ParameterValues<'_>>,
     ) -> Result<Autoencoder, TrainingError> {
         let mut model = self.model.clone();
         assign(&mut model, weights);
@@ -265,7 +265,7 @@ impl<'a> AutoencoderTask<'a> {
         let count = self.train.frame_count();
         let stride = count.div_ceil(NORMALISATION_FRAMES).max(1);
         let frames: Vec<usize> = (0..count).step_by(stride).collect();
-        // The model has the identity as normalisation here, so these are the plain latents.
+        // The model's normalisation is the identity here, so these are plain latents.
         let latents = frames
             .chunks(32)
             .map(|chunk| {
@@ -323,7 +323,7 @@ impl Task for AutoencoderTask<'_> {
             (self.model.encoder(), &mut self.encoder.gradient),
             (self.model.decoder(), &mut self.decoder.gradient),
         ];
-        // By name, as the parameters are.
+        // By name, as the parameters.
         let mut named = BTreeMap::new();
         for ((network, gradient), half) in halves.into_iter().zip(["encoder", "decoder"]) {
             for (conv, (weight, bias)) in network.convs().zip(&mut gradient.convs) {
@@ -344,14 +344,14 @@ impl Task for AutoencoderTask<'_> {
         })
     }
 
-    fn assign(&mut self, weights: &mut dyn Iterator<Item = Trained<'_>>) -> Result<()> {
+    fn assign(&mut self, weights: &mut dyn Iterator<Item = ParameterValues<'_>>) -> Result<()> {
         assign(&mut self.model, weights);
         Ok(())
     }
 
     fn write(
         &mut self,
-        averaged: &mut dyn Iterator<Item = Trained<'_>>,
+        averaged: &mut dyn Iterator<Item = ParameterValues<'_>>,
         folder: &Path,
     ) -> Result<()> {
         let model = self.finished(averaged)?;
@@ -393,13 +393,14 @@ pub(super) fn pictures(dataset: &Dataset, frames: &[usize]) -> Result<Tensor, ca
     let (height, width) = dataset.size();
     let values: Vec<f32> = frames
         .iter()
+        // A missing frame makes `from_vec` fail.
         .flat_map(|frame| dataset.frame(*frame).unwrap_or_default())
         .map(|v| f32::from(*v) / 255.0)
         .collect();
     Tensor::from_vec(values, (frames.len(), height, width, 3), &Device::Cpu)
 }
 
-/// The mean squared error, the weighted loss |d| + squared d^2, and its gradient by the pictures.
+/// Mean squared error, weighted loss |d| + squared d^2, and its gradient by the pictures.
 fn picture_loss(pictures: &[f32], crops: &Crops, squared: f32) -> (f32, f32, Vec<f32>) {
     let count = pictures.len().max(1) as f32;
     let mut gradient = vec![0.0; pictures.len()];
@@ -440,7 +441,7 @@ fn halves(model: &Autoencoder) -> [(&'static str, &Network); 2] {
     [("encoder", model.encoder()), ("decoder", model.decoder())]
 }
 
-fn assign(model: &mut Autoencoder, weights: &mut dyn Iterator<Item = Trained<'_>>) {
+fn assign(model: &mut Autoencoder, weights: &mut dyn Iterator<Item = ParameterValues<'_>>) {
     let mut weights: BTreeMap<&str, &[f32]> = weights
         .map(|trained| (trained.name, trained.values))
         .collect();

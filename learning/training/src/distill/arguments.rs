@@ -8,40 +8,40 @@ use super::{DistillRecipe, RECIPES, teacher::Teacher, train_on};
 use crate::{
     arguments::RunArgs,
     model_folder::carry_encoder,
-    run::{Ended, Stop},
+    run::{RunEnd, Stop},
     transition::FILE,
 };
 
-/// Trains a student that predicts in one or two steps what a trained transition model, its teacher, predicts in ten.
+/// Train a student that predicts in one or two steps like its teacher, a trained transition model, in ten
 ///
-/// The student has the teacher's shape and takes its place in a model. At the end it is measured beside the teacher; if
-/// it falls behind, the training fails.
+/// The student has the teacher's shape and replaces it in a model. At the end it is compared with the teacher; if it falls
+/// behind, the training fails.
 #[derive(Clone, Debug, Args)]
 pub struct TrainDistillArgs {
-    /// What every training has.
+    /// Options of every training.
     #[command(flatten)]
     pub run: RunArgs,
-    /// The trained transition model: its weights, or the folder that has them as transition.safetensors.
+    /// Trained transition model: its weights, or a folder with transition.safetensors
     #[arg(long, value_name = "PATH")]
     pub teacher: PathBuf,
-    /// The model whose frozen encoder makes the latents: tiny, or a model's folder; by default the teacher's folder.
+    /// Model whose frozen encoder makes the latents: tiny, or a model's folder [default: the teacher's folder]
     #[arg(long, visible_alias = "autoencoder")]
     pub encoder: Option<String>,
-    /// Weights of an inverse dynamics model, to measure how well actions are told from the predictions.
+    /// Weights of an inverse dynamics model, for the correlation of inferred actions
     #[arg(long, value_name = "FILE")]
     pub idm: Option<PathBuf>,
-    /// Keep a student that falls behind its teacher, or that there are no episodes to measure on.
+    /// Keep a student that falls behind its teacher, or cannot be measured
     #[arg(long)]
     pub accept: bool,
 }
 
 impl TrainDistillArgs {
-    /// Trains until the last step, or until `stop` asks for the end.
+    /// Trains until the last step, or until `stop` is set.
     ///
     /// # Errors
-    /// When teacher, data, recipe, checkpoint or weights cannot be read or written, the training diverges, or the student
+    /// If teacher, data, recipe, checkpoint or weights cannot be read or written, the training diverges, or the student
     /// falls behind its teacher.
-    pub fn run(&self, stop: &Stop) -> Result<Ended> {
+    pub fn run(&self, stop: &Stop) -> Result<RunEnd> {
         let run = &self.run;
         let recipe: DistillRecipe = crate::recipe::load(RECIPES, &run.recipe, &run.overrides())?;
         let file = Teacher::file(&self.teacher);
@@ -56,7 +56,7 @@ impl TrainDistillArgs {
         let encoder = match &self.encoder {
             Some(encoder) => encoder.clone(),
             None => {
-                // Of a bare file name the folder is empty.
+                // A bare file name has an empty folder.
                 let file = file
                     .canonicalize()
                     .with_context(|| file.display().to_string())?;
@@ -69,7 +69,7 @@ impl TrainDistillArgs {
         teacher.require(&on.train)?;
         carry_encoder(&encoder, &run.out)?;
         let held_out = on.held_out.as_ref();
-        let gated = super::Gated {
+        let gated = super::GateData {
             held_out,
             idm: idm.as_ref(),
             accept: self.accept,

@@ -8,22 +8,22 @@ use wm_model::transition::Transition;
 use super::{Networks, levels::Levels};
 use crate::transition::Batch;
 
-/// Frames at noise levels, and where the teacher's step takes them.
+/// Noisy frames, and the teacher's step from them.
 pub(super) struct Steps {
     batch: Batch,
-    /// Frames at the start of a clip that are given.
+    /// Given frames at the start of a clip.
     past: usize,
     /// The noisy frames (B, n - H, h, w, C).
     x: Tensor,
-    /// Their levels, and those that the student leads to: (B, n - H).
+    /// Their levels, and those of the student's results: (B, n - H).
     from: Tensor,
     end: Tensor,
-    /// What the student is to say of them.
+    /// Targets of the student.
     target: Tensor,
 }
 
 impl Steps {
-    /// One teacher step for each frame of `batch`, between levels that are drawn.
+    /// One teacher step for each frame of `batch`, between random levels.
     pub(super) fn draw(
         networks: &Networks<'_>,
         batch: Batch,
@@ -56,7 +56,7 @@ impl Steps {
         })
     }
 
-    /// The student's distance from the targets.
+    /// Distance of the student to the targets.
     pub(super) fn loss(&self, student: &Transition, huber: f64) -> Result<Tensor> {
         let (batch, past, x) = (&self.batch, self.past, &self.x);
         let found = moved(student, batch, past, x, &self.from, &self.end)?;
@@ -65,13 +65,13 @@ impl Steps {
 }
 
 /// sqrt(d^2 + c^2) - c with the root mean square d over a frame of `errors` (B, n, h, w, C), averaged over frames: squared
-/// where d is small beside c, linear elsewhere.
+/// for d far below c, linear elsewhere.
 pub(super) fn pseudo_huber(errors: &Tensor, c: f64) -> Result<Tensor> {
     let square = errors.sqr()?.flatten_from(2)?.mean(D::Minus1)?;
     Ok(((square + c * c)?.sqrt()? - c)?.mean_all()?)
 }
 
-/// Where the straight line along `model`'s velocity at `x` leads from its noise levels to lower ones, both (B, n - H).
+/// End of the straight line along `model`'s velocity from `x`, from its noise levels to lower ones, both (B, n - H).
 fn moved(
     model: &Transition,
     batch: &Batch,

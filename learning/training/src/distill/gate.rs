@@ -1,4 +1,4 @@
-//! The gate: what a student has to do as well as its teacher, on episodes that neither was trained on.
+//! The gate: the student must match its teacher on held-out episodes.
 
 use std::fmt;
 
@@ -12,27 +12,27 @@ use wm_zoo::idm::TrainedIdm;
 
 use super::recipe::GateRecipe;
 
-/// How a model does.
+/// Figures of a model.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Figures {
-    /// Its Euler steps.
+    /// Number of Euler steps.
     steps: usize,
-    /// Squared latent error over that of persistence, for each predicted step.
+    /// Squared latent error over that of persistence, by predicted step.
     pub(super) ratios: Vec<f64>,
-    /// Squared change from one prediction to the next, over that of what really came.
+    /// Squared change between predictions, relative to the true change.
     pub(super) motion: f64,
-    /// Distance of one-step plans to the true actions over that of random ones, the mean of translation and rotation.
+    /// Distance of one-step plans to the true actions relative to random ones, mean of translation and rotation.
     cem: Option<f64>,
-    /// Mean correlation of the true actions with those that an inverse dynamics model tells from the predictions.
+    /// Mean correlation of true actions with those inferred from predictions.
     idm: Option<f64>,
 }
 
-/// What figures are measured on and with.
+/// Inputs of a measurement.
 pub(super) struct Measurement<'a> {
     pub(super) evaluation: &'a Windows,
     pub(super) encoding: &'a ActionEncoding,
     pub(super) idm: Option<&'a TrainedIdm>,
-    /// Plans to make.
+    /// Number of plans.
     pub(super) plans: usize,
 }
 
@@ -80,8 +80,8 @@ impl Measurement<'_> {
         })
     }
 
-    /// For each predicted step of a window the squared errors of prediction and persistence, and how far prediction and
-    /// truth moved since the step before, squared.
+    /// Squared errors of prediction and persistence, and squared changes of prediction and truth since the previous step, for
+    /// each predicted step of a window.
     fn errors(&self, window: usize, model: &LoadedTransition) -> Result<Vec<[f64; 4]>> {
         let sampler = &model.config().sampler;
         let predicted = (self.evaluation).predict(window, model, sampler, ActionChange::None)?;
@@ -103,20 +103,20 @@ impl Measurement<'_> {
     }
 }
 
-/// What a figure of the student may be, given the teacher's.
+/// Bound of a student's figure relative to the teacher's.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum Bound {
-    /// This multiple of it at most.
+    /// At most this multiple.
     AtMost(f64),
-    /// This multiple of it at least.
+    /// At least this multiple.
     AtLeast(f64),
-    /// Lower by this at most: for a correlation, which may be near 0 or below.
+    /// Lower by at most this; for correlations, which may be near or below 0.
     LowerBy(f64),
 }
 
 impl Bound {
-    /// A figure that is not a number is on no side.
+    /// NaN fails every bound.
     fn holds(self, student: f64, teacher: f64) -> bool {
         match self {
             Self::AtMost(factor) => student <= factor * teacher,
@@ -144,9 +144,9 @@ pub(super) struct Row {
     teacher: f64,
     /// Student over teacher.
     ratio: f64,
-    /// The teacher, sampled with the student's steps.
+    /// The teacher with the student's number of steps.
     hurried_teacher: f64,
-    /// What the gate asks for; `None`: for information.
+    /// Bound of the gate; `None` for information only.
     bound: Option<Bound>,
     passes: bool,
 }
@@ -166,10 +166,10 @@ impl Row {
     }
 }
 
-/// The figures of a student beside its teacher's, and whether they do.
+/// Figures of a student and its teacher, and the result of the gate.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct Verdict {
-    /// Windows that were predicted.
+    /// Number of predicted windows.
     windows: usize,
     student_steps: usize,
     teacher_steps: usize,
@@ -178,7 +178,7 @@ pub(super) struct Verdict {
 }
 
 impl Verdict {
-    /// Of a student, its teacher, and the teacher in as few steps.
+    /// From the student, its teacher, and the teacher with as few steps.
     pub(super) fn new(
         windows: usize,
         [student, teacher, hurried]: &[Figures; 3],
@@ -212,7 +212,7 @@ impl Verdict {
         self.passes
     }
 
-    /// The error that names the figures at fault.
+    /// Names the failing figures in an error.
     pub(super) fn require(&self) -> Result<()> {
         let failed = self.rows.iter().filter(|row| !row.passes);
         let named = failed.filter_map(|row| {
@@ -275,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn each_figure_that_falls_behind_is_named() {
+    fn failing_figures_are_named() {
         let gate = GateRecipe {
             plans: 1,
             ratio: 1.1,

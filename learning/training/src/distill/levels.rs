@@ -3,11 +3,10 @@ use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use wm_model::sampler::Sampler;
 
-/// Levels that differ by less are the same: both samplers compute theirs in the same way, but from other fractions.
+/// Levels closer than this are equal: both samplers compute theirs alike, but from other fractions.
 const SAME: f64 = 1e-9;
 
-/// Three noise levels: the teacher steps down from the first to the second, and the student leads from either of them to
-/// the third.
+/// Three noise levels: the teacher steps from the first to the second, and the student from either to the third.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Rung {
     pub(super) from: f64,
@@ -15,15 +14,15 @@ pub(super) struct Rung {
     pub(super) end: f64,
 }
 
-/// The noise levels of a distillation: those of the teacher's sampler, and those of the student's among them.
+/// Noise levels of a distillation: the teacher's, including the student's.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Levels(Vec<Rung>);
 
 impl Levels {
-    /// Of these two samplers, which have the same shift.
+    /// From two samplers of equal shift.
     ///
     /// # Errors
-    /// If the student takes no fewer steps than the teacher.
+    /// If the student does not take fewer steps than the teacher.
     pub(super) fn new(teacher: &Sampler, student: &Sampler) -> Result<Self> {
         ensure!(
             (1..teacher.steps).contains(&student.steps),
@@ -41,13 +40,14 @@ impl Levels {
             Rung {
                 from: *from,
                 to: *to,
+                // The student's last level is 0.
                 end: below.copied().unwrap_or(0.0),
             }
         });
         Ok(Self(rungs.collect()))
     }
 
-    /// One of them, all equally likely.
+    /// A uniformly random entry.
     pub(super) fn draw(&self, rng: &mut ChaCha8Rng) -> Result<Rung> {
         let rung = self.0.get(rng.random_range(0..self.0.len().max(1)));
         rung.copied().ok_or_else(|| anyhow::anyhow!("no levels"))
@@ -68,7 +68,7 @@ mod tests {
     }
 
     #[test]
-    fn a_student_of_two_steps_ends_at_the_middle_and_at_zero() {
+    fn two_step_student_ends_at_the_middle_and_zero() {
         let Levels(rungs) = levels(4, 2).unwrap();
         let found: Vec<[f64; 3]> = rungs
             .iter()
@@ -88,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn a_students_level_that_the_teacher_lacks_is_added() {
+    fn missing_student_level_is_added() {
         let Levels(rungs) = levels(3, 2).unwrap();
         assert_eq!(rungs.len(), 4);
         assert!(
@@ -99,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn as_many_steps_as_the_teacher_are_refused() {
+    fn student_needs_fewer_steps_than_the_teacher() {
         for steps in [0, 10, 11] {
             let error = levels(10, steps).unwrap_err().to_string();
             assert!(error.contains("the teacher's 10"), "{error}");

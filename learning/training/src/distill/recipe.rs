@@ -7,16 +7,16 @@ use crate::{
     transition::{Forcing, Objective, ObjectiveRecipe, TauDistribution},
 };
 
-/// The recipes that are part of the program.
+/// Embedded recipes.
 pub const RECIPES: Bundled = &[
     ("tiny", include_str!("../../recipes/tiny/distill.yaml")),
     ("paper", include_str!("../../recipes/paper/distill.yaml")),
 ];
 
-/// Every number of a distillation; `recipes/*/distill.yaml` says what each is.
+/// Settings of a distillation, explained in `recipes/*/distill.yaml`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-#[expect(missing_docs, reason = "the recipes say what each is")]
+#[expect(missing_docs, reason = "explained in the recipes")]
 pub struct DistillRecipe {
     pub seed: u64,
     pub length: Span,
@@ -35,19 +35,19 @@ pub struct DistillRecipe {
 
 is_recipe!(DistillRecipe);
 
-/// The consistency distillation.
+/// Settings of the consistency distillation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-#[expect(missing_docs, reason = "the recipes say what each is")]
+#[expect(missing_docs, reason = "explained in the recipes")]
 pub struct ConsistencyRecipe {
     pub history: usize,
     pub history_noise: f64,
 }
 
-/// The stage against drift.
+/// Settings of the stage against drift.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-#[expect(missing_docs, reason = "the recipes say what each is")]
+#[expect(missing_docs, reason = "explained in the recipes")]
 pub struct SelfForcingRecipe {
     pub after: Span,
     pub share: f64,
@@ -58,7 +58,7 @@ pub struct SelfForcingRecipe {
 /// How far the student may fall behind its teacher.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-#[expect(missing_docs, reason = "the recipes say what each is")]
+#[expect(missing_docs, reason = "explained in the recipes")]
 pub struct GateRecipe {
     pub plans: usize,
     pub ratio: f64,
@@ -68,10 +68,10 @@ pub struct GateRecipe {
 }
 
 impl DistillRecipe {
-    /// The clips that a model of `config` learns from.
+    /// Clips for a model of `config`.
     ///
     /// # Errors
-    /// Names the setting that makes no sense.
+    /// Names an invalid setting.
     pub(super) fn objective(&self, config: &TransitionConfig) -> Result<Objective> {
         let own = &self.consistency;
         ensure!(
@@ -81,7 +81,7 @@ impl DistillRecipe {
             config.max_frames - 1,
             config.max_frames
         );
-        // At 0 the loss has no gradient where there is no error.
+        // At 0 the loss has no gradient without an error.
         ensure!(
             self.huber.is_finite() && self.huber > 0.0,
             "huber is {}, expected a positive number",
@@ -111,7 +111,7 @@ impl DistillRecipe {
                 tau: TauDistribution::Uniform,
                 history_noise: own.history_noise,
                 own_history: 0.0,
-                // The sampler has no use for what the model does without an action.
+                // The sampler never uses the null action.
                 action_dropout: 0.0,
             },
         };

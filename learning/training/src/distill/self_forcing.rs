@@ -1,4 +1,4 @@
-//! Self-forcing: the student goes on from its own predictions, and learns where that should have led; see [`super`].
+//! Self-forcing: the student continues from its own predictions, and learns the correct continuation; see [`super`].
 
 use anyhow::Result;
 use candle_core::{D, DType, Tensor};
@@ -13,20 +13,20 @@ use wm_model::{
 use super::{Networks, consistency::pseudo_huber, recipe::SelfForcingRecipe};
 use crate::transition::{Objective, normals};
 
-/// A frame to be predicted from a history whose later frames the student made itself.
+/// A frame to predict from a history with the student's own predictions.
 pub(super) struct OwnHistory {
     /// (B, t, h, w, C).
     frames: Tensor,
-    /// (B, n, A): those of the clip's frames.
+    /// (B, n, A), of the clip's frames.
     actions: Tensor,
-    /// The noise that the prediction starts from, what really came, and what the teacher predicts: (B, 1, h, w, C).
+    /// Noise of the prediction, true frame, and teacher's prediction: (B, 1, h, w, C).
     noise: Tensor,
     truth: Tensor,
     taught: Tensor,
 }
 
 impl OwnHistory {
-    /// Rolls the student out over clips that are drawn, up to the last frame but one.
+    /// Rolls the student out over random clips, up to the second last frame.
     pub(super) fn draw(
         networks: &Networks<'_>,
         teacher: &Sampler,
@@ -63,8 +63,8 @@ impl OwnHistory {
         })
     }
 
-    /// Distance of the student's prediction from what really came, squared, and from the teacher's prediction: `real` is
-    /// the weight of the former, the rest that of the latter.
+    /// Squared distance of the student's prediction to the true frame, weighted by `real`, and its distance to the teacher's
+    /// prediction, weighted by the rest.
     pub(super) fn loss(&self, student: &Transition, real: f64, huber: f64) -> Result<Tensor> {
         let sampler = &student.config().sampler;
         let predicted = predict(student, sampler, &self.frames, &self.actions, &self.noise)?;
@@ -74,8 +74,8 @@ impl OwnHistory {
     }
 }
 
-/// The frame (B, 1, h, w, C) after `frames` (B, t, h, w, C), integrated from `noise` as the sampler does; `actions`
-/// (B, >= t + 1, A) are those of the frames.
+/// The frame (B, 1, h, w, C) after `frames` (B, t, h, w, C), integrated from `noise` as in the sampler; `actions`
+/// (B, >= t + 1, A) belong to the frames.
 pub(super) fn predict(
     model: &Transition,
     sampler: &Sampler,

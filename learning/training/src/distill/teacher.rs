@@ -16,23 +16,23 @@ use wm_model::{
 use wm_motion::actions::ActionEncoding;
 
 use crate::{
-    optimiser::{Trained, Variables},
+    optimiser::{ParameterValues, Variables},
     transition::{FILE, in_its_format},
 };
 
-/// A trained transition model, and what it says of itself.
+/// A trained transition model with its metadata.
 pub(super) struct Teacher {
     tensors: HashMap<String, Tensor>,
     sha256: String,
     pub(super) encoding: ActionEncoding,
     pub(super) space: LatentSpace,
     compute: Compute,
-    /// Sampled with as many steps as the recipe asks for.
+    /// Sampled with the recipe's number of steps.
     pub(super) model: Transition,
 }
 
 impl Teacher {
-    /// The file of a teacher that is given by its file or its folder.
+    /// File of a teacher given as file or folder.
     pub(super) fn file(path: &Path) -> PathBuf {
         if path.is_dir() {
             path.join(FILE)
@@ -65,7 +65,7 @@ impl Teacher {
         read().with_context(|| format!("the teacher {}", file.display()))
     }
 
-    /// Checks that the latents and actions of `latents` are those that it was trained on.
+    /// Checks that `latents` has the teacher's latents and actions.
     pub(super) fn require(&self, latents: &Latents) -> Result<()> {
         (self.space.require(latents.space()))
             .context("the teacher's latents are not the data's")?;
@@ -82,7 +82,7 @@ impl Teacher {
         &self.sha256
     }
 
-    /// A model with its weights, to be trained for sampling with `steps` steps.
+    /// A trainable model with its weights, for sampling with `steps` steps.
     pub(super) fn student(&self, steps: usize) -> Result<(Variables, Transition)> {
         let config = with_steps(self.model.config().clone(), steps);
         let mut variables = Variables::default();
@@ -93,11 +93,11 @@ impl Teacher {
         Ok((variables, in_its_format(model, self.compute.dtype())))
     }
 
-    /// The student of these weights, without gradients.
+    /// The student with these weights, without gradients.
     pub(super) fn target(
         &self,
         config: &TransitionConfig,
-        weights: &mut dyn Iterator<Item = Trained<'_>>,
+        weights: &mut dyn Iterator<Item = ParameterValues<'_>>,
     ) -> Result<Transition> {
         let mut tensors = HashMap::new();
         for weight in weights {
@@ -110,12 +110,12 @@ impl Teacher {
         Ok(in_its_format(model, self.compute.dtype()))
     }
 
-    /// Itself for inference.
+    /// The teacher for inference.
     pub(super) fn pack(&self) -> Result<LoadedTransition> {
         self.hurried(self.sampler().steps)
     }
 
-    /// The same, sampled with `steps` steps.
+    /// The teacher, sampled with `steps` steps.
     pub(super) fn hurried(&self, steps: usize) -> Result<LoadedTransition> {
         let config = with_steps(self.model.config().clone(), steps);
         let model = Transition::build(config, &mut |parameter| {
@@ -131,7 +131,7 @@ impl Teacher {
 
 fn named(tensors: &HashMap<String, Tensor>, name: &str) -> wm_model::Result<Tensor> {
     let tensor = tensors.get(name).cloned();
-    tensor.ok_or_else(|| Error::config("weights", format!("there is no {name}")))
+    tensor.ok_or_else(|| Error::config("weights", format!("missing {name}")))
 }
 
 fn with_steps(config: TransitionConfig, steps: usize) -> TransitionConfig {

@@ -20,7 +20,7 @@ use crate::{
 
 const STEPS: usize = 10;
 
-/// The file of a teacher that was trained on `train` for this many steps.
+/// File of a teacher trained on `train` for this many steps.
 fn taught(
     dir: &Path,
     train: &Latents,
@@ -60,8 +60,8 @@ fn distil(
     train: &Latents,
     held_out: Option<&Latents>,
     accept: bool,
-) -> Result<Ended> {
-    let gated = Gated {
+) -> Result<RunEnd> {
+    let gated = GateData {
         held_out,
         idm: None,
         accept,
@@ -76,8 +76,8 @@ fn distil(
     )
 }
 
-/// How a model does on windows, and the mean squared distance of its first predictions from those that the teacher
-/// makes from the same noise.
+/// Figures of a model on windows, and the mean squared distance of its first predictions to the teacher's from the same
+/// noise.
 fn measured(model: &Transition, teacher: &Teacher, evaluation: &Windows) -> (Vec<f64>, f64, f64) {
     let measurement = Measurement {
         evaluation,
@@ -105,7 +105,7 @@ fn measured(model: &Transition, teacher: &Teacher, evaluation: &Windows) -> (Vec
     )
 }
 
-/// A recipe for the toys: two stages in 500 steps.
+/// A recipe for toys: two stages in 500 steps.
 fn short(steps: usize, settings: &[&str]) -> DistillRecipe {
     let own = [
         "length=500 steps",
@@ -117,10 +117,10 @@ fn short(steps: usize, settings: &[&str]) -> DistillRecipe {
     recipe
 }
 
-/// The second channel of these latents cannot be known: the mean of what may come has half the error of a sample, and
-/// no motion. So errors alone tell little, and distance from the teacher and motion are measured too.
+/// The second channel of these latents is unpredictable: the mean of possible futures has half the error of a sample, and no
+/// motion. So errors alone are not enough; distance to the teacher and motion are measured too.
 #[test]
-fn a_student_does_in_few_steps_what_its_teacher_does_in_ten() {
+fn student_matches_its_teacher_in_few_steps() {
     let dir = tempfile::tempdir().unwrap();
     let (train, held_out) = (flickering(dir.path(), 60, 1), flickering(dir.path(), 20, 2));
     let kind = (Parametrisation::Velocity, ActionAlignment::WithFrame);
@@ -148,13 +148,13 @@ fn a_student_does_in_few_steps_what_its_teacher_does_in_ten() {
         };
         let first_stage = student("first stage", &["self_forcing.share=0"]);
         let both = student("student", &[]);
-        // Over a rollout as good as its teacher, and the second stage does not hurt.
+        // Over a rollout as good as its teacher, and not hurt by the second stage.
         assert!(both.0 < 1.1 * ratio, "{steps}: {both:?}");
         assert!(
             both.0 < 1.05 * first_stage.0,
             "{steps}: {both:?} {first_stage:?}"
         );
-        // And the teacher in as few steps is not: it drifts with one, and is blurred with two.
+        // The teacher with as few steps is worse: it drifts with one, and blurs with two.
         assert!(
             steps > 1 || both.0 < 0.6 * hurried.0,
             "{both:?} {hurried:?}"
@@ -169,9 +169,9 @@ fn a_student_does_in_few_steps_what_its_teacher_does_in_ten() {
     }
 }
 
-/// Students that only learn to be near the real frame have a lower error than their teacher, and do not move.
+/// Students that only approach the real frame have a lower error than their teacher, but do not move.
 #[test]
-fn the_gate_refuses_a_student_that_does_not_move() {
+fn gate_rejects_a_motionless_student() {
     let dir = tempfile::tempdir().unwrap();
     let (train, held_out) = (flickering(dir.path(), 60, 1), flickering(dir.path(), 20, 2));
     let kind = (Parametrisation::Residual, ActionAlignment::WithResult);
@@ -189,7 +189,7 @@ fn the_gate_refuses_a_student_that_does_not_move() {
     let out = dir.path().join("student");
     let idm = crate::idm::tests::trained(&dir.path().join("idm"), &train);
     let distil = |accept| {
-        let gated = Gated {
+        let gated = GateData {
             held_out: Some(&held_out),
             idm: Some(&idm),
             accept,
@@ -214,7 +214,7 @@ fn the_gate_refuses_a_student_that_does_not_move() {
 }
 
 #[test]
-fn a_broken_student_is_refused_by_its_error() {
+fn gate_rejects_a_broken_student_by_its_error() {
     let dir = tempfile::tempdir().unwrap();
     let (train, held_out) = (moving(dir.path(), 20, 1), moving(dir.path(), 4, 2));
     let kind = (Parametrisation::Residual, ActionAlignment::WithResult);
@@ -235,12 +235,12 @@ fn a_broken_student_is_refused_by_its_error() {
 }
 
 #[test]
-fn a_paused_training_gives_the_same_bytes() {
+fn paused_training_gives_the_same_bytes() {
     let dir = tempfile::tempdir().unwrap();
     let latents = flickering(dir.path(), 2, 1);
     let kind = (Parametrisation::Velocity, ActionAlignment::WithFrame);
     let teacher = Teacher::open(&taught(dir.path(), &latents, kind, 3), STEPS, &on_cpu()).unwrap();
-    // Pauses within either stage. The learning rate does not depend on the length, so that it makes no difference where.
+    // Pauses within either stage; the learning rate does not depend on the length, so pauses do not matter.
     for pause in [2, 4] {
         let train = |out: &Path, steps: u64| {
             let mut recipe = short(2, &["self_forcing.after=3 steps", "self_forcing.share=0.5"]);
@@ -261,7 +261,7 @@ fn a_paused_training_gives_the_same_bytes() {
 }
 
 #[test]
-fn what_does_not_fit_the_teacher_is_refused_by_name() {
+fn mismatch_with_the_teacher_is_named() {
     let dir = tempfile::tempdir().unwrap();
     let latents = moving(dir.path(), 2, 1);
     let kind = (Parametrisation::Velocity, ActionAlignment::WithFrame);
@@ -295,7 +295,7 @@ fn what_does_not_fit_the_teacher_is_refused_by_name() {
 }
 
 #[test]
-fn a_prediction_in_training_is_the_samplers() {
+fn training_predicts_like_the_sampler() {
     let dir = tempfile::tempdir().unwrap();
     let latents = moving(dir.path(), 2, 1);
     use {ActionAlignment::*, Parametrisation::*};
@@ -333,7 +333,7 @@ fn a_prediction_in_training_is_the_samplers() {
     }
 }
 
-/// How steep a loss is along its gradient, by finite differences, and what that should be: the gradient's square.
+/// Slope of a loss along its gradient, by finite differences, and its expected value, the squared gradient.
 fn differences(variables: &Variables, loss: &dyn Fn() -> Tensor) -> (f64, f64) {
     let value = || f64::from(loss().to_scalar::<f32>().unwrap());
     let gradient = variables
@@ -369,7 +369,7 @@ fn differences(variables: &Variables, loss: &dyn Fn() -> Tensor) -> (f64, f64) {
 }
 
 #[test]
-fn the_gradients_of_both_stages_are_their_losses() {
+fn gradients_of_both_stages_match_finite_differences() {
     let dir = tempfile::tempdir().unwrap();
     let latents = flickering(dir.path(), 4, 1);
     use {ActionAlignment::*, Parametrisation::*};

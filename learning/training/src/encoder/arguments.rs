@@ -9,27 +9,27 @@ use super::{EncoderRecipe, EncoderTask, FILE, RECIPES, files::CONFIG_KEY};
 use crate::{
     arguments::RunArgs,
     recipe::Override,
-    run::{Ended, Stop},
+    run::{RunEnd, Stop},
 };
 
-/// Trains a small semantic encoder, whose features tell the actions between frames.
+/// Train a small semantic encoder, whose features encode the actions between frames
 #[derive(Clone, Debug, Args)]
 pub struct TrainEncoderArgs {
-    /// What every training has.
+    /// Options of every training.
     #[command(flatten)]
     pub run: RunArgs,
-    /// How pictures of another aspect become the model's, instead of the recipe's fit: crop (the middle), stretch or pad
-    /// (black bars).
+    /// How pictures of another aspect fit the model, instead of the recipe's fit: crop (the middle), stretch or pad
+    /// (black bars)
     #[arg(long, value_name = "FIT")]
     pub fit: Option<Fit>,
 }
 
 impl TrainEncoderArgs {
-    /// Trains until the last step, or until `stop` asks for the end.
+    /// Trains until the last step, or until `stop` is set.
     ///
     /// # Errors
-    /// When data, recipe, checkpoint or weights cannot be read or written, or the training diverges.
-    pub fn run(&self, stop: &Stop) -> Result<Ended> {
+    /// If data, recipe, checkpoint or weights cannot be read or written, or the training diverges.
+    pub fn run(&self, stop: &Stop) -> Result<RunEnd> {
         let run = &self.run;
         let mut overrides = run.overrides();
         overrides.push(Override::if_open("model.name", run.model_name()));
@@ -42,7 +42,7 @@ impl TrainEncoderArgs {
     }
 }
 
-/// The encoder of the recipe, or that which is fine-tuned.
+/// The encoder of the recipe, or the fine-tuned one.
 fn config(run: &RunArgs, recipe: &EncoderRecipe) -> Result<WebDinoConfig> {
     recipe.check()?;
     let old = run.old_config(FILE, CONFIG_KEY)?;
@@ -54,7 +54,7 @@ pub(super) fn train_on(
     recipe: &EncoderRecipe,
     (train, held_out): (&Dataset, Option<&Dataset>),
     stop: &Stop,
-) -> Result<Ended> {
+) -> Result<RunEnd> {
     let encoding = recipe.head.encoding(train.action_space())?;
     let config = config(run, recipe)?;
     let mut task = EncoderTask::new(recipe, config, &encoding, (train, held_out), run)?;

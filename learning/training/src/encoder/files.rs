@@ -1,4 +1,4 @@
-//! What a training of an encoder leaves in its folder.
+//! Output files of encoder training.
 
 use std::path::Path;
 
@@ -7,26 +7,26 @@ use serde_json::json;
 use wm_model::{Fit, PictureSize};
 use wm_zoo::{WebDinoConfig, kinds::Kind};
 
-use crate::{optimiser::Trained, trained_weights::trained_weights};
+use crate::{optimiser::ParameterValues, trained_weights::trained_weights};
 
-/// The weights' file in a model's folder.
+/// File of the weights in a model's folder.
 pub const FILE: &str = "encoder.safetensors";
-/// Metadata key of the [`WebDinoConfig`] (JSON), for a fine-tuning.
+/// Metadata key of the [`WebDinoConfig`] (JSON), for fine-tuning.
 pub(super) const CONFIG_KEY: &str = "encoder_config";
 
-/// The encoder's weights under the names of the kind `web-dino`.
+/// Writes the encoder's weights with the names of the kind `web-dino`.
 pub(super) fn write_weights(
     folder: &Path,
     config: &WebDinoConfig,
-    tensors: Vec<Trained<'_>>,
+    tensors: Vec<ParameterValues<'_>>,
 ) -> Result<()> {
     let config = (CONFIG_KEY, config);
     let weights = trained_weights(&mut tensors.into_iter(), config, None)?;
     Ok(weights.write(folder.join(FILE))?)
 }
 
-/// The description of a model that is this encoder alone; `name` is that of its latent space, `trained_on` the size of the
-/// camera's pictures.
+/// Writes the description of a model with this encoder alone; `name` is that of its latent space, `trained_on` the size of
+/// the camera's pictures.
 pub(super) fn write_description(
     folder: &Path,
     config: &WebDinoConfig,

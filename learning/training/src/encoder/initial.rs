@@ -9,17 +9,17 @@ use wm_zoo::{
 use super::network::HEAD;
 use crate::fresh_weights::FreshWeights;
 
-/// Longest wavelength over the shortest: grids have few rows, and a longer wave would hardly vary over them.
+/// Longest wavelength over the shortest: longer waves would hardly vary over few rows.
 const WAVELENGTHS: f64 = 100.0;
 
-/// Height of the waves that tell the encoder's places. At 1 they would be as large as what patches of a picture hold, and
-/// most of what the features tell first.
+/// Amplitude of the position waves. At 1 they would be as large as the content of patches, and dominate the features at
+/// first.
 const HEIGHT: f32 = 0.3;
 
-/// Part of what a block computes that it adds to the tokens.
+/// Share of a block's output that is added to the tokens.
 const BLOCK_SCALE: f64 = 0.1;
 
-/// Gives the encoder and its head those initial values that are not the usual ones.
+/// Sets the unusual initial values of encoder and head.
 pub(super) fn begin(
     fresh: &FreshWeights,
     encoder: &WebDinoConfig,
@@ -33,8 +33,8 @@ pub(super) fn begin(
     }
 }
 
-/// Has each block add little at first (LayerScale, arXiv 2103.17239), so that features begin close to embedded patches,
-/// which the head can compare. Under four whole random blocks, a patch that is lit changes its token by a quarter as much.
+/// Scales blocks down at first (LayerScale, arXiv 2103.17239), so that features start close to embedded patches, which the
+/// head can compare. With four full random blocks, lighting a patch changes its token by only a quarter as much.
 fn begin_as_patches(fresh: &FreshWeights, encoder: &WebDinoConfig) -> candle_core::Result<()> {
     let shape = [encoder.hidden_size];
     for layer in 0..encoder.num_hidden_layers {
@@ -46,10 +46,10 @@ fn begin_as_patches(fresh: &FreshWeights, encoder: &WebDinoConfig) -> candle_cor
     Ok(())
 }
 
-/// Has the head's first convolution begin with differences between frames: over the frames, its kernels add up to nothing.
+/// Starts the head's first convolution with differences between frames: its kernels sum to zero over the frames.
 ///
-/// Most of what the features hold is the same in all frames. Let through, it makes actions that are wrong whatever moves,
-/// and what the head learns first is to be silent: its ReLUs close, and the actions stay at their mean.
+/// Most feature content is equal in all frames. Passed on, it makes wrong actions, and the head first learns to suppress
+/// them: its ReLUs close, and the actions stay at their mean.
 fn begin_with_differences(
     fresh: &FreshWeights,
     head: &ConvolutionalIdmConfig,
@@ -61,16 +61,16 @@ fn begin_with_differences(
         let usual = fresh.usual(&name, &shape)?;
         let usual = usual.reshape((head.width, frames, head.features, 3, 3))?;
         let differences = usual.broadcast_sub(&usual.mean_keepdim(1)?)?;
-        // As large as they were.
+        // Keeps the variance.
         let size = (frames as f64 / head.horizon as f64).sqrt();
         (differences * size)?.reshape(&shape)
     })?;
     Ok(())
 }
 
-/// Has the embeddings of place and time begin as sines and cosines (as the vision transformers of arXiv 2111.06377), and
-/// be learned from there. Random ones begin so small beside the pictures that a short training hardly gets past telling
-/// that something moved.
+/// Starts the embeddings of position and time as sines and cosines (as the vision transformers of arXiv 2111.06377), which
+/// are then trained. Random ones are too small beside the pictures: short trainings would hardly learn more than whether
+/// something moved.
 fn begin_as_waves(
     fresh: &FreshWeights,
     encoder: &WebDinoConfig,
@@ -79,7 +79,7 @@ fn begin_as_waves(
     let (width, grid) = (encoder.hidden_size, [encoder.grid(); 2]);
     let low = waves(grid, width).into_iter().map(|value| HEIGHT * value);
     let places: Vec<f32> = iter::repeat_n(0.0, width).chain(low).collect();
-    // The first place is that of the CLS token, which has none.
+    // The first position belongs to the CLS token, without a place.
     let shape = [1, places.len() / width, width];
     let name = "dinov2.embeddings.position_embeddings";
     fresh.variable(name, &shape, || {
@@ -99,8 +99,7 @@ fn begin_as_waves(
     Ok(())
 }
 
-/// For each place of a grid, row by row, `width` values: sine and cosine of its row and of its column, at one wavelength
-/// after the other.
+/// For each place of a grid, row by row, `width` values: sine and cosine of its row and column, by wavelength.
 fn waves([rows, columns]: [usize; 2], width: usize) -> Vec<f32> {
     let mut values = Vec::with_capacity(rows * columns * width);
     for row in 0..rows {

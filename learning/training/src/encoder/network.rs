@@ -5,10 +5,10 @@ use wm_zoo::{
     idm::{IdmNetwork, IdmNetworkConfig},
 };
 
-/// What names of the head's tensors begin with.
+/// Prefix of the head's tensors.
 pub(super) const HEAD: &str = "idm.";
 
-/// The encoder, and the inverse dynamics model that is trained on its features.
+/// The encoder, and the inverse dynamics model trained on its features.
 pub(super) struct Network {
     encoder: WebDino,
     pub(super) head: IdmNetwork,
@@ -39,7 +39,7 @@ pub(super) fn load_head(head: &IdmNetworkConfig, loader: &Loader<'_>) -> Result<
     )?)
 }
 
-/// What `encode` makes of pictures (N, H, W, 3), for clips (B, n, H, W, 3) of them: (B, n, h, w, C).
+/// Applies `encode` for pictures (N, H, W, 3) to clips (B, n, H, W, 3): (B, n, h, w, C).
 pub(super) fn each_frame(
     clips: &Tensor,
     encode: impl Fn(&Tensor) -> Result<Tensor>,

@@ -8,13 +8,13 @@ use crate::{
     recipe::{Bundled, Optimisation, Span, is_recipe},
 };
 
-/// The recipes that are part of the program. The paper trains no encoder.
+/// Embedded recipes. The paper trains no encoder.
 pub const RECIPES: Bundled = &[("tiny", include_str!("../../recipes/tiny/encoder.yaml"))];
 
-/// Every number of a training of an encoder; `recipes/tiny/encoder.yaml` says what each is.
+/// Settings of encoder training, explained in `recipes/tiny/encoder.yaml`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-#[expect(missing_docs, reason = "the recipe says what each is")]
+#[expect(missing_docs, reason = "explained in the recipe")]
 pub struct EncoderRecipe {
     pub seed: u64,
     pub length: Span,
@@ -36,7 +36,7 @@ is_recipe!(EncoderRecipe);
 /// Shape of the encoder.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-#[expect(missing_docs, reason = "the recipe says what each is")]
+#[expect(missing_docs, reason = "explained in the recipe")]
 pub struct EncoderModelRecipe {
     pub name: Option<String>,
     pub image: usize,
@@ -49,12 +49,7 @@ pub struct EncoderModelRecipe {
 
 impl EncoderRecipe {
     pub(super) fn check(&self) -> Result<()> {
-        ensure!(
-            self.micro_batch > 0 && self.batch.is_multiple_of(self.micro_batch) && self.batch > 0,
-            "batch {} cannot be split into parts of micro_batch {}",
-            self.batch,
-            self.micro_batch
-        );
+        crate::recipe::check_batch(self.batch, self.micro_batch)?;
         ensure!(self.windows > 0, "windows is 0, expected at least 1");
         for (name, value) in [("dropout", self.dropout), ("light", self.light)] {
             ensure!(

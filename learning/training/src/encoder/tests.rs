@@ -16,10 +16,10 @@ const BAR: u32 = 4;
 /// Frames of an episode.
 const FRAMES: usize = 12;
 
-/// Episodes of a bar that moves up to three pixels sideways from frame to frame, which is the action.
+/// Episodes of a bar that moves up to three pixels sideways per frame, which is the action.
 fn moving_bar(dir: &Path, name: &str, episodes: usize, seed: u64) -> Dataset {
     let mut state = seed;
-    // A congruential generator: all that is needed is that movements differ.
+    // A congruential generator suffices: movements must only differ.
     let mut below = |end: u32| {
         state = state
             .wrapping_mul(6_364_136_223_846_793_005)
@@ -36,7 +36,7 @@ fn moving_bar(dir: &Path, name: &str, episodes: usize, seed: u64) -> Dataset {
                     _ => Rgb([90, 90, 90]),
                 });
                 let next = (at + below(7)).saturating_sub(3).min(SIDE - BAR);
-                // As far as model units of the action go from -1 to 1.
+                // Model units of the action cover -1 to 1.
                 let dx = (f64::from(next) - f64::from(at)) / 3.0 / 35.0;
                 at = next;
                 (picture, dx as f32)
@@ -47,7 +47,7 @@ fn moving_bar(dir: &Path, name: &str, episodes: usize, seed: u64) -> Dataset {
     Dataset::open(&bags, &dir.join("cache"), (SIDE as usize, SIDE as usize)).unwrap()
 }
 
-/// A recipe for such episodes, whose camera has a frame per model step.
+/// A small recipe for these episodes, with one camera frame per model step.
 fn small(others: &[&str]) -> EncoderRecipe {
     let settings = [
         "batch=8",
@@ -86,7 +86,7 @@ fn description(out: &Path) -> Value {
 }
 
 #[test]
-fn its_features_tell_actions_of_episodes_that_it_has_not_seen() {
+fn features_encode_actions_of_unseen_episodes() {
     let dir = tempfile::tempdir().unwrap();
     let train = moving_bar(dir.path(), "train", 40, 1);
     let held_out = moving_bar(dir.path(), "held_out", 8, 2);
@@ -105,10 +105,10 @@ fn its_features_tell_actions_of_episodes_that_it_has_not_seen() {
 }
 
 #[test]
-fn a_paused_training_gives_the_same_bytes_with_other_threads_too() {
+fn paused_training_gives_the_same_bytes_for_any_threads() {
     let dir = tempfile::tempdir().unwrap();
     let data = moving_bar(dir.path(), "bags", 3, 1);
-    // With a learning rate that does not depend on the length, it makes no difference where a run paused.
+    // A learning rate that does not depend on the length, so that pauses do not matter.
     let mut recipe = small(&["optimisation.final_rate=1", "head.horizon=2"]);
     let mut train = |out: &Path, steps, threads| {
         recipe.length = Span::Steps(steps);
@@ -129,7 +129,7 @@ fn a_paused_training_gives_the_same_bytes_with_other_threads_too() {
 }
 
 #[test]
-fn what_it_writes_is_a_model_with_the_features_of_the_training() {
+fn output_model_has_the_trained_features() {
     let dir = tempfile::tempdir().unwrap();
     let data = moving_bar(dir.path(), "bags", 2, 1);
     let recipe = small(&[]);
@@ -139,13 +139,13 @@ fn what_it_writes_is_a_model_with_the_features_of_the_training() {
     let on = (&data, None);
     let mut task =
         EncoderTask::new(&recipe, recipe.config(), &encoding, on, &run_in(&out)).unwrap();
-    // Other weights than it began with, as after a step.
+    // Changed weights, as after a step.
     let mut parameters = task.parameters().unwrap();
     for value in parameters.iter_mut().flat_map(|p| &mut p.values) {
         *value = *value * 1.5 + 0.01;
     }
     let weights = || {
-        parameters.iter().map(|parameter| Trained {
+        parameters.iter().map(|parameter| ParameterValues {
             name: &parameter.name,
             shape: &parameter.shape,
             values: &parameter.values,
@@ -171,12 +171,12 @@ fn what_it_writes_is_a_model_with_the_features_of_the_training() {
     let most = expected.abs().unwrap().max_all().unwrap();
     let most = most.to_scalar::<f32>().unwrap();
     println!("differs by {error:.1e} of at most {most:.1}");
-    // The weights were rounded to 11 bits, and roundings add up over the layers.
+    // Weights have 11 bits, and rounding errors accumulate over the layers.
     assert!(most > 1.0 && error < 1e-2 * most, "{error} of {most}");
 }
 
 #[test]
-fn a_fine_tuning_has_the_sizes_of_the_encoder_that_it_begins_from() {
+fn fine_tuning_keeps_the_sizes_of_its_encoder() {
     let dir = tempfile::tempdir().unwrap();
     let data = moving_bar(dir.path(), "bags", 2, 1);
     let (first, second) = (dir.path().join("first"), dir.path().join("second"));
@@ -192,7 +192,7 @@ fn a_fine_tuning_has_the_sizes_of_the_encoder_that_it_begins_from() {
 }
 
 #[test]
-fn an_encoder_begins_close_to_the_patches_of_its_pictures() {
+fn encoder_starts_close_to_its_patches() {
     let dir = tempfile::tempdir().unwrap();
     let data = moving_bar(dir.path(), "bags", 2, 1);
     let recipe = small(&["model.depth=4"]);
@@ -213,7 +213,7 @@ fn an_encoder_begins_close_to_the_patches_of_its_pictures() {
     let change: Vec<f32> = change.to_vec1().unwrap();
     let elsewhere = (change.iter().sum::<f32>() - change[1]) / 15.0;
     println!("{} there, {elsewhere} elsewhere", change[1]);
-    // Features have a variance of 1; with blocks that add all of what they compute, the change there is 0.69.
+    // Features have variance 1; with full blocks, the change would be 0.69.
     assert!(change[1] > 1.5 && elsewhere < 0.05 * change[1]);
 }
 
@@ -230,7 +230,7 @@ fn windows_are_successive_frames_of_one_clip() {
 }
 
 #[test]
-fn settings_that_do_not_fit_are_refused_by_name() {
+fn unsuitable_settings_are_named() {
     let dir = tempfile::tempdir().unwrap();
     let data = moving_bar(dir.path(), "bags", 1, 1);
     for (setting, named) in [

@@ -16,38 +16,38 @@ use super::{IdmRecipe, IdmTask, RECIPES};
 use crate::{
     arguments::RunArgs,
     model_folder::carry_encoder,
-    run::{Ended, Stop},
+    run::{RunEnd, Stop},
 };
 
-/// Model steps that a transition model predicts for an evaluation.
+/// Predicted model steps of an evaluation.
 const HORIZON: usize = 8;
 
-/// Trains the inverse dynamics model: which actions lie between consecutive latents of a frozen encoder.
+/// Train the inverse dynamics model, which infers the actions between consecutive latents of a frozen encoder
 #[derive(Clone, Debug, Args)]
 pub struct TrainIdmArgs {
-    /// What every training has.
+    /// Options of every training.
     #[command(flatten)]
     pub run: RunArgs,
-    /// The model whose frozen encoder makes the latents: tiny, or a model's folder.
+    /// Model whose frozen encoder makes the latents: tiny, or a model's folder
     #[arg(long, visible_alias = "autoencoder")]
     pub encoder: String,
 }
 
 impl TrainIdmArgs {
-    /// The recipe that these arguments ask for.
+    /// The recipe with overrides.
     ///
     /// # Errors
-    /// Names what is wrong in it.
+    /// Names an invalid setting.
     pub fn recipe(&self) -> Result<IdmRecipe> {
         let run = &self.run;
         Ok(crate::recipe::load(RECIPES, &run.recipe, &run.overrides())?)
     }
 
-    /// Trains until the last step, or until `stop` asks for the end.
+    /// Trains until the last step, or until `stop` is set.
     ///
     /// # Errors
-    /// When data, recipe, checkpoint or weights cannot be read or written, or the training diverges.
-    pub fn run(&self, stop: &Stop) -> Result<Ended> {
+    /// If data, recipe, checkpoint or weights cannot be read or written, or the training diverges.
+    pub fn run(&self, stop: &Stop) -> Result<RunEnd> {
         let recipe = self.recipe()?;
         let encoder = ModelFolder::open(&self.encoder)?.encoder()?;
         let run = &self.run;
@@ -63,7 +63,7 @@ pub(super) fn train_on(
     train: &Latents,
     held_out: Option<&Latents>,
     stop: &Stop,
-) -> Result<Ended> {
+) -> Result<RunEnd> {
     let encoding = recipe.model.encoding(train.action_space())?;
     let mut task = IdmTask::new(recipe, &encoding, train, held_out, run)?;
     let samples = task.clips.len();
@@ -77,22 +77,22 @@ pub(super) fn train_on(
     run.train(&mut task, recipe, &settings, (&about, stop))
 }
 
-/// Measures how well an inverse dynamics model tells actions, from real and from predicted latents.
+/// Measure how well an inverse dynamics model infers actions, from real and from predicted latents
 #[derive(Clone, Debug, Args)]
 pub struct EvaluateIdmArgs {
-    /// What to measure on.
+    /// Evaluation data.
     #[command(flatten)]
     pub on: HeldOutArgs,
-    /// The model whose frozen encoder makes the latents: tiny, or a model's folder.
+    /// Model whose frozen encoder makes the latents: tiny, or a model's folder
     #[arg(long, visible_alias = "autoencoder")]
     pub encoder: String,
-    /// Weights of the inverse dynamics model.
+    /// Weights of the inverse dynamics model
     #[arg(long)]
     pub weights: PathBuf,
-    /// Weights of a transition model, to measure on what it predicts too.
+    /// Weights of a transition model, to measure its predictions too
     #[arg(long)]
     pub transition: Option<PathBuf>,
-    /// Maximum number of windows of predictions.
+    /// Most windows of predictions
     #[arg(long, default_value_t = usize::MAX)]
     pub windows: usize,
 }
@@ -101,7 +101,7 @@ impl EvaluateIdmArgs {
     /// Prints the figures.
     ///
     /// # Errors
-    /// When data or weights cannot be read, or do not fit one another.
+    /// If data or weights cannot be read, or do not fit.
     pub fn run(&self) -> Result<()> {
         let encoder = ModelFolder::open(&self.encoder)?.encoder()?;
         let dataset = self.on.open(encoder.framing())?;

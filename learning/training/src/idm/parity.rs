@@ -7,7 +7,7 @@ use crate::{
 };
 
 #[test]
-fn a_step_is_pytorchs() {
+fn step_matches_pytorch() {
     for name in ["idm", "idm--patched", "idm--convolutional"] {
         let fixture = Fixture::open(name);
         let config: IdmNetworkConfig = fixture.of("config");

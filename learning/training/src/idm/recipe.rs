@@ -5,16 +5,16 @@ use wm_zoo::idm::{ConvolutionalIdmConfig, IdmConfig, IdmNetworkConfig};
 
 use crate::recipe::{Bundled, Optimisation, Span, is_recipe};
 
-/// The recipes that are part of the program.
+/// Embedded recipes.
 pub const RECIPES: Bundled = &[
     ("tiny", include_str!("../../recipes/tiny/idm.yaml")),
     ("paper", include_str!("../../recipes/paper/idm.yaml")),
 ];
 
-/// Every number of a training of the inverse dynamics model; `recipes/*/idm.yaml` says what each is.
+/// Settings of inverse dynamics training, explained in `recipes/*/idm.yaml`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-#[expect(missing_docs, reason = "the recipes say what each is")]
+#[expect(missing_docs, reason = "explained in the recipes")]
 pub struct IdmRecipe {
     pub seed: u64,
     pub length: Span,
@@ -34,16 +34,16 @@ is_recipe!(IdmRecipe);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum IdmKind {
-    /// The paper's.
+    /// The paper's transformer.
     Transformer,
-    /// The small one.
+    /// A small convolutional network.
     Convolutional,
 }
 
 /// Shape and conventions of the model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-#[expect(missing_docs, reason = "the recipes say what each is")]
+#[expect(missing_docs, reason = "explained in the recipes")]
 pub struct IdmModelRecipe {
     pub kind: IdmKind,
     pub horizon: usize,
@@ -58,7 +58,7 @@ pub struct IdmModelRecipe {
 }
 
 impl IdmModelRecipe {
-    /// What the actions of `space` become for the model.
+    /// Encoding of the actions of `space` for the model.
     ///
     /// # Errors
     /// If they cannot be encoded.
@@ -72,7 +72,7 @@ impl IdmModelRecipe {
         )?)
     }
 
-    /// The same with kind and sizes of another model.
+    /// With kind and sizes of another model.
     #[must_use]
     pub fn sized_as(&self, other: &IdmNetworkConfig) -> Self {
         let own = self.clone();
@@ -100,7 +100,7 @@ impl IdmModelRecipe {
     /// The model for latents of this shape (rows, columns, channels) and actions of `encoding`.
     ///
     /// # Errors
-    /// If the patches do not fit the latents; loading tells of other sizes.
+    /// If the patches do not divide the latents; loading checks other sizes.
     pub fn config(
         &self,
         (rows, columns, channels): (usize, usize, usize),
@@ -116,7 +116,7 @@ impl IdmModelRecipe {
                 actions: encoding.action_dim(),
             }));
         }
-        // As published: 256 tokens a frame.
+        // As published: 256 tokens per frame.
         let published = if rows > 16 { 2 } else { 1 };
         let patch = self.patch.unwrap_or(published);
         ensure!(

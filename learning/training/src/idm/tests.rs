@@ -8,7 +8,7 @@ use crate::{
     transition::tests::{moving, of_space},
 };
 
-/// A recipe for the episodes of [`moving`], whose camera has a frame per model step.
+/// A small recipe for the episodes of [`moving`], with one camera frame per model step.
 fn small(name: &str) -> IdmRecipe {
     let settings = [
         "batch=8",
@@ -32,7 +32,7 @@ fn small(name: &str) -> IdmRecipe {
     recipe::load(RECIPES, name, &settings).unwrap()
 }
 
-/// A model that was trained on these latents, though not for long.
+/// A briefly trained model for these latents.
 pub(crate) fn trained(out: &Path, latents: &Latents) -> TrainedIdm {
     let mut recipe = small("tiny");
     recipe.length = recipe::Span::Steps(30);
@@ -41,7 +41,7 @@ pub(crate) fn trained(out: &Path, latents: &Latents) -> TrainedIdm {
 }
 
 #[test]
-fn it_learns_to_tell_actions_that_latents_show() {
+fn training_learns_visible_actions() {
     let dir = tempfile::tempdir().unwrap();
     let (train, held_out) = (moving(dir.path(), 200, 1), moving(dir.path(), 30, 2));
     for (kind, steps) in [(IdmKind::Convolutional, 300), (IdmKind::Transformer, 1000)] {
@@ -54,7 +54,7 @@ fn it_learns_to_tell_actions_that_latents_show() {
         let model = TrainedIdm::open(out.join(FILE)).unwrap();
         let found = on_real(&model, &held_out, usize::MAX).unwrap();
         println!("{kind:?}: {found}");
-        // The other dimensions never vary.
+        // The other dimensions are constant.
         assert_eq!(found.continuous.len(), 1, "{found}");
         let (name, kind, r) = found.continuous.first().unwrap();
         assert_eq!(
@@ -67,12 +67,12 @@ fn it_learns_to_tell_actions_that_latents_show() {
 }
 
 #[test]
-fn a_paused_training_gives_the_same_bytes() {
+fn paused_training_gives_the_same_bytes() {
     let dir = tempfile::tempdir().unwrap();
     let latents = moving(dir.path(), 4, 1);
     for name in ["tiny", "paper"] {
         let mut recipe = small(name);
-        // With a learning rate that does not depend on the length, it makes no difference where a run paused.
+        // A learning rate that does not depend on the length, so that pauses do not matter.
         recipe.optimisation.final_rate = 1.0;
         recipe.model.horizon = 2;
         let mut train = |out: &Path, steps| {
@@ -94,7 +94,7 @@ fn a_paused_training_gives_the_same_bytes() {
 }
 
 #[test]
-fn latents_of_another_space_are_refused() {
+fn latents_of_another_space_are_rejected() {
     let dir = tempfile::tempdir().unwrap();
     let latents = moving(dir.path(), 2, 1);
     let recipe = IdmRecipe {
@@ -117,7 +117,7 @@ fn latents_of_another_space_are_refused() {
 }
 
 #[test]
-fn smooth_l1_is_pytorchs() {
+fn smooth_l1_matches_pytorch() {
     let on = &Device::Cpu;
     let found = Tensor::new(&[0.0f32, 0.5, 3.0, -2.0], on).unwrap();
     let truth = Tensor::new(&[0.0f32, 0.0, 1.0, 0.0], on).unwrap();

@@ -9,18 +9,18 @@ use serde_json::Value;
 
 use super::{AdamW, OptimiserError, State};
 
-/// The metadata entry of a checkpoint.
-const TOLD: &str = "training";
+/// Metadata key of a checkpoint.
+const METADATA_KEY: &str = "training";
 
-/// What a checkpoint tells besides its tensors.
+/// Metadata of a checkpoint.
 #[derive(Serialize, Deserialize)]
-struct Told {
+struct CheckpointMetadata {
     step: u64,
     skipped: u64,
     run: Value,
 }
 
-/// The buffers of one parameter, under the prefixes that they are stored with.
+/// Buffers of one parameter, with the prefixes of their names.
 fn buffers(parameter: &mut State) -> [(&'static str, &mut Vec<f32>); 4] {
     [
         ("weights", &mut parameter.weights),
@@ -31,11 +31,11 @@ fn buffers(parameter: &mut State) -> [(&'static str, &mut Vec<f32>); 4] {
 }
 
 impl AdamW {
-    /// Writes the whole state to a safetensors file. `run` tells what is being trained (settings, data), so that another
-    /// training does not resume from it. The file is replaced in one move: a kill leaves the old or the new one.
+    /// Writes the whole state to a safetensors file. `run` describes the training (settings, data), so that others do not
+    /// resume from it. The file is replaced atomically.
     ///
     /// # Errors
-    /// When the file cannot be written.
+    /// If the file cannot be written.
     pub fn save(&mut self, path: &Path, run: &Value) -> Result<(), OptimiserError> {
         let mut tensors = Vec::new();
         for parameter in &mut self.parameters {
@@ -47,38 +47,41 @@ impl AdamW {
                 tensors.push((format!("{prefix}/{name}"), view));
             }
         }
-        // One entry: the order of several would differ from file to file.
-        let told = Told {
+        // A single entry: several would vary in order between files.
+        let metadata = CheckpointMetadata {
             step: self.step,
             skipped: self.skipped,
             run: run.clone(),
         };
-        let told = serde_json::to_string(&told).map_err(|error| refused(path, error))?;
-        let metadata = HashMap::from([(TOLD.to_owned(), told)]);
+        let metadata = serde_json::to_string(&metadata).map_err(|error| refused(path, error))?;
+        let metadata = HashMap::from([(METADATA_KEY.to_owned(), metadata)]);
         let partial = path.with_extension("partial");
         safetensors::serialize_to_file(tensors, Some(metadata), &partial)
             .map_err(|error| refused(path, error))?;
         std::fs::rename(&partial, path).map_err(|error| refused(path, error))
     }
 
-    /// Takes up the state that [`Self::save`] wrote for the same `run`.
+    /// Restores the state that [`Self::save`] wrote for the same `run`.
     ///
     /// # Errors
-    /// When the file cannot be read, is of another training (what differs is named), or lacks a parameter or has it in
-    /// another shape.
+    /// If the file cannot be read, belongs to another training (the differences are named), or lacks a parameter of this
+    /// shape.
     pub fn resume(&mut self, path: &Path, run: &Value) -> Result<(), OptimiserError> {
         let file = std::fs::File::open(path).map_err(|error| refused(path, error))?;
-        // SAFETY: the checkpoint is this program's own, and replaced in one move.
+        // SAFETY: the checkpoint belongs to this program, and is replaced atomically.
         let bytes = unsafe { memmap2::Mmap::map(&file) }.map_err(|error| refused(path, error))?;
         let file = SafeTensors::deserialize(&bytes).map_err(|error| refused(path, error))?;
         let (_, metadata) =
             SafeTensors::read_metadata(&bytes).map_err(|error| refused(path, error))?;
-        let told = metadata.metadata().as_ref().and_then(|told| told.get(TOLD));
-        let told = told.ok_or_else(|| refused(path, "no checkpoint of a training"))?;
-        let told: Told = serde_json::from_str(told)
-            .map_err(|error| refused(path, format!("metadata entry `{TOLD}`: {error}")))?;
+        let metadata = metadata
+            .metadata()
+            .as_ref()
+            .and_then(|metadata| metadata.get(METADATA_KEY));
+        let metadata = metadata.ok_or_else(|| refused(path, "not a checkpoint of a training"))?;
+        let metadata: CheckpointMetadata = serde_json::from_str(metadata)
+            .map_err(|error| refused(path, format!("metadata entry `{METADATA_KEY}`: {error}")))?;
         let mut differences = Vec::new();
-        differ("", Some(&told.run), Some(run), &mut differences);
+        differ("", Some(&metadata.run), Some(run), &mut differences);
         if !differences.is_empty() {
             return Err(OptimiserError::OtherTraining {
                 path: path.display().to_string(),
@@ -103,12 +106,12 @@ impl AdamW {
                 })?;
             }
         }
-        (self.step, self.skipped) = (told.step, told.skipped);
+        (self.step, self.skipped) = (metadata.step, metadata.skipped);
         Ok(())
     }
 }
 
-/// What differs between two descriptions, a line for each value.
+/// Differences between two descriptions, one line per value.
 fn differ(path: &str, saved: Option<&Value>, now: Option<&Value>, lines: &mut Vec<String>) {
     if let (Some(Value::Object(saved)), Some(Value::Object(now))) = (saved, now) {
         let keys: BTreeSet<&String> = saved.keys().chain(now.keys()).collect();
@@ -118,8 +121,8 @@ fn differ(path: &str, saved: Option<&Value>, now: Option<&Value>, lines: &mut Ve
             differ(&below, saved.get(key), now.get(key), lines);
         }
     } else if saved != now {
-        let told = |value: Option<&Value>| value.map_or("nothing".to_owned(), Value::to_string);
-        let (saved, now) = (told(saved), told(now));
+        let metadata = |value: Option<&Value>| value.map_or("nothing".to_owned(), Value::to_string);
+        let (saved, now) = (metadata(saved), metadata(now));
         lines.push(format!("{path}: {saved} in the checkpoint, {now} now"));
     }
 }

@@ -6,7 +6,7 @@ use super::*;
 use crate::fixture::{Fixture, values};
 
 #[test]
-fn steps_are_those_of_pytorchs_adamw() {
+fn steps_match_pytorchs_adamw() {
     let fixture = Fixture::open("adamw");
     let shapes: BTreeMap<String, Vec<usize>> = fixture.of("shapes");
     let count = |shape: &[usize]| shape.iter().product();

@@ -2,16 +2,16 @@ use std::f64::consts::PI;
 
 use serde::{Deserialize, Serialize};
 
-/// A learning rate that rises linearly over the warm-up and then falls along half a cosine to a floor.
+/// A learning rate with linear warm-up, then half a cosine down to a floor.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Schedule {
-    /// The highest rate, reached at the end of the warm-up.
+    /// Highest rate, at the end of the warm-up.
     pub peak: f64,
     /// Steps of the warm-up.
     pub warm_up_steps: u64,
     /// Steps of the whole run.
     pub total_steps: u64,
-    /// The last step's rate as a fraction of the peak (the paper: 0.7).
+    /// Rate of the last step as a fraction of the peak (the paper: 0.7).
     pub floor: f64,
 }
 
@@ -27,7 +27,7 @@ impl Schedule {
         }
     }
 
-    /// The rate of step `step`, from 0; after the last step it stays at the floor.
+    /// Rate of step `step`, from 0; the floor after the last step.
     #[must_use]
     pub fn at(&self, step: u64) -> f64 {
         if step < self.warm_up_steps {
@@ -44,7 +44,7 @@ mod tests {
     use super::Schedule;
 
     #[test]
-    fn it_rises_then_falls_to_the_floor_and_stays() {
+    fn rate_rises_then_falls_to_the_floor() {
         let schedule = Schedule::new(1.0, 10, 110, 0.1);
         assert!((schedule.at(0) - 0.1).abs() < 1e-12);
         assert!((schedule.at(9) - 1.0).abs() < 1e-12);
@@ -55,7 +55,7 @@ mod tests {
     }
 
     #[test]
-    fn no_warm_up_and_no_length_are_fine() {
+    fn zero_warm_up_and_length_are_valid() {
         assert_eq!(Schedule::new(1.0, 0, 0, 0.5).at(0), 1.0);
         assert_eq!(Schedule::new(1.0, 0, 0, 0.5).at(5), 0.5);
     }

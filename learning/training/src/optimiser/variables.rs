@@ -5,14 +5,14 @@ use rayon::prelude::*;
 use wm_model::transition::WeightGradients;
 use wm_zoo::Supply;
 
-use super::{OptimiserError, Parameter, Trained};
+use super::{OptimiserError, Parameter, ParameterValues};
 
-/// The tensors of a candle model that are trained, by name.
+/// Trained tensors of a candle model, by name.
 #[derive(Clone, Debug, Default)]
 pub struct Variables(BTreeMap<String, Var>);
 
 impl Variables {
-    /// A tensor that starts at `initial` and is trained.
+    /// Adds a trained tensor that starts at `initial`.
     ///
     /// # Errors
     /// If it cannot be copied.
@@ -23,18 +23,18 @@ impl Variables {
         Ok(tensor)
     }
 
-    /// The names, in order.
+    /// Names in order.
     pub fn names(&self) -> impl Iterator<Item = &str> {
         self.0.keys().map(String::as_str)
     }
 
-    /// The tensor of this name.
+    /// The tensor of a name.
     #[must_use]
     pub fn get(&self, name: &str) -> Option<Tensor> {
         self.0.get(name).map(|var| var.as_tensor().clone())
     }
 
-    /// What an optimiser starts from; `group` tells the group of a name.
+    /// Initial parameters of an optimiser; `group` gives the group of a name.
     ///
     /// # Errors
     /// If a value cannot be read.
@@ -50,11 +50,11 @@ impl Variables {
         parameters.collect()
     }
 
-    /// Takes over trained values; names that are not here are passed over.
+    /// Assigns trained values; unknown names are skipped.
     ///
     /// # Errors
     /// If a shape differs.
-    pub fn assign<'a>(&self, weights: impl Iterator<Item = Trained<'a>>) -> Result<()> {
+    pub fn assign<'a>(&self, weights: impl Iterator<Item = ParameterValues<'a>>) -> Result<()> {
         let weights: Vec<_> = weights
             .filter_map(|trained| Some((self.0.get(trained.name)?, trained)))
             .collect();
@@ -64,10 +64,10 @@ impl Variables {
         })
     }
 
-    /// The gradient of every variable, in the order of the names: the sum of what is in `store` and in `collected`.
+    /// Gradient of every variable, by name: the sum of those in `store` and in `collected`.
     ///
     /// # Errors
-    /// When a variable has no gradient: an operation between it and the loss does not propagate one.
+    /// If a variable has no gradient: some operation between it and the loss drops it.
     pub fn gradients(
         &self,
         store: &GradStore,
@@ -81,7 +81,7 @@ impl Variables {
     }
 }
 
-/// To load networks from variables that are already there.
+/// Loads networks from existing variables.
 impl Supply for Variables {
     fn supply(&self, name: &str, shape: &[usize]) -> wm_zoo::Result<Tensor> {
         let tensor = self.get(name).filter(|tensor| tensor.dims() == shape);
@@ -103,7 +103,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn gradients_come_by_name_and_a_missing_one_is_named() {
+    fn gradients_are_ordered_and_missing_ones_named() {
         let mut variables = Variables::default();
         let two = Tensor::new(&[2f32, 3.], &Device::Cpu).unwrap();
         let w = variables.add("w", &two).unwrap();
@@ -121,11 +121,11 @@ mod tests {
     }
 
     #[test]
-    fn a_model_sees_what_is_assigned() {
+    fn assigned_values_reach_the_model() {
         let mut variables = Variables::default();
         let zero = Tensor::zeros(2, DType::F32, &Device::Cpu).unwrap();
         let w = variables.add("w", &zero).unwrap();
-        let told = Trained {
+        let told = ParameterValues {
             name: "w",
             shape: &[2],
             values: &[4., 5.],

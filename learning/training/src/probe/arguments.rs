@@ -17,40 +17,41 @@ use super::{
 use crate::{
     arguments::RunArgs,
     model_folder::carry_encoder,
-    run::{Ended, Stop},
+    run::{RunEnd, Stop},
 };
 
-/// Trains the success probe: whether an episode's latents show what its instruction asks for. It takes the episodes that
-/// have an instruction (/task/instruction) and an outcome (/task/success).
+/// Train the success probe, which decides whether an episode's latents follow its instruction. Uses episodes with an
+/// instruction (/task/instruction) and an outcome (/task/success)
 #[derive(Clone, Debug, Args)]
 pub struct TrainProbeArgs {
-    /// What every training has.
+    /// Options of every training.
     #[command(flatten)]
     pub run: RunArgs,
-    /// The model whose frozen encoder makes the latents: tiny, or a model's folder.
+    /// Model whose frozen encoder makes the latents: tiny, or a model's folder
     #[arg(long, visible_alias = "autoencoder")]
     pub encoder: String,
-    /// Folder of the text tower that reads instructions: SigLIP 2 as Hugging Face publishes it (config.json,
-    /// model.safetensors, tokenizer.json). The weights name the folder. Without it the probe learns the data's words.
+    /// Folder of the text tower for instructions: SigLIP 2 as published on Hugging Face (config.json,
+    /// model.safetensors, tokenizer.json). The weights refer to the folder. Without it, the probe learns the data's
+    /// words
     #[arg(long, value_name = "DIR")]
     pub text_tower: Option<PathBuf>,
 }
 
 impl TrainProbeArgs {
-    /// The recipe that these arguments ask for.
+    /// The recipe with overrides.
     ///
     /// # Errors
-    /// Names what is wrong in it.
+    /// Names an invalid setting.
     pub fn recipe(&self) -> Result<ProbeRecipe> {
         let run = &self.run;
         Ok(crate::recipe::load(RECIPES, &run.recipe, &run.overrides())?)
     }
 
-    /// Trains until the last step, or until `stop` asks for the end.
+    /// Trains until the last step, or until `stop` is set.
     ///
     /// # Errors
-    /// When data, recipe, checkpoint or weights cannot be read or written, or the training diverges.
-    pub fn run(&self, stop: &Stop) -> Result<Ended> {
+    /// If data, recipe, checkpoint or weights cannot be read or written, or the training diverges.
+    pub fn run(&self, stop: &Stop) -> Result<RunEnd> {
         let recipe = self.recipe()?;
         let encoder = ModelFolder::open(&self.encoder)?.encoder()?;
         let on = self.run.encoded(&*encoder)?;
@@ -63,11 +64,11 @@ impl TrainProbeArgs {
 }
 
 impl TrainProbeArgs {
-    /// The same where the data have outcomes of both kinds; otherwise nothing, which it says.
+    /// [`Self::run`] if the data have both outcomes; otherwise prints why not.
     ///
     /// # Errors
-    /// As [`Self::run`].
-    pub fn run_if_labelled(&self, stop: &Stop) -> Result<Ended> {
+    /// Those of [`Self::run`].
+    pub fn run_if_labelled(&self, stop: &Stop) -> Result<RunEnd> {
         let encoder = ModelFolder::open(&self.encoder)?.encoder()?;
         let data = self.run.data(encoder.framing())?;
         let outcomes = |success| {
@@ -78,7 +79,7 @@ impl TrainProbeArgs {
             return self.run(stop);
         }
         println!("left out: the data have no instructions with both successes and failures");
-        Ok(Ended::Finished)
+        Ok(RunEnd::Finished)
     }
 }
 
@@ -88,7 +89,7 @@ pub(super) fn train_on(
     (train, held_out): (&Latents, Option<&Latents>),
     (things, text_tower): (Option<Things<'_>>, Option<&Path>),
     stop: &Stop,
-) -> Result<Ended> {
+) -> Result<RunEnd> {
     let mut task = ProbeTask::new(recipe, (train, held_out), things, text_tower, run)?;
     let samples = task.episodes.len();
     let data = [
@@ -107,22 +108,22 @@ pub(super) fn train_on(
     let about =
         format!("{successes} successes, {failures} failures, {words}, {things}{threads} threads");
     let ended = run.train(&mut task, recipe, &settings, (&about, stop))?;
-    if let (Ended::Finished, Some(best)) = (ended, &task.best) {
+    if let (RunEnd::Finished, Some(best)) = (ended, &task.best) {
         println!("kept the best weights: {best}");
     }
     Ok(ended)
 }
 
-/// Measures how well a success probe tells success from failure.
+/// Measure how well a success probe separates success from failure
 #[derive(Clone, Debug, Args)]
 pub struct EvaluateProbeArgs {
-    /// What to measure on.
+    /// Evaluation data.
     #[command(flatten)]
     pub on: HeldOutArgs,
-    /// The model whose frozen encoder makes the latents: tiny, or a model's folder.
+    /// Model whose frozen encoder makes the latents: tiny, or a model's folder
     #[arg(long, visible_alias = "autoencoder")]
     pub encoder: String,
-    /// Weights of the probe.
+    /// Weights of the probe
     #[arg(long)]
     pub weights: PathBuf,
 }
@@ -131,7 +132,7 @@ impl EvaluateProbeArgs {
     /// Prints the figures.
     ///
     /// # Errors
-    /// When data or weights cannot be read, or do not fit one another.
+    /// If data or weights cannot be read, or do not fit.
     pub fn run(&self) -> Result<()> {
         let encoder = ModelFolder::open(&self.encoder)?.encoder()?;
         let dataset = self.on.open(encoder.framing())?;

@@ -5,10 +5,10 @@ use candle_core::{Device, Tensor};
 use rand::{Rng, seq::IndexedRandom as _};
 use wm_dataset::{Episode, Latents};
 
-/// An episode that shows whether its instruction was carried out.
+/// An episode with an instruction and an outcome.
 #[derive(Clone, Debug)]
-struct Labelled {
-    /// Its number among all episodes.
+struct LabelledEpisode {
+    /// Index among all episodes.
     number: usize,
     first_frame: usize,
     frame_count: usize,
@@ -16,48 +16,48 @@ struct Labelled {
     success: bool,
 }
 
-/// An episode, and what a probe is asked about it.
+/// An episode with questions for a probe.
 #[derive(Clone, Debug)]
 pub(super) struct Sample {
     /// (1, frames, h, w, C).
     pub(super) latents: Tensor,
-    /// The episode's number among all of the data.
+    /// Index of the episode in the data.
     pub(super) episode: usize,
-    /// The number of the first frame in the data.
+    /// Index of the first frame in the data.
     pub(super) first_frame: usize,
-    /// How many are read.
+    /// Number of frames.
     pub(super) frames: usize,
-    /// How far apart.
+    /// Distance between frames.
     pub(super) frame_skip: usize,
-    /// Places by which the latents were moved, down and to the right.
+    /// Shift of the latents in places, down and to the right.
     pub(super) shift: [i64; 2],
     pub(super) questions: Vec<Question>,
 }
 
-/// What a probe is asked, and the answer.
+/// A question for a probe, with its answer.
 #[derive(Clone, Debug)]
 pub(super) struct Question {
     pub(super) instruction: String,
     pub(super) answer: bool,
-    /// Whether the instruction is another episode's.
+    /// Whether the instruction belongs to another episode.
     pub(super) is_mismatch: bool,
-    /// How much it counts among the questions about the episode, which are one together.
+    /// Weight among the questions on the episode, which sum to one.
     pub(super) weight: f64,
 }
 
-/// How often what is asked.
+/// Shares of the kinds of questions.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Shares {
-    /// Of all questions, those about a success under its own instruction.
+    /// Of all questions: successes under their own instruction.
     pub(super) successes: f64,
-    /// Of the others, those about a success under another episode's instruction.
+    /// Of the others: successes under another episode's instruction.
     pub(super) mismatches: f64,
-    /// How many other instructions a success is asked under.
+    /// Other instructions per success.
     pub(super) others: usize,
 }
 
 impl Shares {
-    /// For a probe that reads no instruction: outcomes alone.
+    /// For a probe without instructions: outcomes alone.
     pub(super) fn of_outcomes(successes: f64) -> Self {
         Self {
             successes,
@@ -72,18 +72,18 @@ pub(super) struct Episodes<'a> {
     latents: &'a Latents,
     frame_skip: usize,
     max_frames: usize,
-    labelled: Vec<Labelled>,
-    /// By their places in `labelled`.
+    labelled: Vec<LabelledEpisode>,
+    /// Indices in `labelled`.
     successes: Vec<usize>,
     failures: Vec<usize>,
 }
 
 impl<'a> Episodes<'a> {
-    /// Of `latents`, of whose frames every `frame_skip`th is read, the newest `max_frames` at most; all without it.
+    /// From `latents`, reading every `frame_skip`th frame, the newest `max_frames` or all.
     pub(super) fn new(latents: &'a Latents, frame_skip: usize, max_frames: Option<usize>) -> Self {
         let episodes = latents.episodes();
         let numbered = episodes.iter().enumerate();
-        let labelled: Vec<Labelled> = numbered.filter_map(labelled).collect();
+        let labelled: Vec<LabelledEpisode> = numbered.filter_map(labelled).collect();
         let (successes, failures) = by_outcome(&labelled);
         let longest = labelled.iter().map(|episode| episode.frame_count);
         let longest = longest.max().unwrap_or(1).div_ceil(frame_skip);
@@ -97,7 +97,7 @@ impl<'a> Episodes<'a> {
         }
     }
 
-    /// Refuses data that a probe cannot be trained on.
+    /// Rejects data that no probe can be trained on.
     ///
     /// # Errors
     /// If no episode has both, or none succeeds.
@@ -115,10 +115,10 @@ impl<'a> Episodes<'a> {
         Ok(())
     }
 
-    /// Refuses data that a probe that reads no instruction cannot be trained on.
+    /// Rejects data for a probe without instructions.
     ///
     /// # Errors
-    /// If none fails.
+    /// If no episode fails.
     pub(super) fn require_failures(&self) -> Result<()> {
         ensure!(
             !self.failures.is_empty(),
@@ -129,7 +129,7 @@ impl<'a> Episodes<'a> {
         Ok(())
     }
 
-    /// Leaves out the episodes whose instruction is to be; gives these instructions.
+    /// Excludes episodes by instruction; returns these instructions.
     pub(super) fn leave_out(&mut self, is_out: impl Fn(&str) -> bool) -> Vec<String> {
         let out = self
             .labelled
@@ -156,8 +156,8 @@ impl<'a> Episodes<'a> {
         self.labelled.iter().map(|episode| &*episode.instruction)
     }
 
-    /// A random episode. A success is asked under its own instruction and under those of other episodes, a failure under
-    /// its own; by the weights of the questions, all have their shares on average.
+    /// A random episode. A success has questions under its own instruction and those of other episodes, a failure under its
+    /// own; the weights of the questions give all kinds their shares on average.
     pub(super) fn draw(&self, shares: Shares, rng: &mut impl Rng) -> Result<Sample> {
         let mismatches = if self.failures.is_empty() {
             1.0
@@ -190,8 +190,8 @@ impl<'a> Episodes<'a> {
         self.sample(episode, questions, offset)
     }
 
-    /// What is asked for a validation: every episode under its own instruction, and every success also under that of the
-    /// next episode with another one. At most `most` episodes, spread over all.
+    /// Questions of a validation: every episode under its own instruction, and every success also under the next different
+    /// one. At most `most` evenly spread episodes.
     pub(super) fn all(&self, most: usize) -> impl Iterator<Item = Result<Sample>> {
         let stride = self.labelled.len().div_ceil(most.max(1)).max(1);
         let asked = self.labelled.iter().enumerate().step_by(stride);
@@ -208,7 +208,7 @@ impl<'a> Episodes<'a> {
 
     fn sample(
         &self,
-        episode: &Labelled,
+        episode: &LabelledEpisode,
         questions: Vec<Question>,
         offset: usize,
     ) -> Result<Sample> {
@@ -216,6 +216,7 @@ impl<'a> Episodes<'a> {
         let frames: Vec<usize> = frames.collect();
         let newest = frames.len().saturating_sub(self.max_frames);
         let mut values = Vec::new();
+        // `newest` is at most the length.
         let frames = frames.get(newest..).unwrap_or_default();
         for frame in frames {
             self.latents
@@ -234,9 +235,9 @@ impl<'a> Episodes<'a> {
     }
 }
 
-/// Whether `episode` shows what `of` was told.
-fn question(episode: &Labelled, of: &Labelled, weight: f64) -> Question {
-    // Drawn by chance, another episode may have the same instruction.
+/// Whether `episode` follows the instruction of `of`.
+fn question(episode: &LabelledEpisode, of: &LabelledEpisode, weight: f64) -> Question {
+    // A random other episode may have the same instruction.
     let is_mismatch = of.instruction != episode.instruction;
     Question {
         instruction: of.instruction.clone(),
@@ -246,13 +247,13 @@ fn question(episode: &Labelled, of: &Labelled, weight: f64) -> Question {
     }
 }
 
-/// The places of successes and of failures.
-fn by_outcome(labelled: &[Labelled]) -> (Vec<usize>, Vec<usize>) {
+/// Indices of successes and of failures.
+fn by_outcome(labelled: &[LabelledEpisode]) -> (Vec<usize>, Vec<usize>) {
     (0..labelled.len()).partition(|place| labelled.get(*place).is_some_and(|own| own.success))
 }
 
-fn labelled((number, episode): (usize, &Episode)) -> Option<Labelled> {
-    Some(Labelled {
+fn labelled((number, episode): (usize, &Episode)) -> Option<LabelledEpisode> {
+    Some(LabelledEpisode {
         number,
         first_frame: episode.first_frame,
         frame_count: episode.frame_count,

@@ -10,8 +10,8 @@ use super::{
     things::{Target, Things},
 };
 
-/// The loss of what a probe is asked about one episode, whose instructions were read in the order of the questions (none is
-/// for a probe that reads none): binary cross-entropy, and for a probe that looks for things, `pointing` times the cross-entropy of where it looks.
+/// Loss of a probe's questions on one episode, with instructions read in the order of the questions (`None` for a probe
+/// without instructions): binary cross-entropy and, for a grounded probe, `pointing` times the cross-entropy of its attention.
 pub(super) fn loss(
     model: &ProbeNetwork,
     sample: &Sample,
@@ -77,8 +77,8 @@ fn of_grounded(
     }
 }
 
-/// The mean over all targets, by their shares, of -log of the part of the attention (frames, questions, queries, places)
-/// that a query gives to its target; `None` where there are no targets.
+/// Weighted mean over all targets of -log of the attention (frames, questions, queries, places) of a query on its target;
+/// `None` without targets.
 pub(super) fn pointing_loss(
     attention: &Tensor,
     targets: &[(usize, Target)],
@@ -105,8 +105,8 @@ pub(super) fn pointing_loss(
     Ok(Some((losses * shares)?.sum_all()?))
 }
 
-/// The sum over questions of weight times max(x, 0) - x y + log(1 + exp(-|x|)): binary cross-entropy of logits, as
-/// PyTorch's `BCEWithLogitsLoss`.
+/// Sum over questions of weight times max(x, 0) - x y + log(1 + exp(-|x|)): binary cross-entropy of logits, as PyTorch's
+/// `BCEWithLogitsLoss`.
 pub(super) fn cross_entropy(logits: &Tensor, questions: &[Question]) -> Result<Tensor> {
     let column = |value: &dyn Fn(&Question) -> f64| {
         let values = questions.iter().map(|question| value(question) as f32);

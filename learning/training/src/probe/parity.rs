@@ -1,4 +1,4 @@
-//! Training steps of the success probes and their words against PyTorch.
+//! Training steps of the success probes and their word embeddings against PyTorch.
 
 use serde::Deserialize;
 
@@ -14,24 +14,24 @@ use crate::{
 };
 
 #[derive(Deserialize)]
-struct Asked {
+struct FixtureQuestion {
     instruction: String,
     answer: bool,
     shape: Vec<usize>,
 }
 
 /// A sample of one question.
-fn sample(number: usize, asked: &Asked) -> Sample {
+fn sample(number: usize, question: &FixtureQuestion) -> Sample {
     Sample {
-        latents: tensor(&format!("latents {number}"), &asked.shape, 1.5),
+        latents: tensor(&format!("latents {number}"), &question.shape, 1.5),
         episode: number,
         first_frame: 0,
-        frames: asked.shape[1],
+        frames: question.shape[1],
         frame_skip: 1,
         shift: [0; 2],
         questions: vec![Question {
-            instruction: asked.instruction.clone(),
-            answer: asked.answer,
+            instruction: question.instruction.clone(),
+            answer: question.answer,
             is_mismatch: false,
             weight: 1.0,
         }],
@@ -39,7 +39,7 @@ fn sample(number: usize, asked: &Asked) -> Sample {
 }
 
 #[test]
-fn a_step_is_pytorchs() {
+fn step_matches_pytorch() {
     let fixture = Fixture::open("probe");
     let fresh = FreshWeights::new(1);
     let loader = fresh.loader();
@@ -48,10 +48,10 @@ fn a_step_is_pytorchs() {
     let words = Text::words(&fixture.of("words"), &loader).unwrap();
     let variables = fresh.into_variables().0;
     fill(&variables);
-    let asked: Vec<Asked> = fixture.of("questions");
-    let losses = asked.iter().enumerate().map(|(number, asked)| {
-        let readings = [words.read(&asked.instruction).unwrap().unwrap()];
-        let sample = sample(number, asked);
+    let question: Vec<FixtureQuestion> = fixture.of("questions");
+    let losses = question.iter().enumerate().map(|(number, question)| {
+        let readings = [words.read(&question.instruction).unwrap().unwrap()];
+        let sample = sample(number, question);
         loss(&model, &sample, &readings, None, &mut Dropout::none()).unwrap()
     });
     let losses: Vec<Tensor> = losses.collect();
@@ -60,7 +60,7 @@ fn a_step_is_pytorchs() {
 }
 
 #[test]
-fn a_step_of_the_grounded_one_is_pytorchs() {
+fn step_of_the_grounded_probe_matches_pytorch() {
     let fixture = Fixture::open("probe--grounded");
     let fresh = FreshWeights::new(1);
     let loader = fresh.loader();
@@ -71,16 +71,16 @@ fn a_step_of_the_grounded_one_is_pytorchs() {
     let words = Text::words(&fixture.of("words"), &loader).unwrap();
     let variables = fresh.into_variables().0;
     fill(&variables);
-    let asked: Vec<Asked> = fixture.of("questions");
-    // All instructions are asked of the first episode.
-    let questions: Vec<Question> = asked
+    let question: Vec<FixtureQuestion> = fixture.of("questions");
+    // All instructions are questions on the first episode.
+    let questions: Vec<Question> = question
         .iter()
         .enumerate()
-        .flat_map(|(number, asked)| sample(number, asked).questions)
+        .flat_map(|(number, question)| sample(number, question).questions)
         .collect();
-    let seen = model.look(&sample(0, &asked[0]).latents).unwrap();
-    let read = asked.iter().map(|asked| {
-        let reading = words.read(&asked.instruction).unwrap().unwrap();
+    let seen = model.look(&sample(0, &question[0]).latents).unwrap();
+    let read = question.iter().map(|question| {
+        let reading = words.read(&question.instruction).unwrap().unwrap();
         model.read(&reading.features, None).unwrap()
     });
     let read: Vec<_> = read.collect();

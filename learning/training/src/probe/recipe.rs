@@ -8,16 +8,16 @@ use wm_zoo::{
 
 use crate::recipe::{Bundled, Optimisation, Span, is_recipe};
 
-/// The recipes that are part of the program.
+/// Embedded recipes.
 pub const RECIPES: Bundled = &[
     ("tiny", include_str!("../../recipes/tiny/probe.yaml")),
     ("paper", include_str!("../../recipes/paper/probe.yaml")),
 ];
 
-/// Every number of a training of the success probe; `recipes/*/probe.yaml` says what each is.
+/// Settings of probe training, explained in `recipes/*/probe.yaml`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-#[expect(missing_docs, reason = "the recipes say what each is")]
+#[expect(missing_docs, reason = "explained in the recipes")]
 pub struct ProbeRecipe {
     pub seed: u64,
     pub length: Span,
@@ -42,20 +42,20 @@ is_recipe!(ProbeRecipe);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ProbeKind {
-    /// The paper's.
+    /// The paper's transformer.
     Transformer,
-    /// The small one, which looks for what an instruction names.
+    /// A small network that attends to the things in an instruction.
     Grounded,
-    /// A linear layer on pooled latents, which reads no instruction.
+    /// A linear layer on pooled latents, without instructions.
     Linear,
-    /// A transformer block over pooled frames, which reads no instruction.
+    /// A transformer block over pooled frames, without instructions.
     Temporal,
 }
 
 /// Shape of the model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-#[expect(missing_docs, reason = "the recipes say what each is")]
+#[expect(missing_docs, reason = "explained in the recipes")]
 pub struct ProbeModelRecipe {
     pub kind: ProbeKind,
     pub text_features: usize,
@@ -77,12 +77,7 @@ pub struct ProbeModelRecipe {
 
 impl ProbeRecipe {
     pub(super) fn validate(&self) -> Result<()> {
-        ensure!(
-            self.micro_batch > 0 && self.batch.is_multiple_of(self.micro_batch),
-            "batch {} cannot be split into parts of micro_batch {}",
-            self.batch,
-            self.micro_batch
-        );
+        crate::recipe::check_batch(self.batch, self.micro_batch)?;
         for (name, share) in [
             ("successes", self.successes),
             ("mismatches", self.mismatches),
@@ -162,7 +157,7 @@ impl ProbeRecipe {
     }
 }
 
-/// The kind and the sizes of `old`, for latents of `space` and episodes of up to `max_frames` frames.
+/// Kind and sizes of `old`, for latents of `space` and episodes of up to `max_frames` frames.
 pub(super) fn resized(
     old: ProbeNetworkConfig,
     space: &LatentSpace,

@@ -47,9 +47,9 @@ fn small(name: &str, steps: u64) -> ProbeRecipe {
     }
 }
 
-/// Episodes that succeed if their level ended on the side that the instruction names.
+/// Episodes that succeed if their level ends on the side in the instruction.
 #[test]
-fn it_learns_what_an_instruction_asks_for() {
+fn training_learns_to_follow_instructions() {
     let dir = tempfile::tempdir().unwrap();
     let (train, held_out) = (labelled(dir.path(), 200, 1), labelled(dir.path(), 40, 2));
     let recipe = small("tiny", 400);
@@ -64,7 +64,7 @@ fn it_learns_what_an_instruction_asks_for() {
     println!("{found}");
     assert!(found.balanced() > 0.8, "{found}");
     assert!(found.mismatches.unwrap() > 0.8, "{found}");
-    // What was kept is the best of all validations.
+    // The kept weights are the best of all validations.
     let kept: Accuracy = weights.json(VALIDATION_KEY).unwrap();
     assert!(
         (kept.balanced() - found.balanced()).abs() < 1e-9,
@@ -72,7 +72,7 @@ fn it_learns_what_an_instruction_asks_for() {
     );
 }
 
-/// Of episodes that succeed if their level ended above zero, whatever they were told.
+/// Episodes that succeed if their level ends above zero, whatever the instruction.
 fn ended_high(dir: &Path, episodes: usize, seed: u64) -> Latents {
     let told = labelled(dir, episodes, seed);
     let mut list = told.episodes().to_vec();
@@ -86,7 +86,7 @@ fn ended_high(dir: &Path, episodes: usize, seed: u64) -> Latents {
 }
 
 #[test]
-fn probes_without_instructions_tell_outcomes_that_can_be_seen() {
+fn probes_without_instructions_learn_visible_outcomes() {
     let dir = tempfile::tempdir().unwrap();
     let (train, held_out) = (
         ended_high(dir.path(), 200, 1),
@@ -106,7 +106,7 @@ fn probes_without_instructions_tell_outcomes_that_can_be_seen() {
         println!("{name}: {kept}");
         assert!(kept.balanced() > least, "{name}: {kept}");
         assert_eq!(kept.mismatches, None);
-        // As a model's folder or `wm eval latents --probe` opens it.
+        // Opened as by a model's folder or `wm eval latents --probe`.
         let probe = SuccessClassifier::of_trained(weights, train.space()).unwrap();
         assert_eq!((probe.kind(), probe.reads_instructions()), (name, false));
         assert_eq!(probe.vocabulary(), None);
@@ -118,7 +118,7 @@ fn probes_without_instructions_tell_outcomes_that_can_be_seen() {
 }
 
 #[test]
-fn without_reading_instructions_there_must_be_failures() {
+fn probe_without_instructions_needs_failures() {
     let dir = tempfile::tempdir().unwrap();
     let told = labelled(dir.path(), 8, 1);
     let mut list = told.episodes().to_vec();
@@ -137,13 +137,13 @@ fn without_reading_instructions_there_must_be_failures() {
 }
 
 #[test]
-fn a_paused_training_gives_the_same_bytes() {
+fn paused_training_gives_the_same_bytes() {
     let dir = tempfile::tempdir().unwrap();
     let (train, held_out) = (labelled(dir.path(), 12, 1), labelled(dir.path(), 12, 2));
     for name in ["tiny", "paper"] {
         let run = |out: &Path, steps| {
             let mut recipe = small(name, steps);
-            // With a learning rate that does not depend on the length, it makes no difference where a run paused.
+            // A learning rate that does not depend on the length, so that pauses do not matter.
             recipe.optimisation.final_rate = 1.0;
             recipe.validate_every = 2;
             let run = run_in(out);
@@ -165,7 +165,7 @@ fn a_paused_training_gives_the_same_bytes() {
 }
 
 #[test]
-fn data_without_outcomes_are_refused_by_what_they_lack() {
+fn data_without_outcomes_are_rejected_by_name() {
     let dir = tempfile::tempdir().unwrap();
     let latents = moving(dir.path(), 2, 1);
     let run = run_in(dir.path());
@@ -175,7 +175,7 @@ fn data_without_outcomes_are_refused_by_what_they_lack() {
 }
 
 #[test]
-fn the_bundled_probe_judges_the_bundled_bag() {
+fn bundled_probe_judges_the_bundled_bag() {
     let bag = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../bags/tabletop");
     let dir = tempfile::tempdir().unwrap();
     let model = ModelFolder::open("tiny").unwrap();
@@ -198,7 +198,7 @@ fn the_bundled_probe_judges_the_bundled_bag() {
 }
 
 #[test]
-fn a_fine_tuned_probe_looks_at_the_grid_of_the_new_latents() {
+fn fine_tuned_probe_uses_the_new_grid() {
     let dir = tempfile::tempdir().unwrap();
     let latents = labelled(dir.path(), 4, 1);
     let (rows, columns, features) = latents.space().shape();
@@ -231,7 +231,7 @@ fn a_fine_tuned_probe_looks_at_the_grid_of_the_new_latents() {
 }
 
 #[test]
-fn latents_are_shifted_along_one_side_and_the_border_is_repeated() {
+fn latents_are_shifted_with_repeated_borders() {
     let rows = Tensor::new(&[[1.0f32, 2.0, 3.0], [4.0, 5.0, 6.0]], &Device::Cpu).unwrap();
     let found = |dim, by| shifted(&rows, dim, by).unwrap().to_vec2::<f32>().unwrap();
     assert_eq!(found(1, 1), [[1.0, 1.0, 2.0], [4.0, 4.0, 5.0]]);
@@ -240,7 +240,7 @@ fn latents_are_shifted_along_one_side_and_the_border_is_repeated() {
 }
 
 #[test]
-fn cross_entropy_is_that_of_the_probability() {
+fn cross_entropy_matches_the_probability() {
     let logits = [-2.0f32, 0.5, 90.0];
     for answer in [true, false] {
         let questions = [1.0, 0.5, 0.25].map(|weight| Question {
@@ -277,7 +277,7 @@ fn questions_have_their_shares() {
             let sample = episodes.draw(shares, &mut rng).unwrap();
             let sum: f64 = sample.questions.iter().map(|asked| asked.weight).sum();
             assert!((sum - 1.0).abs() < 1e-9, "{sum}");
-            // The instructions of the data are few, so that another episode often has the same.
+            // With few instructions, another episode often has the same.
             for (number, asked) in sample.questions.iter().enumerate() {
                 let kind = match (number, asked.answer) {
                     (0, true) => 0,
@@ -293,7 +293,7 @@ fn questions_have_their_shares() {
     }
 }
 
-/// A folder with a text tower of random weights, which still tells words apart.
+/// A folder with a text tower of random weights, which still separates words.
 fn text_tower(dir: &Path) -> PathBuf {
     let config = json!({"vocab_size": 8, "hidden_size": 16, "intermediate_size": 24, "num_hidden_layers": 1,
         "num_attention_heads": 2, "max_position_embeddings": 8});
@@ -327,7 +327,7 @@ fn text_tower(dir: &Path) -> PathBuf {
 }
 
 #[test]
-fn a_text_tower_reads_instructions() {
+fn text_tower_reads_instructions() {
     let dir = tempfile::tempdir().unwrap();
     let (train, held_out) = (labelled(dir.path(), 200, 1), labelled(dir.path(), 40, 2));
     let tower = text_tower(dir.path());
@@ -339,7 +339,7 @@ fn a_text_tower_reads_instructions() {
     println!("{kept}");
     assert!(kept.balanced() > 0.8, "{kept}");
 
-    // As the nodes read it: the tower is found where the weights say it is.
+    // As the nodes: the weights refer to the tower.
     let classifier = SuccessClassifier::of_trained(weights, held_out.space()).unwrap();
     let sample = Episodes::new(&held_out, 1, None)
         .all(1)

@@ -1,4 +1,4 @@
-//! What reads instructions for a probe in training.
+//! Readers of instructions for a probe in training.
 
 use std::{
     collections::BTreeMap,
@@ -12,17 +12,17 @@ use wm_zoo::{
     success_probe::{Reader, Reading, TEXT_TOWER_KEY, WORDS_KEY, WordEmbedding, WordsConfig},
 };
 
-/// What reads instructions.
+/// A reader of instructions.
 pub(super) enum Text {
-    /// A vocabulary whose features are learned with the probe.
+    /// A vocabulary with learned features.
     Words(WordEmbedding),
-    /// A frozen text tower, which has read each instruction once.
+    /// A frozen text tower, with each instruction read once.
     Tower(Tower),
-    /// Nothing: the probe reads no instruction.
+    /// No reader, for a probe without instructions.
     None,
 }
 
-/// Instructions as a frozen text tower reads them.
+/// Instructions read by a frozen text tower.
 pub(super) struct Tower {
     folder: PathBuf,
     readings: BTreeMap<String, Reading>,
@@ -31,7 +31,7 @@ pub(super) struct Tower {
 }
 
 impl Tower {
-    /// Has the text tower of `folder` read all of these.
+    /// Reads all instructions with the text tower of `folder`.
     pub(super) fn read<'a>(
         folder: &Path,
         instructions: impl Iterator<Item = &'a str>,
@@ -67,7 +67,7 @@ impl Text {
         Ok(Self::Words(WordEmbedding::load(config, loader)?))
     }
 
-    /// What a probe makes of an instruction; `None` where it reads none.
+    /// Features of an instruction; `None` without a reader.
     pub(super) fn read(&self, instruction: &str) -> Result<Option<Reading>> {
         match self {
             Self::Words(words) => Ok(Some(Reading {
@@ -83,7 +83,7 @@ impl Text {
         }
     }
 
-    /// Tells a file of weights what reads for the probe.
+    /// Adds the reader to a weights file.
     pub(super) fn describe(&self, weights: &mut WeightsBuilder) -> Result<()> {
         let (key, value) = match self {
             Self::Words(words) => (WORDS_KEY, serde_json::to_string(words.config())?),
@@ -94,7 +94,7 @@ impl Text {
         Ok(())
     }
 
-    /// How it is told of.
+    /// Description for messages.
     pub(super) fn summary(&self) -> String {
         match self {
             Self::Words(words) => format!("{} words", words.config().vocabulary.len()),

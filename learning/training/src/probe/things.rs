@@ -5,44 +5,43 @@ use wm_zoo::success_probe::{GroundedProbeConfig, words};
 
 use super::episodes::Sample;
 
-/// The words of a thing's name.
+/// Words of a thing's name.
 type Name = Vec<String>;
 
-/// Where the things are that instructions name, from the masks of the data and what their values mean.
+/// Locations of the things named by instructions, from the masks and their labels.
 pub(super) struct Things<'a> {
     dataset: &'a Dataset,
-    /// All that are named in any episode.
+    /// All names in any episode.
     names: BTreeSet<Name>,
 }
 
-/// Where a query is to point in a frame: a thing lies between up to four places.
+/// Target of a query in a frame: a thing lies between up to four places.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Target {
-    /// Of those that are looked at.
+    /// Index among the frames read.
     pub frame: usize,
-    /// The query's number: the thing's place among those that the instruction names.
+    /// Index of the query: the thing's position in the instruction.
     pub query: usize,
-    /// A place on the grid of the latents, row by row.
+    /// Place on the grid of the latents, row-major.
     pub place: usize,
-    /// The share of the attention that it is to have, more than 0.
+    /// Share of the attention, above 0.
     pub share: f64,
 }
 
 impl<'a> Things<'a> {
-    /// `None` where no bag says what its masks' values mean.
+    /// `None` if no bag labels its masks.
     pub(super) fn of(dataset: &'a Dataset) -> Option<Self> {
         let labels = dataset.episodes().iter().flat_map(|e| e.labels.values());
         let names: BTreeSet<Name> = labels.map(|name| words(name)).collect();
         (!names.is_empty()).then_some(Self { dataset, names })
     }
 
-    /// How many different things are named.
+    /// Number of different things.
     pub(super) fn count(&self) -> usize {
         self.names.len()
     }
 
-    /// Where the queries of a probe are to point in an episode under an instruction. What an instruction names but
-    /// nothing shows has no target.
+    /// Targets of a probe's queries in an episode under an instruction. Things without a mask have no target.
     pub(super) fn targets(
         &self,
         sample: &Sample,
@@ -79,7 +78,7 @@ impl<'a> Things<'a> {
         targets
     }
 
-    /// The things that an instruction names, in its order.
+    /// Things named by an instruction, in order.
     fn mentioned(&self, instruction: &str) -> Vec<&Name> {
         let words = words(instruction);
         let mut found = Vec::new();
@@ -98,14 +97,13 @@ impl<'a> Things<'a> {
     }
 }
 
-/// The value of each thing in the masks of an episode.
+/// Mask values of the things in an episode.
 fn values(episode: &Episode) -> BTreeMap<Name, u8> {
     let labels = episode.labels.iter();
     labels.map(|(value, name)| (words(name), *value)).collect()
 }
 
-/// The middle of the pixels with a value, from 0 at the upper and left border to 1 at the others; `None` where there are
-/// none.
+/// Centre of the pixels with a value, from 0 at the upper and left border to 1 at the others; `None` without such pixels.
 fn middle(mask: &[u8], (height, width): (usize, usize), value: u8) -> Option<[f64; 2]> {
     let (mut count, mut down, mut right) = (0, 0, 0);
     for (y, row) in mask.chunks_exact(width).enumerate() {
@@ -119,8 +117,7 @@ fn middle(mask: &[u8], (height, width): (usize, usize), value: u8) -> Option<[f6
     (count > 0).then(|| [mean(down, height), mean(right, width)])
 }
 
-/// The places of a grid around a point that is moved by `shift` places, with shares by which their mean is the point: those
-/// of bilinear interpolation.
+/// Grid places around a point moved by `shift` places, with the shares of bilinear interpolation.
 fn around(
     [down, right]: [f64; 2],
     [rows, columns]: [usize; 2],
@@ -149,7 +146,7 @@ mod tests {
     use wm_dataset::testing::write_masked;
 
     #[test]
-    fn queries_point_at_what_the_instruction_names_in_its_order() {
+    fn queries_point_at_named_things_in_order() {
         let dir = tempfile::tempdir().unwrap();
         let bags = dir.path().join("bags");
         write_masked(&bags.join("episode_000000"), 5);
@@ -179,7 +176,7 @@ mod tests {
             shift: [0; 2],
             questions: Vec::new(),
         };
-        // The middle of a mask of one value lies between four places, and the number of the frame is the value.
+        // The centre of a mask of one value lies between four places; the value is the frame's number.
         let targets = |instruction: &str| {
             let targets = things.targets(&sample, instruction, &config);
             for four in targets.chunks(4) {
@@ -193,13 +190,13 @@ mod tests {
         };
         let found = targets("Put the blue box, then the red ball down.");
         assert_eq!(found, [(2, 1), (3, 0)]);
-        // The third thing has no query, and nothing is known of the green cup.
+        // The third thing has no query, and the green cup is unknown.
         let found = targets("the gripper puts the red ball on the blue box in the green cup");
         assert_eq!(found, [(1, 0), (2, 1)]);
     }
 
     #[test]
-    fn the_places_around_the_middle_have_it_as_their_mean() {
+    fn weighted_mean_of_places_is_the_centre() {
         let mut mask = vec![0; 8 * 12];
         for (y, x) in [(4, 8), (4, 9), (5, 8), (5, 9)] {
             mask[y * 12 + x] = 3;
@@ -207,7 +204,7 @@ mod tests {
         assert_eq!(middle(&mask, (8, 12), 2), None);
         let found = middle(&mask, (8, 12), 3).unwrap();
         assert_eq!(found, [5.0 / 8.0, 9.0 / 12.0]);
-        // In units of places, whose middles are at halves: 2.5 down and 4.5 to the right.
+        // In units of places with centres at halves: 2.5 down and 4.5 to the right.
         assert_eq!(around(found, [4, 6], [0; 2]), [(2 * 6 + 4, 1.0)]);
         assert_eq!(around([0.5, 0.75], [4, 6], [0; 2]), [(10, 0.5), (16, 0.5)]);
         assert_eq!(around([0.0, 1.0], [4, 6], [0; 2]), [(5, 1.0)]);

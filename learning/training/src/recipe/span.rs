@@ -2,7 +2,7 @@ use std::{fmt, str::FromStr};
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error as _};
 
-/// A stretch of a training: `1400 steps`, or `100 epochs`; an epoch is one random sample of each episode.
+/// A length of training: `1400 steps`, or `100 epochs`; an epoch is one random sample of each episode.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Span {
     /// Optimiser steps.
@@ -12,7 +12,7 @@ pub enum Span {
 }
 
 impl Span {
-    /// The number of optimiser steps, of which an epoch has `per_epoch`.
+    /// Number of optimiser steps, with `per_epoch` steps per epoch.
     #[must_use]
     pub fn steps(&self, per_epoch: f64) -> u64 {
         match self {
@@ -74,7 +74,7 @@ mod tests {
     use super::Span;
 
     #[test]
-    fn steps_and_epochs_are_told_by_their_word() {
+    fn steps_and_epochs_are_parsed() {
         assert_eq!("1400 steps".parse(), Ok(Span::Steps(1400)));
         assert_eq!("0.5 epochs".parse(), Ok(Span::Epochs(0.5)));
         assert_eq!(Span::Epochs(3.0).steps(12.5), 38);

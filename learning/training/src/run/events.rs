@@ -1,5 +1,5 @@
-//! Event files of TensorBoard: TFRecords of `tensorflow.Event` messages (tensorflow/core/util/event.proto and
-//! tensorflow/core/framework/summary.proto), of which this is the part that scalars and pictures need.
+//! TensorBoard event files: TFRecords of `tensorflow.Event` messages (tensorflow/core/util/event.proto and
+//! tensorflow/core/framework/summary.proto), with the parts for scalars and pictures.
 
 use std::{
     fs::{self, File},
@@ -56,13 +56,13 @@ struct Picture {
     encoded_image_string: Vec<u8>,
 }
 
-/// The event file of one run of a training; a training that resumes begins a further one.
+/// Event file of one run of a training; each resumed run starts a further file.
 pub(super) struct Events {
     file: BufWriter<File>,
 }
 
 impl Events {
-    /// A new file in `OUT/NAME.events`, the folder that TensorBoard is to be given.
+    /// A new file in `OUT/NAME.events`, the folder for TensorBoard.
     pub(super) fn create(out: &Path, name: &str) -> Result<Self> {
         let folder = out.join(format!("{name}.events"));
         let now = now();
@@ -82,7 +82,7 @@ impl Events {
         Ok(events)
     }
 
-    /// A step was taken.
+    /// Records a step.
     pub(super) fn step(&mut self, step: u64, found: &StepLoss, norm: f64, rate: f64) -> Result<()> {
         let own = [
             ("loss", f64::from(found.loss)),
@@ -94,14 +94,14 @@ impl Events {
         self.summary(step, values.collect())
     }
 
-    /// The model was measured.
+    /// Records a validation.
     pub(super) fn validated(&mut self, step: u64, figures: &[Figure]) -> Result<()> {
         let figures = figures.iter();
         let values = figures.map(|f| scalar(format!("validation/{}", f.name), f.value));
         self.summary(step, values.collect())
     }
 
-    /// Samples of the model.
+    /// Records samples of the model.
     pub(super) fn picture(&mut self, step: u64, picture: &RgbImage) -> Result<()> {
         let mut png = Cursor::new(Vec::new());
         picture.write_to(&mut png, ImageFormat::Png)?;
@@ -131,7 +131,7 @@ impl Events {
         })
     }
 
-    /// As a TFRecord: length, its checksum, the message, its checksum.
+    /// Writes a TFRecord: length, its checksum, the message, its checksum.
     fn write(&mut self, event: &Event) -> Result<()> {
         let message = event.encode_to_vec();
         let length = (message.len() as u64).to_le_bytes();
@@ -151,8 +151,7 @@ fn scalar(tag: String, value: f64) -> Value {
     }
 }
 
-/// The checksum of TFRecords (tensorflow/core/lib/hash/crc32c.h): rotated, so that one of data with checksums in them is
-/// as good as any.
+/// The masked checksum of TFRecords (tensorflow/core/lib/hash/crc32c.h), which stays good for data with checksums inside.
 fn masked(bytes: &[u8]) -> u32 {
     crc32c::crc32c(bytes)
         .rotate_right(15)
@@ -169,7 +168,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_written_is_read_again_record_by_record() {
+    fn events_round_trip() {
         let dir = tempfile::tempdir().unwrap();
         let mut events = Events::create(dir.path(), "a_run").unwrap();
         let found = StepLoss {
@@ -213,9 +212,9 @@ mod tests {
         assert!(image::load_from_memory(&picture.encoded_image_string).is_ok());
     }
 
-    /// Of the check value of CRC-32C, RFC 3720 appendix B.4, 32 bytes of zeros.
+    /// Check value of CRC-32C, RFC 3720 appendix B.4, 32 zero bytes.
     #[test]
-    fn the_checksum_is_that_of_tfrecords() {
+    fn checksum_matches_tfrecords() {
         let crc: u32 = 0x8a91_36aa;
         let expected = crc.rotate_right(15).wrapping_add(0xa282_ead8);
         assert_eq!(masked(&[0; 32]), expected);

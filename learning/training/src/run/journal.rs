@@ -14,8 +14,8 @@ use wm_evaluation::Figure;
 
 use super::StepLoss;
 
-/// What a run has seen, on disk as `NAME.journal.jsonl`: a JSON object per line, one per step
-/// (`{"step", "loss", "gradient_norm", "learning_rate", PART...}`) and one per validation
+/// The history of a run, on disk as `NAME.journal.jsonl`: one JSON object per step
+/// (`{"step", "loss", "gradient_norm", "learning_rate", PART...}`) and per validation
 /// (`{"step", "validation": {NAME: VALUE}}`).
 #[derive(Debug, Default)]
 pub struct Journal {
@@ -41,7 +41,7 @@ enum Entry {
 }
 
 impl Entry {
-    /// Number of steps that were done when it was made.
+    /// Steps completed by then.
     fn done(&self) -> u64 {
         match self {
             Self::Validation { step, .. } => *step,
@@ -51,11 +51,11 @@ impl Entry {
 }
 
 impl Journal {
-    /// Reads the journal that [`Self::write`] left in `folder` for the training `name`, as far as `done` steps; empty
-    /// where there is none.
+    /// Reads the journal that [`Self::write`] wrote into `folder` for the training `name`, up to `done` steps; empty if
+    /// missing.
     ///
     /// # Errors
-    /// When the file exists but cannot be read or is no journal.
+    /// If the file exists but is unreadable or invalid.
     pub fn resume(folder: &Path, name: &str, done: u64) -> Result<Self> {
         let path = file(folder, name);
         let mut entries = Vec::new();
@@ -76,7 +76,7 @@ impl Journal {
         Ok(Self { name, entries })
     }
 
-    /// A step was taken.
+    /// Records a step.
     pub fn step(&mut self, step: u64, found: &StepLoss, gradient_norm: f64, learning_rate: f64) {
         let parts = found.parts.iter();
         self.entries.push(Entry::Step {
@@ -90,7 +90,7 @@ impl Journal {
         });
     }
 
-    /// The model was measured after `step` steps.
+    /// Records a validation after `step` steps.
     pub fn validated(&mut self, step: u64, figures: Vec<Figure>) {
         let figures = figures.into_iter();
         self.entries.push(Entry::Validation {
@@ -99,7 +99,7 @@ impl Journal {
         });
     }
 
-    /// The mean of the last `n` losses; NaN where there are none.
+    /// Mean of the last `n` losses; NaN without any.
     #[must_use]
     pub fn recent_mean(&self, n: usize) -> f32 {
         let losses = self.entries.iter().rev().filter_map(|entry| match entry {
@@ -117,10 +117,10 @@ impl Journal {
     /// Writes `NAME.journal.jsonl` and the loss curve `NAME.loss.svg` into `folder`.
     ///
     /// # Errors
-    /// When a file cannot be written.
+    /// If a file cannot be written.
     pub fn write(&self, folder: &Path) -> Result<()> {
         let path = file(folder, &self.name);
-        // In one move: half a journal could not be resumed from.
+        // An atomic rename: half a journal is useless.
         let partial = path.with_extension("partial");
         let write = || -> std::io::Result<()> {
             let mut out = BufWriter::new(File::create(&partial)?);
@@ -137,7 +137,7 @@ impl Journal {
             .map_err(|error| anyhow::anyhow!("{}: {error}", picture.display()))
     }
 
-    /// The raw losses in light red, their moving average in blue, on a logarithmic scale.
+    /// Draws raw losses in light red and their moving average in blue, on a logarithmic scale.
     fn draw(&self, path: &Path) -> Result<(), Box<dyn std::error::Error>> {
         let losses = self.entries.iter().filter_map(|entry| match entry {
             Entry::Step { step, loss, .. } if loss.is_finite() && *loss > 0.0 => {
@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_drawn_and_resumed_without_what_is_done_again() {
+    fn journal_is_drawn_and_resumed_up_to_the_checkpoint() {
         let dir = tempfile::tempdir().unwrap();
         let mut journal = Journal::resume(dir.path(), "a_run", 0).unwrap();
         for step in 0..50 {
@@ -218,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn an_empty_one_is_drawn_and_a_broken_one_is_refused_by_line() {
+    fn empty_journal_is_drawn_and_broken_line_named() {
         let dir = tempfile::tempdir().unwrap();
         Journal::default().write(dir.path()).unwrap();
         std::fs::write(file(dir.path(), "a_run"), "nonsense\n").unwrap();

@@ -1,6 +1,6 @@
 use std::time::{Duration, Instant};
 
-/// Steps after which time and memory are told: the first ones warm caches and allocator up.
+/// Steps until time and memory are printed: the first ones warm up caches and allocator.
 const MEASURED_STEPS: u64 = 4;
 
 /// The progress of a run.
@@ -8,7 +8,7 @@ pub(super) struct Progress {
     told: wm_program::progress::Progress,
     steps: u64,
     done: u64,
-    /// When it began, and the steps since.
+    /// Time and step of the start.
     since: (Instant, u64),
 }
 
@@ -24,7 +24,7 @@ impl Progress {
         }
     }
 
-    /// A step is done.
+    /// Reports a step.
     pub(super) fn step(&mut self, line: &str) {
         self.done += 1;
         self.since.1 += 1;
@@ -38,18 +38,18 @@ impl Progress {
             self.say(&format!(
                 "{per_step:.1?} per step{memory}: about {left} left"
             ));
-            // The first steps are slower than the others.
+            // The first steps are slower.
             self.told.resume_at(self.done);
         }
     }
 
-    /// A line of its own.
+    /// Prints a separate line.
     pub(super) fn say(&self, line: &str) {
         self.told.suspend(|| println!("{line}"));
     }
 }
 
-/// The most memory that this process has had \[GiB\], as Linux counts it.
+/// Peak memory of this process \[GiB\], from Linux.
 fn peak_memory() -> Option<f64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status

@@ -5,21 +5,21 @@ use std::sync::{
 
 use anyhow::{Context as _, Result};
 
-/// Whether a run is to end. Clones share one answer.
+/// A request to end a run; clones share it.
 #[derive(Clone, Debug, Default)]
 pub struct Stop(Arc<AtomicBool>);
 
 impl Stop {
-    /// Asked for by SIGINT, SIGTERM or SIGHUP; a second one ends the process at once.
+    /// Set by SIGINT, SIGTERM or SIGHUP; a second signal ends the process at once.
     ///
     /// # Errors
-    /// If the handler cannot be set, or there is one already.
+    /// If the handler cannot be set, or exists already.
     pub fn on_signals() -> Result<Self> {
         let stop = Self::default();
         let of_handler = stop.clone();
         ctrlc::set_handler(move || {
             if of_handler.0.swap(true, Ordering::SeqCst) {
-                // As a shell reports a process that SIGINT ended.
+                // Exit code of a process ended by SIGINT, as in a shell.
                 std::process::exit(130);
             }
             eprintln!(
@@ -30,12 +30,12 @@ impl Stop {
         Ok(stop)
     }
 
-    /// Asks for the end.
+    /// Requests the end.
     pub fn ask(&self) {
         self.0.store(true, Ordering::SeqCst);
     }
 
-    /// Whether it was asked for.
+    /// Whether the end is requested.
     #[must_use]
     pub fn is_asked(&self) -> bool {
         self.0.load(Ordering::SeqCst)

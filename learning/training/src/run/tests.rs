@@ -8,7 +8,7 @@ use super::*;
 struct Descent {
     at: Vec<f32>,
     broken: std::ops::Range<u64>,
-    /// Asked to stop at this step.
+    /// Sets `Stop` at this step.
     stop: Option<(u64, Stop)>,
     written: Vec<f32>,
 }
@@ -60,7 +60,7 @@ impl Task for Descent {
         })
     }
 
-    fn assign(&mut self, weights: &mut dyn Iterator<Item = Trained<'_>>) -> Result<()> {
+    fn assign(&mut self, weights: &mut dyn Iterator<Item = ParameterValues<'_>>) -> Result<()> {
         let weights = weights.next().context("weights")?;
         ensure!(weights.name == "at");
         self.at = weights.values.to_vec();
@@ -69,7 +69,7 @@ impl Task for Descent {
 
     fn write(
         &mut self,
-        averaged: &mut dyn Iterator<Item = Trained<'_>>,
+        averaged: &mut dyn Iterator<Item = ParameterValues<'_>>,
         folder: &Path,
     ) -> Result<()> {
         self.written = averaged.next().context("weights")?.values.to_vec();
@@ -95,11 +95,11 @@ fn settings(out: &Path, steps: u64) -> RunSettings {
 }
 
 #[test]
-fn a_run_that_is_stopped_and_resumed_gives_the_same_bytes() {
+fn stopped_and_resumed_run_gives_the_same_bytes() {
     let dir = tempfile::tempdir().unwrap();
     let (whole, parts) = (dir.path().join("whole"), dir.path().join("parts"));
     let ended = train(&mut descent(), &settings(&whole, 40), &Stop::default()).unwrap();
-    assert_eq!(ended, Ended::Finished);
+    assert_eq!(ended, RunEnd::Finished);
 
     let stop = Stop::default();
     let mut first = Descent {
@@ -107,8 +107,8 @@ fn a_run_that_is_stopped_and_resumed_gives_the_same_bytes() {
         ..descent()
     };
     let ended = train(&mut first, &settings(&parts, 40), &stop).unwrap();
-    assert_eq!(ended, Ended::Stopped);
-    // What there is by then is written, and marked.
+    assert_eq!(ended, RunEnd::Stopped);
+    // The state so far is written, and marked.
     let mark = Unfinished {
         part: "descent".to_owned(),
         step: 21,
@@ -130,14 +130,14 @@ fn a_run_that_is_stopped_and_resumed_gives_the_same_bytes() {
         assert_eq!(read(&whole), read(&parts), "{file}");
     }
 
-    // More steps than before go on; fewer are refused.
+    // More steps than before continue; fewer are rejected.
     train(&mut descent(), &settings(&parts, 50), &Stop::default()).unwrap();
     let error = train(&mut descent(), &settings(&parts, 10), &Stop::default()).unwrap_err();
     assert!(error.to_string().contains("50 steps are taken"), "{error}");
 }
 
 #[test]
-fn a_step_that_is_not_finite_is_skipped_and_ten_in_a_row_end_the_run() {
+fn infinite_step_is_skipped_and_ten_in_a_row_end_the_run() {
     let dir = tempfile::tempdir().unwrap();
     let mut task = Descent {
         broken: 5..8,
@@ -160,12 +160,12 @@ fn a_step_that_is_not_finite_is_skipped_and_ten_in_a_row_end_the_run() {
         error.contains("10 steps in a row") && error.contains("last good checkpoint"),
         "{error}"
     );
-    // The one of step 15, from which a run with better luck goes on.
+    // The checkpoint of step 15, from which a later run continues.
     train(&mut descent(), &settings(&out, 40), &Stop::default()).unwrap();
 }
 
 #[test]
-fn a_checkpoint_of_other_settings_is_refused_by_what_differs() {
+fn checkpoint_of_other_settings_is_rejected_by_difference() {
     let dir = tempfile::tempdir().unwrap();
     train(&mut descent(), &settings(dir.path(), 10), &Stop::default()).unwrap();
     let other = RunSettings {
@@ -180,9 +180,9 @@ fn a_checkpoint_of_other_settings_is_refused_by_what_differs() {
     );
 }
 
-/// A model that is fine-tuned into its own folder, or a mistyped folder, loses nothing.
+/// A fine-tuning into its own folder, or a mistyped folder, loses nothing.
 #[test]
-fn files_of_no_training_of_ours_are_not_replaced() {
+fn foreign_files_are_not_replaced() {
     let dir = tempfile::tempdir().unwrap();
     let theirs = dir.path().join("weights");
     std::fs::write(&theirs, "theirs").unwrap();

@@ -5,36 +5,36 @@ use wm_dataset::HeldOutArgs;
 
 use crate::arguments::RunArgs;
 
-/// Trains the transition model on bags of episodes, with the latents of a frozen encoder.
+/// Train the transition model on bags, with the latents of a frozen encoder
 #[derive(Clone, Debug, Args)]
 pub struct TrainTransitionArgs {
-    /// What every training has.
+    /// Options of every training.
     #[command(flatten)]
     pub run: RunArgs,
-    /// The model whose frozen encoder makes the latents: tiny, or a model's folder.
+    /// Model whose frozen encoder makes the latents: tiny, or a model's folder
     #[arg(long, visible_alias = "autoencoder")]
     pub encoder: String,
 }
 
-/// Evaluates a trained transition model on held-out bags.
+/// Evaluate a trained transition model on held-out bags
 #[derive(Clone, Debug, Args)]
 pub struct EvaluateTransitionArgs {
-    /// What to measure on.
+    /// Evaluation data.
     #[command(flatten)]
     pub on: HeldOutArgs,
-    /// The model whose frozen encoder makes the latents: tiny, or a model's folder.
+    /// Model whose frozen encoder makes the latents: tiny, or a model's folder
     #[arg(long, visible_alias = "autoencoder")]
     pub encoder: String,
-    /// Weights of the transition model.
+    /// Weights of the transition model
     #[arg(long)]
     pub weights: PathBuf,
-    /// Maximum number of windows to evaluate.
+    /// Most windows
     #[arg(long, default_value_t = usize::MAX)]
     pub windows: usize,
-    /// Other numbers of Euler steps to evaluate.
+    /// Other numbers of Euler steps
     #[arg(long, value_delimiter = ',')]
     pub sampling_steps: Vec<usize>,
-    /// Number of one-step plans from zero, to measure how well they recover the true action.
+    /// Number of one-step plans from zero, for the recovery of true actions
     #[arg(long, default_value_t = 24)]
     pub plans: usize,
 }

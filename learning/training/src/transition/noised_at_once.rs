@@ -1,5 +1,5 @@
-//! Diffusion forcing, the paper's objective (equation "flow matching" and appendix B.3, "Training hyperparameters"): the
-//! frames after the history are noised all at once, each at a level of its own, and see each other so.
+//! Diffusion forcing, the paper's objective (equation "flow matching" and appendix B.3, "Training hyperparameters"):
+//! the frames after the history are noised at once, each at its own level, and see each other.
 
 use anyhow::Result;
 use candle_core::{D, DType, Tensor};
@@ -7,7 +7,7 @@ use wm_model::transition::{ActionAlignment, TemporalPattern, Transition};
 
 use super::objective::Draws;
 
-/// Mean squared error of the velocity noise - z over the frames after the `past` first of clips (B, n, h, w, C) with the
+/// Mean squared error of the velocity noise - z over the frames after the first `past` of clips (B, n, h, w, C), with the
 /// actions (B, n, A) of their frames.
 pub(super) fn loss(
     model: &Transition,

@@ -12,13 +12,13 @@ use wm_model::{
 
 use super::noised_at_once;
 
-/// Smallest noise level that is trained on: the velocity of the residual parametrisation is divided by it.
+/// Least trained noise level: the velocity of the residual parametrisation is divided by it.
 const SMALLEST_TAU: f64 = 0.01;
 
-/// Noise level at which the weight of a clean-frame error stops rising towards that of a velocity error, 1 / tau^2.
+/// Noise level at which the weight of a clean-frame error stops rising to that of a velocity error, 1 / tau^2.
 const SOFTENING: f64 = 0.4;
 
-/// How noise levels are drawn, before the time shift.
+/// Distribution of noise levels before the time shift.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TauDistribution {
@@ -28,58 +28,53 @@ pub enum TauDistribution {
     LogitNormal,
 }
 
-/// What the frames to be learned see of one another.
+/// What learned frames see of each other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Forcing {
-    /// Each sees the clean frames before it: as the model is used.
+    /// Clean predecessors: as in use.
     Teacher,
-    /// All are noised at once, each at its own level, and see each other so: the paper's (diffusion forcing).
+    /// Each other's noisy frames, each at its own level: the paper's diffusion forcing.
     Diffusion,
 }
 
-/// What is minimised; `recipes/*/transition.yaml` says what each is.
+/// The objective, explained in `recipes/*/transition.yaml`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ObjectiveRecipe {
-    /// What the frames to be learned see of one another.
+    /// What learned frames see of each other.
     pub forcing: Forcing,
-    /// Frames at the start of a clip that are given, not learned.
+    /// Given frames at the start of a clip.
     pub history: usize,
-    /// How noise levels are drawn.
+    /// Distribution of noise levels.
     pub tau: TauDistribution,
     /// Standard deviation of the noise level s that history frames get: (z + s noise) / sqrt(1 + s^2).
     pub history_noise: f64,
-    /// Part of the clips whose history holds the model's own predictions in place of the later frames.
+    /// Share of the clips whose history has the model's own predictions for its later frames.
     pub own_history: f64,
-    /// Part of the clips that are given the null action.
+    /// Share of the clips with the null action.
     pub action_dropout: f64,
 }
 
-/// What is minimised, on what clips.
+/// The objective with its clips.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Objective {
-    /// Clips a step.
+    /// Clips per step.
     pub clips: usize,
-    /// Clips that are computed together.
+    /// Clips computed together.
     pub micro_batch: usize,
     /// Time shift of the drawn noise levels.
     pub shift: f64,
     /// Seed of clips and noise.
     pub seed: u64,
-    /// What is minimised.
+    /// The objective.
     pub recipe: ObjectiveRecipe,
 }
 
 impl Objective {
     pub(crate) fn validate(&self, config: &TransitionConfig) -> Result<()> {
         let recipe = &self.recipe;
-        ensure!(
-            self.micro_batch > 0 && self.clips > 0 && self.clips.is_multiple_of(self.micro_batch),
-            "batch {} cannot be split into parts of micro_batch {}",
-            self.clips,
-            self.micro_batch
-        );
+        crate::recipe::check_batch(self.clips, self.micro_batch)?;
         ensure!(
             (1..config.max_frames).contains(&recipe.history),
             "objective.history is {}: clips of {} frames have no frame to learn after it",
@@ -114,7 +109,7 @@ impl Objective {
         Ok(())
     }
 
-    /// The loss of one small batch of random clips.
+    /// Loss of one small batch of random clips.
     pub(super) fn loss(
         &self,
         model: &Transition,
@@ -131,7 +126,7 @@ impl Objective {
         batch.loss_after(model, own, self.recipe.history)
     }
 
-    /// Clips (B, n, h, w, C) with the actions (B, n, A) of their frames, some of which are the null action.
+    /// Clips (B, n, h, w, C) with the actions (B, n, A) of their frames; some have the null action.
     pub(crate) fn draw_clips(
         &self,
         clips: &ClipSource<'_>,
@@ -145,7 +140,7 @@ impl Objective {
         Ok((latents, actions))
     }
 
-    /// The random numbers of the loss of clips of these dimensions, (B, n, h, w, C).
+    /// Random numbers for the loss of clips of these dimensions, (B, n, h, w, C).
     fn draw(&self, clips: &[usize], device: &Device, rng: &mut ChaCha8Rng) -> Result<Draws> {
         let &[b, n, h, w, c] = clips else {
             bail!("clips of dimensions {clips:?}, expected (B, n, h, w, C)");
@@ -183,20 +178,20 @@ impl Objective {
     }
 }
 
-/// The random numbers of a loss, for B clips of n frames, of which H are history.
+/// Random numbers of a loss, for B clips of n frames, H of them history.
 pub(super) struct Draws {
     /// Noise level s of each clean frame: (B, n - 1) under teacher forcing, (B, H) under diffusion forcing.
     pub(super) history_levels: Tensor,
-    /// What is added to these frames at that level.
+    /// Noise added to these frames at that level.
     pub(super) history_noise: Tensor,
-    /// (B, n - H, h, w, C), for the frames to be learned.
+    /// (B, n - H, h, w, C), for the learned frames.
     pub(super) noise: Tensor,
     /// (B, n - H).
     pub(super) tau: Tensor,
 }
 
 impl Draws {
-    /// Frames as history: a little noise of a level of its own for each.
+    /// Frames as history, each with a little noise at its own level.
     pub(super) fn as_history(&self, clean: &Tensor) -> Result<Tensor> {
         let (b, n) = self.history_levels.dims2()?;
         let levels = self.history_levels.reshape((b, n, 1, 1, 1))?;
@@ -205,8 +200,8 @@ impl Draws {
     }
 }
 
-/// Clips laid out as the model is used: all frames but the last are clean history, each seen by the later ones; the
-/// frames to be learned come once more, noisy, each seeing the clean ones before it and itself.
+/// Clips arranged as the model is used: all frames except the last are clean history, seen by later ones; the learned frames
+/// come again, noisy, and see the earlier clean ones and themselves.
 pub(crate) struct Batch {
     /// (B, n - 1, h, w, C): frames 0..n - 1, slightly noised.
     pub(crate) history: Tensor,
@@ -215,7 +210,7 @@ pub(crate) struct Batch {
     pub(crate) noise: Tensor,
     /// (B, n - H).
     tau: Tensor,
-    /// (B, n - 1 + n - H, A): what is fed with each frame.
+    /// (B, n - 1 + n - H, A), by frame.
     actions: Tensor,
 }
 
@@ -233,7 +228,7 @@ impl Batch {
         Self::new(alignment, (&latents, &actions), &draws, past)
     }
 
-    /// Of clips (B, n, h, w, C) with the actions (B, n, A) of their frames.
+    /// From clips (B, n, h, w, C) with the actions (B, n, A) of their frames.
     fn new(
         alignment: ActionAlignment,
         (latents, actions): (&Tensor, &Tensor),
@@ -243,7 +238,7 @@ impl Batch {
         let n = latents.dim(1)?;
         let later = n - past;
         let actions = match alignment {
-            // Every frame carries its own action, those to be learned too, as in the authors' release.
+            // Every frame carries its own action, learned ones too, as in the authors' release.
             ActionAlignment::WithFrame => Tensor::cat(
                 &[
                     actions.narrow(1, 0, n - 1)?,
@@ -270,7 +265,7 @@ impl Batch {
         })
     }
 
-    /// The loss after the clips' own history, or after what the model itself makes of it.
+    /// Loss after the clips' own history, or after the model's predictions of it.
     fn loss_after(&self, model: &Transition, own: bool, past: usize) -> Result<Tensor> {
         let history = if own {
             self.with_predictions(model, past)?
@@ -289,8 +284,8 @@ impl Batch {
             }
             Parametrisation::Residual => {
                 let predicted = (output + self.previous(history, past)?)?;
-                // An error of the clean frame is one of the velocity times tau. Dividing by all of it would spend the
-                // training on small noise levels, where there is little left to predict.
+                // An error of the clean frame is the velocity's times tau. Full division would spend the training on small noise
+                // levels, with little left to predict.
                 let weight = (tau.sqr()? + SOFTENING * SOFTENING)?.recip()?;
                 let error = (predicted - &self.target)?.sqr()?;
                 Ok(error.broadcast_mul(&weight)?.mean_all()?)
@@ -298,7 +293,7 @@ impl Batch {
         }
     }
 
-    /// The network's output at the noisy frames, those frames, and tau as (B, n - H, 1, 1, 1).
+    /// Output of the network at the noisy frames, these frames, and tau as (B, n - H, 1, 1, 1).
     fn output(
         &self,
         model: &Transition,
@@ -312,7 +307,7 @@ impl Batch {
         Ok((output, x, tau.reshape((b, later, 1, 1, 1))?))
     }
 
-    /// The frames to be learned at noise levels `tau` (B, n - H).
+    /// The learned frames at noise levels `tau` (B, n - H).
     pub(crate) fn noised(&self, tau: &Tensor) -> Result<Tensor> {
         let (b, later) = tau.dims2()?;
         let tau = tau.reshape((b, later, 1, 1, 1))?;
@@ -320,8 +315,8 @@ impl Batch {
         Ok((clean + self.noise.broadcast_mul(&tau)?)?)
     }
 
-    /// The network's output at noisy frames (B, n - H, h, w, C) of the levels (B, n - H), after a history that is said to
-    /// have the level `context_tau`.
+    /// Output of the network at noisy frames (B, n - H, h, w, C) of levels (B, n - H), after a history with the declared level
+    /// `context_tau`.
     pub(crate) fn output_at(
         &self,
         model: &Transition,
@@ -339,13 +334,13 @@ impl Batch {
         Ok(model.output(&frames, &levels, &self.actions, &pattern, later)?)
     }
 
-    /// The frame before each noisy one.
+    /// The predecessor of each noisy frame.
     pub(crate) fn previous(&self, history: &Tensor, past: usize) -> Result<Tensor> {
         Ok(history.narrow(1, past - 1, self.target.dim(1)?)?)
     }
 
-    /// The history with the model's one-step predictions in place of the frames after the first H, so that it learns
-    /// to go on from what it made itself.
+    /// The history with the model's one-step predictions after the first H frames, so that it learns to continue from its own
+    /// predictions.
     fn with_predictions(&self, model: &Transition, past: usize) -> Result<Tensor> {
         let ones = self.tau.ones_like()?;
         let (output, x, _) = self.output(model, &self.history, &ones, past)?;
@@ -361,7 +356,7 @@ impl Batch {
     }
 }
 
-/// Gives some clips the null action throughout: zeros, the last value 1.
+/// Gives some clips the null action throughout: zeros, and a last value of 1.
 fn drop_actions(actions: &Tensor, part: f64, rng: &mut ChaCha8Rng) -> Result<Tensor> {
     let (b, n, a) = actions.dims3()?;
     let mut values = actions.flatten_all()?.to_vec1::<f32>()?;
@@ -378,7 +373,7 @@ fn drop_actions(actions: &Tensor, part: f64, rng: &mut ChaCha8Rng) -> Result<Ten
     Ok(Tensor::from_vec(values, (b, n, a), actions.device())?)
 }
 
-/// Standard normal values; they are drawn on the CPU, so that they do not depend on the device.
+/// Standard normal values, drawn on the CPU so that they do not depend on the device.
 pub(crate) fn normals(dims: &[usize], device: &Device, rng: &mut ChaCha8Rng) -> Result<Tensor> {
     let values: Vec<f32> = (0..dims.iter().product())
         .map(|_| StandardNormal.sample(rng))
@@ -395,7 +390,7 @@ mod tests {
     use super::super::tests::{config, encoding, fresh, moving, objective};
     use super::*;
 
-    /// As in the authors' release: no frame of a clip has zeros in place of its action, those to be learned neither.
+    /// As in the authors' release: no frame has zeros instead of its action, not even learned ones.
     #[test]
     fn every_frame_carries_its_own_recorded_action() {
         let dir = tempfile::tempdir().unwrap();
@@ -407,7 +402,7 @@ mod tests {
         let objective = objective(Forcing::Teacher);
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let batch = Batch::draw(&objective, &model, &clips, &mut rng).unwrap();
-        // Frames 0 to 3 clean, then 2 to 4 to be learned.
+        // Frames 0 to 3 clean, then 2 to 4 to learn.
         let actions = batch.actions.narrow(2, 0, 1).unwrap().squeeze(2).unwrap();
         for row in actions.to_vec2::<f32>().unwrap() {
             assert_eq!(row.len(), 7);

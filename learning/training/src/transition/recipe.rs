@@ -10,36 +10,36 @@ use wm_motion::actions::{Accumulation, ActionEncoding, ActionSpace};
 use super::objective::{Objective, ObjectiveRecipe};
 use crate::recipe::{Bundled, Optimisation, Span, is_recipe};
 
-/// The recipes that are part of the program.
+/// Embedded recipes.
 pub const RECIPES: Bundled = &[
     ("tiny", include_str!("../../recipes/tiny/transition.yaml")),
     ("paper", include_str!("../../recipes/paper/transition.yaml")),
 ];
 
-/// Values that the null action adds to an action, as in the authors' release: the last one says that there is no action.
+/// Values that the null action adds to an action, as in the authors' release; the last one flags it.
 const NULL_ACTION: usize = 3;
 
-/// Every number of a training of the transition model; `recipes/*/transition.yaml` says what each is.
+/// Settings of transition training, explained in `recipes/*/transition.yaml`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TransitionRecipe {
     /// Seed of weights, clips and noise.
     pub seed: u64,
-    /// How long to train; an epoch is one random clip per episode.
+    /// Length of the training; an epoch is one random clip per episode.
     pub length: Span,
     /// Steps between validations.
     pub validate_every: u64,
     /// Wall-clock time between checkpoints \[s\].
     pub checkpoint_seconds: u64,
-    /// Clips a step.
+    /// Clips per step.
     pub batch: usize,
-    /// Clips that are computed together.
+    /// Clips computed together.
     pub micro_batch: usize,
     /// Shape and conventions.
     pub model: ModelRecipe,
-    /// What is minimised.
+    /// The objective.
     pub objective: ObjectiveRecipe,
-    /// How the model is to be sampled.
+    /// Sampler settings.
     pub sampler: SamplerRecipe,
     /// The optimiser.
     pub optimisation: Optimisation,
@@ -47,10 +47,10 @@ pub struct TransitionRecipe {
 
 is_recipe!(TransitionRecipe);
 
-/// Shape and conventions of the model; `None` stands for the preset's.
+/// Shape and conventions of the model; `None` means the preset's.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-#[expect(missing_docs, reason = "the recipes say what each is")]
+#[expect(missing_docs, reason = "explained in the recipes")]
 pub struct ModelRecipe {
     pub preset: String,
     pub hidden: Option<usize>,
@@ -67,10 +67,10 @@ pub struct ModelRecipe {
     pub null_action: bool,
 }
 
-/// How the model is to be sampled; `None` stands for the preset's.
+/// Sampler settings; `None` means the preset's.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-#[expect(missing_docs, reason = "the recipes say what each is")]
+#[expect(missing_docs, reason = "explained in the recipes")]
 pub struct SamplerRecipe {
     pub steps: Option<usize>,
     pub shift: Option<f64>,
@@ -81,7 +81,7 @@ impl TransitionRecipe {
     /// The recipe for data of `views` cameras.
     ///
     /// # Errors
-    /// If it is for another number of them.
+    /// If it is for another number.
     pub fn of_views(&self, views: usize) -> Result<Self> {
         let own = self.model.views.unwrap_or(views);
         ensure!(
@@ -93,7 +93,7 @@ impl TransitionRecipe {
         Ok(recipe)
     }
 
-    /// What the actions of `space` become for the model.
+    /// Encoding of the actions of `space` for the model.
     ///
     /// # Errors
     /// If they cannot be encoded.
@@ -121,7 +121,7 @@ impl TransitionRecipe {
         encoding: &ActionEncoding,
     ) -> Result<TransitionConfig> {
         let own = &self.model;
-        // As published: 256 tokens a frame.
+        // As published: 256 tokens per frame.
         let published = if space.height > 16 { 2 } else { 1 };
         let patch = own.patch.unwrap_or(published);
         let actions = encoding.action_dim();
@@ -150,10 +150,10 @@ impl TransitionRecipe {
         Ok(config)
     }
 
-    /// The objective of a model of `config`, which is trained at the time shift that it is sampled with.
+    /// Objective of a model of `config`, with the time shift of its sampler.
     ///
     /// # Errors
-    /// Names the setting that makes no sense.
+    /// Names an invalid setting.
     pub fn objective(&self, config: &TransitionConfig) -> Result<Objective> {
         ensure!(
             self.objective.action_dropout == 0.0 || self.model.null_action,

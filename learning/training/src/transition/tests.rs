@@ -19,27 +19,27 @@ const SIDE: usize = 4;
 const CHANNELS: usize = 2;
 const FRAMES: usize = 12;
 
-/// Episodes in which dx moves the first channel as a whole, by an amount that nothing but the action tells.
+/// Episodes in which dx moves the whole first channel, visible only in the action.
 pub(crate) fn moving(dir: &Path, episodes: usize, seed: u64) -> Latents {
     of_space(dir, episodes, seed, "moving")
 }
 
-/// The same, but that the second channel as a whole is -1 or 1 in each frame, and nothing tells which.
+/// [`moving`] with a second channel of -1 or 1 in each frame, at random.
 pub(crate) fn flickering(dir: &Path, episodes: usize, seed: u64) -> Latents {
     latents(dir, episodes, seed, "flickering", (false, true))
 }
 
-/// The same with an instruction and an outcome: whether the level ended on the side that the instruction names.
+/// [`moving`] with an instruction and an outcome: whether the level ends on the side in the instruction.
 pub(crate) fn labelled(dir: &Path, episodes: usize, seed: u64) -> Latents {
     latents(dir, episodes, seed, "moving", (true, false))
 }
 
-/// The same in a latent space of this name.
+/// [`moving`] in a latent space of this name.
 pub(crate) fn of_space(dir: &Path, episodes: usize, seed: u64, name: &str) -> Latents {
     latents(dir, episodes, seed, name, (false, false))
 }
 
-/// The same of another robot, whose actions have one value.
+/// [`moving`] for another robot with one action value.
 fn with_actions(dir: &Path, episodes: usize, space: ActionSpace) -> Latents {
     let whole = moving(dir, episodes, 1);
     let mut list = whole.episodes().to_vec();
@@ -84,7 +84,7 @@ fn latents_of_width(
                     bytes.extend(f16::from_f32(value).to_le_bytes());
                 }
             }
-            // A congruential generator: all that is needed is that actions differ.
+            // A congruential generator suffices: actions must only differ.
             state = state
                 .wrapping_mul(6_364_136_223_846_793_005)
                 .wrapping_add(1_442_695_040_888_963_407);
@@ -188,7 +188,7 @@ fn step(
 }
 
 #[test]
-fn a_step_does_not_depend_on_the_number_of_threads() {
+fn step_does_not_depend_on_the_number_of_threads() {
     let dir = tempfile::tempdir().unwrap();
     let latents = moving(dir.path(), 4, 1);
     let encoding = encoding();
@@ -203,7 +203,7 @@ fn a_step_does_not_depend_on_the_number_of_threads() {
 }
 
 #[test]
-fn it_learns_what_actions_do() {
+fn training_learns_the_effect_of_actions() {
     let dir = tempfile::tempdir().unwrap();
     let latents = moving(dir.path(), 24, 1);
     let held_out = moving(dir.path(), 6, 2);
@@ -240,9 +240,9 @@ fn it_learns_what_actions_do() {
     }
 }
 
-/// Weights are rounded for products only: the optimiser's keep what is too small for eight bits.
+/// Weights are rounded only for products: the optimiser keeps changes too small for eight bits.
 #[test]
-fn in_sixteen_bits_it_learns_as_in_f32() {
+fn bf16_training_learns_like_f32() {
     let dir = tempfile::tempdir().unwrap();
     let latents = moving(dir.path(), 12, 1);
     let encoding = encoding();
@@ -285,7 +285,7 @@ fn in_sixteen_bits_it_learns_as_in_f32() {
 }
 
 #[test]
-fn episodes_shorter_than_a_clip_are_refused_by_length() {
+fn episodes_shorter_than_a_clip_are_rejected() {
     let dir = tempfile::tempdir().unwrap();
     let latents = moving(dir.path(), 2, 1);
     let encoding = ActionEncoding::default();
@@ -299,7 +299,7 @@ fn episodes_shorter_than_a_clip_are_refused_by_length() {
     );
 }
 
-/// The recipe `name` for a model that is trained in no time.
+/// The recipe `name` for a model that trains quickly.
 pub(crate) fn small(name: &str, shift: Option<f64>) -> TransitionRecipe {
     let recipe: TransitionRecipe = recipe::load(RECIPES, name, &[]).unwrap();
     TransitionRecipe {
@@ -323,10 +323,10 @@ pub(crate) fn small(name: &str, shift: Option<f64>) -> TransitionRecipe {
 }
 
 #[test]
-fn a_model_is_trained_at_the_shift_that_its_weights_are_sampled_with() {
+fn training_and_sampling_use_the_same_shift() {
     let dir = tempfile::tempdir().unwrap();
     let latents = moving(dir.path(), 2, 1);
-    // The published shift of latents as small as these is 1.
+    // The published shift for latents this small is 1.
     for (name, shift, expected) in [
         ("paper", None, 1.0),
         ("paper", Some(3.0), 3.0),
@@ -353,12 +353,12 @@ fn a_model_is_trained_at_the_shift_that_its_weights_are_sampled_with() {
 }
 
 #[test]
-fn a_paused_training_gives_the_same_bytes() {
+fn paused_training_gives_the_same_bytes() {
     let dir = tempfile::tempdir().unwrap();
     let latents = moving(dir.path(), 2, 1);
     for name in ["paper", "tiny"] {
         let mut recipe = small(name, None);
-        // With a learning rate that does not depend on the length, it makes no difference where a run paused.
+        // A learning rate that does not depend on the length, so that pauses do not matter.
         recipe.optimisation.final_rate = 1.0;
         let (whole, parts) = (
             dir.path().join(name),
@@ -387,7 +387,7 @@ fn a_paused_training_gives_the_same_bytes() {
 }
 
 #[test]
-fn settings_that_do_not_go_together_are_refused_by_name() {
+fn contradictory_settings_are_named() {
     let dir = tempfile::tempdir().unwrap();
     let latents = moving(dir.path(), 2, 1);
     let refused = |change: &dyn Fn(&mut TransitionRecipe)| {
@@ -412,9 +412,9 @@ fn settings_that_do_not_go_together_are_refused_by_name() {
     assert!(error.contains("micro_batch 3"), "{error}");
 }
 
-/// A model goes on with other actions: what does not depend on them is taken, and learns more slowly.
+/// Fine-tuning on other actions keeps the parts that do not depend on them, at a lower learning rate.
 #[test]
-fn a_model_is_tuned_to_other_actions() {
+fn model_is_fine_tuned_to_other_actions() {
     let dir = tempfile::tempdir().unwrap();
     let latents = moving(dir.path(), 4, 1);
     let (first, second) = (dir.path().join("first"), dir.path().join("second"));
@@ -443,7 +443,7 @@ fn a_model_is_tuned_to_other_actions() {
     let tuned = ModelFolder::open(second.to_str().unwrap()).unwrap();
     let tuned = tuned.transition_tensors().unwrap();
     assert_eq!((tuned.config.action_dim, tuned.config.hidden), (1, 32));
-    // Without a learning rate, what was taken is what it was.
+    // Without a learning rate, fine-tuned weights stay unchanged.
     let old = Weights::open(first.join(FILE)).unwrap();
     for (name, tensor) in &tuned.tensors {
         let values = tensor.flatten_all().unwrap().to_vec1::<f32>().unwrap();
@@ -465,7 +465,7 @@ fn a_model_is_tuned_to_other_actions() {
 }
 
 #[test]
-fn a_model_of_one_view_is_tuned_to_two() {
+fn model_of_one_view_is_fine_tuned_to_two() {
     let dir = tempfile::tempdir().unwrap();
     let (one, two) = (dir.path().join("one"), dir.path().join("two"));
     let stop = Stop::default();

@@ -196,14 +196,14 @@ fn figures(line: &mut impl FnMut(&str), findings: &ModelFindings, suite: Suite) 
 }
 
 fn list<'a>(line: &mut impl FnMut(&str), items: impl Iterator<Item = &'a str>, none: &str) {
-    let mut told: Vec<&str> = Vec::new();
+    let mut listed: Vec<&str> = Vec::new();
     for item in items {
-        if !told.contains(&item) {
+        if !listed.contains(&item) {
             line(&format!("- {}", inline(item)));
-            told.push(item);
+            listed.push(item);
         }
     }
-    if told.is_empty() {
+    if listed.is_empty() {
         line(none);
     }
 }

@@ -260,11 +260,11 @@ fn mismatches(baseline: &Header, model: &Header) -> Vec<Mismatch> {
     let (ours, theirs) = (leaves(&baseline.settings), leaves(&model.settings));
     let paths: BTreeSet<&String> = ours.keys().chain(theirs.keys()).collect();
     for path in paths {
-        let told = |leaves: &BTreeMap<String, String>| {
+        let describe = |leaves: &BTreeMap<String, String>| {
             let leaf = leaves.get(path).cloned();
             leaf.unwrap_or_else(|| "not set".to_owned())
         };
-        check(path, told(&ours), told(&theirs));
+        check(path, describe(&ours), describe(&theirs));
     }
     found
 }

@@ -58,6 +58,6 @@ impl fmt::Display for Mismatch {
 }
 
 fn list(mismatches: &[Mismatch]) -> String {
-    let told: Vec<String> = mismatches.iter().map(ToString::to_string).collect();
-    told.join("; ")
+    let lines: Vec<String> = mismatches.iter().map(ToString::to_string).collect();
+    lines.join("; ")
 }

@@ -88,15 +88,15 @@ proptest! {
         let name = format!("cost.{name}");
 
         let text = wm_metrics::findings::json(&[one.clone()]).unwrap();
-        let told: Value = serde_json::from_str(&text).unwrap();
+        let json: Value = serde_json::from_str(&text).unwrap();
         let records = reading::csv(&wm_metrics::findings::csv(&[one.clone()]));
         prop_assert_eq!(records[0].join(","), "model,hash,metric,value,low,high,n,unit,better");
         if !value.is_finite() {
             prop_assert_eq!(records.len(), 1);
-            prop_assert!(told["absent"][&name].is_string());
+            prop_assert!(json["absent"][&name].is_string());
             return Ok(());
         }
-        let found = &told["metrics"][&name];
+        let found = &json["metrics"][&name];
         // `serde_json` parses floats up to the last digit; the text is exact.
         let metrics = &text[text.find("\n  \"metrics\"").unwrap()..];
         let written = metrics.split("\n      \"value\": ").nth(1).unwrap();

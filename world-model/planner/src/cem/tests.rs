@@ -32,8 +32,8 @@ fn search(
 }
 
 fn plan(settings: CemSettings, objective: &Objective, seed: u64) -> PlannedActions {
-    let asked = (&mut Point::new(2), objective);
-    search(settings, asked, vec![], seed, &mut |_| false).unwrap()
+    let model = (&mut Point::new(2), objective);
+    search(settings, model, vec![], seed, &mut |_| false).unwrap()
 }
 
 #[test]
@@ -131,21 +131,21 @@ fn unsearched_values_keep_their_base() {
 fn plan_survives_a_deadline() {
     let objective = objective(&[1.0, 0.0]);
     let cut = |watch: Watch<'_>| {
-        let asked = (&mut Point::new(2), &objective);
-        search(settings(), asked, vec![], 1, watch).unwrap()
+        let model = (&mut Point::new(2), &objective);
+        search(settings(), model, vec![], 1, watch).unwrap()
     };
     let found = cut(&mut |_| true);
     assert!(found.deadline_cut && found.candidates == 50 && found.actions.len() == 3);
     assert_eq!(found.iteration_costs.len(), 1);
 
-    let mut told: Vec<(usize, usize)> = Vec::new();
+    let mut calls: Vec<(usize, usize)> = Vec::new();
     let found = cut(&mut |progress: &Progress<'_>| {
-        told.push((progress.iteration, progress.candidates));
-        told.len() > 5
+        calls.push((progress.iteration, progress.candidates));
+        calls.len() > 5
     });
     // Checked at batches 2, 3, 4, at iteration 2, and at its batch 2; cut at its batch 3.
     assert_eq!(
-        told,
+        calls,
         [(1, 50), (1, 100), (1, 150), (1, 200), (2, 250), (2, 300)]
     );
     assert!(found.deadline_cut && found.candidates == 300 && found.iteration_costs.len() == 2);
@@ -207,8 +207,8 @@ fn shifted_plan_is_a_warm_start() {
     assert_eq!(good.without(0).unwrap(), good);
     assert_eq!(good.without(3), None);
     let from = |settings: CemSettings, proposal: &[Vec<f32>]| {
-        let asked = (&mut Point::new(2), &objective);
-        search(settings, asked, vec![proposal.to_vec()], 5, &mut |_| false)
+        let model = (&mut Point::new(2), &objective);
+        search(settings, model, vec![proposal.to_vec()], 5, &mut |_| false)
     };
     let warm = from(few.clone(), &good.actions).unwrap();
     assert!(warm.cost < plan(few.clone(), &objective, 5).cost / 2.0);

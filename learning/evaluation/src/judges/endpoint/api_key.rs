@@ -2,15 +2,15 @@ use std::fmt;
 
 use crate::judges::{Error, Result};
 
-/// Shorter ones are placeholders of local servers, as `none`, and too likely to be words of an answer.
+/// Shorter keys are placeholders of local servers, such as `none`, and may be words of an answer.
 const MIN_SECRET_BYTES: usize = 8;
 const REDACTED: &str = "[API key]";
 
-/// An API key. Nothing prints it.
+/// An API key that is never printed.
 pub(super) struct ApiKey(String);
 
 impl ApiKey {
-    /// Takes the key from the environment.
+    /// Reads the key from the environment.
     pub(super) fn from_environment(judge: &str, variable: &str) -> Result<Self> {
         let failed = |problem| Error::ApiKey {
             judge: judge.to_owned(),
@@ -19,10 +19,10 @@ impl ApiKey {
         };
         let value = std::env::var_os(variable).ok_or_else(|| failed("is not set"))?;
         let value = value.into_string().ok();
-        // A line end behind the key is how it comes out of a file.
+        // A key read from a file often ends with a newline.
         let key = value.as_deref().map(str::trim).unwrap_or_default();
         if key.is_empty() {
-            return Err(failed("is empty or no text"));
+            return Err(failed("is empty or not text"));
         }
         if !key.bytes().all(|b| b.is_ascii_graphic()) {
             return Err(failed("has characters that no HTTP header may have"));
@@ -34,7 +34,7 @@ impl ApiKey {
         format!("Bearer {}", self.0)
     }
 
-    /// Takes the key out of what a server says: some quote it when they refuse it.
+    /// Removes the key from a server's text: some servers quote a rejected key.
     pub(super) fn redact(&self, text: String) -> String {
         if self.0.len() < MIN_SECRET_BYTES || !text.contains(&self.0) {
             return text;
@@ -54,8 +54,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn it_is_taken_from_the_environment_and_not_printed() {
-        // Set by cargo, for tests too.
+    fn key_is_read_from_the_environment_and_not_printed() {
+        // Set by cargo, also for tests.
         let key = ApiKey::from_environment("a", "CARGO_PKG_NAME").unwrap();
         assert_eq!(key.authorization(), "Bearer wm_evaluation");
         assert_eq!(format!("{key:?}"), "[API key]");
@@ -69,7 +69,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_taken_out_of_texts() {
+    fn key_is_redacted_from_texts() {
         let key = ApiKey("sk-0123456789".to_owned());
         assert_eq!(
             key.redact("wrong: sk-0123456789!".to_owned()),

@@ -1,15 +1,14 @@
 use std::time::{Duration, UNIX_EPOCH};
 
-/// Before the first retry.
+/// Wait before the first retry.
 const FIRST: Duration = Duration::from_secs(1);
-/// A server that restarts loads a model for longer than any shorter sum of waits.
+/// Longest wait: the sum must cover a server that restarts and loads a model.
 const LONGEST: Duration = Duration::from_secs(60);
-/// Limit of `Retry-After`. A longer wait means a quota that is used up for the day: better to come back later.
+/// Longest wait requested by a server. A longer one means a daily quota is used up.
 pub(super) const MAX_RETRY_AFTER: Duration = Duration::from_secs(600);
 
-/// How long to wait before retry `retry`, counted from 0, if the server does not say: doubled each time, and between half of
-/// that and all of it, so that clients that failed together do not come back together. `seed` decides where between, so
-/// that a run is repeatable.
+/// Wait before retry `retry` (from 0) without a request of the server: doubles each time, reduced by up to half so that
+/// failed clients do not return together. `seed` makes it repeatable.
 pub(super) fn delay(retry: u32, seed: u64) -> Duration {
     let doubled = FIRST.saturating_mul(2_u32.saturating_pow(retry));
     // 32 bits are exact in f64.
@@ -29,7 +28,7 @@ pub(super) fn retry_after(header: &str, now_unix_s: u64) -> Option<Duration> {
     seconds.map(Duration::from_secs)
 }
 
-/// The last step of SplitMix64, which makes neighbours differ in half of their bits.
+/// The last step of SplitMix64: neighbours differ in half of their bits.
 fn mix(seed: u64) -> u64 {
     let z = seed.wrapping_add(0x9e37_79b9_7f4a_7c15);
     let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);

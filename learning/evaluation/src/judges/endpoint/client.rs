@@ -12,10 +12,10 @@ use super::{
 };
 use crate::judges::{Error, Result, excerpt::excerpt};
 
-/// An answer of a server larger than this is no verdict.
+/// Largest accepted answer of a server.
 pub const MAX_BODY_BYTES: u64 = 8 << 20;
 
-/// Asks one server.
+/// A client of one server.
 #[derive(Debug)]
 pub struct Client {
     settings: EndpointSettings,
@@ -26,7 +26,7 @@ pub struct Client {
     clock: Arc<dyn Clock>,
 }
 
-/// Why a request failed that may be sent again.
+/// A failure that may be retried.
 struct Failure {
     cause: String,
     retry_after: Option<Duration>,
@@ -42,18 +42,18 @@ impl Failure {
 }
 
 impl Client {
-    /// A client for the settings' endpoint. Nothing is sent yet.
+    /// A client for the settings' endpoint. Sends nothing yet.
     ///
     /// # Errors
-    /// When a setting cannot be, or the environment lacks the API key.
+    /// If a setting is invalid, or the environment lacks the API key.
     pub fn new(settings: EndpointSettings) -> Result<Self> {
         Self::with_clock(settings, Arc::new(SystemClock::default()))
     }
 
-    /// As [`Self::new`], with another clock.
+    /// [`Self::new`] with another clock.
     ///
     /// # Errors
-    /// As for [`Self::new`].
+    /// Those of [`Self::new`].
     pub fn with_clock(settings: EndpointSettings, clock: Arc<dyn Clock>) -> Result<Self> {
         settings.check()?;
         let variable = settings.api_key_env.as_deref();
@@ -61,9 +61,9 @@ impl Client {
         let config = Agent::config_builder()
             .timeout_global(Some(Duration::from_secs(settings.timeout_s)))
             .http_status_as_error(false)
-            // A question that follows a redirection loses its body.
+            // A redirected POST loses its body.
             .max_redirects(0)
-            // Else the environment would decide where questions go.
+            // The environment must not redirect questions.
             .proxy(None)
             .user_agent(concat!("wm_judge/", env!("CARGO_PKG_VERSION")))
             .build();
@@ -80,18 +80,18 @@ impl Client {
         })
     }
 
-    /// What it was made of.
+    /// Settings of the client.
     #[must_use]
     pub fn settings(&self) -> &EndpointSettings {
         &self.settings
     }
 
-    /// Sends a request and waits for the answer, as often as the settings allow. Sent again is what met a broken or refused
-    /// connection, a timeout, a status of 408, 409, 429 or 5xx, or a body that is no chat completion. The waits before
-    /// it double from a second to a minute, less up to half of it by `jitter_seed`, or are what the server asks for.
+    /// Sends a request, with retries, and returns the answer. Retried are broken or refused connections, timeouts,
+    /// statuses 408, 409, 429 and 5xx, and bodies without a chat completion. Waits double from a second to a minute,
+    /// reduced by up to half by `jitter_seed`, or follow the server.
     ///
     /// # Errors
-    /// When the server refuses, never answers, or asks to wait for longer than ten minutes.
+    /// If the server rejects the request, never answers, or requests a wait above ten minutes.
     pub fn ask(&mut self, request: &Value, jitter_seed: u64) -> Result<Reply> {
         let body = request.to_string();
         let mut retry = 0;
@@ -130,7 +130,7 @@ impl Client {
                 judge,
                 cause = failure.cause,
                 wait_s = wait.as_secs_f32(),
-                "asking again"
+                "retrying"
             );
             self.clock.sleep(wait);
             retry += 1;
@@ -144,10 +144,10 @@ impl Client {
         }
         match request.send(body) {
             Ok(response) => self.receive(response),
-            Err(error) if may_pass(&error) => Ok(Err(Failure::new(self.said(error.to_string())))),
+            Err(error) if may_pass(&error) => Ok(Err(Failure::new(self.quote(error.to_string())))),
             Err(error) => Err(Error::Request {
                 judge: self.settings.name.clone(),
-                problem: self.said(error.to_string()),
+                problem: self.quote(error.to_string()),
             }),
         }
     }
@@ -168,9 +168,9 @@ impl Client {
         }
         let body = String::from_utf8_lossy(&bytes).into_owned();
         if status != 200 {
-            let message = self.said(completion::server_message(&body));
+            let message = self.quote(completion::server_message(&body));
             if !matches!(status, 408 | 409 | 429 | 500..=599) {
-                return Err(Error::Refused {
+                return Err(Error::Rejected {
                     judge: self.settings.name.clone(),
                     status,
                     message,
@@ -182,11 +182,11 @@ impl Client {
             }));
         }
         if let Err(error) = read {
-            let cause = format!("the answer broke off: {error}");
-            return Ok(Err(Failure::new(self.said(cause))));
+            let cause = format!("incomplete answer: {error}");
+            return Ok(Err(Failure::new(self.quote(cause))));
         }
         let Some(mut reply) = completion::parse(&bytes) else {
-            let cause = format!("expected a chat completion, got: {}", self.said(body));
+            let cause = format!("expected a chat completion, got: {}", self.quote(body));
             return Ok(Err(Failure::new(cause)));
         };
         if let Some(key) = &self.key {
@@ -197,8 +197,8 @@ impl Client {
         Ok(Ok(reply))
     }
 
-    /// Foreign text, fit for a message.
-    fn said(&self, text: String) -> String {
+    /// A server's text for a message.
+    fn quote(&self, text: String) -> String {
         let text = match &self.key {
             Some(key) => key.redact(text),
             None => text,
@@ -221,7 +221,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_may_pass() {
+    fn temporary_failures_are_recognised() {
         let broken = std::io::ErrorKind::ConnectionReset.into();
         assert!(may_pass(&ureq::Error::Io(broken)));
         assert!(may_pass(&ureq::Error::Timeout(ureq::Timeout::Global)));
@@ -229,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn settings_are_checked_and_the_key_looked_for() {
+    fn settings_and_key_are_checked() {
         let mut settings = EndpointSettings::new("a", "http://localhost/v1/", "m");
         assert_eq!(
             Client::new(settings.clone()).unwrap().url,

@@ -3,19 +3,19 @@ use std::{
     time::{Duration, Instant, SystemTime, UNIX_EPOCH},
 };
 
-/// What time it is, and waiting. Tests have one of their own that waits for nothing.
+/// Time and waiting. Tests use a clock that never waits.
 pub trait Clock: Debug + Send + Sync {
-    /// Time since some moment; never goes back.
+    /// Monotonic time since an arbitrary origin.
     fn now(&self) -> Duration;
 
-    /// Seconds since 1970, for dates that a server states.
+    /// Seconds since 1970, for dates of servers.
     fn unix_s(&self) -> u64;
 
-    /// Waits.
+    /// Waits for a duration.
     fn sleep(&self, duration: Duration);
 }
 
-/// The computer's clock.
+/// The system clock.
 #[derive(Clone, Copy, Debug)]
 pub struct SystemClock(Instant);
 
@@ -46,7 +46,7 @@ pub(crate) mod tests {
 
     use super::*;
 
-    /// Sleeping moves it on.
+    /// Sleeping advances it.
     #[derive(Debug, Default)]
     pub(crate) struct FakeClock(Mutex<Duration>);
 
@@ -65,7 +65,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn the_system_knows_the_time() {
+    fn system_clock_advances() {
         let clock = SystemClock::default();
         let before = clock.now();
         clock.sleep(Duration::ZERO);

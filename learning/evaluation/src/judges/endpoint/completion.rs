@@ -1,12 +1,12 @@
 use serde::{Deserialize, Serialize};
 
-/// Tokens of an answer, as the server counts them.
+/// Tokens of an answer, as counted by the server.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Usage {
     /// Of the prompt and its pictures.
     #[serde(rename = "prompt_tokens", default)]
     pub input_tokens: u64,
-    /// Of the answer and the thoughts before it.
+    /// Of the answer and its reasoning.
     #[serde(rename = "completion_tokens", default)]
     pub output_tokens: u64,
 }
@@ -18,19 +18,19 @@ impl Usage {
     }
 }
 
-/// What a server answered.
+/// An answer of a server.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Reply {
-    /// What the model said; empty where it said nothing.
+    /// Text of the model; may be empty.
     pub text: String,
-    /// Why it ended, as `stop` or `length`.
+    /// Reason for its end, such as `stop` or `length`.
     pub finish_reason: Option<String>,
-    /// What the server calls the model.
+    /// Name of the model on the server.
     pub model: Option<String>,
     /// Tokens, if the server counts them.
     pub usage: Option<Usage>,
-    /// Requests that it took.
+    /// Number of requests sent.
     pub attempts: u32,
 }
 
@@ -57,7 +57,7 @@ struct Message {
 #[serde(untagged)]
 enum Content {
     Text(String),
-    /// Some servers answer in the form that requests have.
+    /// Some servers answer in the form of requests.
     Parts(Vec<Part>),
 }
 
@@ -66,7 +66,7 @@ struct Part {
     text: Option<String>,
 }
 
-/// Reads a server's answer; none, where it is no chat completion.
+/// Parses an answer; `None` if it is not a chat completion.
 pub(super) fn parse(body: &[u8]) -> Option<Reply> {
     let completion: Completion = serde_json::from_slice(body).ok()?;
     let choice = completion.choices.into_iter().next()?;
@@ -84,7 +84,7 @@ pub(super) fn parse(body: &[u8]) -> Option<Reply> {
     })
 }
 
-/// What a server says went wrong: the message in OpenAI's form or one of those of others, or else the body.
+/// The error message in the form of OpenAI or of another server, else the body.
 pub(super) fn server_message(body: &str) -> String {
     let value: serde_json::Value = serde_json::from_str(body).unwrap_or_default();
     let places = ["/error/message", "/error", "/message", "/detail"];
@@ -99,7 +99,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn completions() {
+    fn completions_are_parsed() {
         let reply = parse(
             br#"{"id": "x", "model": "m", "choices": [{"index": 0, "finish_reason": "stop",
                 "message": {"role": "assistant", "content": "Final Score: 1", "reasoning_content": null}}],
@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn messages() {
+    fn error_messages_are_extracted() {
         for body in [
             r#"{"error": {"message": "too long", "code": 400}}"#,
             r#"{"error": "too long"}"#,

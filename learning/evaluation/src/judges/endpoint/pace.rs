@@ -4,14 +4,14 @@ use super::Clock;
 
 const MINUTE: Duration = Duration::from_secs(60);
 
-/// Keeps requests under a rate: counts those of the last minute, and waits until one more is allowed.
+/// Limits the rate of requests: waits until the last minute allows one more.
 #[derive(Debug)]
 pub(super) struct Pace {
     requests_per_minute: Option<u32>,
     tokens_per_minute: Option<u64>,
-    /// When a request was sent, and its tokens as far as they are known, oldest first.
+    /// Times of requests and their known tokens, oldest first.
     sent: VecDeque<(Duration, u64)>,
-    /// Of the largest answer so far: what the next is taken to need.
+    /// Tokens of the largest answer, the estimate for the next.
     largest: u64,
 }
 
@@ -25,7 +25,7 @@ impl Pace {
         }
     }
 
-    /// Waits until a request may be sent, and counts it.
+    /// Waits until a request is allowed, and counts it.
     pub(super) fn wait(&mut self, clock: &dyn Clock) {
         loop {
             let now = clock.now();
@@ -36,7 +36,7 @@ impl Pace {
                 self.sent.pop_front();
             }
             let oldest = self.sent.front().map(|(at, _)| *at);
-            // A minute without requests allows any: one that needs more than the limit would never be sent.
+            // After an idle minute any request is allowed, even one above the limit.
             let Some(oldest) = oldest.filter(|_| self.is_full()) else {
                 self.sent.push_back((now, self.largest));
                 return;
@@ -53,9 +53,9 @@ impl Pace {
             || self.tokens_per_minute.is_some_and(|limit| needed > limit)
     }
 
-    /// The last request took so many.
+    /// Adds the tokens of the last request.
     pub(super) fn took(&mut self, tokens: u64) {
-        // Bounded, so that a minute's sum cannot overflow whatever a server says.
+        // Bounded, so that a sum cannot overflow.
         let tokens = tokens.min(u64::from(u32::MAX));
         self.largest = self.largest.max(tokens);
         if let Some((_, last)) = self.sent.back_mut() {
@@ -96,7 +96,7 @@ mod tests {
             sent_at(Pace::new(None, Some(30)), &[10; 5]),
             [0, 1, 2, 60, 61]
         );
-        // Each alone is too much, but has to be sent some time.
+        // Each exceeds the limit alone, but must be sent.
         assert_eq!(sent_at(Pace::new(None, Some(30)), &[50; 3]), [0, 60, 120]);
     }
 }

@@ -54,21 +54,21 @@ pub enum Detail {
     Auto,
 }
 
-/// A frame, ready to be sent.
+/// An encoded frame.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Picture {
-    /// `data:image/png;base64,...`, or of JPEG.
+    /// `data:image/png;base64,...`, or the same with JPEG.
     pub data_url: String,
-    /// `sha256:...`: of the frame's width and height, 32 bits each, least byte first, and its pixels, as they were before they
-    /// were made smaller or encoded. No release of an encoder changes it.
+    /// `sha256:...` of the frame's width and height (32 bits each, little-endian) and its pixels, before resizing and encoding.
+    /// It does not depend on the encoder's version.
     pub pixel_hash: String,
 }
 
 impl Picture {
-    /// Encodes frame number `index`.
+    /// Encodes frame `index`.
     ///
     /// # Errors
-    /// When the frame has no pixels, or the encoder refuses it.
+    /// If the frame has no pixels, or the encoder fails.
     pub fn encode(frame: &RgbImage, index: usize, settings: &PictureSettings) -> Result<Self> {
         let (width, height) = frame.dimensions();
         let failed = |problem| Error::Picture {
@@ -105,14 +105,14 @@ impl Picture {
     }
 }
 
-/// The picture with `side` pixels on its longer side, if it is larger.
+/// Shrinks the picture to `side` pixels on its longer side; `None` if it is not larger.
 fn shrink(frame: &RgbImage, side: u32) -> Option<RgbImage> {
     let (width, height) = frame.dimensions();
     let longer = width.max(height);
     if longer <= side {
         return None;
     }
-    // In u64, for the product; at most `side`.
+    // The product needs u64; the result is at most `side`.
     let scale = |length: u32| (u64::from(length) * u64::from(side) / u64::from(longer)) as u32;
     let (width, height) = (scale(width).max(1), scale(height).max(1));
     Some(imageops::resize(
@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_are_made_smaller_but_not_larger() {
+    fn pictures_shrink_but_never_grow() {
         let settings = PictureSettings {
             format: PictureFormat::Jpeg,
             max_side: Some(20),
@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn the_hash_is_of_the_pixels_and_their_order() {
+    fn hash_depends_on_pixels_and_order() {
         let hash = |frame: &RgbImage, settings: &PictureSettings| {
             Picture::encode(frame, 0, settings).unwrap().pixel_hash
         };
@@ -178,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_without_pixels_is_refused() {
+    fn frame_without_pixels_is_rejected() {
         let error = Picture::encode(&frame(0, 5), 3, &PictureSettings::default()).unwrap_err();
         assert!(
             error.to_string().contains("frame 3 of 0x5 pixels"),

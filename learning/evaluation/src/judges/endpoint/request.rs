@@ -2,18 +2,17 @@ use serde_json::{Value, json};
 
 use super::{Detail, EndpointSettings, TextPlace};
 
-/// What decides of an answer besides the question.
+/// Sampling settings of a question.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sampling {
-    /// Not sent where there is none.
+    /// Not sent if `None`.
     pub temperature: Option<f64>,
-    /// Likewise.
+    /// Not sent if `None`.
     pub seed: Option<u64>,
 }
 
-/// The body of `POST {base_url}/chat/completions`: one message of the user with the pictures, in their order, and the prompt
-/// after them, or before them where the settings say so. `pictures` are addresses: data URLs in what is sent, hashes in what
-/// is kept.
+/// Body of `POST {base_url}/chat/completions`: one user message with the pictures in order, and the prompt after or
+/// before them. `pictures` are URLs: data URLs for sending, hashes for the record.
 #[must_use]
 pub fn request<'a>(
     settings: &EndpointSettings,
@@ -68,7 +67,7 @@ mod tests {
     };
 
     #[test]
-    fn the_protocols_form() {
+    fn request_has_the_protocols_form() {
         let settings = EndpointSettings::new("a", "http://localhost/v1", "m");
         assert_eq!(
             request(&settings, SAMPLING, "How?", ["data:1", "data:2"]),
@@ -88,7 +87,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_settings_change() {
+    fn settings_change_the_request() {
         let mut settings = EndpointSettings::new("a", "http://localhost/v1", "m");
         settings.text = TextPlace::First;
         settings.picture.detail = Some(Detail::Low);

@@ -5,75 +5,75 @@ use serde_json::{Map, Value};
 
 use super::{PictureSettings, Usage};
 
-/// A judge: a model, where it is, and how it is asked. `judges.yaml` of this crate explains every key.
+/// A judge: a model and its server. `judges.yaml` of this crate explains every key.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EndpointSettings {
-    /// What the judge is called in tables, records and messages.
+    /// Name in tables, records and messages.
     pub name: String,
-    /// Where it is, without `/chat/completions`.
+    /// Base address, without `/chat/completions`.
     pub base_url: String,
-    /// What the server calls the model.
+    /// Name of the model on the server.
     pub model: String,
-    /// The environment variable that holds the API key. Never the key.
+    /// Environment variable with the API key, never the key itself.
     #[serde(default)]
     pub api_key_env: Option<String>,
-    /// Not sent where there is none.
+    /// Not sent if `None`.
     #[serde(default = "temperature")]
     pub temperature: Option<f64>,
-    /// Of an answer. Not sent where there is none.
+    /// Most tokens of an answer; not sent if `None`.
     #[serde(default = "max_tokens")]
     pub max_tokens: Option<u32>,
-    /// Not sent where there is none; then a question that is asked again is the same.
+    /// Not sent if `None`; a repeated question is then unchanged.
     #[serde(default = "seed")]
     pub seed: Option<u64>,
-    /// How often a question is asked again whose answer has no score.
+    /// Repetitions of a question whose answer has no score.
     #[serde(default = "reasks")]
     pub reasks: u32,
-    /// The temperature of a question that is asked again; else that of the first.
+    /// Temperature of a repeated question; that of the first by default.
     #[serde(default)]
     pub reask_temperature: Option<f64>,
-    /// Seconds that a request may take, its answer included.
+    /// Time limit of a request with its answer \[s\].
     #[serde(default = "timeout_s")]
     pub timeout_s: u64,
-    /// How often a request is sent again that failed for a reason that may pass.
+    /// Retries of a request after a temporary failure.
     #[serde(default = "retries")]
     pub retries: u32,
-    /// Requests in any minute.
+    /// Most requests per minute.
     #[serde(default)]
     pub requests_per_minute: Option<u32>,
-    /// Tokens in any minute, of input and output.
+    /// Most input and output tokens per minute.
     #[serde(default)]
     pub tokens_per_minute: Option<u64>,
-    /// What tokens cost.
+    /// Price of tokens.
     #[serde(default)]
     pub price_per_million: Price,
-    /// What all answers in the record may cost.
+    /// Most cost of all answers in the record.
     #[serde(default)]
     pub max_cost: Option<f64>,
-    /// How frames are sent.
+    /// Encoding of frames.
     #[serde(default)]
     pub picture: PictureSettings,
-    /// Where the prompt stands.
+    /// Position of the prompt.
     #[serde(default)]
     pub text: TextPlace,
-    /// More fields of the request.
+    /// Further fields of the request.
     #[serde(default)]
     pub body: Map<String, Value>,
 }
 
-/// The price of a million tokens, in any currency.
+/// Price of a million tokens, in any currency.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Price {
     /// Of the prompt and its pictures.
     pub input: f64,
-    /// Of the answer and the thoughts before it.
+    /// Of the answer and its reasoning.
     pub output: f64,
 }
 
 impl Price {
-    /// What so many tokens cost.
+    /// Cost of tokens.
     #[must_use]
     pub fn of(self, usage: Usage) -> f64 {
         // Exact below 2^53 tokens.
@@ -82,13 +82,13 @@ impl Price {
     }
 }
 
-/// Where the prompt stands among the pictures.
+/// Position of the prompt.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TextPlace {
-    /// Before them.
+    /// Before the pictures.
     First,
-    /// After them.
+    /// After the pictures.
     #[default]
     Last,
 }
@@ -118,7 +118,7 @@ fn retries() -> u32 {
 }
 
 impl EndpointSettings {
-    /// A judge with the defaults.
+    /// A judge with default settings.
     #[must_use]
     pub fn new(name: &str, base_url: &str, model: &str) -> Self {
         Self {

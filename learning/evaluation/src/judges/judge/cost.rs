@@ -1,7 +1,7 @@
 use crate::judges::{Error, Result, endpoint::EndpointSettings, record::Tally};
 
-/// Refuses to ask on when that might pass the cap. The next answer is taken to need as much input as the largest so far, and
-/// all the output that it may have. What the first needs as input is not known.
+/// Stops if the next answer may exceed the cost limit. It is assumed to need the largest input so far, and all allowed
+/// output. The input of the first answer is unknown.
 pub(super) fn check(settings: &EndpointSettings, tally: Tally) -> Result<()> {
     let Some(cap) = settings.max_cost else {
         return Ok(());

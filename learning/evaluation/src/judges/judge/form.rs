@@ -3,7 +3,7 @@ use crate::judges::{
     verdict::{self, VerdictError},
 };
 
-/// What is asked for.
+/// Form of the requested answer.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Form {
     Success { partial: bool },

@@ -15,7 +15,7 @@ impl Placeholder {
     }
 }
 
-/// A text with placeholders, parsed, so that what is filled in is not searched for more of them.
+/// A parsed text with placeholders; inserted text is not searched for placeholders.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Template(Vec<Piece>);
 
@@ -26,8 +26,8 @@ enum Piece {
 }
 
 impl Template {
-    /// Parses the prompt with the key `prompt`, which has to have each placeholder of `expected` and may have no other.
-    /// White space at its end is dropped: YAML's block scalars have a line end there.
+    /// Parses the prompt with key `prompt`, which must have exactly the placeholders `expected`. Drops trailing white
+    /// space, which YAML's block scalars have.
     pub(super) fn parse(
         prompt: &'static str,
         text: &str,

@@ -6,32 +6,32 @@ use crate::judges::{
     verdict::{RubricScores, SuccessScore},
 };
 
-/// A question and what came of it.
+/// A question and its outcome.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Entry {
-    /// Hash of all that decides of the answer: the judge's name, the model, the prompt, the frames, how they are sent, the
+    /// Hash of everything that affects the answer: the judge's name, the model, the prompt, the frames with their encoding, the
     /// sampling and the trial.
     pub key: String,
-    /// The rollout's, as the caller gave it.
+    /// Stamp of the rollout, as given.
     pub stamp_ns: u64,
-    /// The judge's name.
+    /// Name of the judge.
     pub judge: String,
-    /// The rollout's instruction.
+    /// Instruction of the rollout.
     pub instruction: String,
-    /// Which of the rollouts with this instruction.
+    /// Index among the rollouts with this instruction.
     pub trial: u64,
-    /// Which frames of the video it saw, counted from 0.
+    /// Indices of the shown frames.
     pub frames: Vec<usize>,
-    /// What was sent first, with the hashes of the frames' pixels in place of the pictures.
+    /// The first request, with hashes of the frames' pixels instead of pictures.
     pub request: Value,
-    /// All answers; the verdict is that of the last.
+    /// All answers; the last one gives the verdict.
     pub answers: Vec<Answer>,
-    /// What came of it.
+    /// Outcome.
     pub outcome: Outcome,
 }
 
-/// What a model said.
+/// An answer of a model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Answer {
@@ -39,30 +39,30 @@ pub struct Answer {
     pub seed: Option<u64>,
     /// The temperature that was sent.
     pub temperature: Option<f64>,
-    /// Its words.
+    /// Text.
     pub text: String,
-    /// Why it ended, as `stop` or `length`.
+    /// Reason for its end, such as `stop` or `length`.
     pub finish_reason: Option<String>,
-    /// What the server calls the model.
+    /// Name of the model on the server.
     pub model: Option<String>,
-    /// Tokens, if the server counts them.
+    /// Tokens, if counted by the server.
     pub usage: Option<Usage>,
-    /// HTTP requests that it took.
+    /// HTTP requests sent.
     pub attempts: u32,
-    /// Why it is no verdict.
+    /// Why it is unusable.
     pub problem: Option<String>,
 }
 
-/// What came of a question.
+/// Outcome of a question.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Outcome {
-    /// How far the rollout got.
+    /// A success score.
     Success(SuccessScore),
-    /// The rubric's scores.
+    /// Rubric scores.
     Rubric(RubricScores),
-    /// No answer is a verdict, and why the last is not.
+    /// No usable answer, with the fault of the last one.
     Unusable(String),
-    /// An error came between; the question is asked again when the record is opened again.
+    /// An error; the question is sent again after reopening.
     Interrupted(String),
 }

@@ -1,8 +1,7 @@
 use serde_json::Value;
 use sha2::{Digest as _, Sha256};
 
-/// SHA-256 of values, whatever the order in which their objects hold their keys: in serde_json a feature decides of it that
-/// any crate of a build may turn on.
+/// SHA-256 of values, independent of the order of object keys, which a serde_json feature of any crate may change.
 pub(crate) fn question_key(values: &[&Value]) -> String {
     let mut canonical = String::new();
     for value in values {
@@ -34,7 +33,7 @@ fn write(out: &mut String, value: &Value) {
             }
             out.push('}');
         }
-        // JSON's own form has no other characters outside of quotes.
+        // JSON has no other characters outside quotes.
         scalar => out.push_str(&scalar.to_string()),
     }
 }
@@ -46,7 +45,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_value_counts_and_no_order_of_keys() {
+    fn key_depends_on_values_but_not_on_key_order() {
         let key = |value: Value| question_key(&[&value]);
         assert_eq!(
             key(json!({"a": 1, "b": [2, null]})),
@@ -71,8 +70,8 @@ mod tests {
     }
 
     #[test]
-    fn it_stays_as_it_is() {
-        // Another value, and no record could be resumed.
+    fn key_is_stable() {
+        // A changed hash would make records unusable.
         assert_eq!(
             question_key(&[&json!({"model": "m", "seed": 0}), &json!(1)]),
             "f047ed92794132823bdfe76bc10dffdb4224e6b620b7d88ba4e1e378b3783e49"

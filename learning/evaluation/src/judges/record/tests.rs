@@ -32,7 +32,7 @@ fn success() -> Outcome {
 }
 
 #[test]
-fn it_is_kept_line_by_line_and_resumed() {
+fn record_is_written_by_line_and_resumed() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("answers.jsonl");
     let mut record = Record::open(&path).unwrap();
@@ -70,7 +70,7 @@ fn it_is_kept_line_by_line_and_resumed() {
 }
 
 #[test]
-fn a_torn_last_line_is_dropped_wherever_it_is_torn() {
+fn incomplete_last_line_is_dropped() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("answers.jsonl");
     let mut record = Record::open(&path).unwrap();
@@ -90,7 +90,7 @@ fn a_torn_last_line_is_dropped_wherever_it_is_torn() {
 }
 
 #[test]
-fn other_files_are_left_alone() {
+fn other_files_stay_unchanged() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("notes.txt");
     let texts = [
@@ -116,7 +116,7 @@ fn other_files_are_left_alone() {
 }
 
 #[test]
-fn a_damaged_line_is_named() {
+fn damaged_line_is_named() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("answers.jsonl");
     let text = format!("{HEADER}\n{{\"key\": 1}}\n{{\n");
@@ -127,7 +127,7 @@ fn a_damaged_line_is_named() {
 }
 
 #[test]
-fn one_process_writes() {
+fn only_one_process_writes() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("answers.jsonl");
     let record = Record::open(&path).unwrap();

@@ -1,7 +1,7 @@
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
-use super::{VerdictError, spoken};
+use super::{VerdictError, without_reasoning};
 use crate::judges::excerpt::{excerpt, excerpt_of_end};
 
 /// The keys of a rubric's object.
@@ -17,40 +17,40 @@ pub const RUBRIC_KEYS: [&str; 3] = [
 pub struct Rating {
     /// 1 to 5.
     pub score: u8,
-    /// Why, says the judge.
+    /// Reason given by the judge.
     pub reason: String,
 }
 
-/// The rubric's three scores.
+/// The three scores of the rubric.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RubricScores {
-    /// How plausible the contact of robot and objects is.
+    /// Plausibility of the contact between robot and objects.
     #[serde(rename = "Interaction_Quality")]
     pub interaction_quality: Rating,
-    /// How consistent the space is.
+    /// Spatial consistency.
     #[serde(rename = "Perspectivity")]
     pub perspectivity: Rating,
-    /// How far the instruction is carried out.
+    /// Completion of the instruction.
     #[serde(rename = "Instruction_Following")]
     pub instruction_following: Rating,
 }
 
-/// Finds the scores of an answer: the last JSON object in it that has one of [`RUBRIC_KEYS`], whatever stands around it,
-/// be it a fence of Markdown. It has exactly these keys, each with an integer from 1 to 5 as `score` and a text as
-/// `reason`. Thoughts between `<think>` and `</think>` do not count.
+/// Finds the scores in an answer: the last JSON object with one of [`RUBRIC_KEYS`], whatever surrounds it, such as a
+/// Markdown fence. It must have exactly these keys, each with an integer `score` from 1 to 5 and a text `reason`. Text
+/// between `<think>` and `</think>` is ignored.
 ///
 /// # Errors
-/// When there is no such object, or the last one is not so.
+/// If there is no such object, or the last one is invalid.
 pub fn parse_rubric(answer: &str) -> Result<RubricScores, VerdictError> {
-    let Some(mut object) = last_object(spoken(answer)?) else {
+    let Some(mut object) = last_object(without_reasoning(answer)?) else {
         return Err(VerdictError::NoObject {
             excerpt: excerpt_of_end(answer),
         });
     };
     let right_keys = RUBRIC_KEYS.iter().all(|key| object.contains_key(*key));
     if !right_keys || object.len() != RUBRIC_KEYS.len() {
-        // A few more than expected show what it is.
+        // A few more than expected, to show the difference.
         let found = object.keys().take(2 * RUBRIC_KEYS.len());
         return Err(VerdictError::Keys {
             found: found.map(|key| excerpt(key)).collect(),
@@ -64,8 +64,8 @@ pub fn parse_rubric(answer: &str) -> Result<RubricScores, VerdictError> {
     })
 }
 
-/// The last object that has a key of the rubric, or else the last of all. An answer of n bytes costs 128 n steps at most,
-/// 128 being the depth at which serde_json gives up.
+/// The last object with a key of the rubric, or else the last one. An answer of n bytes takes at most 128 n steps; 128
+/// is the depth limit of serde_json.
 fn last_object(text: &str) -> Option<Map<String, Value>> {
     let mut last = None;
     let mut rest = text;
@@ -115,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn the_object_wherever_it_stands() {
+    fn object_is_found_anywhere() {
         let worse = GOOD.replace('4', "1");
         let answers = [
             GOOD.to_owned(),
@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn objects_with_faults_are_refused_by_name() {
+    fn faulty_objects_are_rejected_by_name() {
         let cases = [
             (
                 GOOD.replace("\"score\": 4", "\"score\": 6"),
@@ -171,8 +171,8 @@ mod tests {
         }
 
         #[test]
-        fn the_object_is_found_in_any_noise(before in "(?s).{0,200}", after in "(?s).{0,200}") {
-            // An open brace before it could swallow it.
+        fn object_is_found_in_any_noise(before in "(?s).{0,200}", after in "(?s).{0,200}") {
+            // An open brace before the object could swallow it.
             prop_assume!(!before.contains("think>") && !after.contains("think>"));
             let answer = format!("{before}\n{GOOD}\n{after}");
             prop_assert_eq!(scores(&answer), [4, 5, 2]);

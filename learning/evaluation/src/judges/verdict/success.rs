@@ -1,12 +1,12 @@
 use serde::{Deserialize, Serialize};
 
-use super::{VerdictError, spoken};
+use super::{VerdictError, without_reasoning};
 use crate::judges::excerpt::{excerpt, excerpt_of_end};
 
-/// A score of this or more is a success, says the paper.
+/// Least score of a success (the paper).
 pub const SUCCESS_THRESHOLD: f64 = 0.5;
 
-/// How far a rollout got.
+/// Degree of success of a rollout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(try_from = "f64", into = "f64")]
 pub enum SuccessScore {
@@ -52,15 +52,14 @@ impl TryFrom<f64> for SuccessScore {
     }
 }
 
-/// Finds the score of an answer: that of the last line `Final Score: X`, whatever stands before or after it. Markdown
-/// around it, a period after it and the case of its letters do not matter; thoughts between `<think>` and `</think>` do
-/// not count. X is 0 or 1, or 0.5 if `partial` credit was asked for.
+/// Finds the score in an answer: the last line `Final Score: X`, whatever surrounds it. Markdown, a final period and
+/// letter case do not matter; text between `<think>` and `</think>` is ignored. X is 0 or 1, or 0.5 if `partial`.
 ///
 /// # Errors
-/// When there is no such line, or the last one has another X: an earlier line is then not taken for it.
+/// If there is no such line, or the last one has another X; earlier lines do not count then.
 pub fn parse_success(answer: &str, partial: bool) -> Result<SuccessScore, VerdictError> {
-    let spoken = spoken(answer)?;
-    let found = spoken.lines().rev().find_map(value_of_line);
+    let answer = without_reasoning(answer)?;
+    let found = answer.lines().rev().find_map(value_of_line);
     let Some(found) = found else {
         return Err(VerdictError::NoScore {
             excerpt: excerpt_of_end(answer),
@@ -75,15 +74,15 @@ pub fn parse_success(answer: &str, partial: bool) -> Result<SuccessScore, Verdic
         })
 }
 
-/// What stands behind `Final Score:`, if that is how the line starts.
+/// The text after `Final Score:`, if the line starts so.
 fn value_of_line(line: &str) -> Option<String> {
-    // Emphasis stands anywhere in it: **Final Score:** 1.
+    // Emphasis may be anywhere: **Final Score:** 1.
     let plain: String = line.chars().filter(|c| !"*_`".contains(*c)).collect();
     // Headings, quotes, lists.
     let plain = plain.trim_start_matches(|c: char| c.is_whitespace() || "#>-•".contains(c));
     let rest = strip_word(plain, "final")?;
     let rest = strip_word(rest.trim_start(), "score")?;
-    // The second is what models write that think in Chinese.
+    // The second colon is written by models that reason in Chinese.
     let value = rest.trim_start().strip_prefix([':', '：'])?.trim();
     Some(value.strip_suffix(['.', '。']).unwrap_or(value).to_owned())
 }
@@ -106,7 +105,7 @@ mod tests {
     use super::{SuccessScore::*, *};
 
     #[test]
-    fn the_last_line_with_a_score() {
+    fn last_line_with_a_score_counts() {
         let cases = [
             ("Final Score: 1", Success),
             ("It is closed.\nFinal Score: 0\n", Failure),
@@ -129,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn anything_else_is_no_score() {
+    fn other_texts_have_no_score() {
         let cases = [
             "",
             "The robot closes the oven.",
@@ -167,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn half_a_success_has_to_be_asked_for() {
+    fn half_a_success_must_be_requested() {
         assert_eq!(parse_success("Final Score: 0.5", true), Ok(Partial));
         let error = parse_success("Final Score: 0.5", false).unwrap_err();
         assert_eq!(
@@ -198,7 +197,7 @@ mod tests {
         }
 
         #[test]
-        fn a_score_is_found_in_any_noise(
+        fn score_is_found_in_any_noise(
             before in "(?s).{0,200}",
             after in "(?s).{0,200}",
             line in prop::sample::select(vec!["Final Score: 1", "**Final Score: 1**", "final score: 1.0."]),

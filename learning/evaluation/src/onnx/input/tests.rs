@@ -3,7 +3,7 @@ use serde::Deserialize;
 
 use super::*;
 
-/// What PyTorch makes of a picture, from `fixtures/generate.py`.
+/// PyTorch's result for a picture, from `fixtures/generate.py`.
 #[derive(Deserialize)]
 struct Golden {
     input: Input,
@@ -27,7 +27,7 @@ fn picture(width: u32, height: u32) -> RgbImage {
 }
 
 #[test]
-fn as_pytorch_does() {
+fn preparation_matches_pytorch() {
     let all: Vec<Golden> =
         serde_json::from_str(include_str!("../../../fixtures/preparations.json")).unwrap();
     assert!(all.len() > 30);
@@ -45,7 +45,7 @@ fn as_pytorch_does() {
             .zip(&golden.values)
             .map(|(a, b)| (a - b).abs())
             .fold(0.0, f32::max);
-        // As PyTorch's own weights are in f32, and the normalised range is up to five.
+        // PyTorch's weights are f32, and the normalised range is up to five.
         assert!(
             far < 1e-4,
             "{far} off: {:?} of {}x{}",
@@ -61,7 +61,7 @@ fn plain() -> Input {
 }
 
 #[test]
-fn order_of_axes() {
+fn axes_follow_the_layout() {
     let pictures = [1_u8, 2].map(|level| {
         let picture = RgbImage::from_fn(2, 1, |x, _| {
             Rgb([level * 10 + x as u8, level * 10 + 2, level * 10 + 4])
@@ -101,7 +101,7 @@ fn order_of_axes() {
 }
 
 #[test]
-fn what_does_not_fit() {
+fn unsuitable_pictures_are_named() {
     let mut input = plain();
     input.size = Some(Size::Exact([4, 5]));
     let found = input.prepare(&picture(6, 4)).map(|_| ());

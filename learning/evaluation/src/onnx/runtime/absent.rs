@@ -1,11 +1,11 @@
-//! Without the feature `onnx`: there is no session, only the error that says so.
+//! Without the feature `onnx`: opening a session is an error.
 
 use std::path::Path;
 
 use crate::onnx::network::Port;
 use crate::onnx::{Error, Result, Role, Tensor};
 
-/// Cannot be made.
+/// Never constructed.
 #[derive(Debug)]
 pub(crate) enum Session {}
 

@@ -1,8 +1,8 @@
-//! ONNX files run by tract.
+//! Runs ONNX files with tract.
 //!
-//! Tract plans a network for given shapes of its inputs. The last plan is kept: metrics run the same shapes again and again.
-//! It computes on the calling thread, so a run does not depend on how many threads there are; it chooses its kernels by the
-//! processor, so the last bits may differ on another one.
+//! Tract plans a network for given input shapes. The last plan is kept, since metrics repeat shapes. It computes on the
+//! calling thread, so results do not depend on the number of threads. Kernels depend on the processor, so the last bits
+//! may differ.
 
 use std::any::Any;
 use std::fmt;
@@ -20,7 +20,7 @@ use tract_onnx::tract_hir::internal::DimLike as _;
 use crate::onnx::network::Port;
 use crate::onnx::{Error, Result, Role, Tensor};
 
-/// A file that is loaded.
+/// A loaded file.
 pub(crate) struct Session {
     model: InferenceModel,
     inputs: Vec<Port>,
@@ -29,7 +29,7 @@ pub(crate) struct Session {
     plan: Mutex<Option<Plan>>,
 }
 
-/// The network made ready for inputs of these shapes.
+/// A plan for input shapes.
 #[derive(Clone)]
 struct Plan {
     shapes: Vec<Vec<usize>>,
@@ -53,13 +53,13 @@ impl Session {
         &self.outputs
     }
 
-    /// All outputs. The inputs are as many as there are, and of shapes that the file allows.
+    /// All outputs. Inputs must match the file in number and shape.
     pub(crate) fn run(&self, inputs: &[Tensor]) -> Result<Vec<Tensor>, String> {
         guarded(|| self.try_run(inputs))
     }
 
     fn load(bytes: &[u8]) -> TractResult<Self> {
-        // Shapes in the file beyond those of the inputs are often of another batch than ours, and follow from the inputs.
+        // Shapes in the file beyond the inputs often have another batch size; they follow from the inputs.
         let model = tract_onnx::onnx()
             .with_ignore_output_shapes(true)
             .with_ignore_value_info(true)
@@ -89,7 +89,7 @@ impl Session {
             plan: Mutex::new(None),
             model,
         };
-        // An operator that is missing comes to light here, where the file fixes the shapes; else at the first run.
+        // Finds unsupported operators early if the file fixes the shapes; else at the first run.
         let shapes: Option<Vec<Vec<usize>>> = session
             .inputs
             .iter()
@@ -139,7 +139,7 @@ impl Session {
                 .collect();
             Ok(Tensor::new(output.shape().to_vec(), data))
         });
-        // As many elements as the shape has: both are of one array.
+        // Shape and elements come from one array.
         Ok(tensors
             .collect::<TractResult<Vec<_>>>()?
             .into_iter()
@@ -157,10 +157,10 @@ impl fmt::Debug for Session {
     }
 }
 
-/// Turns what tract reports into text, with its causes, and a panic likewise: on a damaged file tract may index past an end or
-/// look up a name that is not there. The panic's own message still goes to stderr.
+/// Converts errors of tract and their causes, and panics, to text: on a damaged file tract may index past an end or look up a
+/// missing name. The panic's own message still goes to stderr.
 fn guarded<T>(run: impl FnOnce() -> TractResult<T>) -> Result<T, String> {
-    // Nothing outlives a panic half changed: the plan is replaced whole, and the model is only read.
+    // No state is half changed after a panic: the plan is replaced whole, and the model is read-only.
     match catch_unwind(AssertUnwindSafe(run)) {
         Ok(done) => done.map_err(|error| format!("{error:#}")),
         Err(panic) => Err(format!("the runtime panicked: {}", message(&*panic))),

@@ -1,18 +1,18 @@
-//! Whether a description fits its role.
+//! Checks a description against its role.
 
 use crate::onnx::{Input, InputKind, Layout, OutputKind, Pooling, Resize, Role, Size, Spec};
 
-/// Pictures of a side beyond this are a mistake in a file of settings: a batch of them would not fit into memory.
+/// Larger sides are a mistake: a batch would not fit into memory.
 const MAX_SIDE: usize = 4096;
-/// Likewise for the pictures of a clip and the inputs of a run.
+/// Likewise for pictures per clip and inputs per run.
 const MAX_FRAMES: usize = 256;
 pub(crate) const MAX_BATCH: usize = 64;
 
-/// Which key is wrong, and why.
+/// The wrong key, and the reason.
 type Wrong = (&'static str, String);
 
 impl Spec {
-    /// Fills in the role's defaults; says which key does not fit the role.
+    /// Fills in the role's defaults; names a key that does not suit the role.
     pub(crate) fn checked(mut self, role: Role) -> Result<Self, Wrong> {
         if !(1..=MAX_BATCH).contains(&self.batch) {
             return Err((
@@ -35,8 +35,7 @@ impl Spec {
             (Role::Musiq, None) => {
                 return Err((
                     KEY,
-                    "is missing: the scores that stand for the worst and the best picture"
-                        .to_owned(),
+                    "is missing: the scores of the worst and the best picture".to_owned(),
                 ));
             }
             (Role::Aesthetic, None) => self.score_range = Some([0.0, 10.0]),
@@ -88,7 +87,7 @@ impl Input {
         match (self.resize, self.antialias) {
             (Resize::Bilinear | Resize::Bicubic, None) => Err((
                 "input.antialias",
-                "is missing: metrics with and without it differ, so say true or false".to_owned(),
+                "is missing: it changes metrics, so give true or false".to_owned(),
             )),
             (Resize::Nearest | Resize::None, Some(true)) => Err((
                 "input.antialias",
@@ -97,7 +96,7 @@ impl Input {
             (Resize::Bilinear | Resize::Bicubic | Resize::Nearest, _) if self.size.is_none() => {
                 Err((
                     "input.size",
-                    "is missing; without one, say `resize: none`".to_owned(),
+                    "is missing; without resizing, give `resize: none`".to_owned(),
                 ))
             }
             _ => Ok(()),

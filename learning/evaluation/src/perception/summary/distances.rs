@@ -7,9 +7,9 @@ use wm_metrics::{
     },
 };
 
-use super::super::{FeatureSpace, Of, Vectors};
+use super::super::{BySource, FeatureSpace, Vectors};
 
-/// Vectors whose moments are taken at once: 2048 features of them are 16 MB.
+/// Vectors per block: 16 MB with 2048 features.
 const BLOCK: usize = 1024;
 
 /// A figure of all vectors together.
@@ -21,8 +21,8 @@ struct Distance {
     ceiling: f64,
 }
 
-/// Adds the distances of all predictions, and of all reconstructions, to what came.
-pub(super) fn add(section: &mut Section, space: FeatureSpace, features: &[&Of<Vectors>]) {
+/// Adds the distances of predictions and of reconstructions to the true frames.
+pub(super) fn add(section: &mut Section, space: FeatureSpace, features: &[&BySource<Vectors>]) {
     let distances = match space {
         FeatureSpace::Fid => {
             let about = "Fréchet distance of the features of frames";
@@ -56,12 +56,17 @@ pub(super) fn add(section: &mut Section, space: FeatureSpace, features: &[&Of<Ve
             _ => (predicted - ceiling, "predictions minus ceiling"),
         };
         for (end, value, better, what) in [
-            ("", predicted, better, "decoded predictions and what came"),
+            (
+                "",
+                predicted,
+                better,
+                "decoded predictions against true frames",
+            ),
             (
                 "_ceiling",
                 ceiling,
                 better,
-                "frames encoded and decoded, and what came",
+                "frames encoded and decoded, against true frames",
             ),
             ("_gap", gap, Better::Lower, difference),
         ] {
@@ -74,7 +79,7 @@ pub(super) fn add(section: &mut Section, space: FeatureSpace, features: &[&Of<Ve
     let length = features.first().map_or(0, |of| of.predicted.length());
     let caution = match space {
         FeatureSpace::Jepa => "",
-        _ => " A Fréchet distance of few vectors is too high: compare those of equally many alone.",
+        _ => " A Fréchet distance of few vectors is too high: compare only equal numbers.",
     };
     section.notes.push(format!(
         "{}: {vectors} vectors of {length} features, of {} episodes.{caution}",
@@ -84,12 +89,12 @@ pub(super) fn add(section: &mut Section, space: FeatureSpace, features: &[&Of<Ve
 }
 
 fn frechet(
-    features: &[&Of<Vectors>],
+    features: &[&BySource<Vectors>],
     name: &'static str,
     about: &'static str,
 ) -> Result<Distance, MetricError> {
     let truth = moments(features.iter().map(|of| &of.truth))?;
-    // Half a minute each of Inception's 2048 features.
+    // Half a minute each with Inception's 2048 features.
     let (predicted, ceiling) = rayon::join(
         || frechet_distance(&moments(features.iter().map(|of| &of.predicted))?, &truth),
         || {
@@ -108,7 +113,7 @@ fn frechet(
     })
 }
 
-fn jepa(features: &[&Of<Vectors>]) -> Result<Vec<Distance>, MetricError> {
+fn jepa(features: &[&BySource<Vectors>]) -> Result<Vec<Distance>, MetricError> {
     let truth = table(features.iter().map(|of| &of.truth))?;
     let predicted = table(features.iter().map(|of| &of.predicted))?;
     let ceiling = table(features.iter().map(|of| &of.reconstructed))?;

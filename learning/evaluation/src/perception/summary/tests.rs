@@ -3,7 +3,7 @@ use wm_metrics::findings::Suite;
 use super::*;
 use crate::{
     Protocol,
-    perception::{Of, Vectors},
+    perception::{BySource, Vectors},
 };
 
 fn settings() -> Settings {
@@ -83,7 +83,7 @@ fn figures_are_means_over_steps_then_episodes() {
 }
 
 #[test]
-fn every_metric_without_a_network_is_absent_by_name() {
+fn metrics_without_a_network_are_missing_by_name() {
     let section = summary(&[("a", EpisodePerception::default())]);
     assert!(section.metrics.is_empty() && section.curves.is_empty() && section.notes.is_empty());
     let figures = EpisodeFigure::ALL.into_iter().map(EpisodeFigure::name);
@@ -112,7 +112,7 @@ fn every_metric_without_a_network_is_absent_by_name() {
 }
 
 #[test]
-fn a_metric_of_two_networks_names_the_one_that_is_absent() {
+fn metric_of_two_networks_names_the_missing_one() {
     let mut found = EpisodePerception::default();
     found.lack("flow_score", "one predicted frame".into());
     let section = summary(&[("a", found)]);
@@ -123,17 +123,17 @@ fn a_metric_of_two_networks_names_the_one_that_is_absent() {
     );
     assert_eq!(
         why(&section, "flow_score"),
-        "no episode has one: one predicted frame"
+        "missing in all episodes: one predicted frame"
     );
 }
 
 #[test]
-fn distances_are_of_the_features_of_all_episodes() {
-    // Together: what came has mean 2 and variance 20/3, predictions are 3 more, reconstructions are the same.
+fn distances_use_the_features_of_all_episodes() {
+    // Together: true values have mean 2 and variance 20/3, predictions are 3 higher, reconstructions are equal.
     let truth: [&[f32]; 2] = [&[-1.0, 1.0], &[3.0, 5.0]];
     let episode = |values: &[f32]| {
         let of = |add: f32| line(&values.iter().map(|value| value + add).collect::<Vec<_>>());
-        let of = Of {
+        let of = BySource {
             truth: of(0.0),
             predicted: of(3.0),
             reconstructed: of(0.0),
@@ -144,7 +144,7 @@ fn distances_are_of_the_features_of_all_episodes() {
         found
     };
     let mut without = EpisodePerception::default();
-    without.lack("fvd", "12 predicted frames, and a clip has 16".into());
+    without.lack("fvd", "12 predicted frames, but a clip has 16".into());
     let section = summary(&[
         ("a", episode(truth[0])),
         ("b", episode(truth[1])),
@@ -171,7 +171,7 @@ fn distances_are_of_the_features_of_all_episodes() {
             .iter()
             .any(|note| note.starts_with("fid: 4 vectors of 1 features, of 2 episodes"))
     );
-    let fvd = "fvd is of 2 of 3 episodes; without one: c (12 predicted frames, and a clip has 16).";
+    let fvd = "fvd covers 2 of 3 episodes; missing: c (12 predicted frames, but a clip has 16).";
     assert!(
         section.notes.iter().any(|note| note == fvd),
         "{:?}",
@@ -180,8 +180,8 @@ fn distances_are_of_the_features_of_all_episodes() {
 }
 
 #[test]
-fn one_vector_has_no_distance() {
-    let of = Of {
+fn single_vector_has_no_distance() {
+    let of = BySource {
         truth: line(&[1.0]),
         predicted: line(&[1.0]),
         reconstructed: line(&[1.0]),

@@ -1,4 +1,4 @@
-//! How far judges agree, and which two the consensus is of.
+//! Agreement of judges, and the choice of two for the consensus.
 
 use wm_metrics::classification::{closest_raters, cohen_kappa};
 use wm_metrics::findings::{Better, Metric, Section, TextTable};
@@ -9,25 +9,25 @@ use super::{
 };
 use crate::{
     Settings,
-    policy::{Condition, Imagined},
+    policy::{Condition, ImaginedTrial},
 };
 
 /// The two judges of the consensus.
-pub(super) struct Agreed {
+pub(super) struct ConsensusPair {
     pub judges: [String; 2],
-    /// How they were chosen, if there are more.
+    /// How they were chosen among more.
     pub remark: Option<String>,
 }
 
-/// The two of two, or the closest two of more, by all trials that all have scored; none of less than two.
-pub(super) fn of(trials: &[&Imagined], settings: &Settings) -> Option<Agreed> {
+/// The only two judges, or the closest two of more over trials scored by all; `None` for fewer than two.
+pub(super) fn of(trials: &[&ImaginedTrial], settings: &Settings) -> Option<ConsensusPair> {
     let names = names(settings);
     let [first, second, others @ ..] = &names[..] else {
         return None;
     };
     let two = |a: &str, b: &str| [a.to_owned(), b.to_owned()];
     if others.is_empty() {
-        return Some(Agreed {
+        return Some(ConsensusPair {
             judges: two(first, second),
             remark: None,
         });
@@ -35,7 +35,7 @@ pub(super) fn of(trials: &[&Imagined], settings: &Settings) -> Option<Agreed> {
     let scored = trials
         .iter()
         .filter(|trial| names.iter().all(|name| rated(trial, name).is_some()));
-    let scored: Vec<&Imagined> = scored.copied().collect();
+    let scored: Vec<&ImaginedTrial> = scored.copied().collect();
     let raters = names
         .iter()
         .map(|name| scored.iter().filter_map(|trial| rated(trial, name)));
@@ -43,20 +43,20 @@ pub(super) fn of(trials: &[&Imagined], settings: &Settings) -> Option<Agreed> {
     let closest = closest_raters(&raters).ok();
     let chosen = closest.and_then(|c| Some((names.get(c.first)?, names.get(c.second)?, c.kappa)));
     Some(match chosen {
-        Some((a, b, kappa)) => Agreed {
+        Some((a, b, kappa)) => ConsensusPair {
             judges: two(a, b),
             remark: Some(format!(
-                "Of {} judges the consensus is that of {a} and {b}, which agree most: Cohen's kappa {kappa:.3} over the {} \
-                 trials that all have scored.",
+                "The consensus of {} judges is that of {a} and {b}, which agree most: Cohen's kappa {kappa:.3} over the {} \
+                 trials scored by all.",
                 names.len(),
                 scored.len()
             )),
         },
-        None => Agreed {
+        None => ConsensusPair {
             judges: two(first, second),
             remark: Some(format!(
-                "The consensus is that of the first two of {} judges, {first} and {second}: no two have a kappa by which to \
-                 choose.",
+                "The consensus is that of the first two of {} judges, {first} and {second}: no pair has a kappa to \
+                 choose by.",
                 names.len()
             )),
         },
@@ -68,12 +68,12 @@ fn names(settings: &Settings) -> Vec<&str> {
     judges.map(|judge| &*judge.name).collect()
 }
 
-/// Adds tables of the judges and of each two, and the kappas.
+/// Adds tables of judges and pairs, and the kappas.
 pub(super) fn add(
     section: &mut Section,
-    trials: &[&Imagined],
+    trials: &[&ImaginedTrial],
     settings: &Settings,
-    agreed: Option<&Agreed>,
+    agreed: Option<&ConsensusPair>,
 ) {
     let names = names(settings);
     if names.is_empty() {
@@ -97,7 +97,7 @@ pub(super) fn add(
         let all = recorded.clone().count();
         let (rate, n) = mean(recorded, &score).map_or((f64::NAN, 0), |found| found);
         let error = (rate * (1.0 - rate) / n as f64).sqrt();
-        let told = |value: f64| {
+        let format_value = |value: f64| {
             if value.is_finite() {
                 format!("{value:.3}")
             } else {
@@ -107,15 +107,15 @@ pub(super) fn add(
         vec![
             judge.name.clone(),
             judge.model.clone(),
-            told(rate),
-            told(error),
+            format_value(rate),
+            format_value(error),
             n.to_string(),
             (all - n).to_string(),
             mark(is_chosen(&judge.name)),
         ]
     });
     section.tables.push(TextTable {
-        title: "Judges, of trials as recorded".into(),
+        title: "Judges on trials as recorded".into(),
         header: [
             "judge",
             "model",
@@ -147,9 +147,8 @@ pub(super) fn add(
             let name = format!("kappa_{}_{}", slug(a), slug(b));
             match kappa {
                 Some(kappa) => {
-                    let about = format!(
-                        "Cohen's kappa of {a} and {b} over all trials that both have scored"
-                    );
+                    let about =
+                        format!("Cohen's kappa of {a} and {b} over all trials scored by both");
                     section.metric(
                         &name,
                         Metric::plain(kappa, first.len(), Better::Higher, &about),
@@ -157,14 +156,14 @@ pub(super) fn add(
                 }
                 None => section.absent(
                     &name,
-                    "both say the same of all trials, or of none: chance alone agrees",
+                    "one label for all trials: agreement is by chance alone",
                 ),
             }
         }
     }
     if !rows.is_empty() {
         section.tables.push(TextTable {
-            title: "Agreement of judges, of all trials".into(),
+            title: "Agreement of judges on all trials".into(),
             header: ["judge", "and", "Cohen's kappa", "trials", "consensus"]
                 .map(str::to_owned)
                 .to_vec(),

@@ -8,30 +8,33 @@ use wm_metrics::{
     statistics::{bootstrap_clustered_mean, standard_error_of_share, wilson},
 };
 
-use super::agreement::Agreed;
+use super::agreement::ConsensusPair;
 use crate::{
     Settings,
     figures::{FEWEST, draws, mean_over_units},
-    policy::{Condition, Imagined, Rubric},
+    policy::{Condition, ImaginedTrial, Rubric},
 };
 
-/// How a trial is rated.
+/// A rating of trials.
 pub(super) struct Score<'a> {
-    /// Of the figure.
+    /// Name of the figure.
     pub name: String,
-    /// Over a column.
+    /// Title of a column.
     pub title: String,
     pub about: String,
-    /// Whether it is a share of successes.
+    /// Whether it is a success rate.
     pub is_rate: bool,
-    /// Of one trial; none where it has none.
+    /// The rating of one trial, if it has one.
     pub of: Box<Of<'a>>,
 }
 
-type Of<'a> = dyn Fn(&Imagined) -> Option<f64> + 'a;
+type Of<'a> = dyn Fn(&ImaginedTrial) -> Option<f64> + 'a;
 
-/// All ways in which trials are rated.
-pub(super) fn scores<'a>(settings: &'a Settings, agreed: Option<&'a Agreed>) -> Vec<Score<'a>> {
+/// All ratings.
+pub(super) fn scores<'a>(
+    settings: &'a Settings,
+    pair: Option<&'a ConsensusPair>,
+) -> Vec<Score<'a>> {
     let mut scores = vec![
         Score {
             name: "probe_probability".into(),
@@ -60,7 +63,7 @@ pub(super) fn scores<'a>(settings: &'a Settings, agreed: Option<&'a Agreed>) -> 
             of: Box::new(|trial| rated(trial, &judge.name).map(f64::from)),
         });
     }
-    if let Some(Agreed { judges, .. }) = agreed {
+    if let Some(ConsensusPair { judges, .. }) = pair {
         let [first, second] = judges;
         scores.push(Score {
             name: "consensus_success".into(),
@@ -85,15 +88,13 @@ pub(super) fn scores<'a>(settings: &'a Settings, agreed: Option<&'a Agreed>) -> 
     if let Some(first) = settings.policy.inputs.judges.first() {
         type Part = fn(&Rubric) -> u8;
         let rubric: [(&str, &str, Part); 3] = [
-            ("interaction_quality", "how plausible contact is", |r| {
+            ("interaction_quality", "plausibility of contact", |r| {
                 r.interaction_quality
             }),
-            ("perspectivity", "how consistent the space is", |r| {
-                r.perspectivity
-            }),
+            ("perspectivity", "spatial consistency", |r| r.perspectivity),
             (
                 "instruction_following",
-                "how far the instruction is carried out",
+                "completion of the instruction",
                 |r| r.instruction_following,
             ),
         ];
@@ -112,12 +113,12 @@ pub(super) fn scores<'a>(settings: &'a Settings, agreed: Option<&'a Agreed>) -> 
 }
 
 /// Whether a judge calls a trial a success.
-pub(super) fn rated(trial: &Imagined, judge: &str) -> Option<bool> {
+pub(super) fn rated(trial: &ImaginedTrial, judge: &str) -> Option<bool> {
     let score = trial.verdicts.as_ref()?.scores.get(judge)?;
     score.map(|score| score >= SUCCESS_THRESHOLD)
 }
 
-/// A name in small letters, digits and underscores.
+/// A name in lower-case letters, digits and underscores.
 pub(super) fn slug(name: &str) -> String {
     let plain = name.chars().map(|c| {
         if c.is_ascii_alphanumeric() {
@@ -129,10 +130,10 @@ pub(super) fn slug(name: &str) -> String {
     plain.collect()
 }
 
-/// Adds the figures of every condition, what is lost out of distribution, and how far the recorded policy is judged right.
+/// Adds the figures of every condition, the losses out of distribution, and the accuracy on recorded actions.
 pub(super) fn add(
     section: &mut Section,
-    trials: &[&Imagined],
+    trials: &[&ImaginedTrial],
     scores: &[Score<'_>],
     settings: &Settings,
 ) {
@@ -157,7 +158,7 @@ pub(super) fn add(
                 })
                 .collect();
             let about = format!(
-                "{}: of the same tasks as recorded, minus that of these trials ({})",
+                "{}: on the same tasks as recorded, minus that on these trials ({})",
                 score.about,
                 condition.words()
             );
@@ -190,10 +191,10 @@ fn metric(
     }
     let mut interval = estimate.interval;
     if score.is_rate && interval.low == interval.high {
-        // Of none or of all a bootstrap has no width.
+        // With no or only successes, the bootstrap interval has zero width.
         let successes = if estimate.value > 0.5 { tasks.len() } else { 0 };
         interval = wilson(successes, tasks.len()).ok()?;
-        about += "; Wilson's interval, of tasks";
+        about += "; Wilson's interval over tasks";
     }
     let samples = tasks.iter();
     let samples = samples.map(|(task, values)| ((*task).to_owned(), mean(values)));
@@ -205,7 +206,7 @@ fn metric(
 }
 
 fn by_task<'t>(
-    trials: &[&'t Imagined],
+    trials: &[&'t ImaginedTrial],
     condition: Condition,
     score: &Score<'_>,
 ) -> BTreeMap<&'t str, Vec<f64>> {
@@ -222,13 +223,13 @@ fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
-/// Of the recorded policy: the probe on imagined latents against itself on the frames, and against what came of it.
-fn add_of_recordings(section: &mut Section, trials: &[&Imagined], settings: &Settings) {
-    type Told = fn(&Imagined) -> Option<f64>;
+/// For the recorded policy: the probe on imagined latents against the probe on the frames, and against the outcome.
+fn add_of_recordings(section: &mut Section, trials: &[&ImaginedTrial], settings: &Settings) {
+    type Told = fn(&ImaginedTrial) -> Option<f64>;
     let figures: [(&str, &str, Told); 4] = [
         (
             "recorded_success",
-            "share of the tasks that the recording did, as it says itself",
+            "success rate of the recordings, as recorded",
             |trial| trial.outcome.map(f64::from),
         ),
         (
@@ -239,7 +240,7 @@ fn add_of_recordings(section: &mut Section, trials: &[&Imagined], settings: &Set
         ),
         (
             "recorded_agreement_with_frames",
-            "share of trials in which the success probe says of imagined latents what it says of the recorded frames",
+            "share of trials with the same probe verdict on imagined latents and on recorded frames",
             |trial| {
                 let (imagined, real) = (trial.probe?, trial.probe_on_frames?);
                 Some(f64::from((imagined > 0.5) == (real > 0.5)))
@@ -247,7 +248,7 @@ fn add_of_recordings(section: &mut Section, trials: &[&Imagined], settings: &Set
         ),
         (
             "recorded_agreement_with_outcome",
-            "share of trials in which the success probe says of imagined latents what the recording says of its success",
+            "share of trials in which the probe verdict on imagined latents equals the recorded success",
             |trial| Some(f64::from((trial.probe? > 0.5) == trial.outcome?)),
         ),
     ];

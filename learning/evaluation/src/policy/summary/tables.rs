@@ -5,10 +5,10 @@ use std::collections::BTreeSet;
 use wm_metrics::findings::{Section, TextTable};
 
 use super::{mean, rates::Score};
-use crate::policy::{Condition, Imagined};
+use crate::policy::{Condition, ImaginedTrial};
 
 /// Adds both tables.
-pub(super) fn add(section: &mut Section, trials: &[&Imagined], scores: &[Score<'_>]) {
+pub(super) fn add(section: &mut Section, trials: &[&ImaginedTrial], scores: &[Score<'_>]) {
     let has = |score: &&Score<'_>| trials.iter().any(|trial| (score.of)(trial).is_some());
     let scores: Vec<&Score<'_>> = scores.iter().filter(has).collect();
     if trials.is_empty() {
@@ -25,7 +25,7 @@ pub(super) fn add(section: &mut Section, trials: &[&Imagined], scores: &[Score<'
     let levels: BTreeSet<&(u8, String)> = trials.iter().filter_map(|t| t.level.as_ref()).collect();
     if !levels.is_empty() {
         let rows = levels.into_iter().map(|level| {
-            let own: Vec<&Imagined> = trials
+            let own: Vec<&ImaginedTrial> = trials
                 .iter()
                 .copied()
                 .filter(|t| t.condition == Condition::Recorded && t.level.as_ref() == Some(level))
@@ -50,9 +50,10 @@ pub(super) fn add(section: &mut Section, trials: &[&Imagined], scores: &[Score<'
         }
     }
     let rows = groups.into_iter().map(|(instruction, condition)| {
-        let own =
-            |trial: &&Imagined| (&*trial.instruction, trial.condition) == (instruction, condition);
-        let own: Vec<&Imagined> = trials.iter().copied().filter(own).collect();
+        let own = |trial: &&ImaginedTrial| {
+            (&*trial.instruction, trial.condition) == (instruction, condition)
+        };
+        let own: Vec<&ImaginedTrial> = trials.iter().copied().filter(own).collect();
         let level = own.first().and_then(|trial| trial.level.as_ref());
         let level = level.map_or("-".into(), |(number, _)| number.to_string());
         let first = vec![instruction.to_owned(), condition.words().to_owned(), level];
@@ -65,7 +66,7 @@ pub(super) fn add(section: &mut Section, trials: &[&Imagined], scores: &[Score<'
     });
 }
 
-fn row(mut row: Vec<String>, own: &[&Imagined], scores: &[&Score<'_>]) -> Vec<String> {
+fn row(mut row: Vec<String>, own: &[&ImaginedTrial], scores: &[&Score<'_>]) -> Vec<String> {
     row.push(own.len().to_string());
     let means = scores.iter().map(|score| {
         let mean = mean(own.iter().copied(), score);

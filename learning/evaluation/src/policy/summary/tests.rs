@@ -21,11 +21,11 @@ fn judged(judges: &[&str]) -> Settings {
     settings
 }
 
-fn trial(task: usize, trial: usize, scores: &[(&str, Option<f64>)]) -> (String, Imagined) {
+fn trial(task: usize, trial: usize, scores: &[(&str, Option<f64>)]) -> (String, ImaginedTrial) {
     let scores = scores
         .iter()
         .map(|(judge, score)| ((*judge).to_owned(), *score));
-    let imagined = Imagined {
+    let imagined = ImaginedTrial {
         task: format!("task {task}"),
         trial,
         condition: Condition::Recorded,
@@ -52,14 +52,14 @@ fn trial(task: usize, trial: usize, scores: &[(&str, Option<f64>)]) -> (String, 
 /// Four tasks with two trials.
 fn trials(
     scores: impl Fn(usize, usize) -> Vec<(&'static str, Option<f64>)>,
-) -> Vec<(String, Imagined)> {
+) -> Vec<(String, ImaginedTrial)> {
     let all = (0..4).flat_map(|task| (0..2).map(move |trial| (task, trial)));
     all.map(|(task, number)| trial(task, number, &scores(task, number)))
         .collect()
 }
 
 #[test]
-fn the_consensus_is_what_both_call_a_success() {
+fn consensus_needs_both_judges() {
     let both = |task: usize, trial: usize| {
         vec![
             ("a", Some(if task == 0 { 0.5 } else { 0.0 })),
@@ -93,7 +93,7 @@ fn the_consensus_is_what_both_call_a_success() {
 }
 
 #[test]
-fn answers_that_are_unusable_are_counted_and_change_no_rate() {
+fn unusable_answers_are_counted_without_effect_on_rates() {
     let some = |task: usize, _| vec![("a", (task > 0).then_some(1.0)), ("b", Some(1.0))];
     let section = summarise(&trials(some), &judged(&["a", "b"]));
     let consensus = &section.metrics["policy.consensus_success"];
@@ -105,7 +105,7 @@ fn answers_that_are_unusable_are_counted_and_change_no_rate() {
     let interval = consensus.interval.unwrap();
     assert!(interval.low < 0.5 && interval.high == 1.0, "{interval:?}");
     assert_eq!(section.tables[0].rows[0][5], "2");
-    // Both always say yes.
+    // Both always answer yes.
     assert!(
         section
             .absent
@@ -115,7 +115,7 @@ fn answers_that_are_unusable_are_counted_and_change_no_rate() {
 }
 
 #[test]
-fn of_three_judges_the_closest_two_decide() {
+fn closest_two_of_three_judges_decide() {
     let three = |task: usize, trial: usize| {
         let score = |is: bool| Some(f64::from(u8::from(is)));
         vec![
@@ -145,11 +145,11 @@ fn of_three_judges_the_closest_two_decide() {
 }
 
 #[test]
-fn drops_are_of_the_same_tasks() {
+fn drops_compare_the_same_tasks() {
     let mut all = trials(|task, _| vec![("a", Some(f64::from(u8::from(task < 2))))]);
     for task in [0, 2] {
         let (name, imagined) = trial(task, 0, &[("a", Some(0.0))]);
-        let changed = Imagined {
+        let changed = ImaginedTrial {
             condition: Condition::OtherInstruction,
             ..imagined
         };
@@ -177,7 +177,7 @@ fn drops_are_of_the_same_tasks() {
 }
 
 #[test]
-fn of_no_trial_the_reason_is_told() {
+fn missing_trials_have_a_reason() {
     let section = summarise(&[], &judged(&[]));
     assert!(section.metrics.is_empty());
     assert!(section.absent[0].why.contains("/task/instruction"));

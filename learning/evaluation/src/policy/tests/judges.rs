@@ -6,7 +6,7 @@ use super::{
     threads,
 };
 
-/// Two say what the instruction decides, the third the contrary.
+/// Two judges follow the instruction; the third answers the opposite.
 fn last_line(body: &Value) -> String {
     let text = body.to_string();
     if text.contains("Interaction_Quality") {
@@ -31,7 +31,7 @@ fn panel(server: &Server) -> String {
 }
 
 #[test]
-fn judges_are_asked_once_and_the_closest_two_decide() {
+fn judges_answer_once_and_the_closest_two_decide() {
     let bags = Bags::new();
     let server = Server::new(|_, request| says(&last_line(&request.body)));
     let arguments = PolicyArgs {

@@ -1,20 +1,25 @@
-//! What the inverse dynamics models tell.
+//! Findings of the inverse dynamics models.
 
 use wm_metrics::findings::{Better, Section, TextTable};
 
-use super::super::{Told, ToldActions};
+use super::super::{IdmActions, InferredActions};
 use crate::{Settings, action_correlation::correlation, figures::figure_of_units};
 
-/// Rows of actions, as told from some latents.
-pub(super) type Rows = fn(&Told) -> &Vec<Vec<f32>>;
+/// Rows of actions, inferred from some latents.
+pub(super) type Rows = fn(&IdmActions) -> &Vec<Vec<f32>>;
 
-/// Mean of Pearson's r over the dimensions that are no gripper and vary.
-fn mean_r(windows: &[&ToldActions], chosen: &[usize], model: usize, of: Rows) -> f64 {
+/// Mean of Pearson's r over varying dimensions without grippers.
+fn mean_r(windows: &[&InferredActions], chosen: &[usize], model: usize, of: Rows) -> f64 {
     let rs = rs(windows, chosen, model, of);
     rs.iter().map(|(_, r)| r).sum::<f64>() / rs.len() as f64
 }
 
-fn rs(windows: &[&ToldActions], chosen: &[usize], model: usize, of: Rows) -> Vec<(String, f64)> {
+fn rs(
+    windows: &[&InferredActions],
+    chosen: &[usize],
+    model: usize,
+    of: Rows,
+) -> Vec<(String, f64)> {
     let chosen = || {
         let chosen = chosen.iter().filter_map(|index| windows.get(*index));
         chosen.filter_map(move |found| found.models.get(model))
@@ -30,7 +35,7 @@ fn rs(windows: &[&ToldActions], chosen: &[usize], model: usize, of: Rows) -> Vec
             rows.filter_map(|row| row.get(column).map(|v| f64::from(*v)))
                 .collect()
         };
-        let r = correlation(&values(of), &values(|told| &told.truth))?;
+        let r = correlation(&values(of), &values(|inferred| &inferred.truth))?;
         Some((name.clone(), r))
     });
     each.collect()
@@ -39,22 +44,26 @@ fn rs(windows: &[&ToldActions], chosen: &[usize], model: usize, of: Rows) -> Vec
 /// Adds the correlations of one model.
 pub(super) fn of_model(
     section: &mut Section,
-    windows: &[&ToldActions],
+    windows: &[&InferredActions],
     settings: &Settings,
     model: usize,
 ) {
-    let Some(told) = windows.first().and_then(|found| found.models.get(model)) else {
+    let Some(inferred) = windows.first().and_then(|found| found.models.get(model)) else {
         return;
     };
-    let Told { name, k, space, .. } = told;
+    let IdmActions { name, k, space, .. } = inferred;
     let sources: [(&str, &str, Rows); 2] = [
-        ("real", "the latents of the frames", |told| &told.real),
-        ("predicted", "predicted latents", |told| &told.predicted),
+        ("real", "the latents of the frames", |inferred| {
+            &inferred.real
+        }),
+        ("predicted", "predicted latents", |inferred| {
+            &inferred.predicted
+        }),
     ];
     let mut by_dimension = Vec::new();
     for (source, about, of) in sources {
         let about = format!(
-            "Pearson's r of actions told from {about} with the true ones, mean over the dimensions; inverse dynamics \
+            "Pearson's r of actions inferred from {about} with the true ones, mean over the dimensions; inverse dynamics \
              model of k = {k} in {space}"
         );
         let metric = figure_of_units(windows.len(), settings, Better::Higher, &about, |chosen| {
@@ -70,10 +79,10 @@ pub(super) fn of_model(
         let all: Vec<usize> = (0..windows.len()).collect();
         by_dimension.push(rs(windows, &all, model, of));
     }
-    let about = "real minus predicted: action information that the prediction erases";
+    let about = "real minus predicted: action information lost by the prediction";
     let drop = figure_of_units(windows.len(), settings, Better::Lower, about, |chosen| {
-        mean_r(windows, chosen, model, |told| &told.real)
-            - mean_r(windows, chosen, model, |told| &told.predicted)
+        mean_r(windows, chosen, model, |inferred| &inferred.real)
+            - mean_r(windows, chosen, model, |inferred| &inferred.predicted)
     });
     if let Some(metric) = drop {
         section.metric(&format!("{name}_r_drop"), metric);

@@ -1,4 +1,4 @@
-//! Paths of told actions.
+//! Paths of inferred actions.
 
 use wm_metrics::findings::{Better, Metric, Section, Trajectories};
 use wm_metrics::{
@@ -6,20 +6,20 @@ use wm_metrics::{
     correlation::{CanonicalCorrelation, Regularisation},
 };
 
-use super::super::ToldActions;
+use super::super::InferredActions;
 use super::actions::Rows;
 
-/// Paths that a report draws.
+/// Paths in a report.
 const PATHS: usize = 12;
 
-/// Paths of the told actions in the plane of the two leading canonical directions (the paper's figure of action
+/// Paths of inferred actions in the plane of the two leading canonical directions (the paper's figure of action
 /// trajectories).
-pub(super) fn of_model(section: &mut Section, windows: &[&ToldActions], model: usize) {
+pub(super) fn of_model(section: &mut Section, windows: &[&InferredActions], model: usize) {
     let models = || windows.iter().filter_map(|found| found.models.get(model));
-    let Some(name) = models().next().map(|told| &told.name) else {
+    let Some(name) = models().next().map(|inferred| &inferred.name) else {
         return;
     };
-    // What never varies, as the gripper of a short recording, correlates with nothing.
+    // Constant values, such as the gripper of a short recording, have no correlation.
     let varies = |column: &usize| {
         let mut values = models()
             .flat_map(|t| &t.truth)
@@ -27,7 +27,7 @@ pub(super) fn of_model(section: &mut Section, windows: &[&ToldActions], model: u
         let first = values.next();
         values.any(|value| Some(value) != first)
     };
-    let width = models().find_map(|told| Some(told.truth.first()?.len()));
+    let width = models().find_map(|inferred| Some(inferred.truth.first()?.len()));
     let columns: Vec<usize> = (0..width.unwrap_or(0)).filter(varies).collect();
     let table = |of: Rows| {
         let rows = models().flat_map(of).map(|row| {
@@ -37,14 +37,14 @@ pub(super) fn of_model(section: &mut Section, windows: &[&ToldActions], model: u
         Table::from_rows(rows)
     };
     let fit = |of: Rows| {
-        let actions = table(|told| &told.truth)?;
+        let actions = table(|inferred| &inferred.truth)?;
         CanonicalCorrelation::fit(&table(of)?, &actions, Regularisation::Ridge(1e-6))
     };
-    let steps = models().map(|told| told.truth.len()).sum();
+    let steps = models().map(|inferred| inferred.truth.len()).sum();
     let mut plane = None;
     for (source, of) in [
-        ("real", (|told| &told.real) as Rows),
-        ("predicted", |told| &told.predicted),
+        ("real", (|inferred| &inferred.real) as Rows),
+        ("predicted", |inferred| &inferred.predicted),
     ] {
         let Ok(found) = fit(of) else {
             section.absent(
@@ -54,8 +54,9 @@ pub(super) fn of_model(section: &mut Section, windows: &[&ToldActions], model: u
             continue;
         };
         let correlations = found.correlations();
+        // A missing direction has no correlation.
         let rho = |i: usize| correlations.get(i).copied().unwrap_or(0.0);
-        let about = "canonical correlation of told with true actions";
+        let about = "canonical correlation of inferred with true actions";
         section.metric(
             &format!("{name}_cca_rho1_{source}"),
             Metric::plain(rho(0), steps, Better::Higher, about),
@@ -79,11 +80,13 @@ pub(super) fn of_model(section: &mut Section, windows: &[&ToldActions], model: u
     let Some((plane, first, second)) = plane else {
         return;
     };
-    // All in one plane, so that they can be compared: true and told actions are of the same values.
+    // All in one comparable plane: true and inferred actions have the same dimensions.
     let drawn: [(&str, Rows); 3] = [
-        ("true actions", |told| &told.truth),
-        ("told from real latents", |told| &told.real),
-        ("told from predicted latents", |told| &told.predicted),
+        ("true actions", |inferred| &inferred.truth),
+        ("inferred from real latents", |inferred| &inferred.real),
+        ("inferred from predicted latents", |inferred| {
+            &inferred.predicted
+        }),
     ];
     for (what, of) in drawn {
         let Ok(projected) = table(of).and_then(|rows| plane.project_features(&rows, 2)) else {
@@ -91,10 +94,10 @@ pub(super) fn of_model(section: &mut Section, windows: &[&ToldActions], model: u
         };
         let mut rows = projected.iter();
         let mut paths = Vec::new();
-        for told in models() {
+        for inferred in models() {
             let mut at = [0.0, 0.0];
             // Actions are changes: their sum is the path.
-            let steps = of(told).iter().filter_map(|_| rows.next());
+            let steps = of(inferred).iter().filter_map(|_| rows.next());
             let path = steps.filter_map(|row| match row {
                 [x, y, ..] => {
                     at = [at[0] + x, at[1] + y];
@@ -108,8 +111,8 @@ pub(super) fn of_model(section: &mut Section, windows: &[&ToldActions], model: u
         section.trajectories.push(Trajectories {
             title: format!("Action trajectories, {name}, {what}"),
             caption: format!(
-                "Actions, added up, in the plane of the two leading canonical correlations of those told from real latents \
-                 with the true ones (rho1 = {first:.2}, rho2 = {second:.2}). A path is a window.",
+                "Actions, added up, in the plane of the two leading canonical correlations of those inferred from real latents \
+                 with true ones (rho1 = {first:.2}, rho2 = {second:.2}). Each path is a window.",
             ),
             paths,
         });

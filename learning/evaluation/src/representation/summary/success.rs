@@ -1,9 +1,9 @@
-//! What the success probes say.
+//! Findings of the success probes.
 
 use wm_metrics::classification::{Confusion, roc_auc};
 use wm_metrics::findings::{Better, Metric, Section, TextTable};
 
-use super::super::{Answers, Judged};
+use super::super::{Answers, EpisodeVerdicts};
 use crate::{Settings, figures::figure_of_units};
 
 type Of = fn(&Answers) -> f32;
@@ -11,7 +11,7 @@ type Of = fn(&Answers) -> f32;
 /// Adds the figures of one probe.
 pub(super) fn of_probe(
     section: &mut Section,
-    judged: &[&Judged],
+    judged: &[&EpisodeVerdicts],
     settings: &Settings,
     probe: usize,
 ) {
@@ -38,8 +38,8 @@ pub(super) fn of_probe(
     };
     let balanced = |chosen: &[usize], of: Of| {
         let (scores, truth) = pick(chosen, of);
-        let told: Vec<bool> = scores.iter().map(|p| *p > 0.5).collect();
-        let confusion = Confusion::of(&told, &truth).ok();
+        let verdicts: Vec<bool> = scores.iter().map(|p| *p > 0.5).collect();
+        let confusion = Confusion::of(&verdicts, &truth).ok();
         confusion
             .and_then(|c| c.balanced_accuracy())
             .unwrap_or(f64::NAN)
@@ -91,8 +91,7 @@ pub(super) fn of_probe(
         .filter_map(|(_, answers)| answers.mismatched);
     let mismatched: Vec<f32> = mismatched.collect();
     if !mismatched.is_empty() {
-        let about =
-            "share of the successes that are told to fail under another episode's instruction";
+        let about = "share of the successes rejected under another episode's instruction";
         let metric = figure_of_units(
             mismatched.len(),
             settings,
@@ -111,14 +110,14 @@ pub(super) fn of_probe(
 }
 
 fn confusion_table((about, source): (&str, &str), scores: &[f64], truth: &[bool]) -> TextTable {
-    let count = |told: bool, is: bool| {
+    let count = |verdicts: bool, is: bool| {
         let pairs = scores.iter().zip(truth);
-        let like = pairs.filter(|(score, truth)| (**score > 0.5) == told && **truth == is);
+        let like = pairs.filter(|(score, truth)| (**score > 0.5) == verdicts && **truth == is);
         like.count().to_string()
     };
     TextTable {
-        title: format!("Answers of the {about}, {source} latents"),
-        header: ["", "told: success", "told: failure"]
+        title: format!("Verdicts of the {about}, {source} latents"),
+        header: ["", "verdict: success", "verdict: failure"]
             .map(String::from)
             .into(),
         rows: vec![

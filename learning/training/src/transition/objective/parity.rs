@@ -3,7 +3,7 @@
 use super::*;
 use crate::{
     fixture::{Fixture, fill, tensor},
-    optimiser::{AdamW, Trained},
+    optimiser::{AdamW, ParameterValues},
     transition::tests::fresh,
     workers::BatchLoss,
 };
@@ -39,9 +39,9 @@ fn draws(objective: &Objective, config: &TransitionConfig) -> Draws {
     }
 }
 
-/// One step's loss and gradients, as in training, by candle alone, and on its operations; and the step itself where the fixture has it.
+/// Loss and gradients of one step, by training, candle and its operations; and the step itself, if in the fixture.
 #[test]
-fn a_step_is_pytorchs() {
+fn step_matches_pytorch() {
     for name in [
         "transition--diffusion",
         "transition--diffusion-wide",
@@ -98,7 +98,11 @@ fn a_step_is_pytorchs() {
     }
 }
 
-fn check_after<'a>(fixture: &Fixture, what: &str, found: impl Iterator<Item = Trained<'a>>) {
+fn check_after<'a>(
+    fixture: &Fixture,
+    what: &str,
+    found: impl Iterator<Item = ParameterValues<'a>>,
+) {
     let expected = fixture.names(&format!("{what}/"));
     let found: Vec<_> = found
         .filter(|w| expected.iter().any(|e| e == w.name))

@@ -115,9 +115,9 @@ mod tests {
             escape(&text, &mut escaped);
             prop_assert!(!escaped.contains(['<', '>', '"', '\'', '\0']));
             let kept: String = text.chars().filter(|c| !c.is_control()).collect();
-            let told: String = unescape(&escaped).chars().filter(|c| !c.is_control()).collect();
+            let unescaped: String = unescape(&escaped).chars().filter(|c| !c.is_control()).collect();
             if !text.chars().any(|c| matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')) {
-                prop_assert_eq!(kept.replace('\u{fffd}', ""), told.replace('\u{fffd}', ""));
+                prop_assert_eq!(kept.replace('\u{fffd}', ""), unescaped.replace('\u{fffd}', ""));
             }
         }
     }

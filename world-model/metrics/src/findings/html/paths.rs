@@ -106,7 +106,7 @@ fn drawing(markup: &mut Markup, drawn: &Trajectories, extent: Extent) {
     // Square, so that both axes have the same scale.
     let length = floor - MARGIN;
     let (x, y) = (x.drawn(LEFT, LEFT + length), y.drawn(floor, MARGIN));
-    let told = format!(
+    let description = format!(
         "{}: {} paths. {}",
         drawn.title,
         drawn.paths.len(),
@@ -116,7 +116,7 @@ fn drawing(markup: &mut Markup, drawn: &Trajectories, extent: Extent) {
     let attributes = [
         ("viewBox", view.as_str()),
         ("role", "img"),
-        ("aria-label", &told),
+        ("aria-label", &description),
     ];
     markup.element("svg", &attributes, |markup| {
         for (place, text) in y.ticks() {

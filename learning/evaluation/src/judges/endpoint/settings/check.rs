@@ -1,7 +1,7 @@
 use super::{EndpointSettings, Price};
 use crate::judges::{Error, Result};
 
-/// Fields of a request that have settings of their own, or would change the form of the answer.
+/// Request fields with their own settings, or with an effect on the form of the answer.
 const RESERVED: [&str; 7] = [
     "model",
     "messages",
@@ -13,10 +13,10 @@ const RESERVED: [&str; 7] = [
 ];
 
 impl EndpointSettings {
-    /// Refuses values that cannot be.
+    /// Checks all values.
     ///
     /// # Errors
-    /// Naming the first setting that cannot be, what it is, and what it may be.
+    /// Names the first invalid setting, its value and the accepted values.
     pub fn check(&self) -> Result<()> {
         let amount = |x: f64| x.is_finite() && x >= 0.0;
         let amounts = |x: Option<f64>| x.is_none_or(amount);
@@ -40,7 +40,7 @@ impl EndpointSettings {
             ),
             (
                 "base_url",
-                // It may have a password in it.
+                // A URL may contain a password.
                 "malformed".to_owned(),
                 "http://HOST or https://HOST with a path, without user, query or spaces",
                 is_base_url(&self.base_url),
@@ -169,7 +169,7 @@ fn is_base_url(url: &str) -> bool {
     })
 }
 
-/// Capital letters, as such names are: a key in the place of its name has others, and is then not quoted as one.
+/// Upper-case letters only: a key given by mistake has others, and is not quoted.
 fn is_variable(name: &str) -> bool {
     !name.is_empty()
         && name

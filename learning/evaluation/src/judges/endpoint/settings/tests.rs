@@ -9,7 +9,7 @@ fn parse(more: &str) -> Result<EndpointSettings> {
 }
 
 #[test]
-fn what_may_be_left_out() {
+fn optional_keys_have_defaults() {
     let settings = parse("").unwrap();
     assert_eq!(
         settings,
@@ -25,7 +25,7 @@ fn what_may_be_left_out() {
 }
 
 #[test]
-fn what_cannot_be_is_refused_by_name() {
+fn invalid_values_are_rejected_by_name() {
     for (more, named) in [
         ("temperature: -1", "temperature is -1, expected 0 or more"),
         ("temperature: .nan", "temperature"),
@@ -66,7 +66,7 @@ fn what_cannot_be_is_refused_by_name() {
 }
 
 #[test]
-fn https_takes_a_feature() {
+fn https_needs_a_feature() {
     let checked = EndpointSettings::new("a", "https://api.example/v1", "m").check();
     if cfg!(feature = "https") {
         checked.unwrap();
@@ -77,7 +77,7 @@ fn https_takes_a_feature() {
 }
 
 #[test]
-fn prices_are_of_a_million_tokens() {
+fn prices_are_per_million_tokens() {
     let price = Price {
         input: 2.0,
         output: 10.0,
