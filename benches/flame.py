@@ -5,7 +5,7 @@ time of each function divided by the number of frames, or plans.
 usage: benches/flame.py [--out FOLDER] [--domain D] [--wm PATH]
 
 Writes FOLDER/frame.svg and FOLDER/plan.svg (docs/ by default). Needs `cargo build --release` and Linux's perf, as root or
-with kernel.perf_event_paranoid at 1 or below. Inlined functions count for who calls them.
+with kernel.perf_event_paranoid at 1 or below. Inlined functions count for their callers.
 """
 
 import argparse
@@ -93,7 +93,7 @@ def readable(symbol):
 
 
 def outermost_first(frames):
-    """Without what only carries a job to its thread, and without repetitions."""
+    """Without functions that only carry a job to its thread, and without repetitions."""
     carriers = ("std::", "core::", "rayon", "tokio::", "tracing::", "alloc::", "<core::", "<alloc::", "<rayon", "<std::")
     carriers += ("<tokio::", "__rust", "[unknown]", "start_thread", "__clone", "clone3", "_start", "__libc_start", "main")
     kept = []

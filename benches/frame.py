@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Where the time of one camera frame goes: the main job at the bag's real rate, with every node saying what stages each
-frame has passed and when.
+"""Where the time of one camera frame goes: the main job at the bag's real rate; every node logs the time of each frame at
+each stage.
 
 usage: benches/frame.py [--runs N] [--domain D] [--wm PATH]
 
-Prints a Markdown table for a process a node and one for one process for all: for each stage the time since the one before
-and since the capture (p50/p95). Needs `cargo build --release`, nothing else.
+Prints a Markdown table for one process per node and one for one process for all: for each stage the time since the
+previous stage and since the capture (p50/p95). Needs `cargo build --release`, nothing else.
 """
 
 import argparse
@@ -22,7 +22,7 @@ from machine import processor
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 RECORD = re.compile(r"\]: ([a-z ]+) frame=(\d+) step=(\d+) at=(\d+)\s*$")
-# The stages in their order, by what the nodes call them, and what a frame has gone through then.
+# The stages in their order, by the nodes' names for them, and their descriptions.
 TO_THE_ROLLOUT = [
     ("image due", "player: timer, reading ahead, new stamp"),
     ("image published", "player: DDS write"),
@@ -46,7 +46,7 @@ OF_A_STEP = [
 
 
 def trace(wm, env, one_process):
-    """Of each frame, by its stamp: when it passed which stage of which step [ns]."""
+    """Of each frame, by its stamp: the time of each stage of each step [ns]."""
     with tempfile.TemporaryDirectory() as out:
         run = subprocess.run(
             [
@@ -73,7 +73,7 @@ def trace(wm, env, one_process):
 
 
 def print_table(frames):
-    """Of frames that led to a whole rollout: how long each stage took, from the end of the one before, and when it was
+    """Of frames with a complete rollout: the duration of each stage, from the end of the previous one, and when it was
     over; of the steps after the first how long each took, and when the last was over."""
     horizon = max((step for stamps in frames.values() for _, step in stamps), default=0)
     whole = {frame: stamps for frame, stamps in frames.items() if ("step received", horizon) in stamps}

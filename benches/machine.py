@@ -1,4 +1,4 @@
-"""What the benchmarks say of the machine."""
+"""The machine's description in the benchmarks' output."""
 
 import contextlib
 import pathlib

@@ -3,26 +3,26 @@
 
 usage: benches/models.py [--device cuda] [--rounds N] [--seconds S] [--no-compile] [CASE ...]
 
-Builds `world-model/zoo/examples/model_speed.rs`, and for each case writes random weights and an input to a temporary
+Builds `learning/training/examples/model_speed.rs`, and for each case writes random weights and an input to a temporary
 folder, then runs ours and PyTorch (eager, and with torch.compile) in turns, round by round, on all threads of each. Of
 all runs it prints the medians, of the rounds' ratios of ours to the faster PyTorch the median and the range (below 1:
 ours is faster), and how far our output and that of eager are from eager's in f32 (relative, Euclidean). `at the peak` is
-how long eager's multiplications and additions take at the peak that the processor was measured to have for the format,
-where ours computes the same: no arrangement of them is faster, but convolutions take fewer. Needs cargo, a C++ compiler, and
-what world-model/zoo/fixtures/requirements.txt names.
+the time of eager's multiplications and additions at the measured peak of the processor for the format, if ours computes
+the same ones: no arrangement of them is faster, but convolutions take fewer. Needs cargo, a C++ compiler, and the packages
+of world-model/zoo/fixtures/requirements.txt.
 
-Cases: velocity-dit-s, velocity-dit-l: one velocity of a new frame after nine frames of which keys and values are
-cached, by both. frame-dit-s: a predicted frame, ten Euler steps in a full window of ten, ours with its exact cache, the
+Cases: velocity-dit-s, velocity-dit-l: one velocity of a new frame after nine frames with cached keys and values, on both
+sides. frame-dit-s: a predicted frame, ten Euler steps in a full window of ten, ours with its exact cache, the
 reference's loop without. plan-dit-s: the same for 64 candidates after two frames; the peers compute two of them, and
 their time counts 32 times. vit-l, sd3-encode, sd3-decode, pixel: one picture of 256 x 256. Those of one velocity and vit-l
 also in int8, beside PyTorch's dynamic quantisation. Last, load: time and memory to load a model of 300 M parameters, packing
 its weights (first) and finding them packed (kept).
 
-With --device cuda, all on an NVIDIA GPU: cargo needs nvcc then (tests/setup_cuda has one), and PyTorch its own CUDA. Ours
-repeats recorded passes (CUDA graphs) where few tokens are computed, unless --no-graphs is given. TensorRT is one more peer
-where torch_tensorrt is installed. There is one more case, step-dit-l, and no load: one velocity of 64 candidates of DiT-L
-in one batch, without a peer, with the share of the card's peak that its operations are, and by how much the card's free
-memory shrinks meanwhile. The peak is that of a product of 8192 x 8192 matrices in PyTorch, bf16, in the same run.
+With --device cuda, all on an NVIDIA GPU: cargo then needs nvcc (tests/setup_cuda installs one), and PyTorch its own CUDA.
+Ours repeats recorded passes (CUDA graphs) of few tokens, unless --no-graphs is given. TensorRT is one more peer if
+torch_tensorrt is installed. One more case is step-dit-l, and load is skipped: one velocity of 64 candidates of DiT-L in
+one batch, without a peer, with the share of the card's peak that its operations are, and the loss of free memory of the
+card. The peak is that of a product of 8192 x 8192 matrices in PyTorch, bf16, in the same run.
 """
 
 import argparse
@@ -77,11 +77,11 @@ class Case:
 
     ours = output = None
     formats = tuple(FORMATS)
-    # How much more of the same ours computes than the peers, whose times count as often.
+    # The factor of work of ours over the peers', by which their times are multiplied.
     share = 1
-    # Of ours in a run, where a share of the card's peak is asked for.
+    # Operations of ours in a run, for the share of the card's peak.
     operations = None
-    # Whether the peers compute what ours does, operation by operation.
+    # Whether the peers compute the same operations as ours.
     same_operations = True
 
     def __init__(self):
@@ -102,7 +102,7 @@ class Case:
         return other
 
     def ready(self):
-        """What does not belong to the time of a step."""
+        """Preparation that is not part of the time of a step."""
 
     def weights(self):
         """By the names of a published checkpoint."""
@@ -141,7 +141,7 @@ class Velocity(Case):
         row, column = torch.arange(rows).repeat_interleave(columns), torch.arange(columns).repeat(rows)
         angles = self.module.axis_angles
         turn = lambda a: (a.cos().to(dtype), a.sin().to(dtype))
-        # As a careful user would: what does not change is computed once.
+        # As a careful user does: constants are computed once.
         self.space = turn(torch.cat((angles(row, self.dim // 2), angles(column, self.dim // 2)), -1))
         self.times = [turn(angles(torch.tensor([t]), self.dim)) for t in range(self.cached + 1)]
         self.frequencies = torch.exp(-torch.log(torch.tensor(10000.0)) * torch.arange(128) / 128)
@@ -228,7 +228,7 @@ class Frame(Case):
     """The reference's loop: every Euler step computes the whole window of every candidate."""
 
     ours, output, same_operations = "frame", "predicted", False
-    # In f32 only: the loop takes minutes in PyTorch's bf16 where the processor has no such arithmetic.
+    # In f32 only: on a processor without bf16 arithmetic, the loop takes minutes in PyTorch's bf16.
     formats = ("f32",)
 
     def __init__(self, observed, candidates):
@@ -362,7 +362,7 @@ def write(case, folder):
 
 
 def ours(what, folder, number_format, runs, warm=1, place=("cpu",), cache=None):
-    """The lines of model_speed, by their names; its first run fills caches and is left out, unless `warm` is 0."""
+    """The lines of model_speed, by their names; its first run fills caches and is skipped, unless `warm` is 0."""
     binary = ROOT / "target/release/examples/model_speed"
     kept = [f"--keep={cache}"] if cache else []
     arguments = [binary, what, folder, number_format, str(runs + warm if runs else 0), *place, *kept]
@@ -409,7 +409,7 @@ def operations_of(case):
 
 
 class CardMemory:
-    """How much less memory the card has at some time than at the beginning, at most, in MiB."""
+    """The greatest loss of free memory of the card since the beginning, in MiB."""
 
     def __enter__(self):
         self.least = self.before = torch.cuda.mem_get_info()[0]
@@ -439,7 +439,7 @@ def card_peak():
 
 
 def step_on_card(name, case, folder, place, runs=10):
-    """A row of its own: nothing to compare with, but the card."""
+    """A row of its own, compared only with the card's peak."""
     with CardMemory() as memory:
         ms = statistics.median(ours(case.ours, folder, "bf16", runs, warm=3, place=place)["run_ms"])
     rate, peak = case.operations / (ms / 1e3), card_peak()
@@ -497,7 +497,7 @@ def compare(name, case, folder, arguments, place, peaks):
         print("| " + " | ".join(row) + " |", flush=True)
 
 
-# PyTorch maps the file: what it has loaded is there when the values have been read once.
+# PyTorch maps the file: it is loaded once the values have been read.
 LOAD = """
 import pathlib, sys, time, torch
 from transformers import Dinov2Model
@@ -557,7 +557,7 @@ def main():
         parser.error(f"no such case: {', '.join(sorted(unknown))}; there are: {', '.join(known)}")
     if on_cuda and not torch.cuda.is_available():
         parser.error("--device cuda: PyTorch sees no GPU")
-    build = ["cargo", "build", "--release", "-p", "wm_zoo", "--example", "model_speed"]
+    build = ["cargo", "build", "--release", "-p", "wm_training", "--example", "model_speed"]
     build += ["--features", "cuda"] if on_cuda else []
     subprocess.run(build, cwd=ROOT, check=True)
     if not on_cuda:

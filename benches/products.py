@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""Matrix products and convolutions at the sizes of the published models: ours, those of the crate gemm, and PyTorch's,
-which are oneDNN's (in f32 also MKL's, in int8 FBGEMM's), and the share of the processor's measured peak that ours reach.
+"""Matrix products and convolutions at the sizes of the published models: ours, those of the crate gemm, and PyTorch's, which
+are oneDNN's (in f32 also MKL's, in int8 FBGEMM's). Also the share of the processor's measured peak that ours reach.
 In int8 both round the inputs in the time that is measured.
 
 usage: benches/products.py [--rounds N] [--threads T]
 
 Builds `world-model/model/examples/kernel_speed.rs` and runs it by turns with PyTorch, on all threads of each; of all runs
-the fastest counts. A share above 1: a convolution by fewer multiplications than its definition has. Needs cargo, and
-what world-model/zoo/fixtures/requirements.txt names.
+the fastest counts. A share above 1: a convolution with fewer multiplications than its definition. Needs cargo, and the
+packages of world-model/zoo/fixtures/requirements.txt.
 """
 
 import argparse

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
-"""The end-to-end benchmark: the four nodes idle, then the main job at the bag's real rate, by turns with a process for
-each node and with one for all four.
+"""The end-to-end benchmark: the four nodes idle, then the main job at the bag's real rate, alternately with one process per
+node and with one for all four.
 
 usage: benches/replay.py [--device cuda] [--runs N] [--idle-seconds S] [--domain D] [--wm PATH]
 
@@ -112,7 +112,7 @@ def print_latencies(reports):
     print("|---|---|---|---|---|")
     for index, _ in enumerate(reports[0]["steps"]):
         latencies = [report["steps"][index]["received_latency"] for report in reports]
-        # The worst of the runs for each quantile: what a user may meet.
+        # The worst of the runs for each quantile.
         worst = [max(latency[q] for latency in latencies) for q in ("p50_ms", "p95_ms", "p99_ms")]
         n = sum(latency["n"] for latency in latencies)
         print(f"| {index + 1} | {n} | " + " | ".join(f"{value:.1f}" for value in worst) + " |")
@@ -121,7 +121,7 @@ def print_latencies(reports):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--device", default="cpu", help="what computes the model: cpu, cuda or cuda:N")
+    parser.add_argument("--device", default="cpu", help="device of the model: cpu, cuda or cuda:N")
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--idle-seconds", type=float, default=20)
     parser.add_argument("--domain", type=int, default=99)

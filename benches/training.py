@@ -6,13 +6,13 @@ usage: benches/training.py [--rounds N] [--seconds S] [--no-compile] [CASE ...]
 Builds wm-training, makes a few simulated bags, and for each case trains for some steps with `wm train` and with PyTorch
 (eager, and with torch.compile) in turns, round by round, on all threads of each. It prints the medians and p95 of all
 steps, and of the rounds' ratios of ours to the faster PyTorch the median and the range (below 1: ours is faster). A step
-of ours is the time between two entries of the training's TensorBoard file, so it has all that a step of the program has:
-drawing clips and noise, loss, gradient, clipping, AdamW, the moving average. PyTorch's draws its noise, but gets one
-batch of latents or pictures again and again.
+of ours is the time between two entries of the training's TensorBoard file. So it contains all work of a step: drawing
+clips and noise, loss, gradient, clipping, AdamW, the moving average. PyTorch's draws its noise, but repeats one batch of
+latents or pictures.
 
-PyTorch's networks, but for DiT-S, take the weights of the bundled model by name, all of them; the losses of the transition
-models are also compared with that of learning/training/fixtures/steps.py, which the Rust side is tested against. Needs cargo, a C++ compiler,
-and what world-model/zoo/fixtures/requirements.txt names.
+PyTorch's networks, except DiT-S, take all weights of the bundled model by name. The losses of the transition models are
+also compared with that of learning/training/fixtures/steps.py, the reference of the Rust tests. Needs cargo, a C++
+compiler, and the packages of world-model/zoo/fixtures/requirements.txt.
 
 Cases: transition, autoencoder, autoencoder-whole (its last steps, on whole pictures): the bundled default's recipes.
 dit-s: the paper's objective and DiT-S, 256 tokens a frame, ten frames, batch 4.
@@ -45,7 +45,7 @@ BINARY = ROOT / "target/release/wm-training"
 BUNDLED = ROOT / "world-model/model/weights/tiny"
 # Of the recipes: noise of the history, noise levels that are too small to learn from, and where weights stop rising.
 HISTORY_NOISE, SMALLEST_TAU, SOFTENING = 0.15, 0.01, 0.4
-# Steps of ours that are left out: the first ones fill caches.
+# Skipped steps of ours: the first ones fill caches.
 WARM = 4
 
 
@@ -92,7 +92,7 @@ class Head(nn.Module):
 
 
 class Dit(nn.Module):
-    """The transition model for frames at any times, of which each sees those that `mask` (T, T) lets it."""
+    """The transition model for frames at any times; `mask` (T, T) permits their attention."""
 
     def __init__(self, c, times, mask):
         super().__init__()
@@ -128,7 +128,7 @@ class Dit(nn.Module):
 
 
 def teacher_layout(frames, past):
-    """Times and mask of all frames but the last as they are, then those after `past` once more, noisy."""
+    """Times and mask of all frames except the last, then those after `past` once more, noisy."""
     clean, later = frames - 1, frames - past
     times = [*range(clean), *range(past, frames)]
     mask = torch.zeros(clean + later, clean + later, dtype=torch.bool)
@@ -349,7 +349,7 @@ def ours(case, bags, count):
     """Milliseconds of `count` steps of `wm train`."""
     with tempfile.TemporaryDirectory() as folder:
         out = pathlib.Path(folder, "bench")
-        # One more step, which ends with a validation and is left out.
+        # One more step, which ends with a validation and is skipped.
         command = [
             BINARY, "train", *case.arguments, "--data", bags, "--out", out, "--cache", bags.parent / "cache",
             "--validation", "0", "--steps", str(WARM + count + 1), "--set", "validate_every=100000",

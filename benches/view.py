@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
-"""The page of `wm view` in a real browser, beside the main job: how soon it shows a picture, how old its pictures are when
-they are drawn, and what the viewer costs.
+"""The page of `wm view` in a real browser, beside the main job: the time to its first picture, the age of its pictures when
+they are drawn, and the cost of the viewer.
 
 usage: benches/view.py [--runs N] [--domain D] [--wm PATH] [--browser NAME]
 

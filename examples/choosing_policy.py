@@ -27,7 +27,7 @@ SIDEWAYS = [0.02, 0.0, -0.02]  # dy of each action [m]: left, none, right
 PATIENCE = 10  # times that the env repeats an image before the policy moves without a prediction
 
 parser = argparse.ArgumentParser()
-parser.add_argument("--goal", type=pathlib.Path, help="JPEG or PNG of how the scene should look in the end")
+parser.add_argument("--goal", type=pathlib.Path, help="JPEG or PNG of the scene at the goal")
 parser.add_argument("--images", type=int, default=0, help="stop after this many different images; 0: never")
 arguments = parser.parse_args()
 rclpy.init()

@@ -3,7 +3,7 @@
 usage: python examples/openvla_policy.py [--model openvla/openvla-7b] [--instruction TEXT]
 
 It needs ROS 2 with wm_msgs; torch, transformers==4.40.1, tokenizers==0.19.1, timm==0.9.10, pillow and numpy from PyPI
-(the versions that the checkpoint asks for); 16 GB of GPU memory; and the checkpoint (`huggingface-cli download`). The
+(the checkpoint's versions); 16 GB of GPU memory; and the checkpoint (`huggingface-cli download`). The
 instruction comes from /task/instruction, which `wm env` publishes, unless --instruction gives one.
 
 The functions that need no weights, `prompt`, `prepare`, `normalized` and `unnormalize`, import only numpy and pillow.
@@ -50,7 +50,7 @@ def unnormalize(action, statistics):
     """The physical action: dx dy dz [m], droll dpitch dyaw [rad], gripper 0 closed to 1 open.
 
     `statistics` is the checkpoint's `norm_stats[STATISTICS]["action"]`. -1 and 1 map to q01 and q99 of each dimension;
-    dimensions whose `mask` is false stay as they are (the gripper, which is 0 to 1 already).
+    dimensions whose `mask` is false do not change (the gripper is 0 to 1 already).
     """
     action = np.asarray(action, dtype=np.float64)
     low, high = (np.asarray(statistics[key], dtype=np.float64) for key in ("q01", "q99"))

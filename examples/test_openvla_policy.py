@@ -1,4 +1,4 @@
-"""Tests of what openvla_policy.py does without weights: python examples/test_openvla_policy.py"""
+"""Tests of openvla_policy.py's functions that need no weights: python examples/test_openvla_policy.py"""
 
 import io
 import unittest

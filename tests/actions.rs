@@ -1,4 +1,4 @@
-//! Actions between wm_ros and a real rclpy: its client against this server, and this client against its server.
+//! Actions between wm_ros and a real rclpy, each as client and as server.
 
 use std::time::Duration;
 
@@ -11,7 +11,7 @@ use crate::harness::{Process, fresh_domain, join, peers, rclpy};
 
 const PERIOD: Duration = Duration::from_millis(100);
 
-/// Ten numbers a second, as the example `count` of wm_ros.
+/// Sends ten numbers per second, like the example `count` of wm_ros.
 async fn count(goal: ServerGoal<Plan>) {
     let mut period = tokio::time::interval(PERIOD);
     let numbers = goal.goal.duration.to_nanos() / PERIOD.as_nanos() as i64;
@@ -45,7 +45,7 @@ async fn serve(mut server: ActionServer<Plan>) {
 }
 
 #[test]
-fn a_real_ros_2_sets_follows_and_cancels_goals() {
+fn rclpy_sends_follows_and_cancels_goals() {
     let Some(peers) = peers() else { return };
     let domain = fresh_domain();
     let (context, node) = join(domain, "counter");
@@ -71,7 +71,7 @@ fn a_real_ros_2_sets_follows_and_cancels_goals() {
     assert_eq!(counted["plans"], 10);
     assert_eq!(counted["message"], "counted");
     let heard = counted["feedback"].as_array().expect("a list");
-    // the first may be published before the topic's two ends know of each other
+    // the first may be published before the endpoints discover each other
     assert_eq!(heard.last(), Some(&json!(9)), "{answer}");
     assert!(heard.is_sorted_by_key(|number| number.as_u64()), "{answer}");
 
@@ -94,7 +94,7 @@ fn a_real_ros_2_sets_follows_and_cancels_goals() {
 }
 
 #[test]
-fn goals_of_a_real_ros_2_are_set_followed_and_canceled() {
+fn goals_of_rclpy_are_executed_and_canceled() {
     let Some(peers) = peers() else { return };
     let domain = fresh_domain();
     let (_context, node) = join(domain, "robot");

@@ -9,11 +9,11 @@ use crate::harness::{
     Process, fresh_domain, peers, rclpy, root, wait_for_publishers, whole_suite, wm,
 };
 
-/// Far above anything that happens here; it only ends a test that hangs.
+/// Far longer than needed; only ends a hanging test.
 const PATIENCE: Duration = Duration::from_secs(240);
 
 #[test]
-fn the_simulated_arm_reaches_live() {
+fn simulated_arm_reaches_live() {
     let _whole = whole_suite();
     let folder = tempfile::tempdir().unwrap();
     let output = format!("output:={}", folder.path().display());
@@ -26,7 +26,7 @@ fn the_simulated_arm_reaches_live() {
     ];
     let launch = Process::start(wm(fresh_domain(), &args));
     let (status, stdout) = launch.finish(PATIENCE);
-    // 3: on a busy machine a recorder may lose a picture, and says so.
+    // 3: on a busy machine a recorder may lose and report a picture
     assert!(matches!(status.code(), Some(0 | 3)), "{status}: {stdout}");
     assert!(stdout.contains("reach by idm, live"), "{stdout}");
 
@@ -43,7 +43,7 @@ fn the_simulated_arm_reaches_live() {
         .map(|episode| episode["seed"].as_u64())
         .collect();
     assert_eq!(seeds, [Some(5_000_000), Some(5_000_001), Some(5_000_002)]);
-    // Nine of ten succeed on an idle machine; here others run beside it.
+    // nine of ten succeed on an idle machine; here other tests run at the same time
     assert!(found["success_rate"].as_f64().unwrap() > 0.0, "{json}");
     assert!(found["plan_ms"]["p50"].as_f64().unwrap() > 0.0, "{json}");
 
@@ -66,7 +66,7 @@ fn the_simulated_arm_reaches_live() {
 }
 
 #[test]
-fn a_program_of_twenty_lines_brings_the_arm_to_its_goal() {
+fn short_program_brings_the_arm_to_its_goal() {
     let Some(peers) = peers() else { return };
     let _whole = whole_suite();
     let domain = fresh_domain();

@@ -1,4 +1,4 @@
-//! Player and recorder under the control of a real rclpy.
+//! A real rclpy controls player and recorder.
 
 use std::{path::Path, time::Duration};
 
@@ -22,7 +22,7 @@ fn came(step: &Value) -> u64 {
     counts.values().filter_map(Value::as_u64).sum()
 }
 
-/// The times on `/clock` after a call \[ns\]: there are some, and they do not go back.
+/// The times on `/clock` after a call \[ns\], checked not to go back.
 fn clock(step: &Value) -> Vec<u64> {
     let times = step["clock"].as_array().expect("times").iter();
     let times: Vec<u64> = times.filter_map(Value::as_u64).collect();
@@ -31,7 +31,7 @@ fn clock(step: &Value) -> Vec<u64> {
 }
 
 #[test]
-fn a_player_is_paused_stepped_and_sought_by_a_real_ros_2() {
+fn rclpy_pauses_steps_and_seeks_a_player() {
     let Some(peers) = peers() else { return };
     let domain = fresh_domain();
     let bag = bundled_bag();
@@ -102,7 +102,7 @@ fn a_player_is_paused_stepped_and_sought_by_a_real_ros_2() {
         [&success(true), &success(false)]
     );
 
-    // nothing comes from a paused player but what is asked for, and its clock stands
+    // a paused player publishes only on request, and its clock stops
     assert_eq!(clock(&made[0]).last(), Some(&start));
     assert_eq!((came(&made[0]), came(&made[1]), came(&made[2])), (0, 1, 3));
     let stands = clock(&made[3]);
@@ -122,7 +122,7 @@ fn a_player_is_paused_stepped_and_sought_by_a_real_ros_2() {
 }
 
 #[test]
-fn keys_control_a_player_in_a_terminal_which_is_then_as_it_was() {
+fn keys_control_a_player_and_the_terminal_is_restored() {
     let Some(peers) = peers() else { return };
     let domain = fresh_domain();
     let bag = bundled_bag();
@@ -157,7 +157,7 @@ fn keys_control_a_player_in_a_terminal_which_is_then_as_it_was() {
 }
 
 #[test]
-fn a_recorder_is_paused_split_and_begins_another_bag() {
+fn rclpy_pauses_splits_and_restarts_a_recorder() {
     let Some(peers) = peers() else { return };
     let domain = fresh_domain();
     let dir = tempfile::tempdir().expect("a temporary directory");
@@ -235,7 +235,7 @@ fn a_recorder_is_paused_split_and_begins_another_bag() {
     assert!(of_second.first() > of_first.last());
 }
 
-/// A folder with a file in it that a recorder could take for an old bag.
+/// A folder with a file that a recorder could mistake for an old bag.
 fn recorded(folder: &Path) {
     std::fs::create_dir_all(folder).expect("a new folder");
     std::fs::write(folder.join("a.mcap"), "recorded").expect("a new file");
@@ -245,9 +245,9 @@ fn is_kept(folder: &Path) -> bool {
     std::fs::read(folder.join("a.mcap")).is_ok_and(|bytes| bytes == b"recorded")
 }
 
-/// The recorder was told to overwrite: that is for the bag that its user named, never for one that a peer asks for.
+/// `overwrite` applies to the bag that the user named, never to one that a peer requests.
 #[test]
-fn no_peer_takes_a_recording_away() {
+fn peers_cannot_overwrite_a_recording() {
     let Some(peers) = peers() else { return };
     let domain = fresh_domain();
     let dir = tempfile::tempdir().expect("a temporary directory");
@@ -301,10 +301,10 @@ fn no_peer_takes_a_recording_away() {
     assert_eq!(std::fs::read_dir(&outside).expect("a folder").count(), 1);
 }
 
-/// DDS allows names that ROS does not, and anybody may publish: neither they nor many topics end a recorder, or drown its
-/// own log.
+/// DDS allows names that ROS does not, and anyone may publish. Neither these nor many topics may end a recorder or
+/// flood its log.
 #[test]
-fn topics_with_odd_names_and_many_topics_are_no_reason_to_end() {
+fn recorder_survives_odd_names_and_many_topics() {
     let Some(peers) = peers() else { return };
     let domain = fresh_domain();
     let dir = tempfile::tempdir().expect("a temporary directory");
@@ -348,7 +348,7 @@ fn topics_with_odd_names_and_many_topics_are_no_reason_to_end() {
 }
 
 #[test]
-fn a_recording_that_is_there_stays_unless_its_user_says_otherwise() {
+fn existing_recording_stays_without_overwrite() {
     let dir = tempfile::tempdir().expect("a temporary directory");
     let bag = dir.path().join("bag");
     let path = bag.to_string_lossy().into_owned();
@@ -373,7 +373,7 @@ fn a_recording_that_is_there_stays_unless_its_user_says_otherwise() {
     assert!(is_kept(&others()[0]));
     record(2);
 
-    // and by default it is refused
+    // it is refused by default
     let run = wm(fresh_domain(), &["bag", "record", "-a", "-o", &path]).output();
     let run = run.expect("wm runs");
     assert_eq!(run.status.code(), Some(1));
@@ -382,12 +382,12 @@ fn a_recording_that_is_there_stays_unless_its_user_says_otherwise() {
 }
 
 #[test]
-fn a_snapshot_holds_what_came_before_it() {
+fn snapshot_contains_earlier_messages() {
     let Some(peers) = peers() else { return };
     let domain = fresh_domain();
     let dir = tempfile::tempdir().expect("a temporary directory");
     let bag = dir.path().join("last").to_string_lossy().into_owned();
-    // a message counts its own few bytes and a good hundred for keeping it
+    // a message counts its own few bytes and about a hundred for storage
     let args = [
         "bag",
         "record",
@@ -420,9 +420,9 @@ fn a_snapshot_holds_what_came_before_it() {
     );
 }
 
-/// A bag whose writer knew no QoS, played from its middle: the recorder is a subscriber of latched topics as any other.
+/// A bag without QoS, played from its middle: the recorder subscribes to latched topics like any node.
 #[test]
-fn a_replay_from_the_middle_publishes_what_holds_there() {
+fn replay_from_the_middle_publishes_latched_state() {
     const START_NS: u64 = 1_750_000_000_000_000_000;
     let domain = fresh_domain();
     let dir = tempfile::tempdir().expect("a temporary directory");
@@ -435,7 +435,7 @@ fn a_replay_from_the_middle_publishes_what_holds_there() {
         (0, "/task/instruction", "push"),
         (1, "/task/instruction", "pull"),
         (2, "/note", "before"),
-        // An hour without a message, which is not waited for.
+        // an hour without messages, which is skipped
         (3600, "/note", "after"),
     ] {
         let type_name = "std_msgs/msg/String";

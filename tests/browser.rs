@@ -1,4 +1,4 @@
-//! A real browser without a window, driven over the DevTools protocol.
+//! A real headless browser, driven over the DevTools protocol.
 
 use crate::harness::Process;
 use serde_json::{Value, json};
@@ -12,7 +12,7 @@ use std::{
 };
 use tempfile::TempDir;
 
-/// How long the browser may take to answer: it shares two processors with the nodes.
+/// How long the browser may take to reply: it shares two processors with the nodes.
 const ANSWER_LIMIT: Duration = Duration::from_secs(60);
 
 /// A browser with one page.
@@ -25,7 +25,7 @@ pub struct Browser {
     _folder: TempDir,
 }
 
-/// The name of a browser that is installed; `None` (with a plain message) where there is none.
+/// The name of an installed browser; `None`, with a message, if there is none.
 fn installed() -> Option<&'static str> {
     let browsers = ["chromium-headless-shell", "chromium", "google-chrome"];
     let is_there = |name: &&str| Command::new(name).arg("--version").output().is_ok();
@@ -41,7 +41,7 @@ fn installed() -> Option<&'static str> {
 }
 
 impl Browser {
-    /// Opens `url` in a fresh browser; `None` where none is installed.
+    /// Opens `url` in a new browser; `None` if none is installed.
     pub fn open(url: &str) -> Option<Self> {
         let name = installed()?;
         let folder = tempfile::tempdir().expect("a temporary directory");
@@ -49,7 +49,7 @@ impl Browser {
         let (input, output) = (path("input"), path("output"));
         let made = Command::new("mkfifo").args([&input, &output]).status();
         assert!(made.expect("mkfifo runs").success());
-        // The browser takes commands on descriptor 3 and answers on 4; the shell opens them one after the other.
+        // The browser receives commands on descriptor 3 and replies on 4; the shell opens them one after the other.
         let mut command = Command::new("sh");
         command
             .args([
@@ -108,7 +108,7 @@ impl Browser {
         Some(browser)
     }
 
-    /// The answer to a command of the DevTools protocol.
+    /// Executes a command of the DevTools protocol.
     fn call(&mut self, method: &str, parameters: Value) -> Value {
         self.number += 1;
         let mut message = json!({ "id": self.number, "method": method, "params": parameters });
@@ -134,7 +134,7 @@ impl Browser {
         }
     }
 
-    /// The value of a JavaScript expression in the page; promises are waited for.
+    /// The value of a JavaScript expression in the page; awaits promises.
     pub fn evaluate(&mut self, expression: &str) -> Value {
         let parameters =
             json!({ "expression": expression, "awaitPromise": true, "returnByValue": true });
@@ -146,7 +146,7 @@ impl Browser {
         result["result"]["value"].take()
     }
 
-    /// Waits until an expression is true; until there is a page, none is.
+    /// Waits until an expression is true.
     pub fn wait_for(&mut self, expression: &str, limit: Duration) {
         let start = Instant::now();
         let guarded = format!(
@@ -161,7 +161,7 @@ impl Browser {
         }
     }
 
-    /// Presses a key, as the keyboard would.
+    /// Presses a key.
     pub fn press(&mut self, key: &str) {
         for kind in ["keyDown", "keyUp"] {
             self.call(
@@ -171,13 +171,13 @@ impl Browser {
         }
     }
 
-    /// The size of the window \[px\]; below 760, that of a phone.
+    /// Sets the size of the window \[px\]; below 760, that of a phone.
     pub fn size(&mut self, width: u32, height: u32) {
         let parameters = json!({ "width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 760 });
         self.call("Emulation.setDeviceMetricsOverride", parameters);
     }
 
-    /// Prefers light or dark pages.
+    /// Sets the preference for light or dark pages.
     pub fn prefer(&mut self, scheme: &str) {
         let features = json!([{ "name": "prefers-color-scheme", "value": scheme }]);
         self.call(
@@ -186,7 +186,7 @@ impl Browser {
         );
     }
 
-    /// What is to be seen, as a PNG file.
+    /// Writes a screenshot as PNG.
     pub fn screenshot(&mut self, path: &Path) {
         let png = self.call("Page.captureScreenshot", json!({ "format": "png" }));
         let data = png["data"].as_str().expect("base64");
@@ -194,7 +194,7 @@ impl Browser {
         std::fs::write(path, decoded).expect("the folder is writable");
     }
 
-    /// Base64, decoded by the browser: the tests need no library for it.
+    /// Decodes Base64 in the browser, so that the tests need no library.
     fn decode(&mut self, data: &str) -> Vec<u8> {
         let expression = format!("Array.from(atob({}), (c) => c.charCodeAt(0))", json!(data));
         let bytes = self.evaluate(&expression);

@@ -1,4 +1,4 @@
-//! A real Eclipse Cyclone DDS, without ROS, beside the suite: reads what rclpy reads, and is a policy.
+//! A real Eclipse Cyclone DDS without ROS: it receives what rclpy receives, and acts as a policy.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -12,15 +12,15 @@ use crate::{
     interop::{integer, messages, spaces_of_latents, spaces_of_predictions},
 };
 
-/// The predictions of `report` by observation, step and when they were ready: the rollout of a frame is made again when
-/// a chunk answers that frame.
+/// The predictions of `report` by observation, step and time of readiness: a chunk for a frame repeats that frame's
+/// rollout.
 fn predictions(report: &Value) -> BTreeMap<[i64; 3], &Value> {
     let key = |p: &Value| ["observed_stamp", "step", "ready_stamp"].map(|name| integer(&p[name]));
     let predictions = messages(report, "/wm/predicted").iter();
     predictions.map(|p| (key(p), p)).collect()
 }
 
-/// Which action of which chunk this is; its values are of no other.
+/// The chunk and index of this action, which its values identify.
 fn announced(chunks: &[Value], action: &Value) -> Option<(usize, usize)> {
     chunks.iter().enumerate().find_map(|(number, chunk)| {
         let actions = chunk["actions"].as_array().expect("actions");
@@ -30,13 +30,13 @@ fn announced(chunks: &[Value], action: &Value) -> Option<(usize, usize)> {
 }
 
 #[test]
-fn cyclone_reads_what_rclpy_reads_and_its_chunks_are_predicted() {
+fn cyclone_receives_like_rclpy_and_its_chunks_are_predicted() {
     let Some(peers) = peers() else { return };
     let _alone = whole_suite();
     let domain = fresh_domain();
     let settings = root().join("launch-configs/config/jobs.yaml");
     let bag = format!("bag:=\"{}\"", bundled_bag().display());
-    // The bag without the chunks that the player would announce: here the policy does.
+    // the bag without the chunks that the player would announce: here the policy does
     let _player = Process::start(wm(
         domain,
         &[

@@ -1,4 +1,4 @@
-//! A replay gives the same predictions, bit for bit, each time.
+//! Repeated replays give identical predictions, bit for bit.
 
 use std::{
     collections::BTreeMap,
@@ -17,8 +17,8 @@ const HORIZON: u32 = 4;
 /// A predicted step: stamp of the observation \[ns\] and k.
 type Step = (i64, u32);
 
-/// The hash of each predicted step of the bundled bag, played once through encoder and predictor: of the latent and of the
-/// actions that it was predicted for.
+/// The hash of each predicted step of the bundled bag, played once through encoder and predictor: of the latent and of
+/// its actions.
 fn predictions() -> BTreeMap<Step, u64> {
     let domain = fresh_domain();
     let horizon = format!("horizon:={HORIZON}");
@@ -35,7 +35,7 @@ fn predictions() -> BTreeMap<Step, u64> {
     let mut predicted = node
         .subscription::<Prediction>("/wm/predicted", all)
         .expect("a subscription");
-    // With the stamps of the bag, and so slowly that a busy machine keeps up. A chunk says what each rollout assumes.
+    // with the bag's stamps, and slow enough for a busy machine; a chunk announces the actions of each rollout
     let play = [
         "player",
         "--ros-args",
@@ -63,7 +63,7 @@ fn predictions() -> BTreeMap<Step, u64> {
                 hasher.write_u32(value.to_bits());
             }
         }
-        // A rollout that is made again with the chunk of its frame replaces the first.
+        // a rollout that is repeated with its frame's chunk replaces the first
         let step = (prediction.observed_stamp.to_nanos(), prediction.step);
         hashes.insert(step, hasher.finish());
     }
@@ -80,7 +80,7 @@ fn same_bag_gives_same_predictions_twice() {
         .keys()
         .filter(|step| second.contains_key(step))
         .collect();
-    // A bag has 50 frames, of which 48 have a context. On a busy machine a best-effort latent may be lost.
+    // The bag has 50 frames, of which 48 have a context. On a busy machine a best-effort latent may be lost.
     let least = 30 * HORIZON as usize;
     assert!(common.len() >= least, "{} of {}", common.len(), first.len());
     let hash = |hashes: &BTreeMap<Step, u64>| {

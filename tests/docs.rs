@@ -1,4 +1,9 @@
-//! The documentation: its links lead somewhere, and the commands that are marked as runnable run.
+//! The documentation: its links lead somewhere, the commands that are marked as runnable run, and it agrees with the program
+//! and the repository.
+
+mod code;
+mod program;
+mod sources;
 
 use std::{
     collections::BTreeSet,
@@ -11,10 +16,10 @@ use pulldown_cmark::{CodeBlockKind, Event, Options, Parser, Tag, TagEnd};
 
 use crate::harness::{WM, fresh_domain, in_domain, root, whole_suite};
 
-/// Marks the command block after it: it needs nothing but this repository, and ends by itself.
+/// Marks the next command block as runnable: it needs only this repository, and ends by itself.
 const MARK: &str = "<!-- runnable -->";
 
-/// Pages in folders whose every page is ours.
+/// Pages in folders without foreign pages.
 fn pages() -> Vec<PathBuf> {
     let folders = [
         ".",
@@ -23,6 +28,7 @@ fn pages() -> Vec<PathBuf> {
         "bags/tabletop",
         "fuzz",
         "examples/imagined_policy",
+        "world-model/model/weights",
     ];
     let mut pages = Vec::new();
     for folder in folders {
@@ -40,7 +46,7 @@ fn parser(text: &str) -> Parser<'_> {
     Parser::new_ext(text, Options::ENABLE_TABLES)
 }
 
-/// The anchors of a page's headings, as GitHub and mdBook make them.
+/// The anchors of a page's headings, as in GitHub and mdBook.
 fn anchors(text: &str) -> BTreeSet<String> {
     let mut anchors = BTreeSet::new();
     let mut heading: Option<String> = None;
@@ -67,7 +73,7 @@ fn anchors(text: &str) -> BTreeSet<String> {
     anchors
 }
 
-/// Where the links and pictures of a page lead.
+/// The targets of a page's links and pictures.
 fn targets(text: &str) -> Vec<String> {
     let target = |event| match event {
         Event::Start(Tag::Link { dest_url, .. } | Tag::Image { dest_url, .. }) => {
@@ -110,7 +116,7 @@ fn links_lead_to_files_and_headings() {
 }
 
 #[test]
-fn every_page_of_the_documentation_is_in_the_book() {
+fn every_page_is_in_the_book() {
     let summary = fs::read_to_string(root().join("docs/SUMMARY.md")).expect("the summary");
     let listed: BTreeSet<String> = targets(&summary).into_iter().collect();
     for page in pages() {
@@ -155,11 +161,11 @@ fn runnable(text: &str) -> Vec<String> {
     blocks
 }
 
-/// Runs a block in a folder that has what the repository has, as a user does who has built it.
+/// Runs a block in a folder like the repository, as a user would after a build.
 fn run(block: &str, folder: &Path) {
     let path = std::env::var("PATH").expect("a PATH");
     let own = Path::new(WM).parent().expect("a folder");
-    // Building it again is the only thing that is not done as it is written.
+    // only the build command is replaced
     let build = "cargo() { [ \"$1 $2 $3\" = 'run --release --' ] && shift 3 && wm \"$@\"; }";
     let mut command = Command::new("bash");
     command
@@ -179,7 +185,7 @@ fn run(block: &str, folder: &Path) {
 }
 
 #[test]
-fn commands_that_are_marked_as_runnable_run() {
+fn runnable_commands_run() {
     let _alone = whole_suite();
     let folder = tempfile::tempdir().expect("a temporary directory");
     for shared in ["bags", "launch-configs", "examples"] {
@@ -198,7 +204,7 @@ fn commands_that_are_marked_as_runnable_run() {
 }
 
 #[test]
-fn a_marked_block_is_found_and_an_unmarked_one_is_not() {
+fn only_marked_blocks_are_found() {
     let text = format!(
         "Text.\n\n    first\n\nMore.\n\n{MARK}\n\n    second\n    third\n\nEnd.\n\n    fourth\n"
     );
@@ -206,7 +212,7 @@ fn a_marked_block_is_found_and_an_unmarked_one_is_not() {
 }
 
 #[test]
-fn anchors_are_those_of_github() {
+fn anchors_match_github() {
     let text = "# A plain one\n\n## `wm eval`: does it, or not?\n";
     let expected = ["a-plain-one", "wm-eval-does-it-or-not"].map(str::to_owned);
     assert_eq!(anchors(text), expected.into());

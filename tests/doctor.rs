@@ -1,4 +1,4 @@
-//! `wm doctor` and `wm init` beside a camera and an arm that are played from the bundled bag.
+//! `wm doctor` and `wm init` with a camera and an arm that are played from the bundled bag.
 
 use std::time::Duration;
 
@@ -29,7 +29,7 @@ fn of<'a>(report: &'a Value, check: &str) -> Vec<&'a Value> {
 }
 
 #[test]
-fn a_robot_that_works_has_no_error() {
+fn working_robot_has_no_error() {
     let _alone = whole_suite();
     let domain = fresh_domain();
     let robot = robot(domain);
@@ -44,7 +44,7 @@ fn a_robot_that_works_has_no_error() {
         .expect("topics")
         .iter()
         .filter_map(|topic| topic["rate_hz"].as_f64());
-    // The bag's stamps are exactly 0.2 s apart; shifted, they stay so.
+    // the bag's stamps are exactly 0.2 s apart, also when shifted
     assert!(
         rates.into_iter().any(|rate| (rate - 5.0).abs() < 0.05),
         "{report:#}"
@@ -54,7 +54,7 @@ fn a_robot_that_works_has_no_error() {
         "{report:#}"
     );
     assert_eq!(report["actions"][0]["topic"], "/wm/action", "{report:#}");
-    // Its pictures are the simulator's, which the bundled model knows.
+    // the bundled model knows the simulator's pictures
     let known = of(&report, "model").into_iter().find(|finding| {
         finding["what"]
             .as_str()
@@ -65,7 +65,7 @@ fn a_robot_that_works_has_no_error() {
 }
 
 #[test]
-fn where_nothing_is_heard_every_finding_says_what_to_do() {
+fn every_finding_suggests_a_fix_in_a_silent_domain() {
     let _alone = whole_suite();
     let (code, stdout, stderr) = run(fresh_domain(), &["doctor", "--seconds", "1", "--json"]);
     assert_eq!(code, Some(1), "{stderr}");
@@ -87,7 +87,7 @@ fn where_nothing_is_heard_every_finding_says_what_to_do() {
 }
 
 #[test]
-fn wrong_usage_is_told_from_a_finding() {
+fn wrong_usage_differs_from_a_finding() {
     let usage = [
         &["doctor", "--interface", "nope0"][..],
         &["doctor", "--seconds", "0"],
@@ -100,7 +100,7 @@ fn wrong_usage_is_told_from_a_finding() {
 }
 
 #[test]
-fn init_writes_a_launch_that_starts_what_was_heard() {
+fn init_writes_a_launch_for_the_topics_found() {
     let _alone = whole_suite();
     let domain = fresh_domain();
     let out = tempfile::tempdir().expect("a temporary directory");
@@ -142,7 +142,7 @@ fn init_writes_a_launch_that_starts_what_was_heard() {
     );
     drop(robot);
 
-    // The launch file is one that runs: the encoder becomes active beside the robot.
+    // the launch file works: the encoder becomes active
     let robot = self::robot(domain);
     let output = format!("output:={}", out.path().join("live").display());
     let launch = Process::start(wm(domain, &["launch", &file, &output]));

@@ -1,4 +1,4 @@
-//! How commands end that cannot do what they were asked.
+//! Exit codes and errors of commands that fail.
 
 use std::{
     collections::BTreeMap,
@@ -21,7 +21,7 @@ fn run(args: &[&str]) -> (Option<i32>, String, String) {
 }
 
 #[test]
-fn a_replay_of_no_bag_says_so_once_and_leaves_no_report() {
+fn replay_without_a_bag_fails_once_without_report() {
     let _alone = whole_suite();
     let out = tempfile::tempdir().expect("a temporary directory");
     let (code, stdout, stderr) = run(&[
@@ -36,10 +36,10 @@ fn a_replay_of_no_bag_says_so_once_and_leaves_no_report() {
     assert!(!out.path().join("report.json").exists());
 }
 
-/// A device that does not exist, and one that this program was not built for: neither is replaced by another.
+/// A device that does not exist or was not built is not replaced by another.
 #[test]
 #[cfg(not(feature = "cuda"))]
-fn a_device_that_cannot_be_used_is_named_with_what_is_missing() {
+fn error_for_unusable_device_names_what_is_missing() {
     let _alone = whole_suite();
     for node in [
         "encoder",
@@ -64,7 +64,7 @@ fn a_device_that_cannot_be_used_is_named_with_what_is_missing() {
     }
 }
 
-/// What is in a folder, by path from there, with each file's bytes.
+/// The files in a folder by relative path, with their bytes.
 fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();
     for entry in std::fs::read_dir(folder).expect("a folder") {
@@ -80,7 +80,7 @@ fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 }
 
 #[test]
-fn a_mistyped_bag_leaves_an_older_job_as_it_was() {
+fn mistyped_bag_leaves_an_older_job_unchanged() {
     let _alone = whole_suite();
     let out = tempfile::tempdir().expect("a temporary directory");
     let bag = out.path().join("bag");
@@ -100,10 +100,10 @@ fn a_mistyped_bag_leaves_an_older_job_as_it_was() {
         stderr.contains("player-7") && stderr.contains("nope"),
         "{stderr}"
     );
-    // Nothing has started that could have taken it away first.
+    // nothing has started that could have removed it
     assert!(!stderr.contains("[recorder"), "{stderr}");
 
-    // A camera that the bag does not have is such a mistake, too; the error names those that it has.
+    // a camera that the bag lacks is an error that lists the bag's cameras
     let (code, _, stderr) = launch(&["camera:=/front/image_raw"]);
     assert_eq!(code, Some(1), "{stderr}");
     for named in ["/front/image_raw", "/camera/image_raw/compressed"] {
@@ -111,7 +111,7 @@ fn a_mistyped_bag_leaves_an_older_job_as_it_was() {
     }
     assert!(!stderr.contains("[recorder"), "{stderr}");
 
-    // So are actions that it does not have, a camera's sibling in its place, and a model that is not there or not whole.
+    // missing actions, a camera's sibling, and a missing or incomplete model are errors too
     let half = tempfile::tempdir().expect("a temporary directory");
     let tiny = root().join("world-model/model/weights/tiny/autoencoder.safetensors");
     std::fs::copy(tiny, half.path().join("autoencoder.safetensors")).expect("a new file");
@@ -134,7 +134,7 @@ fn a_mistyped_bag_leaves_an_older_job_as_it_was() {
         }
     }
 
-    // And a page whose port another program has.
+    // another program has the page's port
     let taken = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");
     let port = taken.local_addr().expect("it is bound").port();
     let (code, _, stderr) = launch(&["view:=true", &format!("view_port:={port}")]);
@@ -144,14 +144,14 @@ fn a_mistyped_bag_leaves_an_older_job_as_it_was() {
 }
 
 #[test]
-fn a_monitor_that_saw_nothing_says_what_it_waited_for() {
+fn monitor_without_input_names_the_missing_topics() {
     let out = tempfile::tempdir().expect("a temporary directory");
     let (code, text) = interrupted_monitor(out.path(), None);
     assert_eq!(code, Some(1), "{text}");
     for topic in ["/camera/image_raw/compressed", "/wm/predicted", "/wm/plan"] {
         assert!(text.contains(topic), "{topic}: {text}");
     }
-    // A camera alone is no job, either.
+    // a camera alone is not enough either
     let (code, text) = interrupted_monitor(out.path(), Some(&bundled_bag()));
     assert_eq!(code, Some(1), "{text}");
     assert!(
@@ -162,7 +162,7 @@ fn a_monitor_that_saw_nothing_says_what_it_waited_for() {
 }
 
 #[test]
-fn the_report_of_a_bag_without_predictions_is_none() {
+fn report_of_a_bag_without_predictions_is_an_error() {
     let dir = tempfile::tempdir().expect("a temporary directory");
     let at = |name: &str| dir.path().join(name).to_string_lossy().into_owned();
     let mut writer = BagWriter::create(at("bag"), WriterOptions::default()).expect("a new bag");
@@ -175,7 +175,7 @@ fn the_report_of_a_bag_without_predictions_is_none() {
             .write_raw(name, &topic.type_name, &topic.schema, time, &message.data)
             .expect("it is written");
     }
-    // The predictor was there, and made nothing.
+    // the predictor existed, but predicted nothing
     writer
         .add_topic::<Prediction>("/wm/predicted", QosProfile::sensor_data())
         .expect("a new topic");
@@ -188,10 +188,10 @@ fn the_report_of_a_bag_without_predictions_is_none() {
     );
 }
 
-/// A node that SIGINT ends before it has its handlers dies of it, and a launch then shows it as failed beside, or in place
-/// of, the one that has: so they come before anything that takes time, such as sockets.
+/// SIGINT before a node has its handlers kills the node, and a launch then reports it as failed. So the handlers come
+/// before slow steps such as sockets.
 #[test]
-fn a_node_heeds_signals_before_it_joins_the_graph() {
+fn node_handles_signals_before_it_joins_the_graph() {
     /// The number of SIGINT, as a bit of `SigCgt`.
     const SIGINT: u64 = 1 << (2 - 1);
     let out = tempfile::tempdir().expect("a temporary directory");
@@ -234,7 +234,7 @@ fn a_node_heeds_signals_before_it_joins_the_graph() {
     assert_eq!(status.code(), Some(0), "{status}");
 }
 
-/// Exit code and standard error of a monitor that gets SIGINT once it works, or once a bag has been played to it.
+/// Exit code and standard error of a monitor that gets SIGINT when it works, or after a bag was played to it.
 fn interrupted_monitor(out: &Path, bag: Option<&Path>) -> (Option<i32>, String) {
     let (domain, log) = (fresh_domain(), out.join("log"));
     let output = format!("output:={}", out.display());
@@ -259,7 +259,7 @@ fn interrupted_monitor(out: &Path, bag: Option<&Path>) -> (Option<i32>, String) 
 }
 
 #[test]
-fn arguments_and_parameters_that_nobody_knows_are_wrong_usage() {
+fn unknown_arguments_and_parameters_are_wrong_usage() {
     let launch = "launch-configs/replay.launch.yaml";
     for (args, named) in [
         (&["launch", launch, "nope:=1"][..], "nope"),
@@ -284,7 +284,7 @@ fn arguments_and_parameters_that_nobody_knows_are_wrong_usage() {
 }
 
 #[test]
-fn the_info_of_a_bag_that_was_cut_off_ends_with_3() {
+fn info_of_a_truncated_bag_exits_with_3() {
     let whole = bundled_bag().join("episode_2000010_0.mcap");
     let dir = tempfile::tempdir().expect("a temporary directory");
     let cut = dir.path().join("cut.mcap");
@@ -302,7 +302,8 @@ fn the_info_of_a_bag_that_was_cut_off_ends_with_3() {
     assert_eq!(code, Some(0));
 }
 
-/// A copy of a bag in small chunks: its file. The bundled bag is one chunk, of which no part can be recovered.
+/// Copies a bag in small chunks, and returns its file. The bundled bag has one chunk, of which no part can be
+/// recovered.
 fn in_chunks(bag: &Path, to: &str) -> PathBuf {
     let reader = BagReader::open(bag).expect("the bag");
     let options = WriterOptions {
@@ -323,7 +324,7 @@ fn in_chunks(bag: &Path, to: &str) -> PathBuf {
 }
 
 #[test]
-fn a_recovery_and_a_cut_end_with_3_where_something_is_lost() {
+fn recover_and_cut_exit_with_3_after_loss() {
     let whole = bundled_bag();
     let dir = tempfile::tempdir().expect("a temporary directory");
     let at = |name: &str| dir.path().join(name).to_string_lossy().into_owned();

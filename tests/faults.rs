@@ -1,7 +1,7 @@
-//! What goes wrong beside a node: subscribers that stop or are slow, nodes that are killed, and the end that is asked
-//! for. The test itself is a node of the graph, and sees what an operator sees.
+//! Faults of other nodes: stopped and slow subscribers, killed nodes, shutdown. The test is a node of the graph and
+//! sees what an operator sees.
 
-// Each test has a runtime of its own, in which nobody else asks for the lock.
+// each test has its own runtime, in which nothing else takes the lock
 #![allow(clippy::await_holding_lock)]
 
 use std::{
@@ -24,11 +24,11 @@ use crate::harness::{
     wm,
 };
 
-/// Far above anything that a working suite takes; it only ends a test that hangs.
+/// Far longer than a working suite needs; only ends a hanging test.
 const PATIENCE: Duration = Duration::from_secs(60);
 const MIB: u64 = 1 << 20;
-/// How soon a killed node is at work again, and how soon a node ends that is asked to; on a machine so busy that a start
-/// takes longer, as long as that takes.
+/// How soon a killed node works again, and how soon a node ends after a signal; longer if a busy machine starts it more
+/// slowly.
 const BACK: Duration = Duration::from_secs(5);
 const GONE: Duration = Duration::from_secs(2);
 /// How long a subscriber is stopped.
@@ -42,7 +42,7 @@ async fn next<M: Message>(subscription: &mut Subscription<M>) -> M {
         .message
 }
 
-/// Waits for a status of this name that is as wanted.
+/// Waits for a status of this name that satisfies a condition.
 async fn diagnosed(
     diagnostics: &mut Subscription<DiagnosticArray>,
     name: &str,
@@ -64,11 +64,11 @@ struct Heavy {
     bytes: usize,
     hz: u64,
     qos: QosProfile,
-    /// What the publisher may grow by beyond what it sends meanwhile \[byte\].
+    /// The largest growth of the publisher beyond the bytes it sends meanwhile \[byte\].
     growth: u64,
 }
 
-/// Two seconds of the topic, each message with its number.
+/// Two seconds of the topic, with numbered messages.
 fn heavy_bag(path: &Path, heavy: &Heavy) {
     let mut bag = BagWriter::create(path, WriterOptions::default()).expect("a new bag");
     bag.add_topic::<std_msgs::String>("/heavy", heavy.qos)
@@ -82,9 +82,9 @@ fn heavy_bag(path: &Path, heavy: &Heavy) {
     bag.finish().expect("the end of the bag");
 }
 
-/// Twice a latent of the bundled model, four times as often as a camera.
+/// Twice a latent of the bundled model, at four times a camera's rate.
 #[tokio::test(flavor = "current_thread")]
-async fn a_stopped_reliable_subscriber_costs_its_publisher_what_it_misses() {
+async fn stopped_reliable_subscriber_costs_only_missed_messages() {
     stopped_subscriber(Heavy {
         bytes: 8_192,
         hz: 20,
@@ -94,9 +94,9 @@ async fn a_stopped_reliable_subscriber_costs_its_publisher_what_it_misses() {
     .await;
 }
 
-/// As native semantic latents are: 16 x 16 x 1024 in f16 at 5 Hz.
+/// Like native semantic latents: 16 x 16 x 1024 in f16 at 5 Hz.
 #[tokio::test(flavor = "current_thread")]
-async fn a_stopped_best_effort_subscriber_costs_its_publisher_nothing() {
+async fn stopped_best_effort_subscriber_costs_its_publisher_nothing() {
     stopped_subscriber(Heavy {
         bytes: 524_288,
         hz: 5,
@@ -134,7 +134,7 @@ async fn stopped_subscriber(heavy: Heavy) {
     let file = recorded.join("recorded_0.mcap");
     let size = || file.metadata().map_or(0, |metadata| metadata.len());
     wait_until("a recording", PATIENCE, || size() > heavy.bytes as u64);
-    // What the publisher needs when all listen: it reads its bag ahead, again and again.
+    // the publisher's memory while all receive: it reads its bag ahead, again and again
     let (before, _) = most_resident(&player, &mut others).await;
     recorder.signal(Signal::STOP);
     let (most, received) = most_resident(&player, &mut others).await;
@@ -146,7 +146,7 @@ async fn stopped_subscriber(heavy: Heavy) {
         most / MIB,
         before / MIB
     );
-    // A reliable publisher keeps what is missed, up to its window; others keep nothing.
+    // a reliable publisher keeps missed messages up to its window; others keep nothing
     let kept = if is_reliable { sent } else { 0 };
     assert!(grown < kept + heavy.growth, "{} MiB", grown / MIB);
     let expected = STOP.as_secs() * heavy.hz;
@@ -156,13 +156,13 @@ async fn stopped_subscriber(heavy: Heavy) {
     );
     assert_eq!((others.lost(), others.dropped()), (0, 0));
 
-    // A subscriber that never reads holds its queue, and gets the newest when it does.
+    // a subscriber that does not read keeps its queue, and then gets the newest messages
     assert!(slow.dropped() >= received, "{} dropped", slow.dropped());
     assert_eq!(slow.lost(), 0);
     let waiting = std::iter::from_fn(|| slow.try_recv()).count();
     assert_eq!(waiting, 2);
 
-    // The DDS library does not survive a stop; the node notices and ends, and who supervises it starts it again.
+    // the DDS library does not survive a stop: the node detects this and ends, and its supervisor restarts it
     recorder.signal(Signal::CONT);
     let continued = Instant::now();
     let (status, _) = recorder.finish(Duration::from_secs(10));
@@ -188,7 +188,7 @@ async fn stopped_subscriber(heavy: Heavy) {
     assert_eq!((others.lost(), others.dropped()), (0, 0));
 }
 
-/// Reads for as long as a stop lasts; the most memory that the publisher had meanwhile \[byte\], and the messages that came.
+/// Reads during the stop; returns the publisher's largest memory \[byte\] and the number of messages.
 async fn most_resident(
     publisher: &Process,
     subscription: &mut Subscription<std_msgs::String>,
@@ -202,7 +202,7 @@ async fn most_resident(
     (most, received)
 }
 
-/// Starts the launch with its messages in `log`, and gives the process.
+/// Starts the launch with its messages in `log`.
 fn launch(domain: u16, arguments: &[&str], log: &Path) -> Process {
     let mut command = wm(domain, &[&["launch"][..], arguments].concat());
     let file = std::fs::File::create(log).expect("a new file");
@@ -211,7 +211,7 @@ fn launch(domain: u16, arguments: &[&str], log: &Path) -> Process {
 }
 
 #[tokio::test(flavor = "current_thread")]
-async fn a_killed_node_is_back_at_work_within_five_seconds() {
+async fn killed_node_works_again_within_five_seconds() {
     let _alone = whole_suite();
     let dir = tempfile::tempdir().expect("a temporary directory");
     let (log, output) = (dir.path().join("log"), dir.path().join("out"));
@@ -249,14 +249,14 @@ async fn a_killed_node_is_back_at_work_within_five_seconds() {
 
     rustix::process::kill_process(find("encoder"), Signal::KILL).expect("it runs");
     let killed = Instant::now();
-    // What it sent before its end may still come, and rollouts of it may be under way.
+    // messages and rollouts from before its end may still be on their way
     tokio::time::sleep(Duration::from_millis(300)).await;
     let mut last_ns = 0;
     while let Some(received) = latents.try_recv() {
         last_ns = received.message.header.stamp.to_nanos();
     }
     let is_new = |observed_ns: i64| {
-        // The bag begins again every ten seconds.
+        // the bag restarts every ten seconds
         observed_ns > last_ns || last_ns - observed_ns > 5_000_000_000
     };
     while !is_new(next(&mut predictions).await.observed_stamp.to_nanos()) {}
@@ -291,7 +291,7 @@ async fn a_killed_node_is_back_at_work_within_five_seconds() {
 }
 
 #[tokio::test(flavor = "current_thread")]
-async fn who_misses_a_killed_node_says_so() {
+async fn node_reports_a_missing_killed_node() {
     let _alone = whole_suite();
     let domain = fresh_domain();
     let (_context, node) = join(domain, "observer");
@@ -328,7 +328,7 @@ async fn who_misses_a_killed_node_says_so() {
         warned.message.contains("silent") || warned.message.contains("start the encoder"),
         "{warned:?}"
     );
-    // The node's own status, which simple tools show, is as bad.
+    // the node's own status, which simple tools show, has the same level
     let is_said = |status: &DiagnosticStatus| status.message.contains("no latents");
     let own = diagnosed(&mut diagnostics, "wm/predictor", is_said).await;
     assert_eq!(own.level, DiagnosticStatus::ERROR);
@@ -338,7 +338,7 @@ async fn who_misses_a_killed_node_says_so() {
 }
 
 #[test]
-fn a_camera_on_another_topic_is_named_in_the_log() {
+fn log_names_a_camera_on_another_topic() {
     let _alone = whole_suite();
     let domain = fresh_domain();
     let dir = tempfile::tempdir().expect("a temporary directory");
@@ -390,7 +390,7 @@ async fn every_node_ends_within_two_seconds_of_either_signal() {
             running.push((name, Process::start(wm(domain, &args))));
         }
         for (name, process) in running {
-            // A managed node first loads its weights.
+            // a managed node first loads its weights
             let is_active = |status: &DiagnosticStatus| {
                 let message = status.message.as_str();
                 !message.starts_with("unconfigured") && !message.starts_with("inactive")
@@ -401,7 +401,7 @@ async fn every_node_ends_within_two_seconds_of_either_signal() {
             let asked = Instant::now();
             let (status, _) = process.finish(GONE.max(started_after));
             println!("{name}: gone {:?} after {signal:?}", asked.elapsed());
-            // A monitor without predictions has failed, and ends as soon.
+            // a monitor without predictions fails, but ends as fast
             let is_right = status.success() || (name == "monitor" && status.code() == Some(1));
             assert!(is_right, "{name} ended with {status} on {signal:?}");
         }

@@ -1,5 +1,5 @@
-//! Viewers that speak Foxglove's protocol, on the port of `wm view`: by hand, so that they can be slow and hostile, and with
-//! Foxglove's own client library.
+//! Viewers with Foxglove's protocol on the port of `wm view`: a client of our own, which can be slow and hostile, and
+//! Foxglove's client library.
 
 use std::{collections::BTreeMap, process::Command, time::SystemTime};
 
@@ -13,15 +13,15 @@ use crate::{
 
 const NEWER: (&str, &str) = ("Sec-WebSocket-Protocol", "foxglove.sdk.v1");
 const OLDER: (&str, &str) = ("Sec-WebSocket-Protocol", "foxglove.websocket.v1");
-/// What a desktop application sends.
+/// The origin of desktop applications.
 const DESKTOP: (&str, &str) = ("Origin", "file://");
 const CAMERA: &str = "/camera/image_raw/compressed";
 const GRIPPER: &str = "/arm/gripper";
 
-/// The status that a request gets, its path, and its headers.
+/// The expected status of a request, its path, and its headers.
 type Case<'a> = (u16, &'a str, &'a [(&'a str, &'a str)]);
 
-/// A viewer, which has been told what is there.
+/// A viewer that knows the channels.
 struct Viewer {
     socket: Socket,
     channels: BTreeMap<String, Value>,
@@ -39,7 +39,7 @@ impl Viewer {
         }
     }
 
-    /// What `pick` makes of the first message that it is for and that tells of no channels.
+    /// The result of `pick` for the first message for which there is one, apart from messages about channels.
     fn until<T>(&mut self, what: &str, mut pick: impl FnMut(Message) -> Option<T>) -> T {
         let Self { socket, channels } = self;
         socket.until(what, |message| match learn(channels, &message) {
@@ -48,7 +48,7 @@ impl Viewer {
         })
     }
 
-    /// Waits for the next message that tells of channels.
+    /// Waits for the next message about channels.
     fn news(&mut self) {
         let Self { socket, channels } = self;
         socket.until("news of channels", |message| {
@@ -76,7 +76,7 @@ impl Viewer {
         self.socket.send(&text.to_string());
     }
 
-    /// The next message of a topic: its subscription, its time \[ns\], and its CDR.
+    /// The next message of a topic: subscription, time \[ns\] and CDR.
     fn data(&mut self) -> (u32, u64, Vec<u8>) {
         self.until("a message of a topic", |message| {
             let Message::Bytes(bytes) = message else {
@@ -101,7 +101,7 @@ impl Viewer {
     }
 }
 
-/// Keeps what a message tells of channels; whether it did.
+/// Stores the channels of a message; false if it has none.
 fn learn(channels: &mut BTreeMap<String, Value>, message: &Message) -> bool {
     let Message::Text(text) = message else {
         return false;
@@ -123,8 +123,8 @@ fn text_of(message: Message) -> Value {
     }
 }
 
-/// Whether the view's node is subscribed to a topic, by a status of the page; nothing where it does not tell of the node.
-fn told_subscription(status: &Value, topic: &str) -> Option<bool> {
+/// Whether the view's node subscribes to a topic, by a status of the page; `None` if the status lacks the node.
+fn subscription_in(status: &Value, topic: &str) -> Option<bool> {
     let key = format!("publishers of {topic}");
     let mut nodes = status["nodes"].as_array()?.iter();
     let node = nodes.find(|node| node["name"] == "wm/view")?;
@@ -133,24 +133,24 @@ fn told_subscription(status: &Value, topic: &str) -> Option<bool> {
 }
 
 fn is_subscribed(page: &mut Socket, topic: &str) -> bool {
-    page.until_op("status", |status| told_subscription(&status, topic))
+    page.until_op("status", |status| subscription_in(&status, topic))
 }
 
 fn wait_for_subscription(page: &mut Socket, topic: &str, is_so: bool) {
     page.until_op("status", |status| {
-        (told_subscription(&status, topic) == Some(is_so)).then_some(())
+        (subscription_in(&status, topic) == Some(is_so)).then_some(())
     });
 }
 
 #[test]
-fn viewers_read_topics_on_the_pages_port_and_only_while_they_want_them() {
+fn viewers_receive_topics_only_while_subscribed() {
     let domain = fresh_domain();
     let view = View::start(
         domain,
         free_port(),
         &["--foxglove-exclude-regex", "^/task/"],
     );
-    // Both subprotocols, under the bare address and the page's path. No topic is there yet, which is told too.
+    // Both subprotocols, at the bare address and the page's path. Without topics, the list of channels is sent too.
     for (path, protocol) in [("/", NEWER), ("/", OLDER), ("/socket", NEWER)] {
         let (status, socket) = open_at(view.port, path, &[protocol]);
         let mut socket = socket.unwrap_or_else(|| panic!("{path} {protocol:?}: {status}"));
@@ -203,7 +203,7 @@ fn viewers_read_topics_on_the_pages_port_and_only_while_they_want_them() {
     let now_ns = SystemTime::UNIX_EPOCH.elapsed().expect("a time").as_nanos();
     let age_ns = now_ns.saturating_sub(u128::from(time_ns));
     assert!(id == 7 && age_ns < PATIENCE.as_nanos(), "{id} {age_ns}");
-    // Little-endian CDR of a float32, between the closed and the open gripper.
+    // little-endian CDR of a float32, between the closed and the open gripper
     assert_eq!((cdr.len(), &cdr[..4]), (8, &[0, 1, 0, 0][..]));
     let width = f32::from_le_bytes(cdr[4..].try_into().expect("4 bytes"));
     assert!((0.0..=1.0).contains(&width), "{width}");
@@ -211,7 +211,7 @@ fn viewers_read_topics_on_the_pages_port_and_only_while_they_want_them() {
     viewer.unsubscribe(7);
     wait_for_subscription(&mut page, GRIPPER, false);
 
-    // What was latched comes to each who asks, though it was published once.
+    // each new subscriber gets a latched message that was published once
     for _ in 0..2 {
         let mut viewer = Viewer::open(view.port);
         viewer.subscribe("/tf_static", 1);
@@ -223,7 +223,7 @@ fn viewers_read_topics_on_the_pages_port_and_only_while_they_want_them() {
     while viewer.channels.contains_key(GRIPPER) {
         viewer.news();
     }
-    // What is gone cannot be subscribed to.
+    // a removed channel cannot be subscribed to
     let subscriptions = json!([{ "id": 1, "channelId": channel["id"] }]);
     let text = json!({ "op": "subscribe", "subscriptions": subscriptions });
     viewer.socket.send(&text.to_string());
@@ -235,7 +235,7 @@ fn viewers_read_topics_on_the_pages_port_and_only_while_they_want_them() {
 }
 
 #[test]
-fn rates_thin_out_and_topics_may_be_offered_to_nobody() {
+fn rates_are_limited_and_topics_can_be_disabled() {
     let domain = fresh_domain();
     let view = View::start(domain, free_port(), &["--foxglove-rates", "^/camera/=2"]);
     let _player = player(domain, "2");
@@ -246,7 +246,7 @@ fn rates_thin_out_and_topics_may_be_offered_to_nobody() {
     while counts[2] < 40 {
         counts[viewer.data().0 as usize] += 1;
     }
-    // 10 Hz for four seconds, of which the camera's are every fifth.
+    // 10 Hz for four seconds, of which every fifth frame of the camera
     assert!((4..=16).contains(&counts[1]), "{counts:?}");
 
     let none = View::start(domain, free_port(), &["--foxglove-regex", ""]);
@@ -254,7 +254,7 @@ fn rates_thin_out_and_topics_may_be_offered_to_nobody() {
 }
 
 #[test]
-fn a_view_of_a_bag_says_that_it_has_no_live_topics() {
+fn view_of_a_bag_refuses_live_topics() {
     let bag = bundled_bag();
     let view = View::start(fresh_domain(), free_port(), &[&bag.to_string_lossy()]);
     let mut viewer = Viewer::open(view.port);
@@ -267,7 +267,7 @@ fn a_view_of_a_bag_says_that_it_has_no_live_topics() {
 }
 
 #[test]
-fn pages_of_others_and_hostile_viewers_are_refused_and_harm_nobody() {
+fn foreign_pages_and_hostile_viewers_are_refused() {
     let domain = fresh_domain();
     let folder = tempfile::tempdir().expect("a temporary directory");
     let token = folder.path().join("token");
@@ -297,10 +297,10 @@ fn pages_of_others_and_hostile_viewers_are_refused_and_harm_nobody() {
         (401, "/", &[NEWER, app]),
         (401, "/?token=0123456789abcdee", &[NEWER, app]),
         (403, with_token, &[NEWER, evil]),
-        // Listed above is another origin than the default.
+        // the list above has another origin than the default
         (403, with_token, &[NEWER, DESKTOP]),
         (421, with_token, &[NEWER, rebound, evil]),
-        // A viewer's origin gets no page, and the page's socket takes no token from an address.
+        // a viewer's origin gets no page, and the page's socket accepts no token in an address
         (403, with_token, &[both, app]),
         (401, with_token, &[own]),
         (401, with_token, &[other]),
@@ -312,7 +312,7 @@ fn pages_of_others_and_hostile_viewers_are_refused_and_harm_nobody() {
             "{path} {headers:?}"
         );
     }
-    // By default no website may connect, Foxglove's own neither.
+    // by default no website may connect, including Foxglove's
     let plain = View::start(domain, free_port(), &[]);
     for origin in [listed, "https://lichtblick.example", "null"] {
         let status = open_at(plain.port, "/", &[NEWER, ("Origin", origin)]).0;
@@ -328,7 +328,7 @@ fn pages_of_others_and_hostile_viewers_are_refused_and_harm_nobody() {
     let hostile: [&[u8]; 3] = [&frame_of(1 << 30), &frame_of(u64::MAX), &[0xff; 64]];
     for bytes in hostile {
         let mut socket = client();
-        // The server may have closed it before all is sent.
+        // the server may have closed it before everything is sent
         let _ = socket.send_raw(bytes);
         socket.until_closed();
     }
@@ -341,7 +341,7 @@ fn pages_of_others_and_hostile_viewers_are_refused_and_harm_nobody() {
         socket.send(text);
         socket.until_closed();
     }
-    // What is well formed and not offered, or too much, is answered, and the client is served on.
+    // well-formed but unsupported or excessive requests are answered, and the client stays connected
     let mut viewer = Viewer::open(plain.port);
     viewer
         .socket
@@ -352,7 +352,7 @@ fn pages_of_others_and_hostile_viewers_are_refused_and_harm_nobody() {
     viewer.subscribe(CAMERA, 2);
     assert!(viewer.status().1.contains("subscribed to already"));
     viewer.data();
-    // A client that asks and takes back without end.
+    // a client that subscribes and unsubscribes endlessly
     let channel = viewer.channel(GRIPPER)["id"].clone();
     for _ in 0..2000 {
         let subscriptions = json!([{ "id": 9, "channelId": channel }]);
@@ -374,10 +374,10 @@ fn pages_of_others_and_hostile_viewers_are_refused_and_harm_nobody() {
 }
 
 #[test]
-fn a_viewer_that_stands_still_costs_little_and_slows_nobody() {
+fn stalled_viewer_costs_little_and_slows_no_other() {
     let domain = fresh_domain();
     let view = View::start(domain, free_port(), &[]);
-    // 750 KB/s: within seconds more than the kernel holds for a client that does not read.
+    // 750 KB/s: within seconds more than the kernel buffers for a client that does not read
     let _player = player(domain, "10");
     let viewer = || {
         let mut viewer = Viewer::open(view.port);
@@ -397,15 +397,15 @@ fn a_viewer_that_stands_still_costs_little_and_slows_nobody() {
     let grown = resident(view.process.pid()).saturating_sub(before);
     assert!(grown < 32 << 20, "{grown} bytes more");
     catch_up(&mut stalled, stamp, &common);
-    // It is told that something was left out.
+    // it receives a warning about dropped messages
     let (level, message) = stalled.status();
     assert!(
-        level == 1 && message.contains("left out") && message.contains(CAMERA),
+        level == 1 && message.contains("dropped") && message.contains(CAMERA),
         "{message}"
     );
 }
 
-/// Foxglove's own client, if `tests/setup_foxglove` was run.
+/// Foxglove's client library; `None` without `tests/setup_foxglove`.
 fn library(url: &str, protocol: &str, topics: &[&str]) -> Option<Value> {
     let modules = root().join(".venv/foxglove");
     if !modules.join("stamp").is_file() {
@@ -426,7 +426,7 @@ fn library(url: &str, protocol: &str, topics: &[&str]) -> Option<Value> {
 }
 
 #[test]
-fn foxgloves_own_client_decodes_what_the_nodes_predict() {
+fn foxgloves_client_decodes_predictions() {
     let _whole = whole_suite();
     let domain = fresh_domain();
     let view = View::start(domain, free_port(), &[]);
@@ -455,7 +455,7 @@ fn foxgloves_own_client_decodes_what_the_nodes_predict() {
         assert_eq!(message["horizon"], 8, "{message}");
         let step = message["step"].as_u64().expect("a step");
         assert!((1..=8).contains(&step), "{message}");
-        // 400 ms a step, from the observation to what is predicted.
+        // 400 ms per step, from the observation to the predicted time
         let ns = |stamp: &Value| {
             let part = |name: &str| stamp[name].as_i64().expect("a number");
             part("sec") * 1_000_000_000 + part("nanosec")
@@ -482,7 +482,7 @@ fn foxgloves_own_client_decodes_what_the_nodes_predict() {
         "{status}"
     );
 
-    // Lichtblick asks for the older one.
+    // Lichtblick requests the older one
     let answer = library(
         &url,
         "foxglove.websocket.v1",

@@ -1,4 +1,4 @@
-//! Starts and stops real processes of the suite, each test in a ROS domain of its own on loopback.
+//! Starts and stops real processes of the suite, each test in its own ROS domain on loopback.
 
 use std::{
     io::Read as _,
@@ -30,9 +30,9 @@ pub fn bundled_bag() -> PathBuf {
     root().join("bags/tabletop")
 }
 
-/// A ROS domain that no other test of this run uses, so that tests may run side by side.
+/// A ROS domain that no other test of this run uses.
 pub fn fresh_domain() -> u16 {
-    // Domains up to 101 keep RTPS ports below the ephemeral range of Linux.
+    // domains up to 101 keep RTPS ports below the ephemeral range of Linux
     static NEXT: AtomicU16 = AtomicU16::new(0);
     20 + (std::process::id() as u16 % 2) * 40 + NEXT.fetch_add(1, Ordering::Relaxed) % 40
 }
@@ -45,7 +45,7 @@ pub fn wm(domain: u16, args: &[&str]) -> Command {
     command
 }
 
-/// Puts `command` into ROS domain `domain`, on loopback.
+/// Sets the ROS domain of `command`, on loopback.
 pub fn in_domain(command: &mut Command, domain: u16) {
     command
         .env("ROS_DOMAIN_ID", domain.to_string())
@@ -66,7 +66,7 @@ pub fn join(domain_id: u16, name: &str) -> (Context, Node) {
     (context, node)
 }
 
-/// Waits until somebody publishes each of these topics: the nodes are up, and not to be met in the middle of their start.
+/// Waits until each of these topics has a publisher, so that the nodes have started.
 pub fn wait_for_publishers(domain_id: u16, topics: &[&str]) {
     let (_context, node) = join(domain_id, "observer");
     wait_until("the nodes are up", Duration::from_secs(60), || {
@@ -79,13 +79,13 @@ pub fn wait_for_publishers(domain_id: u16, topics: &[&str]) {
     });
 }
 
-/// The right to run all nodes at once: two suites side by side are more than two processors can keep up with.
+/// Permits running all nodes: two suites at once are too much for two processors.
 pub fn whole_suite() -> MutexGuard<'static, ()> {
     static ONE: Mutex<()> = Mutex::new(());
     ONE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The virtual environments that `tests/setup_ros2` made; `None` (with a plain message) where it was not run.
+/// The virtual environments of `tests/setup_ros2`; `None`, with a message, if it was not run.
 pub fn peers() -> Option<PathBuf> {
     let dir = root().join(".venv");
     if dir.join("stamp").is_file() {
@@ -99,7 +99,7 @@ pub fn peers() -> Option<PathBuf> {
     None
 }
 
-/// A Python program under `tests/interop`, run by the real ROS 2 of [`peers`].
+/// A Python program under `tests/interop`, with the real ROS 2 of [`peers`].
 pub fn rclpy(peers: &Path, domain: u16, script: &str, args: &[&str]) -> Command {
     let mut command = Command::new("bash");
     command
@@ -111,13 +111,13 @@ pub fn rclpy(peers: &Path, domain: u16, script: &str, args: &[&str]) -> Command 
     command
 }
 
-/// A Python program under `tests/interop`, run with the libraries of [`peers`] that are not ROS.
+/// A Python program under `tests/interop`, with the other libraries of [`peers`].
 pub fn tool(peers: &Path, domain: u16, script: &str, args: &[&str]) -> Command {
     let mut command = Command::new(peers.join("tools/bin/python"));
     command
         .arg(root().join("tests/interop").join(script))
         .args(args)
-        // Set by the wheels of ROS 2; it would load their libraries into this Python.
+        // set by the wheels of ROS 2; it would load their libraries into this Python
         .env_remove("LD_LIBRARY_PATH");
     in_domain(&mut command, domain);
     command
@@ -141,7 +141,7 @@ pub fn resident(pid: Pid) -> u64 {
     kib.expect("a size in kB") * 1024
 }
 
-/// The processes that `parent` has started, each with its command line.
+/// The children of `parent`, each with its command line.
 pub fn children(parent: Pid) -> Vec<(Pid, Vec<String>)> {
     let parent = parent.as_raw_nonzero();
     let ids = std::fs::read_to_string(format!("/proc/{parent}/task/{parent}/children"))
@@ -154,11 +154,11 @@ pub fn children(parent: Pid) -> Vec<(Pid, Vec<String>)> {
     ids.split_whitespace().filter_map(child).collect()
 }
 
-/// A started process, ended by its pid when the test lets go of it.
+/// A process that is ended by its pid when this is dropped.
 pub struct Process {
     child: Child,
     name: String,
-    /// Reads stdout all the time: a process whose pipe is full stands still.
+    /// reads stdout continuously: a process with a full pipe blocks
     stdout: Option<JoinHandle<String>>,
 }
 
@@ -177,11 +177,11 @@ impl Process {
         process
     }
 
-    /// Starts `command`, whose stdout goes where it says.
+    /// Starts `command` with its own stdout.
     pub fn start_with_output(mut command: Command) -> Self {
         let name = format!("{command:?}");
         command.stdin(Stdio::null());
-        // A group of its own: what the process started ends with it.
+        // in its own process group, so that its children end with it
         command.process_group(0);
         let child = command
             .spawn()
@@ -193,18 +193,16 @@ impl Process {
         }
     }
 
-    /// The process id.
     pub fn pid(&self) -> Pid {
         Pid::from_child(&self.child)
     }
 
-    /// Sends `signal` to the process.
     pub fn signal(&self, signal: Signal) {
         rustix::process::kill_process(self.pid(), signal)
             .unwrap_or_else(|error| panic!("could not send {signal:?} to {}: {error}", self.name));
     }
 
-    /// Waits for the end of the process, at most `limit`; gives its exit status and its stdout.
+    /// Waits at most `limit` for the end of the process; returns its exit status and stdout.
     pub fn finish(mut self, limit: Duration) -> (ExitStatus, String) {
         let start = Instant::now();
         let status = loop {

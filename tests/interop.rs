@@ -1,4 +1,4 @@
-//! A real rclpy (Fast DDS) beside the suite: what arrives, decodes, and says what it should.
+//! A real rclpy (Fast DDS) with the suite: messages arrive, decode, and have the expected contents.
 
 use std::{collections::BTreeSet, time::Duration};
 
@@ -36,7 +36,7 @@ fn collect(peers: &std::path::Path, domain: u16, topics: &[&str]) -> Value {
     serde_json::from_str(&stdout).expect("collect.py prints JSON")
 }
 
-/// What `report` has of `topic`: something.
+/// The messages of `topic` in `report`, checked not to be empty.
 pub fn messages<'a>(report: &'a Value, topic: &str) -> &'a Vec<Value> {
     let messages = report["received"][topic]
         .as_array()
@@ -45,7 +45,6 @@ pub fn messages<'a>(report: &'a Value, topic: &str) -> &'a Vec<Value> {
     messages
 }
 
-/// A number of a report.
 pub fn integer(value: &Value) -> i64 {
     value
         .as_i64()
@@ -65,7 +64,7 @@ fn assert_finite(values: &Value) {
     }
 }
 
-/// Holds the latents of `report` against the defaults of the suite; gives their latent spaces.
+/// Checks the latents of `report` against the suite's defaults; returns their latent spaces.
 pub fn spaces_of_latents(report: &Value) -> BTreeSet<String> {
     let mut spaces = BTreeSet::new();
     for latent in messages(report, "/wm/latent") {
@@ -78,7 +77,7 @@ pub fn spaces_of_latents(report: &Value) -> BTreeSet<String> {
     spaces
 }
 
-/// Holds the predictions of `report` against the defaults of the suite; gives their latent spaces.
+/// Checks the predictions of `report` against the suite's defaults; returns their latent spaces.
 pub fn spaces_of_predictions(report: &Value) -> BTreeSet<String> {
     let mut spaces = BTreeSet::new();
     let mut steps_seen = BTreeSet::new();
@@ -112,9 +111,10 @@ pub fn spaces_of_predictions(report: &Value) -> BTreeSet<String> {
     spaces
 }
 
-/// To its own kind a large message goes in parts, to others in one burst, of which their receive buffer may lose some.
+/// The suite's nodes receive a large message in parts, others in one burst, of which their receive buffer may lose
+/// some.
 #[test]
-fn a_large_message_reaches_its_own_kind_each_time_and_a_real_ros_2_as_it_can() {
+fn large_messages_always_reach_own_nodes_and_mostly_rclpy() {
     const BYTES: usize = 300_000;
     let Some(peers) = peers() else { return };
     let _alone = whole_suite();
@@ -273,7 +273,7 @@ fn every_public_topic_reaches_a_real_ros_2() {
             .is_empty()
     );
 
-    // A peer that joins when the suite has long been running, and one after the first has gone.
+    // a peer that joins late, and one after the first has left
     for attempt in ["late", "restarted"] {
         let report = collect(&peers, domain, &["/wm/predicted:wm_msgs/msg/Prediction:8"]);
         assert!(
@@ -284,11 +284,11 @@ fn every_public_topic_reaches_a_real_ros_2() {
 }
 
 #[test]
-fn who_comes_late_gets_what_was_latched() {
+fn late_subscriber_gets_latched_samples() {
     let Some(peers) = peers() else { return };
     let domain = fresh_domain();
     let bag = format!("bag:=\"{}\"", bundled_bag().display());
-    // The whole bag in a second, then silence: whatever arrives after that was kept for it.
+    // the whole bag in a second, then silence: later messages were kept for the peer
     let _player = Process::start(wm(
         domain,
         &[
@@ -384,7 +384,7 @@ fn parameters_are_visible_and_guarded() {
 }
 
 #[test]
-fn a_node_tells_its_types_and_loggers_and_changes_parameters_whole() {
+fn node_reports_types_and_loggers_and_sets_atomically() {
     let Some(peers) = peers() else { return };
     let domain = fresh_domain();
     let _decoder = Process::start(wm(domain, &["decoder"]));
@@ -430,10 +430,9 @@ fn a_node_tells_its_types_and_loggers_and_changes_parameters_whole() {
     assert_eq!(descriptors[0]["read_only"], false);
 }
 
-/// Review C2.2: each round used to leave the endpoints of the one before in the graph of Fast DDS, and a call to an
-/// inactive node hung.
+/// Review C2.2: each round left the previous endpoints in the graph of Fast DDS, and a call to an inactive node hung.
 #[test]
-fn endpoints_stay_the_same_over_deactivation_and_an_inactive_node_refuses_calls() {
+fn inactive_node_keeps_endpoints_and_refuses_calls() {
     let Some(peers) = peers() else { return };
     let domain = fresh_domain();
     let _predictor = Process::start(wm(
@@ -462,7 +461,7 @@ fn endpoints_stay_the_same_over_deactivation_and_an_inactive_node_refuses_calls(
 }
 
 #[test]
-fn a_node_is_driven_through_its_lifecycle() {
+fn rclpy_drives_a_node_through_its_lifecycle() {
     let Some(peers) = peers() else { return };
     let domain = fresh_domain();
     let encoder = Process::start(wm(
@@ -504,7 +503,7 @@ fn a_node_is_driven_through_its_lifecycle() {
         made[1]["available"],
         serde_json::json!(["cleanup", "activate", "shutdown"])
     );
-    // Each transition that was made is two steps.
+    // each transition has two steps
     let goals: Vec<&str> = answer["events"]
         .as_array()
         .expect("events")

@@ -1,4 +1,4 @@
-//! Tests of whole processes: the suite as a user runs it, and a real ROS 2 as its peer.
+//! Tests of whole processes: the suite as a user runs it, with a real ROS 2 as its peer.
 
 #![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
 

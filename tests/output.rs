@@ -1,4 +1,4 @@
-//! Terminals that nobody reads: a full pipe must stop neither the nodes nor their end.
+//! Unread terminals: a full pipe must not block nodes or their end.
 
 use std::{
     io::{PipeReader, Read as _, Write as _},
@@ -13,22 +13,22 @@ use wm_ros::Qos;
 
 use crate::harness::{Process, Signal, fresh_domain, join, wm};
 
-/// Far above anything that a working node takes; it only ends a test that hangs.
+/// Far longer than a working node needs; only ends a hanging test.
 const PATIENCE: Duration = Duration::from_secs(60);
-/// How soon a node ends that is asked to, on a busy machine.
+/// How soon a node ends after a signal, on a busy machine.
 const GONE: Duration = Duration::from_secs(10);
 /// The capacity of a pipe on Linux \[byte\].
 const CAPACITY: usize = 64 * 1024;
 
-/// A pipe with no room left, which nobody reads.
+/// A full pipe that nothing reads.
 fn full_pipe() -> (PipeReader, Stdio) {
     let (reader, mut writer) = std::io::pipe().expect("a pipe");
     writer.write_all(&[b'.'; CAPACITY]).expect("room in it");
     (reader, writer.into())
 }
 
-/// Starts `wm` on full pipes, lets it record what is published on /told, and asks it to end.
-async fn records_although_nobody_reads(args: &[&str], bag: &Path) {
+/// Starts `wm` on full pipes, lets it record the topic /told, and ends it.
+async fn records_with_unread_output(args: &[&str], bag: &Path) {
     let domain_id = fresh_domain();
     let (_context, node) = join(domain_id, "observer");
     let told = node
@@ -70,7 +70,7 @@ async fn records_although_nobody_reads(args: &[&str], bag: &Path) {
     assert!(status.success(), "ended with {status}");
     assert!(BagReader::open(bag).expect("a bag").message_count() > 0);
 
-    // What was said before is still there, and nothing was added to it.
+    // the earlier output is still there, and nothing was added
     let mut text = Vec::new();
     let (mut reader, _) = err;
     reader.read_to_end(&mut text).expect("what is in the pipe");
@@ -78,7 +78,7 @@ async fn records_although_nobody_reads(args: &[&str], bag: &Path) {
 }
 
 #[tokio::test(flavor = "current_thread")]
-async fn a_node_whose_output_nobody_reads_works_and_ends() {
+async fn node_with_unread_output_works_and_ends() {
     let scratch = tempfile::tempdir().expect("a temporary directory");
     let bag = scratch.path().join("bag");
     let output = format!("output:={}", bag.display());
@@ -90,11 +90,11 @@ async fn a_node_whose_output_nobody_reads_works_and_ends() {
         "-p",
         "topics:=[/told]",
     ];
-    records_although_nobody_reads(&args, &bag).await;
+    records_with_unread_output(&args, &bag).await;
 }
 
 #[tokio::test(flavor = "current_thread")]
-async fn a_launch_whose_output_nobody_reads_works_and_ends() {
+async fn launch_with_unread_output_works_and_ends() {
     let scratch = tempfile::tempdir().expect("a temporary directory");
     let bag = scratch.path().join("bag");
     let file = scratch.path().join("record.launch.yaml");
@@ -104,5 +104,5 @@ async fn a_launch_whose_output_nobody_reads_works_and_ends() {
         bag.display().to_string()
     );
     std::fs::write(&file, text).expect("a launch file");
-    records_although_nobody_reads(&["launch", &file.display().to_string()], &bag).await;
+    records_with_unread_output(&["launch", &file.display().to_string()], &bag).await;
 }

@@ -1,8 +1,8 @@
-//! The ROS packages: `wm_nodes` built by the real colcon over `wm_msgs`, which `tests/setup_ros2` built the same way, and
-//! the overlay used as a ROS user does.
+//! The ROS packages: `wm_nodes` is built by the real colcon over `wm_msgs`, which `tests/setup_ros2` built the same
+//! way, and the overlay is used as by a ROS user.
 //!
-//! ros2cli and launch are not on PyPI, so `ros2 run`, `ros2 launch` and `ros2 interface` themselves do not run here: what
-//! they look up is looked up through the real ament index, and what they would start is started.
+//! ros2cli and launch are not on PyPI, so `ros2 run`, `ros2 launch` and `ros2 interface` do not run here. Instead, the
+//! tests look up the same entries through the real ament index, and start the same programs.
 
 use std::{
     path::{Path, PathBuf},
@@ -16,7 +16,7 @@ use crate::harness::{
     Process, Signal, WM, fresh_domain, in_domain, peers, rclpy, root, whole_suite,
 };
 
-/// The nodes, as the program lists them.
+/// The nodes from the program's list.
 fn nodes_of_wm() -> Vec<String> {
     let list = Command::new(WM).arg("nodes").output().expect("wm runs");
     let list = String::from_utf8(list.stdout).expect("UTF-8");
@@ -24,7 +24,7 @@ fn nodes_of_wm() -> Vec<String> {
     names.map(str::to_owned).collect()
 }
 
-/// `script` of bash after `setup` was sourced; gives its stdout.
+/// Runs a bash `script` after sourcing `setup`; returns its stdout.
 fn shell(setup: &Path, script: &str, args: &[&Path]) -> String {
     let mut command = Command::new("bash");
     command
@@ -44,7 +44,7 @@ fn shell(setup: &Path, script: &str, args: &[&Path]) -> String {
     String::from_utf8(run.stdout).expect("UTF-8")
 }
 
-/// Builds `wm_nodes` below `workspace` around the binary under test; gives the overlay's install folder.
+/// Builds `wm_nodes` below `workspace` around the binary under test; returns the overlay's install folder.
 fn colcon_build(peers: &Path, workspace: &Path, options: &str) -> PathBuf {
     let script = format!(
         "cd \"$1\" && colcon --log-base log build --base-paths \"$2\" --packages-select wm_nodes {options} \
@@ -59,7 +59,7 @@ fn path(value: &Value) -> &Path {
     Path::new(value.as_str().expect("a path"))
 }
 
-/// What is in the overlay `install`, by package.
+/// The contents of the overlay `install` by package.
 fn look_up(peers: &Path, install: &Path) -> Value {
     let script = ". \"$1/local_setup.bash\" && python \"$2\" \"$3/msgs/package.xml\" \"$3/nodes/package.xml\"";
     let program = root().join("tests/interop/overlay.py");
@@ -82,7 +82,7 @@ fn colcon_finds_two_packages() {
 }
 
 #[test]
-fn an_overlay_has_what_the_commands_of_ros_look_up() {
+fn overlay_has_the_entries_that_ros_commands_look_up() {
     let Some(peers) = peers() else { return };
     let workspace = tempfile::tempdir().expect("a temporary directory");
     let workspace = workspace.path().canonicalize().unwrap();
@@ -140,7 +140,7 @@ fn an_overlay_has_what_the_commands_of_ros_look_up() {
     let included = &nodes["launch"]["replay.launch.xml"][0]["includes"];
     assert_eq!(included, &json!([replay]));
 
-    // The installed file's relative paths, from an unrelated folder, by the installed launcher.
+    // the installed file's relative paths, from an unrelated folder, with the installed launcher
     let launch = Command::new(path(&executables["wm"]))
         .args(["launch", "--print-description"])
         .arg(path(replay))
@@ -151,7 +151,7 @@ fn an_overlay_has_what_the_commands_of_ros_look_up() {
     let words: Vec<&str> = commands.split_whitespace().collect();
     let settings = words.windows(2).filter(|pair| pair[0] == "--params-file");
     let settings: Vec<&Path> = settings.map(|pair| Path::new(pair[1])).collect();
-    // A replay has seven nodes, no evaluator and no env; what it sets itself comes after the defaults of player and recorder.
+    // a replay has seven nodes, no evaluator and no env; its own settings follow the defaults of player and recorder
     let of_job = |path: &&&Path| path.ends_with("jobs.yaml");
     assert_eq!(settings.iter().filter(of_job).count(), 2, "{commands}");
     assert_eq!(settings.len(), 7 + 2, "{commands}");
@@ -168,16 +168,16 @@ fn an_overlay_has_what_the_commands_of_ros_look_up() {
     }
 }
 
-/// The command line is the one that launch_ros makes of the encoder's entry in `replay.launch.yaml`.
+/// The command line that launch_ros makes of the encoder's entry in `replay.launch.yaml`.
 #[test]
-fn an_installed_node_starts_as_ros_2_launch_starts_it() {
+fn installed_node_starts_with_ros_2_launchs_command() {
     let Some(peers) = peers() else { return };
     let _alone = whole_suite();
     let domain = fresh_domain();
     let workspace = tempfile::tempdir().expect("a temporary directory");
     let workspace = workspace.path().canonicalize().unwrap();
     let nodes = colcon_build(&peers, &workspace, "--symlink-install").join("wm_nodes");
-    // What launch_ros writes for a parameter that stands in the launch file.
+    // the file that launch_ros writes for a parameter in the launch file
     let given = workspace.join("launch_params");
     std::fs::write(&given, "/**:\n  ros__parameters:\n    dtype: f32\n").unwrap();
     let mut command = Command::new(nodes.join("lib/wm_nodes/encoder"));

@@ -1,4 +1,4 @@
-//! A policy in the loop: the examples, as a user starts them, within the world model.
+//! A policy in the loop: the examples, started as by a user, with the world model.
 
 use std::{
     collections::BTreeSet,
@@ -16,7 +16,7 @@ use crate::harness::{
 };
 
 const STEPS: u64 = 50;
-/// One model step of the embedded default, and the camera-rate actions that it takes.
+/// One model step of the embedded default, and its actions at camera rate.
 const STEP_NS: i64 = 400_000_000;
 const ACTIONS: u64 = 2;
 
@@ -24,7 +24,7 @@ fn count(reader: &BagReader, topic: &str) -> u64 {
     reader.topic(topic).map_or(0, |topic| topic.message_count)
 }
 
-/// An episode's bag has all its images and actions, whose stamps run through, and says where it came from.
+/// Checks that an episode's bag has all images and actions with consecutive stamps, and its origin.
 fn check_episode(reader: &BagReader, seed: &str) {
     assert_eq!(count(reader, "/camera/image_raw/compressed"), STEPS + 1);
     assert_eq!(count(reader, "/wm/action"), STEPS * ACTIONS);
@@ -67,7 +67,7 @@ fn check_episode(reader: &BagReader, seed: &str) {
 }
 
 #[test]
-fn a_scripted_policy_plays_an_episode_by_topics() {
+fn scripted_policy_plays_an_episode_by_topics() {
     let Some(peers) = peers() else { return };
     let domain = fresh_domain();
     let folder = tempfile::tempdir().unwrap();
@@ -114,7 +114,7 @@ fn a_scripted_policy_plays_an_episode_by_topics() {
 }
 
 #[test]
-fn episodes_through_the_services_share_a_batch_and_are_alike() {
+fn episodes_by_service_share_a_batch_and_are_identical() {
     let Some(peers) = peers() else { return };
     let domain = fresh_domain();
     let folder = tempfile::tempdir().unwrap();
@@ -202,9 +202,9 @@ fn goal_image(folder: &Path) -> PathBuf {
 }
 
 #[test]
-fn a_policy_takes_the_candidate_that_is_predicted_to_end_nearest_to_the_goal() {
+fn policy_takes_the_candidate_predicted_nearest_to_the_goal() {
     const CHOICES: usize = 5;
-    // As the example has them: of three candidates the movement to the side.
+    // as in the example: of three candidates the movement to the side
     const SIDEWAYS: [f32; 3] = [0.02, 0.0, -0.02];
     let Some(peers) = peers() else { return };
     let _alone = whole_suite();
@@ -215,10 +215,10 @@ fn a_policy_takes_the_candidate_that_is_predicted_to_end_nearest_to_the_goal() {
     let bag = format!("bag:=\"{}\"", bundled_bag().display());
     let steps = format!("max_steps:={}", CHOICES + 1);
     let _encoder = Process::start(wm(domain, &["encoder"]));
-    // The env waits for the policy, which on a busy machine asks later than the evaluator's two seconds.
+    // the env waits for the policy, which on a busy machine requests later than the evaluator's two seconds
     let patient = ["evaluator", "--ros-args", "-p", "max_age:=60.0"];
     let _evaluator = Process::start(wm(domain, &patient));
-    // The policy moves on from the first image unseen: these two have to be there before it, and the env waits for it.
+    // the policy leaves the first image without looking: these two must exist before it, and the env waits for it
     wait_for_publishers(domain, &["/wm/latent", "/wm/assessment"]);
     let env = Process::start(wm(
         domain,
@@ -278,7 +278,7 @@ fn a_policy_takes_the_candidate_that_is_predicted_to_end_nearest_to_the_goal() {
 }
 
 #[test]
-fn the_openvla_adapter_does_what_needs_no_weights() {
+fn openvla_adapter_works_without_weights() {
     let Some(peers) = peers() else { return };
     let mut tests = Command::new(peers.join("tools/bin/python"));
     tests.arg(root().join("examples/test_openvla_policy.py"));

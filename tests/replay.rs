@@ -1,4 +1,4 @@
-//! The main job: one command replays the bundled bag through the nodes and leaves a report.
+//! The main job: one command replays the bundled bag through the nodes and writes a report.
 
 use std::{
     collections::BTreeSet,
@@ -13,7 +13,8 @@ use crate::harness::{
     Process, Signal, bundled_bag, children, fresh_domain, wait_until, whole_suite, wm,
 };
 
-/// The main job, which must end well, into `out`; at half its rate, so that a busy machine decodes some of each step too.
+/// Runs the main job into `out`, which must succeed; at half rate, so that a busy machine decodes some of each step
+/// too.
 fn main_job(out: &Path, arguments: &[&str]) {
     let output = format!("output:={}", out.display());
     let file = "launch-configs/replay.launch.yaml";
@@ -35,7 +36,7 @@ fn four_nodes_of_one_process_do_the_same() {
     for step in report["steps"].as_array().expect("a row per step") {
         assert!(step["n"].as_u64() > Some(0), "{step}");
     }
-    // Each is a node of its own to everybody else.
+    // each is a separate node for others
     let bag = BagReader::open(out.path().join("bag")).expect("the recorded bag is read");
     let mut nodes = BTreeSet::new();
     for message in bag.messages() {
@@ -52,7 +53,7 @@ fn four_nodes_of_one_process_do_the_same() {
     }
 }
 
-/// The stages of a frame that `benches/frame.py` makes its table of.
+/// The stages of a frame in the table of `benches/frame.py`.
 fn stages() -> Vec<String> {
     let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../benches/frame.py");
     let source = std::fs::read_to_string(source).expect("the benchmark's source");
@@ -64,7 +65,7 @@ fn stages() -> Vec<String> {
 }
 
 #[test]
-fn every_stage_of_a_frame_is_told_to_who_asks() {
+fn every_stage_of_a_frame_is_reported_on_request() {
     let _alone = whole_suite();
     let out = tempfile::tempdir().expect("a temporary directory");
     let output = format!("output:={}", out.path().display());
@@ -85,7 +86,7 @@ fn every_stage_of_a_frame_is_told_to_who_asks() {
         let count = told.matches(&format!("]: {stage} frame=")).count();
         assert!(count > 0, "{stage}");
     }
-    // On /rosout, they would take part of the time that they tell.
+    // on /rosout they would distort the times that they report
     let bag = BagReader::open(out.path().join("bag")).expect("the recorded bag is read");
     for message in bag.messages() {
         let message = message.expect("a whole message");
@@ -96,7 +97,7 @@ fn every_stage_of_a_frame_is_told_to_who_asks() {
     }
 }
 
-/// The bundled bag as another robot would have recorded it.
+/// The bundled bag with the topic names of another robot.
 fn renamed_bag(path: &Path) {
     let reader = BagReader::open(bundled_bag()).expect("the bundled bag");
     let mut writer = BagWriter::create(path, WriterOptions::default()).expect("a new bag");
@@ -128,7 +129,7 @@ fn renamed_bag(path: &Path) {
 }
 
 #[test]
-fn a_bag_whose_camera_and_actions_have_other_names_is_replayed() {
+fn bag_with_other_topic_names_is_replayed() {
     let _alone = whole_suite();
     let dir = tempfile::tempdir().expect("a temporary directory");
     let (bag, out) = (dir.path().join("robot"), dir.path().join("out"));
@@ -143,7 +144,7 @@ fn a_bag_whose_camera_and_actions_have_other_names_is_replayed() {
 }
 
 #[test]
-fn the_main_job_leaves_report_strip_and_bag() {
+fn main_job_writes_report_strip_and_bag() {
     let _alone = whole_suite();
     let out = tempfile::tempdir().expect("a temporary directory");
     main_job(out.path(), &[]);
@@ -164,7 +165,7 @@ fn the_main_job_leaves_report_strip_and_bag() {
     let strip = std::fs::read(out.path().join("strip.png")).expect("strip.png is written");
     assert!(strip.starts_with(b"\x89PNG"));
 
-    // The recorded bag holds the whole job and is itself a bag that can be read.
+    // the recorded bag contains the whole job and is itself readable
     let bag = out.path().join("bag");
     let info = Process::start(wm(fresh_domain(), &["bag", "info", &bag.to_string_lossy()]));
     let (status, text) = info.finish(Duration::from_secs(10));
@@ -181,7 +182,7 @@ fn the_main_job_leaves_report_strip_and_bag() {
 }
 
 #[test]
-fn a_killed_recorder_loses_at_most_its_last_chunk() {
+fn killed_recorder_loses_at_most_its_last_chunk() {
     let domain = fresh_domain();
     let dir = tempfile::tempdir().expect("a temporary directory");
     let recorded = dir.path().join("recorded");
@@ -209,13 +210,13 @@ fn a_killed_recorder_loses_at_most_its_last_chunk() {
     assert!(reader.messages().all(|message| message.is_ok()));
     let end = SystemTime::UNIX_EPOCH + Duration::from_nanos(reader.end_ns());
     let lost = killed_at.duration_since(end).unwrap_or_default();
-    // A chunk is closed after a second; the rest is what a busy machine takes.
+    // a chunk is closed after a second; a busy machine takes the rest
     assert!(lost < Duration::from_secs(4), "{lost:?} are lost");
 }
 
-/// Without it there is nothing to wait for, and a bag may be long.
+/// Otherwise the launch would wait for nothing, and a bag may be long.
 #[test]
-fn the_end_of_a_node_that_computes_ends_the_job() {
+fn end_of_a_computing_node_ends_the_job() {
     let _alone = whole_suite();
     let dir = tempfile::tempdir().expect("a temporary directory");
     let output = format!("output:={}", dir.path().display());
@@ -239,7 +240,7 @@ fn the_end_of_a_node_that_computes_ends_the_job() {
 }
 
 #[test]
-fn a_recording_in_several_files_is_one_bag() {
+fn recording_in_several_files_is_one_bag() {
     let domain = fresh_domain();
     let dir = tempfile::tempdir().expect("a temporary directory");
     let recorded = dir.path().join("recorded");
@@ -255,7 +256,7 @@ fn a_recording_in_several_files_is_one_bag() {
     wait_until("a third file", Duration::from_secs(60), || third.is_file());
     recorder.signal(Signal::INT);
     let (status, stdout) = recorder.finish(Duration::from_secs(10));
-    // On a busy machine, best effort messages may be lost; that is said then.
+    // on a busy machine, best-effort messages may be lost, which is reported
     let expected = if stdout.contains("lost ") { 3 } else { 0 };
     assert_eq!(status.code(), Some(expected), "{stdout}");
 
@@ -273,7 +274,7 @@ fn a_recording_in_several_files_is_one_bag() {
 }
 
 #[test]
-fn a_node_that_dies_fails_the_launch_by_name() {
+fn dead_node_fails_the_launch_by_name() {
     let dir = tempfile::tempdir().expect("a temporary directory");
     let launch = dir.path().join("broken.launch.yaml");
     std::fs::write(
@@ -293,7 +294,7 @@ fn a_node_that_dies_fails_the_launch_by_name() {
 }
 
 #[test]
-fn a_bag_that_is_no_bag_is_refused_by_name() {
+fn invalid_bag_is_refused_by_name() {
     let dir = tempfile::tempdir().expect("a temporary directory");
     let file = dir.path().join("noise.mcap");
     std::fs::write(&file, b"this is not a bag").expect("the file is writable");

@@ -21,7 +21,7 @@ use crate::{
     websocket::Socket,
 };
 
-/// Where pictures of the page are left for somebody to look at; nowhere, unless asked for.
+/// The folder for screenshots; `None` unless requested.
 fn gallery() -> Option<PathBuf> {
     std::env::var_os("WM_VIEW_SCREENSHOTS").map(PathBuf::from)
 }
@@ -32,7 +32,7 @@ fn picture(browser: &mut Browser, name: &str) {
     }
 }
 
-/// How many colours there are on a panel's canvas, and whether the picture changed since the last call.
+/// The number of colours on a panel's canvas, and whether the picture changed since the last call.
 const COLOURS: &str = "((id) => {
     const canvas = document.querySelector(`#${id} canvas`);
     const pixels = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
@@ -58,7 +58,7 @@ fn text(browser: &mut Browser, selector: &str) -> String {
 }
 
 #[test]
-fn the_page_shows_the_main_job_live() {
+fn page_shows_the_main_job_live() {
     let _alone = whole_suite();
     let (domain, port) = (fresh_domain(), free_port());
     let out = tempfile::tempdir().expect("a temporary directory");
@@ -105,7 +105,7 @@ fn the_page_shows_the_main_job_live() {
         PATIENCE,
     );
     browser.wait_for("document.querySelector('#k').max === '8'", PATIENCE);
-    // The wait says so where it fails: what is drawn a quarter of a second later.
+    // on failure the wait reports this: the drawing a quarter of a second later
     browser.wait_for(
         "document.querySelector('#plan-cost').innerText.startsWith('cost ')",
         PATIENCE,
@@ -114,7 +114,7 @@ fn the_page_shows_the_main_job_live() {
         "document.querySelector('#goal canvas').width > 100",
         PATIENCE,
     );
-    // The arrows of a plan begin where the camera sees the gripper, in the upper half of the picture.
+    // the arrows of a plan begin at the gripper, in the upper half of the picture
     browser.wait_for(
         "wmView.page.way?.points[0].every((at) => at > 0 && at < 1) && wmView.page.way.points[0][1] < 0.6",
         PATIENCE,
@@ -123,12 +123,12 @@ fn the_page_shows_the_main_job_live() {
     let horizon = browser.evaluate("document.querySelectorAll('#strip button').length");
     assert_eq!(horizon, 8);
 
-    // Another k is another picture.
+    // another k shows another picture
     browser.press("4");
     browser.wait_for("wmView.page.shown('predicted')?.k === 4", PATIENCE);
     assert!(text(&mut browser, "#k-text").starts_with("k=4, 1.6 s"));
 
-    // Paused, nothing moves; a step back is the frame before.
+    // nothing moves while paused; a step back shows the previous frame
     browser.press(" ");
     browser.wait_for("document.body.dataset.state === 'paused'", PATIENCE);
     let at = "wmView.page.shown('camera').stamp";
@@ -146,7 +146,7 @@ fn the_page_shows_the_main_job_live() {
         .as_str()
         .and_then(|text| text.parse().ok())
         .expect("milliseconds");
-    // Frames are 0.2 s apart, at half the rate; on a busy machine one may be missing.
+    // frames are 0.2 s apart, at half the rate; a busy machine may miss one
     assert!(back > 300 && (back + 100) % 400 < 200, "{back} ms");
     browser.press(",");
     browser.wait_for(
@@ -161,14 +161,14 @@ fn the_page_shows_the_main_job_live() {
     browser.press("l");
     browser.wait_for("document.body.dataset.state === 'live'", PATIENCE);
 
-    // On a phone, so high that all is seen, and at night.
+    // on a phone, in full height, with the dark theme
     browser.size(390, 2700);
     for scheme in ["light", "dark"] {
         browser.prefer(scheme);
         browser.wait_for("document.documentElement.scrollWidth <= 390", PATIENCE);
         picture(&mut browser, &format!("phone-{scheme}"));
     }
-    // There prediction and difference share a place.
+    // there, prediction and difference share a place
     let is_seen = |id: &str| format!("document.querySelector('#{id}').offsetParent !== null");
     for [shown, hidden] in [["predicted", "difference"], ["difference", "predicted"]] {
         browser.wait_for(&is_seen(shown), PATIENCE);
@@ -178,7 +178,7 @@ fn the_page_shows_the_main_job_live() {
     browser.size(1400, 1000);
     picture(&mut browser, "dark");
 
-    // Without control, the page offers none, and the node takes none.
+    // without control, the page offers none and the node accepts none
     assert_eq!(
         browser.evaluate("document.querySelector('#reset').hidden"),
         true
@@ -201,7 +201,7 @@ fn the_page_shows_the_main_job_live() {
 }
 
 #[test]
-fn a_page_without_data_says_what_is_missing_and_finds_its_node_again() {
+fn page_names_missing_data_and_reconnects_to_its_node() {
     let (domain, port) = (fresh_domain(), free_port());
     let view = View::start(domain, port, &[]);
     let Some(mut browser) = Browser::open(&view.url()) else {
@@ -227,7 +227,7 @@ fn a_page_without_data_says_what_is_missing_and_finds_its_node_again() {
     browser.wait_for("wmView.page.latencies.length > 3", PATIENCE);
     assert!(colours(&mut browser, "camera") > 100);
     assert_eq!(text(&mut browser, "#state"), "live");
-    // A camera that has stopped is not live, and the page says since when.
+    // a stopped camera is not live, and the page shows since when
     drop(camera);
     browser.wait_for("document.body.dataset.state === 'stale'", PATIENCE);
     let state = text(&mut browser, "#state");
@@ -236,7 +236,7 @@ fn a_page_without_data_says_what_is_missing_and_finds_its_node_again() {
     let _player = player(domain, "1");
     browser.wait_for("document.body.dataset.state === 'live'", PATIENCE);
 
-    // What is no command is answered, and its answer is in the log; the connection stays.
+    // an invalid command is answered and logged; the connection stays
     let answer = browser.evaluate("wmView.connection.ask({ op: 'arm' })");
     let reason = "op \"arm\": the field \"armed\" is missing; expected true or false";
     assert_eq!(
@@ -262,7 +262,7 @@ fn a_page_without_data_says_what_is_missing_and_finds_its_node_again() {
 }
 
 #[test]
-fn a_goal_is_set_from_a_frame_that_was_seen_where_that_is_permitted() {
+fn permitted_page_sets_a_shown_frame_as_goal() {
     let domain = fresh_domain();
     let view = View::start(domain, free_port(), &["--control", "goals"]);
     let _player = player(domain, "1");
@@ -277,7 +277,7 @@ fn a_goal_is_set_from_a_frame_that_was_seen_where_that_is_permitted() {
         PATIENCE,
     );
     browser.evaluate("(globalThis.seen = wmView.page.shown('camera')) !== undefined");
-    // The view hears the goal as everybody does; a page that is paused shows the goal of its moment.
+    // The view receives the goal like every node; a paused page shows the goal of its time.
     browser.press("l");
     browser.wait_for("wmView.page.shown('goal')", PATIENCE);
     let goal = browser.evaluate(
@@ -287,7 +287,7 @@ fn a_goal_is_set_from_a_frame_that_was_seen_where_that_is_permitted() {
          return (await get(wmView.page.shown('goal'))) === (await get(globalThis.seen)); })()",
     );
     assert_eq!(goal, true);
-    // Nobody is there to be reset, and it may not arm anything.
+    // no node exists that could be reset, and arming is not permitted
     let mut socket = view.open();
     socket.send(r#"{"number":1,"command":{"op":"arm","armed":true}}"#);
     let answer = socket.answer();
@@ -305,7 +305,7 @@ fn a_goal_is_set_from_a_frame_that_was_seen_where_that_is_permitted() {
     let answer = socket.answer();
     let text = answer["text"].as_str().unwrap_or_default();
     assert!(
-        answer["done"] == false && text.contains("/wm/predictor/reset is not there"),
+        answer["done"] == false && text.contains("/wm/predictor/reset does not exist"),
         "{answer}"
     );
     socket.send(r#"{"number":3,"command":{"op":"stop"}}"#);
@@ -319,7 +319,7 @@ fn a_goal_is_set_from_a_frame_that_was_seen_where_that_is_permitted() {
 }
 
 #[test]
-fn a_candidate_is_picked_where_that_is_permitted() {
+fn permitted_page_chooses_a_candidate() {
     let domain = fresh_domain();
     let view = View::start(domain, free_port(), &["--control", "goals"]);
     let Some(mut browser) = Browser::open(&view.url()) else {
@@ -330,7 +330,7 @@ fn a_candidate_is_picked_where_that_is_permitted() {
     let offers = offers.expect("a publisher");
     let chunks = policy.subscription::<ActionChunk>("action_chunk", Qos::reliable(4));
     let mut chunks = chunks.expect("a subscription");
-    // The page forgets what is older than a minute.
+    // the page forgets data older than a minute
     let stamp = Time::from_nanos(policy.clock().now().to_nanos());
     let chunk = |dy: f32| {
         let header = Header {
@@ -355,7 +355,7 @@ fn a_candidate_is_picked_where_that_is_permitted() {
     let runtime = tokio::runtime::Runtime::new().expect("a runtime");
     runtime.block_on(chunks.wait_for_publishers(1));
     let buttons = "document.querySelectorAll('#candidate-list button')";
-    // As a policy does that has no answer yet: the first may come before the view has found its publisher.
+    // like a policy that still has no reply: the first message may precede the discovery of its publisher
     let begin = Instant::now();
     while browser.evaluate(&format!("{buttons}.length")) != 2 {
         assert!(begin.elapsed() < PATIENCE, "the candidates are not shown");
@@ -377,7 +377,7 @@ fn a_candidate_is_picked_where_that_is_permitted() {
     assert_eq!(picked.message, offer.chunks[1]);
 }
 
-/// What the executor does, and why, by the next status that tells of one and satisfies `is_so`.
+/// The executor's state and reason, from the next status whose state satisfies `is_so`.
 fn executor_state(socket: &mut Socket, is_so: impl Fn(&str) -> bool) -> (String, String) {
     socket.until_op("status", |status| {
         let text = |key: &str| status["executor"][key].as_str().map(str::to_owned);
@@ -387,7 +387,7 @@ fn executor_state(socket: &mut Socket, is_so: impl Fn(&str) -> bool) -> (String,
 }
 
 #[test]
-fn anybody_who_may_look_stops_the_executor_and_only_who_may_arms_it() {
+fn every_page_stops_the_executor_but_only_permitted_ones_arm() {
     let domain = fresh_domain();
     let _executor = Process::start(wm(domain, &["executor"]));
     let looking = View::start(domain, free_port(), &[]);
@@ -417,13 +417,13 @@ fn anybody_who_may_look_stops_the_executor_and_only_who_may_arms_it() {
     executor_state(&mut looker, |state| state == "idle");
     let (is_done, text) = ask(&mut looker, stop);
     assert!(is_done, "{text}");
-    // Whoever reads that does not know a `~`, and wants to know who it was.
+    // readers may not know the meaning of `~`, but want to know the origin
     let (_, reason) = executor_state(&mut looker, |state| state == "stopped");
     assert_eq!(
         reason,
         "/wm/view called /wm/executor/stop; to go on, call /wm/executor/reset, then /wm/executor/arm"
     );
-    // It stays so until somebody who may says otherwise.
+    // it stays stopped until someone with permission releases it
     assert!(!ask(&mut armer, arm).0);
     assert!(ask(&mut armer, release).0);
     executor_state(&mut looker, |state| state == "dry run");
@@ -442,7 +442,7 @@ fn anybody_who_may_look_stops_the_executor_and_only_who_may_arms_it() {
     browser.evaluate("document.querySelector('#arm').click()");
     browser.wait_for("document.querySelector('#arm-dialog').open", PATIENCE);
     picture(&mut browser, "arm");
-    // Asked once more, somebody thinks better of it.
+    // the user cancels in the dialog
     browser.evaluate("document.querySelector('#arm-dialog button[value=cancel]').click()");
     browser.wait_for("!document.querySelector('#arm-dialog').open", PATIENCE);
     browser.press("x");
@@ -450,7 +450,7 @@ fn anybody_who_may_look_stops_the_executor_and_only_who_may_arms_it() {
 }
 
 #[test]
-fn a_bag_is_looked_at_in_the_same_page() {
+fn bag_is_shown_in_the_same_page() {
     let bag = bundled_bag();
     let view = View::start(fresh_domain(), free_port(), &[&bag.to_string_lossy()]);
     let Some(mut browser) = Browser::open(&view.url()) else {
@@ -470,7 +470,7 @@ fn a_bag_is_looked_at_in_the_same_page() {
     browser.press("ArrowLeft");
     browser.wait_for(&format!("{stamp} !== {first}"), PATIENCE);
     picture(&mut browser, "bag");
-    // It plays, at its own pace, and ends where the bag ends.
+    // it plays at its own pace, and ends with the bag
     browser.evaluate("wmView.page.look(wmView.record.frames.at(-4))");
     browser.press(" ");
     browser.wait_for(
@@ -483,7 +483,7 @@ fn a_bag_is_looked_at_in_the_same_page() {
 }
 
 #[test]
-fn a_port_that_is_taken_and_a_bag_that_is_none_are_named() {
+fn errors_name_a_taken_port_and_an_invalid_bag() {
     let listener = TcpListener::bind(("127.0.0.1", 0)).expect("a port");
     let port = listener
         .local_addr()

@@ -1,4 +1,4 @@
-//! Clients of `wm view` that are slow, many, hostile, or on another machine.
+//! Slow, many, hostile and remote clients of `wm view`.
 
 use std::time::Instant;
 
@@ -12,27 +12,27 @@ use crate::{
 };
 
 #[test]
-fn a_client_that_stands_still_costs_nothing_and_slows_nobody() {
+fn stalled_client_costs_nothing_and_slows_no_other() {
     let domain = fresh_domain();
     let view = View::start(domain, free_port(), &[]);
-    // 750 KB/s: within seconds more than the kernel holds for a client that does not read.
+    // 750 KB/s: within seconds more than the kernel buffers for a client that does not read
     let _player = player(domain, "10");
     let mut others: Vec<Socket> = (0..10).map(|_| view.open()).collect();
     others[0].frame();
     let mut stalled = view.open();
     stalled.frame();
     let before = resident(view.process.pid());
-    // Ten clients get the frames while the eleventh reads nothing.
+    // ten clients get the frames while the eleventh reads nothing
     let stamp = |socket: &mut Socket| socket.frame().0;
     let common = read_beside(&mut others, stamp, || {});
     let grown = resident(view.process.pid()).saturating_sub(before);
-    // What is kept is kept once, for the minute, and not for each client.
+    // pictures are kept once for a minute, not once per client
     assert!(grown < 24 << 20, "{grown} bytes more");
     catch_up(&mut stalled, stamp, &common);
 }
 
 #[test]
-fn hostile_clients_are_refused_and_harm_nobody() {
+fn hostile_clients_are_refused_and_do_no_harm() {
     let domain = fresh_domain();
     let folder = tempfile::tempdir().expect("a temporary directory");
     let token = folder.path().join("token");
@@ -99,11 +99,11 @@ fn hostile_clients_are_refused_and_harm_nobody() {
     ];
     for bytes in hostile {
         let mut socket = client().1.expect("a socket");
-        // The server may have closed it before all is sent.
+        // the server may have closed it before everything is sent
         let _ = socket.send_raw(bytes);
         socket.until_closed();
     }
-    // What is no command is answered by what is wrong with it, and the client is served on.
+    // an invalid command is answered with its fault, and the client stays connected
     let mut clumsy = client().1.expect("a socket");
     let cases = [
         ("{}", None, "\"number\" is missing"),
@@ -134,7 +134,7 @@ fn hostile_clients_are_refused_and_harm_nobody() {
         );
     }
     clumsy.frame();
-    // One that sends nothing else is let go: after the 20 that docs/view.md names, of which it sent three.
+    // after the 20 invalid messages in docs/view.md, of which three were sent, the client is disconnected
     for _ in 0..17 {
         clumsy.send("[1]");
         clumsy.answer();
@@ -146,7 +146,7 @@ fn hostile_clients_are_refused_and_harm_nobody() {
     let (first, _) = good.frame();
     assert!(good.frame().0 > first, "the good client is served on");
 
-    // One more than there may be, once those that were refused are gone.
+    // one client too many, once the refused ones have gone
     let mut held = Vec::new();
     let start = Instant::now();
     while held.len() < 2 && start.elapsed() < PATIENCE {
@@ -158,7 +158,7 @@ fn hostile_clients_are_refused_and_harm_nobody() {
 }
 
 #[test]
-fn beyond_loopback_the_page_needs_the_token_that_is_printed() {
+fn page_beyond_loopback_needs_the_printed_token() {
     let port = free_port();
     let port_text = port.to_string();
     let args = ["view", "--port", &port_text, "--address", "0.0.0.0"];
@@ -181,7 +181,7 @@ fn beyond_loopback_the_page_needs_the_token_that_is_printed() {
     assert_eq!(token.len(), 32);
     drop(found);
 
-    // With it, in the address, the page opens; and the address no longer shows it.
+    // the page opens with the token in its address, and then hides it
     let folder = tempfile::tempdir().expect("a temporary directory");
     let file = folder.path().join("token");
     std::fs::write(&file, &token).expect("the folder is writable");
@@ -198,7 +198,7 @@ fn beyond_loopback_the_page_needs_the_token_that_is_printed() {
     let Some(mut browser) = Browser::open(&format!("{}#token={token}", view.url())) else {
         return;
     };
-    // Connected, and not live before a frame has come.
+    // connected, but not live before the first frame
     browser.wait_for("document.body.dataset.state === 'waiting'", PATIENCE);
     assert_eq!(browser.evaluate("location.hash"), Value::from(""));
 }

@@ -1,4 +1,4 @@
-//! A running `wm view`, as a client finds it, and a camera for it.
+//! A running `wm view` for clients, and its camera.
 
 use std::{io::Read as _, net::TcpListener, time::Duration};
 
@@ -7,16 +7,16 @@ use crate::{
     websocket::{Socket, open, request},
 };
 
-/// Far above what anything here takes; it only ends a test that hangs.
+/// Far longer than needed; only ends a hanging test.
 pub const PATIENCE: Duration = Duration::from_secs(120);
 
-/// A port that is free.
+/// A free port.
 pub fn free_port() -> u16 {
     let listener = TcpListener::bind(("127.0.0.1", 0)).expect("a port");
     listener.local_addr().expect("an address").port()
 }
 
-/// A running view, once its page is served.
+/// A running view with its page.
 pub struct View {
     pub port: u16,
     pub process: Process,
@@ -43,7 +43,7 @@ impl View {
     }
 }
 
-/// A camera: the bundled bag, again and again, with stamps of now, at so many times its 5 Hz.
+/// A camera: the bundled bag in a loop with current stamps, at a multiple of its 5 Hz.
 pub fn player(domain: u16, rate: &str) -> Process {
     let bag = bundled_bag();
     let bag = bag.to_string_lossy();
@@ -51,7 +51,7 @@ pub fn player(domain: u16, rate: &str) -> Process {
     Process::start(wm(domain, &args))
 }
 
-/// The body of what is served under a path.
+/// The body of the response for a path.
 pub fn body(port: u16, path: &str, headers: &[(&str, &str)]) -> (u16, Vec<u8>) {
     let (status, mut stream) = request(port, path, &[headers, &[("Connection", "close")]].concat());
     let mut body = Vec::new();

@@ -1,5 +1,5 @@
-//! What stock viewers see of the suite: the layouts in `docs/layouts`, a real rclpy that knows none of our messages, and
-//! Rerun's own reader of bags.
+//! The suite with stock viewers: the layouts in `docs/layouts`, a real rclpy without our messages, and Rerun's reader
+//! of bags.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -14,7 +14,7 @@ use crate::{
     interop::{integer, messages},
 };
 
-/// What every node publishes beside its own topics, which `wm nodes --topics` does not repeat for each.
+/// The topics of every node, which `wm nodes --topics` does not repeat for each.
 const OF_EVERY_NODE: [(&str, &str); 2] = [
     ("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"),
     ("/rosout", "rcl_interfaces/msg/Log"),
@@ -22,7 +22,7 @@ const OF_EVERY_NODE: [(&str, &str); 2] = [
 const JPEG: &str = "sensor_msgs/msg/CompressedImage";
 const NUMBER: &str = "std_msgs/msg/Float64";
 
-/// Published topics and their types, as `wm nodes --topics` has them, in the namespace of the launch files.
+/// Published topics with their types, from `wm nodes --topics`, in the namespace of the launch files.
 fn published() -> BTreeMap<String, String> {
     let output = Command::new(WM).args(["nodes", "--topics"]).output();
     let output = output.expect("wm runs");
@@ -48,7 +48,7 @@ fn published() -> BTreeMap<String, String> {
     published
 }
 
-/// Topics that a Foxglove layout names, with the types that their panels take.
+/// The topics of a Foxglove layout, with the types that their panels accept.
 fn of_layout(layout: &Value) -> Vec<(String, Vec<&'static str>)> {
     let panels = layout["configById"].as_object().expect("panels");
     let mut named = Vec::new();
@@ -95,7 +95,7 @@ fn of_layout(layout: &Value) -> Vec<(String, Vec<&'static str>)> {
     named
 }
 
-/// The panels that a Foxglove layout has a place for.
+/// The panels that a Foxglove layout shows.
 fn places(tree: &Value) -> BTreeSet<&str> {
     match tree.as_str() {
         Some(panel) => BTreeSet::from([panel]),
@@ -107,7 +107,7 @@ fn places(tree: &Value) -> BTreeSet<&str> {
 }
 
 #[test]
-fn layouts_name_topics_that_nodes_publish_with_the_types_that_are_shown() {
+fn layouts_name_published_topics_with_fitting_types() {
     let published = published();
     let folder = root().join("docs/layouts");
     let text = std::fs::read_to_string(folder.join("wm.foxglove.json")).expect("the layout");
@@ -125,7 +125,7 @@ fn layouts_name_topics_that_nodes_publish_with_the_types_that_are_shown() {
     let panels: BTreeSet<&str> = panels.keys().map(String::as_str).collect();
     assert_eq!(places(&layout["layout"]), panels, "each has one place");
 
-    // Rerun's blueprint names them as strings of Python.
+    // Rerun's blueprint names them as Python strings
     let script = std::fs::read_to_string(folder.join("wm_rerun.py")).expect("the blueprint");
     let strings = script.split('"').skip(1).step_by(2);
     let topics: Vec<&str> = strings
@@ -149,7 +149,7 @@ fn layouts_name_topics_that_nodes_publish_with_the_types_that_are_shown() {
 }
 
 #[test]
-fn markers_numbers_and_cameras_reach_who_knows_none_of_our_messages() {
+fn rclpy_without_our_messages_gets_markers_and_cameras() {
     let Some(peers) = peers() else { return };
     let _whole = whole_suite();
     let domain = fresh_domain();
@@ -165,7 +165,7 @@ fn markers_numbers_and_cameras_reach_who_knows_none_of_our_messages() {
             "task:=reach",
             "-p",
             "seed:=5000000",
-            // It stands still, and the ratio to the persistence baseline is a number all the same.
+            // the camera rests, but the ratio to the persistence baseline is a number
             "-p",
             "noise:=3.0",
         ]),
@@ -216,7 +216,7 @@ fn markers_numbers_and_cameras_reach_who_knows_none_of_our_messages() {
         ["goal", "plan", "workspace"]
     );
     let number = |value: &Value| value.as_f64().expect("a number");
-    // Plans begin at the tool, which is on the table's side of the arm; each of four steps takes it a little further.
+    // plans begin at the tool, on the table's side of the arm, and each of four steps takes it a little further
     let ways = shapes["plan"].iter().filter(|marker| marker["id"] == 0);
     for way in ways {
         let points = way["points"].as_array().expect("points");
@@ -284,7 +284,7 @@ fn markers_numbers_and_cameras_reach_who_knows_none_of_our_messages() {
     assert!(description.contains("ee_gripper_link"), "{description}");
 }
 
-/// What Rerun's reader makes of the .mcap files of a bag: components by topic, and how many rows they have.
+/// Components by topic that Rerun's reader finds in the .mcap files of a bag, with their number of rows.
 fn by_rerun(
     peers: &std::path::Path,
     bag: &std::path::Path,
@@ -300,10 +300,10 @@ fn by_rerun(
 }
 
 #[test]
-fn rerun_finds_pictures_frames_and_numbers_in_our_bags() {
+fn rerun_reads_pictures_frames_and_numbers_of_bags() {
     let Some(peers) = peers() else { return };
     if !peers.join("rerun/bin/python").is_file() {
-        // Half a gigabyte: no reason to fail where nobody asked for it.
+        // half a gigabyte: failing would be wrong if nobody wanted it
         eprintln!(
             "skipped: no Rerun under .venv/rerun; run tests/setup_rerun (RERUN=1 tests/run does)"
         );
@@ -329,7 +329,7 @@ fn rerun_finds_pictures_frames_and_numbers_in_our_bags() {
     );
     assert_eq!(rows("/tf", "Transform3D:translation"), 10 * 50);
     assert_eq!(rows("/tf_static", "Transform3D:translation"), 1);
-    // Of the URDF it makes the arm: a link has as many forms as the description says.
+    // from the URDF, Rerun builds the arm: a link has the forms of the description
     let link = "/wx250s/visual_geometries/base_link/visual_0";
     assert_eq!(rows(link, "Boxes3D:half_sizes"), 1);
     assert_eq!(rows("/task/instruction", "TextDocument:text"), 1);

@@ -1,4 +1,4 @@
-//! A client of a WebSocket that does only what it is told, so that it can be as slow and as hostile as a test wants.
+//! A WebSocket client under full control of the test, so that it can be slow and hostile.
 
 use std::{
     collections::BTreeSet,
@@ -9,10 +9,10 @@ use std::{
 
 use crate::view_process::PATIENCE;
 
-/// How long the server may take to say anything.
+/// How long the server may stay silent.
 const LIMIT: Duration = Duration::from_secs(20);
 
-/// A socket that was opened.
+/// An open socket.
 pub struct Socket {
     stream: BufReader<TcpStream>,
 }
@@ -25,7 +25,7 @@ pub enum Message {
     Closed,
 }
 
-/// Asks for `path` with these headers; gives the status, and what comes after the headers of the answer.
+/// Requests `path` with these headers; returns the status, and the stream after the response's headers.
 pub fn request(port: u16, path: &str, headers: &[(&str, &str)]) -> (u16, BufReader<TcpStream>) {
     let stream = TcpStream::connect(("127.0.0.1", port)).expect("the page is served");
     stream.set_read_timeout(Some(LIMIT)).expect("a timeout");
@@ -53,12 +53,12 @@ pub fn request(port: u16, path: &str, headers: &[(&str, &str)]) -> (u16, BufRead
     }
 }
 
-/// What a browser sends to open the page's socket, with further headers; the status, and the socket where there is one.
+/// Opens the page's socket like a browser, with further headers; returns the status, and the socket if it was opened.
 pub fn open(port: u16, headers: &[(&str, &str)]) -> (u16, Option<Socket>) {
     open_at(port, "/socket", headers)
 }
 
-/// The same under another path.
+/// Like [`open`], at another path.
 pub fn open_at(port: u16, path: &str, headers: &[(&str, &str)]) -> (u16, Option<Socket>) {
     let mut all = vec![
         ("Connection", "Upgrade"),
@@ -78,7 +78,6 @@ pub fn open_at(port: u16, path: &str, headers: &[(&str, &str)]) -> (u16, Option<
 }
 
 impl Socket {
-    /// Sends bytes as they are.
     pub fn send_raw(&mut self, bytes: &[u8]) -> std::io::Result<()> {
         self.stream.get_mut().write_all(bytes)
     }
@@ -109,7 +108,7 @@ impl Socket {
         Ok(bytes)
     }
 
-    /// The next message that is no ping.
+    /// The next message except pings.
     pub fn receive(&mut self) -> Message {
         loop {
             let Ok([kind, length]) = self.take() else {
@@ -135,7 +134,7 @@ impl Socket {
         }
     }
 
-    /// What `pick` makes of the first message that it is for; until then messages are passed over.
+    /// The result of `pick` for the first message for which there is one; skips others.
     pub fn until<T>(&mut self, what: &str, mut pick: impl FnMut(Message) -> Option<T>) -> T {
         let start = Instant::now();
         loop {
@@ -151,7 +150,7 @@ impl Socket {
         }
     }
 
-    /// The same of texts with this `op`.
+    /// Like [`Self::until`], for texts with this `op`.
     pub fn until_op<T>(
         &mut self,
         op: &str,
@@ -171,7 +170,7 @@ impl Socket {
         }
     }
 
-    /// The next answer to a command.
+    /// The next reply to a command.
     pub fn answer(&mut self) -> serde_json::Value {
         self.until_op("answer", Some)
     }
@@ -189,11 +188,11 @@ impl Socket {
     }
 }
 
-/// How long clients read beside one that stands still.
+/// How long clients read next to a stalled one.
 const BESIDE: Duration = Duration::from_secs(6);
 
-/// Lets clients read, each by `next`, which gives the stamp of what came, and `beside` between them; gives the stamps that
-/// came to all of them, which are many.
+/// Lets clients read with `next`, which returns stamps, and calls `beside` in between. Returns the stamps that all of
+/// them received.
 pub fn read_beside<C, S: Copy + Ord>(
     clients: &mut [C],
     next: impl Fn(&mut C) -> S,
@@ -213,7 +212,7 @@ pub fn read_beside<C, S: Copy + Ord>(
     common
 }
 
-/// Lets a client that stood still read on: it is soon at `newest`, and what came to the others in between it never gets.
+/// Lets a stalled client resume: it soon reaches `newest`, and never gets the pictures in between.
 pub fn catch_up<C, S: Copy + Ord>(
     client: &mut C,
     next: impl Fn(&mut C) -> S,
@@ -227,7 +226,7 @@ pub fn catch_up<C, S: Copy + Ord>(
     assert!(read < common.len(), "{read} of {}", common.len());
 }
 
-/// The header of a frame of this many bytes that never come.
+/// The header of a frame whose bytes never arrive.
 pub fn frame_of(bytes: u64) -> Vec<u8> {
     let mut header = vec![0x81, 0x80 | 127];
     header.extend(bytes.to_be_bytes());

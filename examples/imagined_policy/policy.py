@@ -1,4 +1,4 @@
-"""A policy for `wm eval policy`, which imagines what comes of its actions: JSON lines in, JSON lines out, no ROS.
+"""A policy for `wm eval policy`, which imagines the result of its actions: JSON lines in, JSON lines out, no ROS.
 
 usage: wm eval policy --model tiny --bags bags/tabletop --policy-command 'python3 examples/imagined_policy/policy.py'
 
@@ -30,8 +30,8 @@ def act(request, arguments):
             values.append(0.0)
         else:
             raise ValueError(f"this demonstration moves by differences, but {name} is a {kind}")
-    # A picture comes once in so many actions. A policy that knows more of its future may give more: all are carried out
-    # before it is asked again.
+    # A picture comes once in so many actions. A policy may give more actions: all are executed,
+    # then the next request follows.
     return [values] * space["actions_per_step"]
 
 

@@ -1,6 +1,6 @@
-//! Writes the seeds of the corpus that are not text: `cargo run --release -p wm_fuzz --example seeds`.
+//! Writes the binary seeds of the corpus: `cargo run --release -p wm_fuzz --example seeds`.
 
-#![allow(clippy::unwrap_used, reason = "a tool of the developers")]
+#![allow(clippy::unwrap_used, reason = "a developer's tool")]
 
 use std::{collections::BTreeMap, fs, path::Path};
 use wm_bag::{BagWriter, Compression, WriterOptions, type_schema};
@@ -126,7 +126,7 @@ fn pictures() -> Seeds {
     ]
 }
 
-/// One of each kind, with the fields in the order of their wire form.
+/// A part of each kind, with the fields in wire order.
 fn parts() -> Seeds {
     let part = |kind: u8| {
         let fields = ([7_u8; 16], 3_i64, 5_u32, 1_i64, 0_i64, 1_i64, 0_u32);
@@ -215,7 +215,7 @@ fn tensors() -> Seeds {
     ]
 }
 
-/// What `torch.save({"weight": tensor})` writes for four floats as two rows.
+/// The pickle of `torch.save({"weight": tensor})` with four floats in two rows.
 const PICKLE: &[u8] = b"\x80\x02}q\x00X\x06\x00\x00\x00weightq\x01ctorch._utils\n_rebuild_tensor_v2\nq\x02((X\x07\x00\x00\x00\
 storageq\x03ctorch\nFloatStorage\nq\x04X\x01\x00\x00\x000q\x05X\x03\x00\x00\x00cpuq\x06K\x04tq\x07QK\x00K\x02K\x02\x86q\x08K\x02K\
 \x01\x86q\x09\x89ccollections\nOrderedDict\nq\x0a)Rq\x0btq\x0cRq\x0ds.";

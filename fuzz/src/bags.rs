@@ -1,22 +1,22 @@
-//! Bags: MCAP files and `metadata.yaml`.
+//! Targets for bags: MCAP files and `metadata.yaml`.
 
 use crate::scratch;
 use std::{fs, path::Path};
 use wm_bag::{BagReader, QosProfile, Schema, SchemaEncoding};
 use wm_msgs::{Layout, Mapping, Message as _, TypeDescription, cdr, wm_msgs::Action};
 
-/// An MCAP file with one message, which [`metadata`] describes.
+/// An MCAP file with one message, for [`metadata`].
 const MCAP: &[u8] = include_bytes!("../corpus/bag/one_message.mcap");
 
-/// Opens a bag of one MCAP file and reads all its messages.
+/// Reads all messages of a bag with one MCAP file.
 pub fn bag(data: &[u8]) {
     read(&scratch::file("bag", "bag_0.mcap", data));
 }
 
-/// Recovers a bag of one MCAP file, and reads what came of it.
+/// Recovers a bag with one MCAP file, and opens the result.
 ///
 /// # Panics
-/// If a recovered bag cannot be read.
+/// A recovered bag cannot be opened.
 pub fn recover(data: &[u8]) {
     let input = scratch::file("recover", "bag_0.mcap", data);
     let output = input.with_file_name("recovered");
@@ -28,11 +28,11 @@ pub fn recover(data: &[u8]) {
             recovered.err()
         );
     }
-    // Where nothing was recovered there may be no folder.
+    // Without a recovered bag, the folder may be missing.
     fs::remove_dir_all(&output).ok();
 }
 
-/// Reads a `metadata.yaml` beside a sound MCAP file, and the same text as a topic's QoS profiles.
+/// Reads a `metadata.yaml` with a valid MCAP file, and the same text as a topic's QoS profiles.
 pub fn metadata(data: &[u8]) {
     scratch::file("metadata", "bag_0.mcap", MCAP);
     let metadata = scratch::file("metadata", "metadata.yaml", data);
@@ -44,12 +44,13 @@ pub fn metadata(data: &[u8]) {
     }
 }
 
-/// Reads a definition, up to the first zero byte, as `.msg` text and as IDL, and what follows as messages of it.
+/// Parses the bytes up to the first zero as a definition in `.msg` text and IDL, and decodes the rest as messages.
 ///
 /// # Panics
-/// If a message that was converted to an action is longer than an action, or shorter.
+/// The length of a converted message differs from an action's.
 pub fn definition(data: &[u8]) {
     let mut parts = data.splitn(2, |byte| *byte == 0);
+    // `splitn` gives one or two parts.
     let text = String::from_utf8_lossy(parts.next().unwrap_or_default()).into_owned();
     let body = parts.next().unwrap_or_default();
     let Ok(action) = TypeDescription::of::<Action>() else {
@@ -84,7 +85,7 @@ fn read(path: &Path) {
         return;
     };
     let _ = reader.summary().to_string();
-    // Damage is reported within the sequence; each error takes the reader further.
+    // Damage is an error in the sequence, which continues after it.
     for message in reader.messages() {
         let _ = message;
     }

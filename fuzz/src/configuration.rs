@@ -1,4 +1,4 @@
-//! What users write by hand: launch files and parameter files.
+//! Targets for configuration: launch files and parameter files.
 
 use crate::scratch;
 use std::{
@@ -9,7 +9,7 @@ use std::{
 use wm_launch::{LaunchFile, Plan, Surroundings};
 use wm_ros::NodeArgs;
 
-/// Reads a launch file and resolves it. An include finds the same file again.
+/// Parses and resolves a launch file; an include finds the same file again.
 pub fn launch(data: &[u8]) {
     let Ok(text) = std::str::from_utf8(data) else {
         return;
@@ -19,7 +19,7 @@ pub fn launch(data: &[u8]) {
         return;
     };
     let _ = wm_launch::describe_arguments(&file);
-    Plan::resolve(&file, &BTreeMap::new(), &Alone(text)).ok();
+    Plan::resolve(&file, &BTreeMap::new(), &SingleFile(text)).ok();
 }
 
 /// Reads a parameter file.
@@ -29,10 +29,10 @@ pub fn parameters(data: &[u8]) {
     NodeArgs::parse(["--ros-args".to_owned(), "--params-file".to_owned(), path]).ok();
 }
 
-/// A system on which every path is the launch file itself.
-struct Alone<'a>(&'a str);
+/// Surroundings in which every path is the launch file.
+struct SingleFile<'a>(&'a str);
 
-impl Surroundings for Alone<'_> {
+impl Surroundings for SingleFile<'_> {
     fn environment(&self, name: &str) -> Option<String> {
         (name == "HOME").then(|| "/home/robot".to_owned())
     }

@@ -1,8 +1,7 @@
-//! Fuzz targets: one function for each format that reaches a node from a peer, a file or the command line.
+//! Fuzz targets: a function for each format that a node receives from a peer, a file or the command line.
 //!
-//! A target takes any bytes and must return: it may not panic, hang, or take memory out of proportion to its input.
-//! What it parses may be refused, and usually is. `fuzz/run` runs the targets under libFuzzer; `cargo test` feeds them
-//! the corpus and a fixed set of mutations of it.
+//! A target accepts any bytes and must return without a panic, a hang, or memory out of proportion to its input. `fuzz/run`
+//! runs the targets under libFuzzer; `cargo test` feeds them the corpus and a fixed set of mutations.
 
 mod bags;
 mod configuration;
@@ -15,10 +14,10 @@ pub use configuration::{launch, parameters};
 pub use messages::{message, part, picture, request};
 pub use tensors::{actions, checkpoint, model, pickle, torch_file, weights};
 
-/// A target takes the bytes of an input.
+/// A target.
 pub type Target = fn(&[u8]);
 
-/// All targets. Their seeds lie in `fuzz/corpus/NAME`.
+/// All targets; their seeds are in `fuzz/corpus/NAME`.
 pub const TARGETS: [(&str, Target); 15] = [
     ("actions", actions),
     ("bag", bag),

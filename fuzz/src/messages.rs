@@ -1,4 +1,4 @@
-//! What peers send: CDR of every message type, parts of large messages, and pictures.
+//! Targets for data of peers: CDR of every message type, parts of large messages, and pictures.
 
 use serde::{Serialize, de::DeserializeOwned};
 use wm_msgs::{
@@ -6,17 +6,17 @@ use wm_msgs::{
     rosgraph_msgs, sensor_msgs, std_msgs, std_srvs, tf2_msgs, wm_msgs as wm,
 };
 
-/// Decodes an input as each type in turn.
-macro_rules! each {
+/// Decodes an input as each type.
+macro_rules! round_trip_each {
     ($data:expr, [$($type:ty),* $(,)?]) => { $(round_trip::<$type>($data);)* };
 }
 
-/// Decodes the bytes as each message and request type that a node takes.
+/// Decodes the bytes as each message and request type that a node receives.
 ///
 /// # Panics
-/// If a value that was decoded does not survive encoding.
+/// A decoded value does not survive encoding.
 pub fn message(data: &[u8]) {
-    each!(
+    round_trip_each!(
         data,
         [
             builtin_interfaces::Time,
@@ -60,7 +60,7 @@ pub fn message(data: &[u8]) {
     );
 }
 
-/// Compared by their encodings: a NaN is not equal to itself.
+/// Decodes and encodes twice; compares encodings, since NaN differs from itself.
 fn round_trip<T: Serialize + DeserializeOwned>(data: &[u8]) {
     let Ok(value) = cdr::from_bytes::<T>(data) else {
         return;
@@ -79,7 +79,7 @@ fn round_trip<T: Serialize + DeserializeOwned>(data: &[u8]) {
     );
 }
 
-/// Decodes a sample of the topic on which participants exchange parts of large messages.
+/// Decodes a sample of the topic for parts of large messages.
 pub fn part(data: &[u8]) {
     wm_ros::fuzzing::part(data);
 }
@@ -99,9 +99,9 @@ pub fn picture(data: &[u8]) {
         let decoded = wm_camera::image_message::decode_compressed(&image);
         assert!(
             checked.is_ok() || decoded.is_err(),
-            "a picture is decoded that is refused: {checked:?}"
+            "a rejected picture is decoded: {checked:?}"
         );
     }
-    // A JPEG alone: most changed bytes of a message change its length.
+    // A JPEG without a message, since most mutations of a message break its length.
     wm_camera::jpeg::decode(data).ok();
 }

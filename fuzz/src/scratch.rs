@@ -3,10 +3,10 @@
 use std::path::PathBuf;
 use tempfile::TempDir;
 
-/// A folder of this thread, kept from run to run: making one takes longer than most runs.
+/// A folder per thread, reused by all runs: creating one takes longer than most runs.
 ///
 /// # Panics
-/// If the folder cannot be made.
+/// The folder cannot be created.
 #[allow(
     clippy::expect_used,
     reason = "without a folder there is nothing to fuzz"
@@ -20,10 +20,10 @@ pub(crate) fn folder(name: &str) -> PathBuf {
     folder
 }
 
-/// Writes `data` to `file` in [`folder`]`(name)`; gives the file's path.
+/// Writes `data` to `file` in [`folder`]`(name)`; returns its path.
 ///
 /// # Panics
-/// If the file cannot be written.
+/// The file cannot be written.
 #[allow(
     clippy::expect_used,
     reason = "without a file there is nothing to fuzz"

@@ -1,4 +1,4 @@
-//! Models: files of tensors, and what describes them.
+//! Targets for models: tensor files and their descriptions.
 
 use crate::scratch;
 use candle_core::DType;
@@ -8,7 +8,7 @@ use wm_motion::actions::ActionEncoding;
 use wm_zoo::{Checkpoint, folder::DescribedFolder};
 use zip::{CompressionMethod, ZipWriter, write::SimpleFileOptions};
 
-/// Reads a file of tensors, safetensors or torch's, and the values of all its tensors.
+/// Reads a tensor file (safetensors or torch) with all values.
 pub fn checkpoint(data: &[u8]) {
     let Ok(checkpoint) = Checkpoint::from_bytes("fuzz", data.to_vec()) else {
         return;
@@ -21,7 +21,7 @@ pub fn checkpoint(data: &[u8]) {
     }
 }
 
-/// Reads a torch file whose pickle is the input.
+/// Reads a torch file with this pickle.
 pub fn pickle(data: &[u8]) {
     checkpoint(&torch_file(data));
 }
@@ -29,12 +29,12 @@ pub fn pickle(data: &[u8]) {
 /// A torch file with this pickle and sixteen floats.
 ///
 /// # Panics
-/// Never: an archive in memory is always written.
-#[allow(clippy::expect_used, reason = "an archive in memory is always written")]
+/// Never: writing to memory cannot fail.
+#[allow(clippy::expect_used, reason = "writing to memory cannot fail")]
 #[must_use]
 pub fn torch_file(pickle: &[u8]) -> Vec<u8> {
     let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
-    // torch stores everything uncompressed, and aligns values to 64 bytes.
+    // Like torch: uncompressed, with values aligned to 64 bytes.
     let options = SimpleFileOptions::default()
         .compression_method(CompressionMethod::Stored)
         .with_alignment(64);
@@ -56,7 +56,7 @@ pub fn weights(data: &[u8]) {
     Weights::from_bytes("fuzz", data.to_vec()).ok();
 }
 
-/// Opens a model folder whose `model.json` is the input and in which nothing else lies.
+/// Opens a model folder with only this `model.json`.
 pub fn model(data: &[u8]) {
     let file = scratch::file("model", wm_zoo::folder::FILE, data);
     if let Some(folder) = file.parent() {

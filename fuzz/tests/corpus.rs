@@ -1,6 +1,6 @@
-//! Every target takes every seed of its corpus, and mutations of them that are the same in every run.
+//! Runs every target on its corpus and on reproducible mutations.
 
-#![allow(clippy::unwrap_used, reason = "a test's helpers may fail the test")]
+#![allow(clippy::unwrap_used, reason = "the helpers of a test may panic")]
 
 use rand::{Rng as _, SeedableRng as _, seq::IndexedRandom as _};
 use rand_chacha::ChaCha8Rng;
@@ -9,10 +9,10 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// Mutations of each target's corpus: seconds in all, so that every run of the tests has them.
+/// Number of mutations per target: a few seconds in total.
 const MUTATIONS: usize = 3000;
 
-/// What often lies beyond what a reader expects of a length or an offset.
+/// Typical invalid lengths and offsets.
 const NUMBERS: [u64; 8] = [
     0,
     1,
@@ -25,11 +25,11 @@ const NUMBERS: [u64; 8] = [
 ];
 
 #[test]
-fn every_target_survives_its_corpus_and_mutations_of_it() {
+fn every_target_survives_its_corpus_and_mutations() {
     let fuzz = Path::new(env!("CARGO_MANIFEST_DIR"));
     for (name, target) in wm_fuzz::TARGETS {
         let mut folders = vec![fuzz.join("corpus").join(name)];
-        // Text that users start from is the best seed there is.
+        // The users' templates are the best seeds.
         match name {
             "launch" => folders.push(fuzz.join("../launch-configs")),
             "parameters" => folders.push(fuzz.join("../launch-configs/config")),
@@ -39,7 +39,7 @@ fn every_target_survives_its_corpus_and_mutations_of_it() {
             folders.iter().flat_map(|folder| files(folder)).collect();
         assert!(!seeds.is_empty(), "no seeds for {name}");
         for (path, seed) in &seeds {
-            survives(name, target, seed, &path.display().to_string());
+            check(name, target, seed, &path.display().to_string());
         }
         let mut random = ChaCha8Rng::seed_from_u64(7);
         for number in 0..MUTATIONS {
@@ -48,8 +48,8 @@ fn every_target_survives_its_corpus_and_mutations_of_it() {
             else {
                 continue;
             };
-            let input = mutated(seed, other, &mut random);
-            survives(
+            let input = mutate(seed, other, &mut random);
+            check(
                 name,
                 target,
                 &input,
@@ -72,8 +72,8 @@ fn files(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     paths.into_iter().map(read).collect()
 }
 
-/// Where it does not, the input is kept, so that it can become a seed and a test of the crate at fault.
-fn survives(name: &str, target: wm_fuzz::Target, input: &[u8], what: &str) {
+/// Runs a target; on a panic, keeps the input, which can become a seed and a test.
+fn check(name: &str, target: wm_fuzz::Target, input: &[u8], what: &str) {
     if catch_unwind(AssertUnwindSafe(|| target(input))).is_err() {
         let kept = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("fuzz_{name}"));
         std::fs::write(&kept, input).unwrap();
@@ -84,8 +84,8 @@ fn survives(name: &str, target: wm_fuzz::Target, input: &[u8], what: &str) {
     }
 }
 
-/// One to four changes.
-fn mutated(seed: &[u8], other: &[u8], random: &mut ChaCha8Rng) -> Vec<u8> {
+/// Makes one to four changes.
+fn mutate(seed: &[u8], other: &[u8], random: &mut ChaCha8Rng) -> Vec<u8> {
     let mut bytes = seed.to_vec();
     for _ in 0..random.random_range(1..=4) {
         let at = random.random_range(0..=bytes.len());

@@ -9,10 +9,10 @@ const CDR_BE: [u8; 2] = [0x00, 0x00];
 const CDR_LE: [u8; 2] = [0x00, 0x01];
 /// Representation identifier and two bytes of options.
 const HEADER_LEN: usize = 4;
-/// RTPS pads a payload to a multiple of four bytes; more left over means that the bytes have a different type.
+/// RTPS pads a payload to a multiple of four bytes. More bytes after a message mean that it has a different type.
 const MAX_PADDING: usize = 3;
 
-/// Why bytes are not a message, or a message cannot be bytes.
+/// A failure to decode or encode a message.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CdrError {
@@ -29,43 +29,42 @@ pub enum CdrError {
         type_name: &'static str,
         /// Bytes given, header included.
         len: usize,
-        /// What the decoder met.
+        /// The decoder's error.
         source: cdr_encoding::Error,
     },
-    /// Bytes are left that padding does not explain.
-    #[error("expected {type_name} to end after {used} bytes, but {len} came")]
+    /// More bytes follow than padding has.
+    #[error("expected {type_name} to end after {used} bytes, got {len}")]
     Trailing {
         /// The Rust type that was requested.
         type_name: &'static str,
-        /// Bytes that the type took, header included.
+        /// Bytes that the type needs, header included.
         used: usize,
         /// Bytes given, header included.
         len: usize,
     },
-    /// A value that CDR has no form for: a sequence that does not know its length. No type of this crate has one.
+    /// A sequence without a known length, which CDR cannot encode. No type of this crate has one.
     #[error("cannot encode {type_name}: {source}")]
     Encode {
-        /// The Rust type that was to be encoded.
+        /// The Rust type that was given.
         type_name: &'static str,
-        /// What the encoder met.
+        /// The encoder's error.
         source: cdr_encoding::Error,
     },
 }
 
-/// The type's own name, without the modules that lead to it.
+/// The type's name without its modules.
 fn name_of<T>() -> &'static str {
     let name = std::any::type_name::<T>();
     match name.contains('<') {
         true => name,
-        false => name.rsplit("::").next().unwrap_or(name),
+        false => name.rsplit_once("::").map_or(name, |(_, own)| own),
     }
 }
 
-/// Encodes a value: header (little endian) and body. Generic over serde, so that the request or response of a
-/// service goes through it too.
+/// Encodes a value: header (little endian) and body. The value may be a message, or one half of a service.
 ///
 /// # Errors
-/// A sequence whose length serde is not told; no type of this crate has one.
+/// A sequence without a known length. No type of this crate has one.
 pub fn to_bytes<T: Serialize>(value: &T) -> Result<Vec<u8>, CdrError> {
     let mut bytes = vec![CDR_LE[0], CDR_LE[1], 0, 0];
     cdr_encoding::to_writer::<T, byteorder::LittleEndian, _>(&mut bytes, value).map_err(

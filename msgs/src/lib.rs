@@ -1,36 +1,49 @@
-//! Rust types of the ROS 2 interface package `wm_msgs` (the `.msg`, `.srv` and `.action` files beside this
-//! crate), and of the few standard ROS messages that the suite uses.
+//! Rust types of ROS 2 messages, services and actions: the interface package `wm_msgs`, and the types of other packages
+//! that the suite uses.
 //!
-//! Each package is a module named as in ROS; each type carries its ROS name and its definition through
-//! [`Message`], so that a bag's schema, a DDS type name and the Rust struct cannot drift apart: a test holds
-//! every struct against its `.msg` file, field by field.
+//! The build script writes them from definition files: `msg/`, `srv/` and `action/` of this package, and `ros/` for the
+//! packages of others. Each ROS package is a module. Each type has its name, its definition and its dependencies through
+//! [`Message`], [`Service`] or [`Action`], and its documentation from the comments of its file.
 //!
 //! ```
-//! use wm_msgs::{Message, builtin_interfaces::Time, cdr, std_msgs::Header};
+//! use wm_msgs::{Message, TypeDescription, builtin_interfaces::Time, cdr, std_msgs::Header};
 //!
 //! let header = Header { stamp: Time::from_nanos(1_500_000_000), frame_id: "base_link".into() };
 //! let bytes = cdr::to_bytes(&header)?;
 //! assert_eq!(cdr::from_bytes::<Header>(&bytes)?, header);
+//!
 //! assert_eq!(Header::ros_name(), "std_msgs/msg/Header");
-//! # Ok::<(), cdr::CdrError>(())
+//! assert_eq!(Header::DEFINITION, "builtin_interfaces/Time stamp\nstring frame_id\n");
+//! let hash = TypeDescription::of::<Header>()?.hash();
+//! assert_eq!(hash.to_string(), "RIHS01_f49fb3ae2cf070f793645ff749683ac6b06203e41c891e17701b1cb597ce6a01");
+//! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! Not here: transport, QoS (`wm_ros`), bags (`wm_bag`).
+//! - [`cdr`]: messages as bytes, and bytes as messages.
+//! - [`TypeDescription`]: the fields of a type, from its definition, and the hash that identifies it.
+//! - [`Mapping`]: messages of one definition as messages of another, for bags of another version.
+//!
+//! A new message of this package is a new file in `msg/`, and its name in `CMakeLists.txt`.
+//!
+//! Not here: transport and QoS (`wm_ros`), bags (`wm_bag`).
 
 pub mod action;
 pub mod cdr;
 mod mapping;
 mod message;
-mod packages;
+mod time;
 mod type_description;
 
 pub use mapping::{ConvertError, Layout, Mapping, MappingError};
 pub use message::{Action, Message, Service};
-pub use packages::{
-    action_msgs, builtin_interfaces, diagnostic_msgs, geometry_msgs, lifecycle_msgs,
-    rcl_interfaces, rosbag2_interfaces, rosgraph_msgs, sensor_msgs, std_msgs, std_srvs, tf2_msgs,
-    trajectory_msgs, unique_identifier_msgs, vision_msgs, visualization_msgs, wm_msgs,
-};
+pub use time::InvalidNanoseconds;
 pub use type_description::{
     DescriptionError, Field, FieldType, IndividualType, TypeDescription, TypeHash, idl_definitions,
 };
+
+include!(concat!(env!("OUT_DIR"), "/packages.rs"));
+
+impl wm_msgs::CameraState {
+    /// The [`change`](Self::change) of a frame without a predecessor.
+    pub const NOT_MEASURED: f32 = -1.0;
+}

@@ -1,10 +1,10 @@
 //! Messages of one definition as messages of another: fields are matched by name.
 //!
-//! A bag carries the definition that its recorder knew. If it differs from the one that this crate was compiled with, the
-//! bytes are walked by the bag's definition and written again in the layout of this crate's.
+//! A bag has the definition that its recorder knew. If it differs from this crate's definition, the bytes are read by the
+//! bag's definition and written again in the layout of this crate's.
 //!
-//! - A field that both have is copied. Its type must be the same or a wider number (`float32` fits `float64`, `uint8` fits
-//!   `int32`), an array fits a sequence, and a nested type fits by the same rules.
+//! - A field of both definitions is copied. Its type must be the same or a wider number (`float32` fits `float64`, `uint8`
+//!   fits `int32`). An array fits a sequence, and a nested type fits by the same rules.
 //! - A field that only this crate's type has gets zero, an empty string or an empty sequence.
 //! - A field that only the bag's type has is dropped.
 //!
@@ -33,21 +33,21 @@ use input::Input;
 use layout::{Container, Element, Member};
 use output::Output;
 
-/// Types within types, of values and of definitions. ROS messages have at most about ten.
+/// Limit of nested types, in values and definitions. ROS messages have about ten at most.
 pub(crate) const DEPTH_LIMIT: usize = 64;
 
-/// How messages of one definition become messages of another.
+/// Converts messages of one definition into messages of another.
 #[derive(Clone, Debug)]
 pub struct Mapping {
     theirs: Layout,
     ours: Layout,
-    /// Pairs of structs; the first is that of the messages themselves.
+    /// Pairs of structs; the first pair is the messages themselves.
     pairs: Vec<Pair>,
     missing: Vec<String>,
     dropped: Vec<String>,
 }
 
-/// Where each of our fields comes from.
+/// The sources of the fields of a struct of ours.
 #[derive(Clone, Debug)]
 struct Pair {
     theirs: usize,
@@ -57,14 +57,14 @@ struct Pair {
 
 #[derive(Clone, Copy, Debug)]
 struct Source {
-    /// Number of their field.
+    /// Index of their field.
     field: usize,
-    /// The pair of the nested types, if the field has one.
+    /// The pair of the nested types, if the field has a nested type.
     pair: Option<usize>,
 }
 
 impl Mapping {
-    /// Matches the fields of a definition (`theirs`) with those of another (`ours`).
+    /// Matches the fields of two definitions: from `theirs` to `ours`.
     ///
     /// # Errors
     /// A field of both whose types do not fit, two nested types of different names, two types without a common field, or a
@@ -81,13 +81,13 @@ impl Mapping {
         Ok(mapping)
     }
 
-    /// Fields that only the target has, by their paths (`header.frame_id`): they get default values.
+    /// Paths of the fields that only the target has (`header.frame_id`): they get default values.
     #[must_use]
     pub fn missing(&self) -> &[String] {
         &self.missing
     }
 
-    /// Fields that only the source has, by their paths.
+    /// Paths of the fields that only the source has.
     #[must_use]
     pub fn dropped(&self) -> &[String] {
         &self.dropped
@@ -106,7 +106,7 @@ impl Mapping {
         Ok(output.into_bytes())
     }
 
-    /// Pairs two structs, and adds the names of unmatched fields; gives the pair's number.
+    /// Pairs two structs, and adds the paths of unmatched fields; returns the index of the pair.
     fn pair(
         &mut self,
         (theirs, ours): (usize, usize),
@@ -237,10 +237,10 @@ impl Mapping {
             Container::Sequence(_) => input.count()?,
         };
         if let Container::Sequence(limit) = ours.container {
-            if limit.is_some_and(|limit| count > limit) {
+            if let Some(limit) = limit.filter(|limit| count > *limit) {
                 return Err(ConvertError::Bound {
                     field: ours.name.clone(),
-                    limit: limit.unwrap_or_default(),
+                    limit,
                     found: count,
                 });
             }
@@ -274,7 +274,7 @@ fn fits(theirs: &Member, ours: &Member) -> bool {
         (Container::Array(length), Container::Sequence(limit)) => {
             limit.is_none_or(|limit| length <= limit)
         }
-        // Whether a message keeps the bound is seen when it is converted.
+        // The conversion checks the bound of each message.
         (Container::Sequence(_), Container::Sequence(_)) => true,
         _ => false,
     };

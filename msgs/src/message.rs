@@ -1,6 +1,6 @@
 use serde::{Serialize, de::DeserializeOwned};
 
-/// A ROS message type. Its fields, in order, are those of the `.msg` file, so that serde's view of it is its CDR form.
+/// A ROS message type. Its fields have the order of the `.msg` file, so that serde's view of it is its CDR form.
 pub trait Message: Serialize + DeserializeOwned + Clone + Send + Sync + 'static {
     /// The package, for example `sensor_msgs`.
     const PACKAGE: &'static str;
@@ -8,7 +8,7 @@ pub trait Message: Serialize + DeserializeOwned + Clone + Send + Sync + 'static 
     const NAME: &'static str;
     /// The text of the `.msg` file.
     const DEFINITION: &'static str;
-    /// ROS names (`package/msg/Type`) and texts of every type that [`Self::DEFINITION`] names, transitively, each once.
+    /// ROS names (`package/msg/Type`) and texts of the types that [`Self::DEFINITION`] names, transitively, each once.
     fn dependencies() -> Vec<(&'static str, &'static str)>;
 
     /// The ROS name of the type, `package/msg/Type`.
@@ -25,11 +25,11 @@ pub trait Service: 'static {
     const NAME: &'static str;
     /// The text of the `.srv` file.
     const DEFINITION: &'static str;
-    /// What a client sends.
+    /// The request, sent by a client.
     type Request: Serialize + DeserializeOwned + Clone + Send + Sync + 'static;
-    /// What the server answers.
+    /// The response, sent by a server.
     type Response: Serialize + DeserializeOwned + Clone + Send + Sync + 'static;
-    /// ROS names (`package/msg/Type`) and texts of every type that [`Self::DEFINITION`] names, transitively, each once.
+    /// ROS names (`package/msg/Type`) and texts of the types that [`Self::DEFINITION`] names, transitively, each once.
     fn dependencies() -> Vec<(&'static str, &'static str)>;
 
     /// The ROS name of the type, `package/srv/Type`.
@@ -46,13 +46,13 @@ pub trait Action: 'static {
     const NAME: &'static str;
     /// The text of the `.action` file.
     const DEFINITION: &'static str;
-    /// What a client requests.
+    /// The goal, sent by a client.
     type Goal: Serialize + DeserializeOwned + Clone + Send + Sync + 'static;
-    /// What a goal comes to; the default where the server has nothing to say.
+    /// The result of a goal; the default if the server has none.
     type Result: Serialize + DeserializeOwned + Clone + Default + Send + Sync + 'static;
-    /// What is told of a goal while it is executed.
+    /// The progress of a goal.
     type Feedback: Serialize + DeserializeOwned + Clone + Send + Sync + 'static;
-    /// ROS names (`package/msg/Type`) and texts of every type that [`Self::DEFINITION`] names, transitively, each once.
+    /// ROS names (`package/msg/Type`) and texts of the types that [`Self::DEFINITION`] names, transitively, each once.
     fn dependencies() -> Vec<(&'static str, &'static str)>;
 
     /// The ROS name of the type, `package/action/Type`.

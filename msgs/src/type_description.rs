@@ -1,4 +1,4 @@
-//! What a ROS type is made of, read from its `.msg`, `.srv` or `.action` text, and the hash by which ROS tells types apart.
+//! The fields of a ROS type, read from its `.msg`, `.srv` or `.action` text, and the hash by which ROS identifies types.
 //!
 //! The hash is REP-2016's `RIHS01`: SHA-256 over the canonical JSON of `type_description_interfaces`, as
 //! `rosidl_generator_type_description` computes it. Constants, default values and comments are no part of it.
@@ -18,52 +18,51 @@ mod hash;
 mod idl;
 
 pub use error::DescriptionError;
-pub use field::{Field, FieldType};
+pub use field::{Field, FieldType, IndividualType};
 pub use hash::TypeHash;
 pub use idl::idl_definitions;
 
 use crate::{
-    Action, Message, Service, builtin_interfaces,
-    packages::{Named as _, service_msgs},
+    Action, Message, Service, builtin_interfaces::Time, service_msgs::ServiceEventInfo,
     unique_identifier_msgs::UUID,
 };
 use std::collections::BTreeMap;
 
-/// A type that names more others than this is refused: definitions may come from anywhere.
+/// A type that names more types than this is refused: definitions may come from anywhere.
 const REFERENCED_LIMIT: usize = 256;
 
-/// One type, without those that it names.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct IndividualType {
-    /// `package/msg/Type`; of a service `package/srv/Type`, and with `_Request`, `_Response`, `_Event` its parts; of an
-    /// action `package/action/Type`, and its parts in the same way.
-    pub name: String,
-    /// In order.
-    pub fields: Vec<Field>,
-}
+const EVENT_INFO: &str = "service_msgs/msg/ServiceEventInfo";
+const TIME: &str = "builtin_interfaces/msg/Time";
+const GOAL_ID: &str = "unique_identifier_msgs/msg/UUID";
 
-/// A type and all that it names, transitively.
+/// Names and definitions of the types that rosidl adds to every service.
+const OF_SERVICES: [(&str, &str); 2] = [
+    (EVENT_INFO, ServiceEventInfo::DEFINITION),
+    (TIME, Time::DEFINITION),
+];
+
+/// A type and all types that it names, transitively.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TypeDescription {
     /// The type itself.
     pub described: IndividualType,
-    /// What it names, sorted by name.
+    /// The types that it names, sorted by name.
     pub referenced: Vec<IndividualType>,
 }
 
 impl TypeDescription {
-    /// The description of a message type of this crate.
+    /// The description of a message type.
     ///
     /// # Errors
-    /// Its definition is not one; a test holds every type of this crate.
+    /// An invalid definition. A test describes every type of this crate.
     pub fn of<M: Message>() -> Result<Self, DescriptionError> {
         Self::message(&M::ros_name(), M::DEFINITION, M::dependencies())
     }
 
-    /// The description of a service type of this crate.
+    /// The description of a service type.
     ///
     /// # Errors
-    /// Its definition is not one; a test holds every type of this crate.
+    /// An invalid definition. A test describes every type of this crate.
     pub fn of_service<S: Service>() -> Result<Self, DescriptionError> {
         Self::service(&S::ros_name(), S::DEFINITION, S::dependencies())
     }
@@ -80,7 +79,7 @@ impl TypeDescription {
     /// the types that it names, transitively. Names are `package/msg/Type` or `package/Type`.
     ///
     /// # Errors
-    /// A name that is none, a line that is no field, or a type that is named but not given.
+    /// An invalid name or line, or a missing dependency.
     pub fn message<'a>(
         name: &str,
         text: &str,
@@ -94,7 +93,7 @@ impl TypeDescription {
     /// The description of the service type `name`, `package/srv/Type`, with this `.srv` text.
     ///
     /// # Errors
-    /// As [`message`](Self::message), and where the text has no line `---` between request and response.
+    /// As [`message`](Self::message), and a text without the line `---` between request and response.
     pub fn service<'a>(
         name: &str,
         text: &str,
@@ -114,12 +113,12 @@ impl TypeDescription {
         Self::gather(described, parts, given)
     }
 
-    /// The description of the action type `name`, `package/action/Type`, with this `.action` text; or, where `name` is
-    /// `package/action/Type_SendGoal` for example, of this one of the types that rosidl makes of it.
+    /// The description of the action type `name`, `package/action/Type`, with this `.action` text. `name` may also be a
+    /// type that rosidl makes of the action, for example `package/action/Type_SendGoal`.
     ///
     /// # Errors
-    /// As [`message`](Self::message), and where the text does not have two lines `---` between goal, result and
-    /// feedback, or rosidl makes no type of this name.
+    /// As [`message`](Self::message), a text without two lines `---` between goal, result and feedback, and a name that
+    /// rosidl does not make.
     pub fn action<'a>(
         name: &str,
         text: &str,
@@ -132,19 +131,19 @@ impl TypeDescription {
                 found: split.len() - 1,
             });
         };
-        // a package may have underscores in its name, a type has not
+        // Packages may have underscores in their names, action types have none.
         let wrong_name = || DescriptionError::Name(name.to_owned());
         let (package, type_name) = name.rsplit_once('/').ok_or_else(wrong_name)?;
-        let type_name = type_name.split('_').next().unwrap_or_default();
+        let type_name = type_name.split_once('_').map_or(type_name, |(own, _)| own);
         let mut types = action_types(&format!("{package}/{type_name}"), goal, result, feedback)?;
         let described = types.iter().position(|described| described.name == name);
         let described = types.swap_remove(described.ok_or_else(wrong_name)?);
-        let of_actions = (UUID::ROS_NAME, <UUID as Message>::DEFINITION);
+        let of_actions = [(GOAL_ID, UUID::DEFINITION)];
         let given = dependencies.into_iter().chain(OF_SERVICES);
-        Self::gather(described, types, given.chain([of_actions]))
+        Self::gather(described, types, given.chain(of_actions))
     }
 
-    /// Follows the names from `described`: to `parts`, which are read already, and to the definitions in `given`.
+    /// Collects the types that `described` names: from `parts`, which are parsed, and from the definitions in `given`.
     fn gather<'a>(
         described: IndividualType,
         parts: impl IntoIterator<Item = IndividualType>,
@@ -196,15 +195,12 @@ impl TypeDescription {
     }
 }
 
-/// What the types that rosidl makes of every service name.
-const OF_SERVICES: [(&str, &str); 2] = [service_msgs::SERVICE_EVENT_INFO, service_msgs::TIME];
-
-/// The name of a type that rosidl makes of another.
+/// The name of a type that rosidl makes of another type.
 fn part(name: &str, suffix: &str) -> String {
     format!("{name}_{suffix}")
 }
 
-/// A service, its two halves, and the event that rosidl makes of every service:
+/// A service, its two halves, and the event that rosidl adds to every service:
 /// <https://design.ros2.org/articles/service_introspection.html>.
 fn service_types(
     name: &str,
@@ -223,7 +219,7 @@ fn service_types(
     let event = IndividualType {
         name: part(name, "Event"),
         fields: vec![
-            Field::nested("info", service_msgs::SERVICE_EVENT_INFO.0),
+            Field::nested("info", EVENT_INFO),
             nested("request", "Request").at_most(1),
             nested("response", "Response").at_most(1),
         ],
@@ -231,7 +227,7 @@ fn service_types(
     [service, request, response, event]
 }
 
-/// An action and all that rosidl makes of it: <https://design.ros2.org/articles/actions.html>.
+/// An action and all types that rosidl makes of it: <https://design.ros2.org/articles/actions.html>.
 fn action_types(
     name: &str,
     goal: &str,
@@ -244,8 +240,8 @@ fn action_types(
         fields,
     };
     let parse = |suffix: &str, text: &str| definition::parse(&part(name, suffix), text);
-    let goal_id = || Field::nested("goal_id", UUID::ROS_NAME);
-    let stamp = Field::nested("stamp", builtin_interfaces::Time::ROS_NAME);
+    let goal_id = || Field::nested("goal_id", GOAL_ID);
+    let stamp = Field::nested("stamp", TIME);
 
     let action = IndividualType {
         name: name.to_owned(),

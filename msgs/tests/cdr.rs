@@ -1,6 +1,6 @@
-//! Property tests of the CDR codec: round trips of every shape of field, and any bytes at all.
+//! Property tests of the CDR codec: round trips of every shape of field, and arbitrary bytes.
 
-#![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
+#![allow(clippy::unwrap_used, clippy::expect_used)] // for the helpers of tests, which have no #[test]
 
 use proptest::prelude::*;
 use wm_msgs::{
@@ -77,13 +77,13 @@ fn prediction() -> impl Strategy<Value = Prediction> {
 }
 
 #[test]
-fn bytes_are_those_that_the_standard_gives() {
+fn bytes_follow_the_standard() {
     let text = Text { data: "ab".into() };
     assert_eq!(
         cdr::to_bytes(&text).unwrap(),
         [0, 1, 0, 0, 3, 0, 0, 0, b'a', b'b', 0]
     );
-    // seven bytes of padding in front of an eight-byte number are counted from the end of the header
+    // alignment is counted from the end of the header
     let request = ResetRequest {
         seed: 1,
         keep_seed: true,
@@ -99,7 +99,7 @@ fn bytes_are_those_that_the_standard_gives() {
 }
 
 #[test]
-fn errors_say_what_came() {
+fn errors_name_the_found_bytes() {
     let error = |bytes: &[u8]| cdr::from_bytes::<Text>(bytes).unwrap_err();
     assert!(matches!(error(&[0, 1, 0]), CdrError::NoHeader(3)));
     assert!(matches!(
@@ -124,7 +124,7 @@ fn errors_say_what_came() {
 
 proptest! {
     #[test]
-    fn predictions_survive(prediction in prediction()) {
+    fn predictions_survive_encoding(prediction in prediction()) {
         let bytes = cdr::to_bytes(&prediction).unwrap();
         prop_assert_eq!(cdr::from_bytes::<Prediction>(&bytes).unwrap(), prediction);
     }
@@ -139,14 +139,14 @@ proptest! {
 
     /// Every proper prefix ends inside a field, so it must be refused.
     #[test]
-    fn a_truncated_message_is_refused(prediction in prediction(), cut in any::<prop::sample::Index>()) {
+    fn truncated_messages_are_refused(prediction in prediction(), cut in any::<prop::sample::Index>()) {
         let bytes = cdr::to_bytes(&prediction).unwrap();
         prop_assert!(cdr::from_bytes::<Prediction>(&bytes[..cut.index(bytes.len())]).is_err());
     }
 
-    /// A value or an error, never a panic, whatever the bytes; the header is made valid half of the time.
+    /// Any bytes give a value or an error, never a panic. Half of the headers are valid.
     #[test]
-    fn any_bytes_are_answered(mut bytes in prop::collection::vec(any::<u8>(), 0..200), valid in any::<bool>()) {
+    fn any_bytes_give_a_message_or_an_error(mut bytes in prop::collection::vec(any::<u8>(), 0..200), valid in any::<bool>()) {
         if valid && bytes.len() >= 4 {
             bytes[..4].copy_from_slice(&[0, 1, 0, 0]);
         }

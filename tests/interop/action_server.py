@@ -1,4 +1,4 @@
-"""Serves a counting action with a real rclpy: ten numbers a second for as long as the goal's duration says.
+"""Serves a counting action with a real rclpy: ten numbers per second for the goal's duration.
 
 usage: action_server.py ACTION
 

@@ -1,4 +1,4 @@
-"""Sets goals of a counting action with a real rclpy; prints JSON.
+"""Sends goals of a counting action with a real rclpy; prints JSON.
 
 usage: actions.py --seconds LIMIT --server NODE ACTION
 

@@ -1,4 +1,4 @@
-"""Reads a bag with three readers that nobody here wrote (rosbags, mcap, mcap-ros2-support) and prints what each saw.
+"""Reads a bag with three independent readers (rosbags, mcap, mcap-ros2-support) and prints the results.
 
     python bags_read.py BAG        BAG: the bag's directory
 
@@ -25,7 +25,7 @@ def sha256(data):
 
 
 def plain(value, store):
-    """A decoded message as numbers, texts and lists, whichever library decoded it; `store` knows rosbags' types."""
+    """A decoded message as numbers, texts and lists, from either library; `store` has rosbags' types."""
     if hasattr(value, "__msgtype__"):
         _constants, fields = store.fielddefs[value.__msgtype__]
         return {name: plain(getattr(value, name), store) for name, _ in fields}
@@ -43,7 +43,7 @@ def plain(value, store):
 def main(bag):
     by_rosbags, by_mcap, decoded = [], [], []
     with Reader(bag) as reader:
-        # Only what the bag itself defines: builtin types alone would hide a wrong schema.
+        # Only types that the bag defines: builtin types would hide a wrong schema.
         store = get_typestore(Stores.EMPTY)
         types = {}
         for connection in reader.connections:
@@ -61,7 +61,7 @@ def main(bag):
             by_rosbags.append([connection.topic, connection.msgtype, time, sha256(data)])
             decoded.append(plain(store.deserialize_cdr(data, connection.msgtype), store))
 
-    # A bag of several files: each stands by itself, and one comes after the other in time.
+    # A bag of several files: each is complete, and they follow each other in time.
     files = sorted(Path(bag).glob("*.mcap"), key=lambda file: int(file.stem.rsplit("_", 1)[1]))
     for file in files:
         with file.open("rb") as stream:

@@ -1,4 +1,4 @@
-"""Holds the frames of an imported bag against the video they came from, decoded by FFmpeg (PyAV).
+"""Compares the frames of an imported bag with their video, decoded by FFmpeg (PyAV).
 
     python bags_video.py VIDEO.mp4 BAG [TOPIC]
 

@@ -1,4 +1,4 @@
-"""Writes bags with rosbags, a writer that nobody here wrote, and prints what is in them.
+"""Writes bags with rosbags, an independent writer, and prints their contents.
 
     python bags_write.py OUT       OUT: a directory that exists; the bags go below it
 

@@ -16,7 +16,7 @@ import sys
 import time
 from dataclasses import dataclass, fields, is_dataclass
 
-# Read by the library when it is loaded. Loopback: no multicast is asked for, participants are looked for by port.
+# Read when the library is loaded. Loopback without multicast: participants are discovered by port.
 os.environ["CYCLONEDDS_URI"] = """<CycloneDDS><Domain>
   <General><Interfaces><NetworkInterface name="lo"/></Interfaces><AllowMulticast>false</AllowMulticast></General>
   <Discovery>

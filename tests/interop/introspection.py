@@ -1,4 +1,4 @@
-"""Asks a node of the suite for its types and loggers, and for a whole change of parameters, with a real rclpy; prints JSON.
+"""Queries types and loggers of a node of the suite, and sets parameters atomically, with a real rclpy; prints JSON.
 
 usage: introspection.py --seconds LIMIT NODE
 
@@ -66,7 +66,7 @@ def main():
             "parts": {part.type_name: fields(part) for part in parts},
         }
 
-    # A type that both know: hash and description are those of the installation's own generated files.
+    # For a type that both have, hash and description equal those of the installation's generated files.
     share = pathlib.Path(get_package_share_directory("rcl_interfaces"))
     installed = json.loads((share / "msg/Log.json").read_text())
     hashes = {entry["type_name"]: entry["hash_string"] for entry in installed["type_hashes"]}

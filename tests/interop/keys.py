@@ -1,4 +1,4 @@
-"""Presses keys in the terminal of a program that plays a bag, and asks its services what came of it; prints JSON.
+"""Presses keys in the terminal of a program that plays a bag, and queries the effects by its services; prints JSON.
 
 usage: keys.py --seconds LIMIT NODE PROGRAM [ARGUMENT ...]
 
@@ -33,7 +33,7 @@ def main():
 
     ours, theirs = pty.openpty()
     before = termios.tcgetattr(theirs)
-    # a shell owns the terminal: the kernel resets one whose owner ends, and there would be nothing to compare
+    # a shell owns the terminal: the kernel resets a terminal whose owner ends, which would hide a fault
     shell = ["sh", "-c", 'trap : INT; "$@"; echo "ended with $?"; read _', "sh", *arguments.program]
     owner = subprocess.Popen(shell, preexec_fn=lambda: os.login_tty(os.dup(theirs)))
     shown = bytearray()
@@ -43,7 +43,7 @@ def main():
             while True:
                 shown.extend(os.read(ours, 4096))
 
-    # what is written has to be read, or the writer stands still
+    # the output has to be read, or the writer blocks
     threading.Thread(target=read, daemon=True).start()
 
     rclpy.init()

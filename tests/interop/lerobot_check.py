@@ -1,4 +1,4 @@
-"""Holds a LeRobot v3.0 dataset against the format's definition, read by pyarrow and FFmpeg (PyAV), and prints its contents.
+"""Checks a LeRobot v3.0 dataset against the format's definition with pyarrow and FFmpeg (PyAV), and prints its contents.
 
     python lerobot_check.py DATASET
 
@@ -49,7 +49,7 @@ DEFAULT_FEATURES = {
 
 
 def check_type(name, feature, field):
-    """The column's type is one that `datasets` casts to the feature's without loss."""
+    """Checks that `datasets` casts the column's type to the feature's without loss."""
     value = {"float32": pyarrow.float32(), "int64": pyarrow.int64(), "bool": pyarrow.bool_()}[feature["dtype"]]
     if feature["shape"] == [1]:
         assert field.type == value, (name, field.type)
@@ -86,7 +86,7 @@ def main(root):
     columns = {name: feature for name, feature in features.items() if feature["dtype"] != "video"}
     videos = {name: feature for name, feature in features.items() if feature["dtype"] == "video"}
 
-    # Restored as pandas does it: from the table's own metadata.
+    # Restored from the table's metadata, as in pandas.
     tasks = pyarrow.parquet.read_table(root / "meta/tasks.parquet")
     pandas = json.loads(tasks.schema.metadata[b"pandas"])
     (index,) = pandas["index_columns"]

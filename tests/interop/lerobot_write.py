@@ -1,4 +1,4 @@
-"""Writes LeRobot datasets as others write them, with pyarrow and FFmpeg (PyAV): v2.1 and v3.0, AV1 and h264.
+"""Writes LeRobot datasets like other programs, with pyarrow and FFmpeg (PyAV): v2.1 and v3.0, AV1 and h264.
 
     python lerobot_write.py DIR        makes DIR/v21 and DIR/v30
 
@@ -16,7 +16,7 @@ import os
 import sys
 from pathlib import Path
 
-# The AV1 encoder says errors only.
+# The AV1 encoder logs errors only.
 os.environ["SVT_LOG"] = "1"
 
 import av
@@ -32,7 +32,7 @@ NAMES = ["shoulder.pos", "elbow.pos", "gripper.pos"]
 
 
 def picture(camera, episode, frame):
-    """Quarters of flat colour, others in each picture."""
+    """Quarters of flat colour that differ in each picture."""
     rgb = numpy.empty((HEIGHT, WIDTH, 3), dtype=numpy.uint8)
     for quarter in range(4):
         colour = [40 + 20 * frame, 60 + 50 * episode, 50 + 40 * quarter + 30 * camera]
@@ -102,7 +102,7 @@ def table(episode, index):
 
 
 def by_path(rows, episode, root):
-    """The same rows, their pictures as files of the dataset."""
+    """The same rows, with pictures as files of the dataset."""
     name = "observation.images.still"
     paths = []
     for frame, still in enumerate(rows.column(name).to_pylist()):
@@ -185,7 +185,7 @@ def main(root):
     video_path = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
     sizes = {"data_files_size_in_mb": 100, "video_files_size_in_mb": 200}
     write_json(v30 / "meta/info.json", info("v3.0", data_path=data_path, video_path=video_path, **sizes))
-    # Where each episode is: two in the first table, the last in one of its own; likewise the videos of the wrist.
+    # The files of each episode: two in the first table, the last in a separate one; likewise the videos of the wrist.
     data_files = [0, 0, 1]
     video_files = {"observation.images.front": [0, 0, 0], "observation.images.wrist.left": [0, 1, 1]}
     for file in set(data_files):

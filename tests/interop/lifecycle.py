@@ -68,7 +68,7 @@ def main():
         return future.result()
 
     def graph(services):
-        # Not get_transition_graph: its answer is larger than a datagram of some networks, and is refused there.
+        # Not get_transition_graph: its response exceeds a datagram of some networks, and is refused there.
         states = call(services["get_available_states"], GetAvailableStates.Request())
         found = call(services["get_available_transitions"], GetAvailableTransitions.Request())
         return {"states": [pair(s) for s in states.available_states], "steps": steps(found.available_transitions)}

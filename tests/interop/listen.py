@@ -1,4 +1,4 @@
-"""Subscribes as a user of rclpy does, and prints how many messages have come after each.
+"""Subscribes like a user of rclpy, and prints the number of messages after each.
 
 usage: listen.py reliable|best_effort DEPTH TOPIC TYPE
 

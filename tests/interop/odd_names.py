@@ -1,4 +1,4 @@
-"""Publishes text on DDS topics whose names ROS does not allow, with Eclipse Cyclone DDS, and on one that it does.
+"""Publishes text on DDS topics whose names ROS does not allow, with Eclipse Cyclone DDS, and on one that it allows.
 
 usage: odd_names.py TOPIC ...
 
@@ -10,7 +10,7 @@ import sys
 import time
 from dataclasses import dataclass
 
-# Read by the library when it is loaded. Loopback: no multicast is asked for, participants are looked for by port.
+# Read when the library is loaded. Loopback without multicast: participants are discovered by port.
 os.environ["CYCLONEDDS_URI"] = """<CycloneDDS><Domain>
   <General><Interfaces><NetworkInterface name="lo"/></Interfaces><AllowMulticast>false</AllowMulticast></General>
   <Discovery>

@@ -1,4 +1,4 @@
-"""Looks packages up in a sourced overlay, as the commands of ros2cli do, through the real ament index; prints JSON.
+"""Looks up packages in a sourced overlay through the real ament index, like the commands of ros2cli; prints JSON.
 
 usage: overlay.py SOURCE_PACKAGE_XML ...
 

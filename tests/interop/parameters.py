@@ -1,4 +1,4 @@
-"""Asks a node of the suite for its parameters through the standard services, with a real rclpy; prints JSON.
+"""Queries the parameters of a node of the suite by the standard services, with a real rclpy; prints JSON.
 
 usage: parameters.py --seconds LIMIT NODE [--set NAME=YAML ...]
 

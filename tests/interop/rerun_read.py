@@ -1,4 +1,4 @@
-"""Opens a bag with Rerun's own reader by our blueprint, without a window, and prints what it holds, as JSON.
+"""Opens a bag with Rerun's reader and our blueprint, without a window, and prints its contents as JSON.
 
     python rerun_read.py BLUEPRINT.py BAG
 

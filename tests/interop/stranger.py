@@ -1,4 +1,4 @@
-"""A stranger on the network: an Eclipse Cyclone DDS participant that looks for the node at ADDRESS and talks to it.
+"""A stranger on the network: an Eclipse Cyclone DDS participant that discovers the node at ADDRESS and sends to it.
 
 usage: stranger.py OWN_ADDRESS ADDRESS SECONDS
 
@@ -13,7 +13,7 @@ import time
 from dataclasses import dataclass
 
 OWN, PEER, SECONDS = sys.argv[1], sys.argv[2], float(sys.argv[3])
-# Read by the library when it is loaded.
+# Read when the library is loaded.
 os.environ["CYCLONEDDS_URI"] = f"""<CycloneDDS><Domain>
   <General><Interfaces><NetworkInterface address="{OWN}"/></Interfaces><AllowMulticast>true</AllowMulticast></General>
   <Discovery>
@@ -46,7 +46,7 @@ while time.monotonic() < end and not connected:
     connected = len(writer.get_matched_subscriptions()) > 0
     writer.write(String("from a stranger"))
     time.sleep(0.1)
-# what was written has time to arrive
+# time for the messages to arrive
 for _ in range(10 if connected else 0):
     writer.write(String("from a stranger"))
     time.sleep(0.1)

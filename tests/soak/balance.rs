@@ -1,4 +1,4 @@
-//! Whether every message that was sent was received or counted as lost.
+//! Checks that every sent message was received or counted as lost.
 
 use std::{collections::BTreeMap, time::Duration};
 
@@ -19,7 +19,7 @@ const LINKS: [(&str, &str, &str); 7] = [
     ("soak", "/wm/ee_pose", "executor"),
     ("soak", "/wm/action", "planner"),
 ];
-/// Nodes report their counters once per second, and not at the same time; messages are on their way.
+/// Nodes report their counters once per second, at different times, and messages are on their way.
 const SLACK: Duration = Duration::from_secs(4);
 
 /// One publisher and one of its subscribers.
@@ -28,13 +28,13 @@ struct Link {
     from: &'static str,
     topic: &'static str,
     to: &'static str,
-    /// Since both have lived for a whole round: when, and the counters then.
+    /// The time and the counters when both had lived for a whole round.
     base: Option<(Duration, Counts)>,
     judged: u64,
     sent: u64,
-    /// What the last judgement found in the present span.
+    /// The result of the last comparison in the current span.
     sent_in_span: u64,
-    /// Most messages that were neither received nor counted, and the spans in which they were too many.
+    /// The most messages that were neither received nor counted, and the spans in which they were too many.
     worst: i64,
     failures: Vec<String>,
 }
@@ -53,7 +53,7 @@ impl Link {
             let counters = counters.filter(|(key, _)| matches(key));
             counters.map(|(_, count)| count).sum()
         };
-        // What a node receives and drops later is among what it received.
+        // messages that a node receives and drops later count as received
         let lost = format!("dropped: {}: lost in transport", self.topic);
         Counts {
             sent: of(self.from, &|key| key == format!("sent {}", self.topic)),
@@ -66,7 +66,7 @@ impl Link {
         format!("{} {} {}", self.from, self.topic, self.to)
     }
 
-    /// Both nodes have lived through another round.
+    /// Compares after another round of both nodes.
     fn judge(&mut self, at: Duration, totals: &Totals) {
         let now = self.counts(totals);
         let Some((since, base)) = self.base else {
@@ -96,12 +96,10 @@ impl Link {
     }
 }
 
-/// All of them.
 #[derive(Debug)]
 pub struct Balance(Vec<Link>);
 
 impl Balance {
-    /// Before the first round.
     pub fn new() -> Self {
         let link = |(from, topic, to)| Link {
             from,
@@ -117,9 +115,9 @@ impl Balance {
         Self(LINKS.map(link).into())
     }
 
-    /// After a round, in which the processes `deaths` ended.
+    /// Takes a round, in which the processes `deaths` ended.
     pub fn add(&mut self, at: Duration, kind: Kind, deaths: &[&str], totals: &Totals) {
-        // Their messages arrive after the round.
+        // their messages arrive after the round
         let is_under_way = matches!(kind, Kind::Cut | Kind::StopPlanner | Kind::StopExecutor);
         for link in &mut self.0 {
             if deaths.contains(&link.from) || deaths.contains(&link.to) {
@@ -131,12 +129,11 @@ impl Balance {
         }
     }
 
-    /// Whether something was lost that no node has counted.
+    /// Whether every loss was counted.
     pub fn is_kept(&self) -> bool {
         self.0.iter().all(|link| link.failures.is_empty())
     }
 
-    /// For the report.
     pub fn json(&self) -> Value {
         let links = self.0.iter().map(|link| {
             let figures = json!({
@@ -150,7 +147,6 @@ impl Balance {
         links.collect()
     }
 
-    /// For the report.
     pub fn markdown(&self) -> String {
         let mut text = String::from(
             "| publisher, topic, subscriber | rounds judged | sent | most missing | unbalanced |\n|---|---|---|---|---|\n",

@@ -1,4 +1,4 @@
-//! What goes wrong.
+//! The injected faults.
 
 use std::{process::Command, time::Duration};
 
@@ -9,57 +9,52 @@ use crate::{
     suite::{Suite, World},
 };
 
-/// What goes wrong.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, clap::ValueEnum)]
 #[value(rename_all = "snake_case")]
 pub enum Kind {
-    /// The same picture with fresh stamps.
+    /// The same picture with new stamps.
     CameraFrozen,
-    /// The same, with a noise of one grey level.
+    /// The same picture with a noise of one grey level and new stamps.
     CameraFrozenNoise,
-    /// No picture.
+    /// No pictures.
     CameraSilent,
-    /// `/clock` stands still.
+    /// `/clock` stops.
     ClockStopped,
-    /// `/clock` is gone, and comes back by a second earlier.
+    /// `/clock` stops, and continues one second earlier.
     ClockBack,
-    /// Nothing arrives between processes.
+    /// No data between processes.
     Cut,
-    /// The encoder is killed.
     KillEncoder,
-    /// The planner is killed.
     KillPlanner,
-    /// The executor is killed.
     KillExecutor,
-    /// The planner's process is stopped, and goes on.
+    /// The planner's process is stopped and continued.
     StopPlanner,
-    /// The executor's process is stopped, and goes on.
+    /// The executor's process is stopped and continued.
     StopExecutor,
     /// The emergency stop is pressed.
     EmergencyStop,
-    /// The publisher of the emergency stop is gone.
+    /// The publisher of the emergency stop disappears.
     EmergencyLost,
 }
 
 impl Kind {
-    /// For how long the arm may be commanded to move after the beginning of the fault: what the parameters allow by their
-    /// defaults, and half a second for a busy machine.
+    /// How long the arm may be commanded to move after the fault begins: by the parameters' defaults, plus half a
+    /// second for a busy machine.
     pub fn limit(self) -> Duration {
         Duration::from_millis(match self {
-            // Until the encoder is sure, and the arm at rest.
+            // until the encoder has detected it and the arm rests
             Self::CameraFrozen | Self::CameraFrozenNoise => 4_000,
-            // camera_timeout and stop_within; or max_age without reports on the camera.
+            // camera_timeout and stop_within; or max_age without reports about the camera
             Self::CameraSilent | Self::KillEncoder | Self::KillPlanner | Self::StopPlanner => 2_700,
-            // max_age.
+            // max_age
             Self::ClockStopped | Self::ClockBack => 2_500,
-            // Nothing is seen of the commands; the arm itself stops after command_timeout and a step.
+            // commands are invisible; the arm stops after command_timeout and a step
             Self::Cut | Self::KillExecutor | Self::StopExecutor => 1_200,
             Self::EmergencyStop => 500,
             Self::EmergencyLost => 700,
         })
     }
 
-    /// Its name in the report.
     pub fn name(self) -> String {
         let value = clap::ValueEnum::to_possible_value(&self);
         value.map_or_else(String::new, |value| value.get_name().to_owned())
@@ -69,7 +64,7 @@ impl Kind {
 /// What can go wrong here: the network is cut only in a namespace of its own.
 pub fn possible() -> Vec<Kind> {
     let mut kinds = <Kind as clap::ValueEnum>::value_variants().to_vec();
-    // Only a namespace of its own has no other interface than loopback.
+    // only a separate namespace has no other interface than loopback
     let devices = std::fs::read_to_string("/proc/self/net/dev").unwrap_or_default();
     let mut names = devices.lines().filter_map(|line| line.split_once(':'));
     let is_own = names.all(|(name, _)| name.trim() == "lo");
@@ -88,7 +83,6 @@ fn set_loopback(state: &str) {
     assert!(status.success(), "cannot set lo {state}");
 }
 
-/// Begins a fault.
 pub fn begin(kind: Kind, middle: &Middle, world: &World, suite: &mut Suite) {
     match kind {
         Kind::CameraFrozen => middle.show(Pictures::Frozen),
@@ -106,7 +100,6 @@ pub fn begin(kind: Kind, middle: &Middle, world: &World, suite: &mut Suite) {
     }
 }
 
-/// Ends it.
 pub fn end(kind: Kind, middle: &Middle, world: &World, suite: &mut Suite) {
     match kind {
         Kind::CameraFrozen | Kind::CameraFrozenNoise | Kind::CameraSilent => {

@@ -1,15 +1,14 @@
-//! The closed loop on the simulated arm for as long as you like, with faults drawn from a seed: frozen cameras, stopped
-//! clocks, network cuts, killed and stopped processes, emergency stops. It measures how far the arm is commanded, and moves,
-//! after each fault.
+//! The closed loop on the simulated arm for any length of time, with random faults from a seed: frozen cameras, stopped
+//! clocks, network cuts, killed and stopped processes, emergency stops. It measures how far the arm is commanded to
+//! move, and moves, after each fault.
 //!
 //! ```text
 //! unshare -n bash -c 'ip link set lo up; cargo test --release -p wm_cli --test soak -- --seconds 7200 --seed 7 --output out/soak'
 //! ```
 //!
-//! The network namespace of its own (`unshare -n`, as root) is for the cuts: they take its loopback down. Without
-//! `--seconds` it does nothing, so that `cargo test` passes over it. It writes `soak.json` and `soak.md`, and its exit code is
-//! 1 if the arm moved for longer after a fault than that fault allows, if messages were lost that no node has counted, or if
-//! memory grew.
+//! The separate network namespace (`unshare -n`, as root) is for the cuts, which disable its loopback. Without
+//! `--seconds` it does nothing, so that `cargo test` skips it. It writes `soak.json` and `soak.md`. Its exit code is 1
+//! if the arm moved longer after a fault than allowed, if losses were not counted, or if memory grew.
 
 #![allow(clippy::unwrap_used, clippy::expect_used)] // a test, whose helpers may fail it
 
@@ -37,11 +36,11 @@ use report::{Report, Round};
 use suite::{Arm, Suite, World};
 use watch::Watch;
 
-/// How long a fault lasts.
+/// Duration of a fault.
 const FAULT: Duration = Duration::from_secs(5);
-/// How long the suite may take to move the arm again after a fault.
+/// How long the suite may take until the arm moves again after a fault.
 const READY: Duration = Duration::from_secs(30);
-/// Faster than this, the arm moves \[m/s\].
+/// A faster arm is moving \[m/s\].
 const MOVING: f64 = 0.02;
 
 /// The closed loop with faults.
@@ -103,12 +102,12 @@ async fn run(arguments: Arguments) -> ExitCode {
         if left.is_empty() {
             left.clone_from(&kinds);
         }
-        // Each kind comes once before any comes again.
+        // each kind once before any repeats
         let kind = left.swap_remove(rng.random_range(0..left.len()));
         let seed = rng.random_range(0..1_000_000);
         let wait = Duration::from_millis(rng.random_range(100..1_000));
         let mut round = Round::new(kind, begin.elapsed());
-        // A process that was stopped and goes on ends a moment later.
+        // a process that was stopped and continued ends a moment later
         round.deaths = revive(&mut suite, &watch);
         let ready = tokio::time::timeout(READY, async {
             world.begin(seed).await;
@@ -135,14 +134,14 @@ async fn run(arguments: Arguments) -> ExitCode {
     ExitCode::from(u8::from(!is_good))
 }
 
-/// Starts those again that have ended; gives their names.
+/// Restarts ended processes, and returns their names.
 fn revive(suite: &mut Suite, watch: &Watch) -> Vec<&'static str> {
     let dead = suite.revive();
     dead.iter().for_each(|node| watch.restarted(node));
     dead
 }
 
-/// A fault, what the arm does in it, and its end.
+/// Injects a fault, records the arm's motion, and ends the fault.
 async fn inject(
     kind: Kind,
     middle: &Middle,
@@ -153,7 +152,7 @@ async fn inject(
 ) {
     watch.begin();
     fault::begin(kind, middle, world, suite);
-    // The first message of the fault is on its way.
+    // the first message of the fault is on its way
     tokio::time::sleep(FAULT).await;
     round.motion = Some(watch.motion(FAULT));
     round.reason = watch.reason();

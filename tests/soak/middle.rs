@@ -1,5 +1,5 @@
-//! Between the arm and the suite: pictures, poses, actions and the clock pass through here, or do not. The stamps are those
-//! of the clock that the suite has.
+//! Relays pictures, poses, actions and the clock between the arm and the suite, or blocks them. Stamps follow the
+//! suite's clock.
 
 use std::{
     cell::{Cell, RefCell},
@@ -15,41 +15,41 @@ use wm_msgs::{
 };
 use wm_ros::{Node, Publisher, Qos};
 
-/// Where the arm publishes its pictures, poses and actions, for this alone.
+/// The arm's topics, which only this relay reads.
 pub const TRUE_CAMERA: &str = "/soak/image_raw";
 /// See [`TRUE_CAMERA`].
 pub const TRUE_POSE: &str = "/soak/ee_pose";
 /// See [`TRUE_CAMERA`].
 pub const TRUE_ACTION: &str = "/soak/action";
-/// Time from one message on `/clock` to the next.
+/// Time between messages on `/clock`.
 const CLOCK_PERIOD: Duration = Duration::from_millis(20);
 
-/// Which pictures pass.
+/// The relayed pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pictures {
-    /// All, as they are.
+    /// All, unchanged.
     Live,
-    /// The last one, with the stamps of the others.
+    /// The last one, with new stamps.
     Frozen,
-    /// The same, and noise of one grey level.
+    /// The last one, with new stamps and a noise of one grey level.
     FrozenNoise,
     /// None.
     Silent,
 }
 
-/// The man in the middle.
+/// The relay.
 pub struct Middle {
     pictures: Cell<Pictures>,
     last: RefCell<Option<Image>>,
     is_clock_running: Cell<bool>,
-    /// By how much the clock is late \[ns\].
+    /// How late the suite's clock is \[ns\].
     behind_ns: Cell<i64>,
     images: Publisher<Image>,
     clock: Publisher<Clock>,
 }
 
 impl Middle {
-    /// All passes.
+    /// Relays everything.
     pub fn new(node: &Node) -> Self {
         Self {
             pictures: Cell::new(Pictures::Live),
@@ -65,7 +65,7 @@ impl Middle {
         }
     }
 
-    /// Passes on from now on.
+    /// Starts relaying.
     pub fn spawn(self: &Rc<Self>, node: &Node) {
         let mut true_images = node
             .subscription::<Image>(TRUE_CAMERA, Qos::reliable(2))
@@ -118,7 +118,7 @@ impl Middle {
         });
     }
 
-    /// A stamp of the arm by the clock that the suite has.
+    /// Converts a stamp of the arm to the suite's clock.
     fn in_suite_time(&self, stamp: Time) -> Time {
         Time::from_nanos(stamp.to_nanos() - self.behind_ns.get())
     }
@@ -140,17 +140,16 @@ impl Middle {
         self.images.publish(&image).ok();
     }
 
-    /// Chooses the pictures.
     pub fn show(&self, pictures: Pictures) {
         self.pictures.set(pictures);
     }
 
-    /// `/clock` falls silent.
+    /// Stops `/clock`.
     pub fn stop_clock(&self) {
         self.is_clock_running.set(false);
     }
 
-    /// `/clock` goes on, later than real time by so much more.
+    /// Continues `/clock`, later than real time by a further `behind`.
     pub fn run_clock(&self, behind: Duration) {
         let behind_ns = i64::try_from(behind.as_nanos()).unwrap_or(0);
         self.behind_ns.set(self.behind_ns.get() + behind_ns);

@@ -1,4 +1,4 @@
-//! What came of it.
+//! The report of a run.
 
 use std::{
     collections::BTreeMap,
@@ -15,9 +15,9 @@ use crate::{
     watch::{Motion, Watch},
 };
 
-/// Rounds from which on memory is judged.
+/// The least number of rounds for a judgement of memory.
 const LONG_RUN: usize = 60;
-/// Memory of the second half over that of the first, at most.
+/// The largest ratio of memory in the second half to that in the first.
 const MOST_GROWTH: f64 = 1.15;
 
 /// One fault.
@@ -26,7 +26,7 @@ pub struct Round {
     kind: Kind,
     /// Since the beginning of the run.
     at: Duration,
-    /// What the arm was commanded, and did.
+    /// The commanded and the actual motion of the arm.
     pub motion: Option<Motion>,
     /// Why there is no motion to judge.
     pub problem: Option<String>,
@@ -49,7 +49,7 @@ impl Round {
         }
     }
 
-    /// For how long the arm was commanded to move; without commands, for how long it moved.
+    /// How long the arm was commanded to move; without commands, how long it moved.
     fn seconds(&self) -> Option<f64> {
         let motion = self.motion?;
         Some(match self.kind {
@@ -104,19 +104,18 @@ impl fmt::Display for Round {
     }
 }
 
-/// All of them; it is written after each, so that an interrupted run has one too.
+/// All rounds; written after each, so that an interrupted run has a report too.
 pub struct Report {
     folder: PathBuf,
     seed: u64,
     rounds: Vec<Round>,
-    /// Resident memory of each process at the end of each round: when \[s\], and how much \[MiB\].
+    /// Resident memory of each process after each round: time \[s\] and size \[MiB\].
     memory: BTreeMap<String, Vec<(f64, f64)>>,
     totals: Totals,
     balance: Balance,
 }
 
 impl Report {
-    /// An empty one.
     pub fn new(folder: &Path, seed: u64) -> Self {
         Self {
             folder: folder.to_owned(),
@@ -128,7 +127,7 @@ impl Report {
         }
     }
 
-    /// Adds a round, and what is known after it.
+    /// Adds a round and the state after it.
     pub fn add(
         &mut self,
         round: Round,
@@ -147,8 +146,8 @@ impl Report {
         self.write();
     }
 
-    /// Prints the tables; whether the arm kept to the limits in every round, nothing was lost that was not counted, and
-    /// memory did not grow.
+    /// Prints the tables. Returns whether the arm kept its limits in every round, all losses were counted, and memory
+    /// did not grow.
     pub fn finish(&self) -> bool {
         println!("{}", self.markdown());
         let growing: Vec<_> = self.growing().collect();
@@ -159,8 +158,8 @@ impl Report {
         is_in_time && self.balance.is_kept() && growing.is_empty()
     }
 
-    /// Nodes that need clearly more memory in the second half of the run than in the first. A node is killed and started
-    /// again in the run, so its processes are judged together.
+    /// Nodes that need clearly more memory in the second half of the run. Processes of a restarted node are judged
+    /// together.
     fn growing(&self) -> impl Iterator<Item = &str> {
         let end = self
             .rounds
@@ -247,7 +246,7 @@ impl Report {
     }
 }
 
-/// Median and greatest value.
+/// Median and maximum.
 fn quantiles(mut values: Vec<f64>) -> String {
     values.sort_by(f64::total_cmp);
     match (values.get(values.len() / 2), values.last()) {
@@ -256,7 +255,7 @@ fn quantiles(mut values: Vec<f64>) -> String {
     }
 }
 
-/// Slope of the second half, in which a process has settled, by least squares \[MiB/s\].
+/// Slope of the second half, after the process has settled, by least squares \[MiB/s\].
 fn growth(sizes: &[(f64, f64)]) -> f64 {
     let sizes = sizes.get(sizes.len() / 2..).unwrap_or_default();
     let count = sizes.len().max(1) as f64;

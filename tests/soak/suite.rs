@@ -1,4 +1,4 @@
-//! The arm, which runs in this process, and the suite's processes around it.
+//! The arm in this process, and the suite's processes.
 
 use std::{
     cell::RefCell,
@@ -23,10 +23,10 @@ use crate::middle::{TRUE_ACTION, TRUE_CAMERA, TRUE_POSE};
 
 /// The processes.
 const NODES: [&str; 3] = ["encoder", "planner", "executor"];
-/// How long a call may take: its server may be gone.
+/// The longest duration of a call: its server may have ended.
 const CALL: Duration = Duration::from_secs(2);
 
-/// The simulated arm: in this process, so that a cut hides nothing of what it does.
+/// The simulated arm, in this process so that a cut hides none of its motion.
 pub struct Arm {
     context: Context,
     node: Node,
@@ -34,7 +34,6 @@ pub struct Arm {
 }
 
 impl Arm {
-    /// Starts it.
     pub fn start(domain_id: u16) -> Self {
         let reach = Reach::Localhost;
         let context = Context::new(&Environment { domain_id, reach }).expect("a context");
@@ -52,7 +51,7 @@ impl Arm {
                 .build();
             runtime
                 .expect("a runtime")
-                .block_on(sim_arm::body(of_arm))
+                .block_on((sim_arm::NODE.body)(of_arm))
                 .expect("the arm");
         });
         let args = NodeArgs::parse(std::iter::empty::<&str>()).expect("no arguments");
@@ -64,12 +63,11 @@ impl Arm {
         }
     }
 
-    /// The node of this program.
+    /// This program's node.
     pub fn node(&self) -> &Node {
         &self.node
     }
 
-    /// Ends it.
     pub fn end(self) {
         self.context.shutdown().trigger();
         self.thread.join().expect("the arm does not panic");
@@ -78,7 +76,7 @@ impl Arm {
     }
 }
 
-/// The person beside the arm.
+/// The person next to the arm.
 pub struct World {
     node: Node,
     table: Client<Reset>,
@@ -89,7 +87,6 @@ pub struct World {
 }
 
 impl World {
-    /// Nothing is pressed.
     pub fn new(node: &Node) -> Self {
         let world = Self {
             table: node.client("sim_arm/reset").expect("a client"),
@@ -103,7 +100,7 @@ impl World {
         world
     }
 
-    /// Lays the table of a seed, and arms the executor; it goes on until that has succeeded.
+    /// Sets the table of a seed and arms the executor; repeats until that succeeds.
     pub async fn begin(&self, seed: u64) {
         while !self.armed(false).await {}
         let request = ResetRequest {
@@ -141,7 +138,7 @@ impl World {
         is_done
     }
 
-    /// Presses the emergency stop, or lets it go.
+    /// Presses or releases the emergency stop.
     pub fn press(&self, data: bool) {
         if let Some(emergency) = &*self.emergency.borrow() {
             emergency
@@ -150,12 +147,12 @@ impl World {
         }
     }
 
-    /// The emergency stop is gone.
+    /// Removes the publisher of the emergency stop.
     pub fn drop_emergency(&self) {
         self.emergency.take();
     }
 
-    /// The emergency stop is back.
+    /// Restores the publisher of the emergency stop.
     pub fn make_emergency(&self) {
         let publisher = self.node.publisher("emergency_stop", Qos::latched(1));
         let publisher: Publisher<Bool> = publisher.expect("a publisher");
@@ -172,7 +169,7 @@ pub struct Suite {
 }
 
 impl Suite {
-    /// Starts them; each logs to a file of its name.
+    /// Starts the processes; each logs to a file of its name.
     pub fn start(domain_id: u16, logs: &Path) -> Self {
         let mut suite = Self {
             domain_id,
@@ -212,14 +209,13 @@ impl Suite {
         self.running.insert(name, child);
     }
 
-    /// Sends a signal to a process.
     pub fn signal(&mut self, name: &str, signal: Signal) {
         if let Some(child) = self.running.get(name) {
             rustix::process::kill_process(Pid::from_child(child), signal).ok();
         }
     }
 
-    /// Starts those again that have ended; gives their names.
+    /// Restarts ended processes, and returns their names.
     pub fn revive(&mut self) -> Vec<&'static str> {
         let mut dead = Vec::new();
         for (name, child) in &mut self.running {
@@ -248,7 +244,6 @@ impl Suite {
         resident.collect()
     }
 
-    /// Ends them.
     pub fn end(mut self) {
         for child in self.running.values() {
             rustix::process::kill_process(Pid::from_child(child), Signal::TERM).ok();

@@ -1,4 +1,4 @@
-//! What the arm is commanded, and does.
+//! Records the commands and the motion of the arm.
 
 use std::{
     cell::{Cell, RefCell},
@@ -17,17 +17,17 @@ use wm_ros::{Node, Qos};
 
 use crate::{balance::Totals, middle::TRUE_POSE};
 
-/// A command holds for so long on the arm \[s\].
+/// How long the arm executes a command \[s\].
 const HOLDS_S: f64 = 0.5;
-/// Slower than this, the arm stands still \[m/s\].
+/// A slower arm rests \[m/s\].
 const STILL: f64 = 1e-4;
 
-/// What an arm was commanded, and did, in a fault.
+/// The commanded and the actual motion of an arm during a fault.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Motion {
-    /// What its commands add up to, each until the next one \[m\].
+    /// The sum of its commands, each until the next one \[m\].
     pub commanded_m: f64,
-    /// When the last command that moves it came \[s\].
+    /// When the last moving command arrived \[s\].
     pub commanded_s: f64,
     /// How far the tool moved \[m\].
     pub moved_m: f64,
@@ -35,12 +35,11 @@ pub struct Motion {
     pub moved_s: f64,
 }
 
-/// What is seen.
 pub struct Watch {
     begin: Cell<Instant>,
-    /// Commands since the beginning of a fault: when, and how fast \[m/s\].
+    /// Commands since the fault began: time and speed \[m/s\].
     twists: RefCell<Vec<(Instant, f64)>>,
-    /// Poses since then, and the one before.
+    /// Poses since then, and the previous one.
     poses: RefCell<Vec<(Instant, [f64; 3])>>,
     reason: RefCell<String>,
     /// Totals of drops by node and reason, over restarts.
@@ -48,7 +47,7 @@ pub struct Watch {
     news: Notify,
 }
 
-/// A counter that begins anew with its process.
+/// A counter that restarts with its process.
 #[derive(Clone, Copy, Debug, Default)]
 struct Total {
     sum: u64,
@@ -56,7 +55,6 @@ struct Total {
 }
 
 impl Watch {
-    /// Nothing was seen.
     pub fn new() -> Self {
         Self {
             begin: Cell::new(Instant::now()),
@@ -68,7 +66,7 @@ impl Watch {
         }
     }
 
-    /// Watches from now on.
+    /// Starts recording.
     pub fn spawn(self: &Rc<Self>, node: &Node) {
         let depth = Qos::best_effort(1_000);
         let mut twists = node
@@ -135,7 +133,7 @@ impl Watch {
         }
     }
 
-    /// A process was started again: its counters begin at 0.
+    /// A process was restarted: its counters begin at 0.
     pub fn restarted(&self, node: &str) {
         let name = format!("wm/{node}");
         for ((of, _), total) in &mut *self.drops.borrow_mut() {
@@ -145,7 +143,7 @@ impl Watch {
         }
     }
 
-    /// How fast the arm is commanded to be now \[m/s\].
+    /// The speed that the arm is commanded to have now \[m/s\].
     pub fn speed(&self) -> f64 {
         let twists = self.twists.borrow();
         let is_new = |at: &Instant| at.elapsed().as_secs_f64() < HOLDS_S;
@@ -158,7 +156,7 @@ impl Watch {
         self.news.notified().await;
     }
 
-    /// A fault begins: the last command and pose are kept.
+    /// A fault begins: keeps the last command and pose.
     pub fn begin(&self) {
         self.begin.set(Instant::now());
         let mut twists = self.twists.borrow_mut();
@@ -169,7 +167,7 @@ impl Watch {
         poses.drain(..old);
     }
 
-    /// What the arm was commanded, and did, since the fault's beginning, which is `span` ago.
+    /// The commanded and actual motion since the fault began, `span` ago.
     pub fn motion(&self, span: Duration) -> Motion {
         let begin = self.begin.get();
         let since = |at: Instant| at.saturating_duration_since(begin).as_secs_f64();
@@ -207,7 +205,7 @@ impl Watch {
         self.reason.borrow().clone()
     }
 
-    /// Messages that were sent, received and dropped, by node and reason, over all restarts.
+    /// Sent, received and dropped messages by node and reason, over all restarts.
     pub fn totals(&self) -> Totals {
         let mut totals = Totals::new();
         for ((node, key), total) in &*self.drops.borrow() {

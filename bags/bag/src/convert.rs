@@ -4,89 +4,88 @@ use bytes::Bytes;
 
 use crate::{
     BagError, BagMessage, BagReader, BagSummary, BagWarning, BagWriter, MessageEncoding, Schema,
-    TopicInfo, WriterOptions, part::Part,
+    TopicInfo, WriterOptions, bag_copy::BagCopy,
 };
 
-/// Replaces the messages of some topics while a bag is converted: packets of a video by pictures, for example.
+/// Selects topics whose messages are transformed while a bag is converted, for example video packets into pictures.
 pub trait Transform {
     /// The transformation of this topic; `None` copies its messages.
     fn of_topic(&mut self, topic: &TopicInfo) -> Option<Box<dyn TopicTransform>>;
 }
 
-/// The transformation of one topic. It may keep state from message to message.
+/// The transformation of one topic. It may keep state between messages.
 pub trait TopicTransform {
     /// The topic that replaces the old one.
     fn topic(&self) -> NewTopic;
 
-    /// Takes the next message, in the order of log times, and gives the new messages that are ready.
+    /// Converts the next message, in log-time order, and returns the new messages that are ready.
     ///
     /// # Errors
-    /// What is wrong with the message, which is left out.
+    /// The fault of the message, which is skipped.
     fn convert(&mut self, message: &BagMessage) -> Result<Vec<NewMessage>, String>;
 
-    /// The new messages that are still held back at the bag's end.
+    /// The new messages that remain at the end of the bag.
     ///
     /// # Errors
-    /// Why they are lost.
+    /// The reason why they are lost.
     fn finish(&mut self) -> Result<Vec<NewMessage>, String> {
         Ok(Vec::new())
     }
 
-    /// Messages that gave no new one although [`convert`](Self::convert) took them. Called after
-    /// [`finish`](Self::finish).
+    /// Messages that [`convert`](Self::convert) accepted without a new message. Called after [`finish`](Self::finish).
     fn omissions(&self) -> Vec<Omission> {
         Vec::new()
     }
 }
 
-/// Messages of a topic that a transformation leaves out for one reason.
+/// Messages of a topic that a transformation skips for one reason.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Omission {
-    /// How many.
+    /// Number of messages.
     pub messages: u64,
-    /// Why.
+    /// The reason.
     pub reason: String,
 }
 
 /// A topic of a converted bag.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NewTopic {
-    /// Its full name.
+    /// The full name.
     pub name: String,
     /// The type, as `package/msg/Type`.
     pub type_name: String,
     /// The type's definition.
     pub schema: Schema,
-    /// Its `offered_qos_profiles`.
+    /// The text of `offered_qos_profiles`.
     pub qos_yaml: String,
 }
 
 /// A message of a converted topic.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NewMessage {
-    /// When it was recorded, in ns since the epoch.
+    /// Time of recording, in ns since the epoch.
     pub log_time_ns: u64,
-    /// When it was published, in ns since the epoch.
+    /// Time of publication, in ns since the epoch.
     pub publish_time_ns: u64,
     /// CDR with its header.
     pub data: Bytes,
 }
 
-/// What came of [`convert`].
+/// The result of [`convert`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
-pub struct Converted {
+pub struct Conversion {
     /// The new bag.
     pub summary: BagSummary,
-    /// Names of the transformed topics in the old and in the new bag.
+    /// Names of the transformed topics, in the old and in the new bag.
     pub transformed: Vec<(String, String)>,
-    /// Topics whose type has no definition in the new bag: the old one has none, and it is not known here, or does not fit.
+    /// Topics without a definition in the new bag: the old bag has none, and the known one is missing or does not fit.
     pub undefined: Vec<String>,
-    /// What is wrong with the old bag, and what could not be transformed.
+    /// Faults of the old bag, and failures transformations.
     pub warnings: Vec<BagWarning>,
 }
 
-impl Converted {
+impl Conversion {
     /// Whether messages of the old bag are missing from the new one.
     #[must_use]
     pub fn is_lossy(&self) -> bool {
@@ -94,8 +93,8 @@ impl Converted {
     }
 }
 
-/// A line for the bag, for each transformed topic and for each warning.
-impl fmt::Display for Converted {
+/// One line each for the bag, the transformed topics and the warnings.
+impl fmt::Display for Conversion {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             f,
@@ -123,44 +122,44 @@ impl fmt::Display for Converted {
     }
 }
 
-/// Writes the bag at `input`, of any storage that is read and compressed in any way, as an MCAP bag at `output`. Bytes, times
-/// and sequence numbers of messages stay as they were, and so do definitions and QoS, and what the bag's metadata note of
-/// it. The first of `transforms` that takes a topic transforms it.
+/// Writes the bag at `input`, in any storage and compression that [`BagReader`] reads, as an MCAP bag at `output`. Copies
+/// definitions, QoS profiles, notes, and the bytes, times and sequence numbers of messages. The first of `transforms`
+/// that accepts a topic transforms it.
 ///
 /// # Errors
-/// No bag, an `output` that exists, or files that cannot be read or written. A damaged chunk and a message that cannot be
-/// transformed are no error: see [`Converted::warnings`].
+/// `input` is not a bag, `output` exists, or a file cannot be read or written. Damaged chunks and failures
+/// transformations are [`Conversion::warnings`].
 pub fn convert(
     input: impl AsRef<Path>,
     output: impl AsRef<Path>,
     mut options: WriterOptions,
     transforms: &mut [Box<dyn Transform>],
-) -> Result<Converted, BagError> {
+) -> Result<Conversion, BagError> {
     let reader = BagReader::open(input)?;
     let old = reader.summary();
     options.ros_distro = old.ros_distro;
-    let mut part = Part::new(&reader, BagWriter::create(output, options)?, old.notes);
+    let mut copy = BagCopy::new(&reader, BagWriter::create(output, options)?, old.notes);
     for (topic, lost) in &old.lost {
-        part.writer.count_lost(topic, *lost);
+        copy.writer.count_lost(topic, *lost);
     }
-    let mut transformed: BTreeMap<Arc<str>, Transformed> = BTreeMap::new();
+    let mut transformed: BTreeMap<Arc<str>, TransformedTopic> = BTreeMap::new();
     for topic in reader.topics() {
         let found = transforms
             .iter_mut()
             .find_map(|transform| transform.of_topic(topic));
         if let Some(transform) = found {
             let new = transform.topic();
-            part.writer
+            copy.writer
                 .add_topic_raw(&new.name, &new.type_name, &new.schema, &new.qos_yaml)?;
-            let of_topic = Transformed {
+            let of_topic = TransformedTopic {
                 new,
                 transform,
-                failed: None,
+                failures: None,
             };
             transformed.insert(Arc::clone(&topic.name), of_topic);
         }
     }
-    part.add_channels(&reader, |topic| !transformed.contains_key(topic))?;
+    copy.add_channels(&reader, |topic| !transformed.contains_key(topic))?;
     let undefined = reader
         .topics()
         .iter()
@@ -170,7 +169,7 @@ pub fn convert(
         .collect();
 
     for stored in reader.stored_messages(|messages| messages) {
-        let Some(stored) = part.readable(stored)? else {
+        let Some(stored) = copy.readable(stored)? else {
             continue;
         };
         let message = match transformed.is_empty() {
@@ -184,47 +183,50 @@ pub fn convert(
         match message {
             Some((message, transformed)) => {
                 let made = transformed.transform.convert(&message);
-                transformed.put(&mut part, made)?;
+                transformed.put(&mut copy, made)?;
             }
-            None => part.write(&stored, stored.header)?,
+            None => copy.write(&stored, stored.header)?,
         }
     }
     let mut names: Vec<(String, String)> = Vec::new();
     for (topic, mut transformed) in transformed {
         let made = transformed.transform.finish();
-        transformed.put(&mut part, made)?;
-        let failed = transformed.failed.take();
+        transformed.put(&mut copy, made)?;
+        let failures = transformed.failures.take();
         let omissions = transformed.transform.omissions().into_iter();
-        part.warnings
-            .extend(omissions.chain(failed).map(|omission| BagWarning::Omitted {
-                topic: topic.to_string(),
-                messages: omission.messages,
-                reason: omission.reason,
-            }));
+        copy.warnings.extend(
+            omissions
+                .chain(failures)
+                .map(|omission| BagWarning::Omitted {
+                    topic: topic.to_string(),
+                    messages: omission.messages,
+                    reason: omission.reason,
+                }),
+        );
         names.push((topic.to_string(), transformed.new.name));
     }
     names.sort();
-    Ok(Converted {
-        summary: part.writer.finish()?,
+    Ok(Conversion {
+        summary: copy.writer.finish()?,
         transformed: names,
         undefined,
-        warnings: part.warnings,
+        warnings: copy.warnings,
     })
 }
 
-/// A topic while it is transformed.
-struct Transformed {
+/// The transformation of a topic and its failures.
+struct TransformedTopic {
     new: NewTopic,
     transform: Box<dyn TopicTransform>,
-    /// Messages that the transformation refused, with the first reason.
-    failed: Option<Omission>,
+    /// Number of messages that failures, and the first reason.
+    failures: Option<Omission>,
 }
 
-impl Transformed {
-    /// Writes the new messages, or counts the refused one.
+impl TransformedTopic {
+    /// Writes the new messages, or counts a failure.
     fn put(
         &mut self,
-        part: &mut Part,
+        copy: &mut BagCopy,
         made: Result<Vec<NewMessage>, String>,
     ) -> Result<(), BagError> {
         match made {
@@ -232,9 +234,9 @@ impl Transformed {
                 for message in messages {
                     let times = (message.log_time_ns, message.publish_time_ns);
                     let (name, data) = (&self.new.name, &message.data);
-                    match part.writer.append_at(name, times, data) {
+                    match copy.writer.append_at(name, times, data) {
                         Err(error @ BagError::LogTime { .. }) => {
-                            part.readable(Err(error))?;
+                            copy.readable(Err(error))?;
                         }
                         written => written?,
                     }
@@ -245,7 +247,7 @@ impl Transformed {
                     messages: 0,
                     reason,
                 };
-                self.failed.get_or_insert(first).messages += 1;
+                self.failures.get_or_insert(first).messages += 1;
             }
         }
         Ok(())
@@ -261,7 +263,7 @@ mod tests {
         std_msgs::{Float32, String as Text},
     };
 
-    /// Numbers of texts; the last is held back by one.
+    /// Parses texts as numbers; each number is written one message later.
     struct Numbers {
         held: Option<NewMessage>,
     }
@@ -304,7 +306,7 @@ mod tests {
     }
 
     #[test]
-    fn a_topic_is_transformed_and_the_others_stay() {
+    fn one_topic_is_transformed_and_the_others_are_copied() {
         let scratch = tempfile::tempdir().unwrap();
         let (old, new) = (scratch.path().join("old"), scratch.path().join("new"));
         let mut writer = BagWriter::create(&old, WriterOptions::default()).unwrap();

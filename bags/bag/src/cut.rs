@@ -2,57 +2,55 @@ use std::{collections::BTreeSet, path::Path, time::Duration};
 
 use crate::{
     BagError, BagReader, BagSummary, BagWarning, BagWriter, Compression, TopicFilter, TopicInfo,
-    WriterOptions, part::Part,
+    WriterOptions, bag_copy::BagCopy,
 };
 
-/// Where a part of a bag begins.
+/// The start of a part of a bag.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum CutStart {
-    /// With the bag.
+    /// The start of the bag.
     #[default]
     Beginning,
-    /// So long after the bag's first message.
+    /// At this offset from the bag's first message.
     After(Duration),
     /// At this log time, in ns since the epoch.
     At(u64),
 }
 
-/// Where a part of a bag ends.
+/// The end of a part of a bag.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum CutEnd {
-    /// With the bag.
+    /// The end of the bag.
     #[default]
     End,
-    /// So long after its start; a message of that very time is outside.
+    /// At this offset from the start; a message of exactly that time is excluded.
     After(Duration),
     /// Before this log time, in ns since the epoch.
     Before(u64),
 }
 
-/// What came of [`cut`].
+/// The result of [`cut`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Cut {
     /// The new bag.
     pub summary: BagSummary,
-    /// Topics whose last message before the start was kept.
+    /// Topics with a latched message from before the start.
     pub latched: Vec<String>,
-    /// What is wrong with the old bag.
+    /// Faults of the old bag.
     pub warnings: Vec<BagWarning>,
 }
 
-/// Writes the messages of the bag at `input` that lie between two times and on the topics that `topics` wants to a new
-/// bag at `output`, in log-time order. Bytes, times and sequence numbers stay as they were, and so do schemas and
-/// channels, and what the bag's metadata note of it: its action space, where it came from.
+/// Copies the messages of the bag at `input` between two times, on the topics that `topics` selects, to a new bag at
+/// `output`, in log-time order. Copies schemas, channels, notes, and the bytes, times and sequence numbers of messages.
 ///
-/// What holds until it is replaced would be missing from a part that begins later: of each topic that is offered
-/// as transient local, the last message before the start is kept too (of `/tf_static` all that differ), with the start as
-/// its log time, so that it is played first; its publish time stays. Offsets count from the recording itself
-/// ([`BagReader::main_span_ns`]).
+/// Latched messages from before the start are copied too: the last message of each transient local topic (for
+/// `/tf_static` all distinct ones). Their log time becomes the start, so that they are played first; their publish time
+/// stays. Offsets count from the start of the recording itself ([`BagReader::time_at`]).
 ///
 /// # Errors
-/// No bag, a topic that is named and not there, a time in which the bag has nothing, an `output` that exists, or files
-/// that cannot be read or written. A damaged chunk is no error: see [`Cut::warnings`].
+/// `input` is not a bag, a named topic is missing, the time span is empty, `output` exists, or a file cannot be read or
+/// written. Damaged chunks are [`Cut::warnings`].
 pub fn cut(
     input: impl AsRef<Path>,
     output: impl AsRef<Path>,
@@ -61,14 +59,14 @@ pub fn cut(
     topics: &TopicFilter,
 ) -> Result<Cut, BagError> {
     let reader = BagReader::open(input)?;
-    if let Some(absent) = topics
+    if let Some(missing) = topics
         .named()
         .iter()
         .find(|name| reader.topic(name).is_none())
     {
         return Err(BagError::NoTopic {
             path: reader.path().to_owned(),
-            topic: absent.clone(),
+            topic: missing.clone(),
             topics: reader
                 .topics()
                 .iter()
@@ -76,7 +74,7 @@ pub fn cut(
                 .collect(),
         });
     }
-    // Offsets count from the recording itself, from which a message without a time may be far.
+    // An invalid stamp may be far from the recording itself.
     let (start_ns, origin_ns) = match start {
         CutStart::Beginning => (reader.start_ns(), reader.time_at(Duration::ZERO)),
         CutStart::After(offset) => (reader.time_at(offset), reader.time_at(offset)),
@@ -104,25 +102,26 @@ pub fn cut(
         old.compression.as_str()
     };
     let options = WriterOptions {
+        // Several compressions have no name of their own: the new bag has the default.
         compression: Compression::of_mcap(name).unwrap_or_default(),
         ros_distro: old.ros_distro,
         ..WriterOptions::default()
     };
-    let mut part = Part::new(&reader, BagWriter::create(output, options)?, old.notes);
-    part.add_channels(&reader, |topic| topics.wants(topic))?;
+    let mut copy = BagCopy::new(&reader, BagWriter::create(output, options)?, old.notes);
+    copy.add_channels(&reader, |topic| topics.wants(topic))?;
 
-    let mut kept = BTreeSet::new();
+    let mut latched_topics = BTreeSet::new();
     if start_ns > reader.start_ns() {
         let wants = |topic: &TopicInfo| topics.wants(&topic.name);
         let (messages, unreadable) = reader.stored_latched_before(start_ns, wants);
         for error in unreadable {
-            part.readable(Err(error))?;
+            copy.readable(Err(error))?;
         }
         for (topic, message) in messages {
             let mut header = message.header;
             header.log_time = start_ns;
-            part.write(&message, header)?;
-            kept.insert(topic.to_string());
+            copy.write(&message, header)?;
+            latched_topics.insert(topic.to_string());
         }
     }
     let wanted = || {
@@ -133,24 +132,24 @@ pub fn cut(
     let messages = reader.stored_messages(|messages| {
         let messages = messages.only_topics(all).starting_at(start_ns);
         match end {
-            // The last time may be the largest there is.
+            // `end_ns` excludes the largest possible log time.
             CutEnd::End => messages,
             _ => messages.ending_before(end_ns),
         }
     });
     for message in messages {
-        if let Some(message) = part.readable(message)? {
-            part.write(&message, message.header)?;
+        if let Some(message) = copy.readable(message)? {
+            copy.write(&message, message.header)?;
         }
     }
     Ok(Cut {
-        summary: part.writer.finish()?,
-        latched: kept.into_iter().collect(),
-        warnings: part.warnings,
+        summary: copy.writer.finish()?,
+        latched: latched_topics.into_iter().collect(),
+        warnings: copy.warnings,
     })
 }
 
-/// More than 584 years saturate.
+/// Saturates at 584 years.
 fn nanoseconds(duration: Duration) -> u64 {
     u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)
 }

@@ -1,30 +1,30 @@
-//! How the bytes of a channel become values of a Rust type: by the definition that the bag carries.
+//! Decoding of a channel's messages into Rust types, by the definition in the bag.
 
 use std::sync::OnceLock;
 
 use wm_msgs::{DescriptionError, Mapping, Message, TypeDescription, cdr};
 
-use crate::{BagError, Schema, definitions};
+use crate::{BagError, Schema, own_types};
 
 /// Representation identifiers of plain CDR, version 2.
 const PLAIN_CDR_2: [[u8; 2]; 2] = [[0, 6], [0, 7]];
 
-/// What the definition of a channel says about its messages.
+/// Comparison of a channel's definition with the Rust type.
 #[derive(Debug)]
-pub(crate) enum Fields {
-    /// Those of the Rust type.
+pub(crate) enum FieldMatch {
+    /// The same fields.
     Same,
-    /// The bag has no definition: bytes that are not exactly a value of the Rust type are refused.
+    /// The bag has no definition: the bytes must be exactly a value of the Rust type.
     Unknown,
-    /// The bag's definition cannot be understood; as [`Unknown`](Self::Unknown).
+    /// The bag's definition is invalid; decoded as [`Unknown`](Self::Unknown).
     Unreadable(DescriptionError),
-    /// Others, matched by name.
+    /// Other fields, matched by name.
     Mapped(Box<Mapping>),
-    /// Others, which do not fit.
+    /// Other fields that do not fit.
     Refused(String),
 }
 
-impl Fields {
+impl FieldMatch {
     fn of(type_name: &str, schema: &Schema, ours: &TypeDescription) -> Self {
         match schema.description(type_name) {
             Ok(None) => Self::Unknown,
@@ -38,31 +38,31 @@ impl Fields {
     }
 }
 
-/// The decoding of a channel's messages. Every message of the channel has it.
+/// Decodes the messages of a channel.
 #[derive(Debug, Default)]
 pub(crate) struct Decoding {
-    fields: OnceLock<Fields>,
+    fields: OnceLock<FieldMatch>,
 }
 
 impl Decoding {
-    /// The decoding of messages of this type and definition.
+    /// A decoder for this type and definition.
     pub fn new(type_name: &str, schema: &Schema) -> Self {
         let decoding = Self::default();
-        // The definitions of other types are compared when somebody decodes one.
-        if let Some(ours) = definitions::own_description(type_name) {
+        // Other types are compared at the first call of `decode`. A test checks the own descriptions.
+        if let Some(Ok(ours)) = own_types::find(type_name).map(|own| (own.description)()) {
             decoding
                 .fields
-                .get_or_init(|| Fields::of(type_name, schema, &ours));
+                .get_or_init(|| FieldMatch::of(type_name, schema, &ours));
         }
         decoding
     }
 
-    /// How the definition compares with this suite's type of that name; none for a type that the suite does not have.
-    pub fn fields(&self) -> Option<&Fields> {
+    /// The comparison with this suite's type of the same name; `None` for types of other packages.
+    pub fn fields(&self) -> Option<&FieldMatch> {
         self.fields.get()
     }
 
-    /// The value in these bytes; `topic` and `schema` are those of the channel.
+    /// Decodes these bytes; `topic` and `schema` are those of the channel.
     pub fn decode<M: Message>(
         &self,
         topic: &str,
@@ -84,7 +84,7 @@ impl Decoding {
         let fields = match self.fields.get() {
             Some(fields) => fields,
             None => {
-                let fields = Fields::of(&M::ros_name(), schema, &ours()?);
+                let fields = FieldMatch::of(&M::ros_name(), schema, &ours()?);
                 self.fields.get_or_init(|| fields)
             }
         };
@@ -92,19 +92,19 @@ impl Decoding {
             .first_chunk::<2>()
             .is_some_and(|representation| PLAIN_CDR_2.contains(representation));
         match fields {
-            Fields::Mapped(mapping) => {
+            FieldMatch::Mapped(mapping) => {
                 let converted = mapping.convert(bytes);
                 plain(&converted.map_err(|error| refused(error.to_string()))?)
             }
-            Fields::Refused(reason) => Err(refused(reason.clone())),
-            Fields::Same | Fields::Unknown | Fields::Unreadable(_) if is_version_2 => {
+            FieldMatch::Refused(reason) => Err(refused(reason.clone())),
+            FieldMatch::Same | FieldMatch::Unknown | FieldMatch::Unreadable(_) if is_version_2 => {
                 let ours = ours()?;
                 let same = Mapping::new(&ours, &ours);
                 let same = same.map_err(|error| refused(error.to_string()))?;
                 let converted = same.convert(bytes);
                 plain(&converted.map_err(|error| refused(error.to_string()))?)
             }
-            Fields::Same | Fields::Unknown | Fields::Unreadable(_) => plain(bytes),
+            FieldMatch::Same | FieldMatch::Unknown | FieldMatch::Unreadable(_) => plain(bytes),
         }
     }
 }
@@ -124,10 +124,10 @@ mod tests {
     const HEADER: [u8; 16] = [1, 0, 0, 0, 2, 0, 0, 0, 2, 0, 0, 0, b'b', 0, 0, 0];
 
     #[test]
-    fn values_are_found_by_name_where_the_bag_has_other_fields() {
+    fn fields_are_matched_by_name() {
         let values = [&[2, 0, 0, 0][..], &1f32.to_le_bytes(), &2f32.to_le_bytes()].concat();
         for (text, body) in [
-            // Types that the schema names and does not define are known.
+            // The reader adds types that the schema uses and does not define.
             (
                 "std_msgs/Header header\nfloat32[] values\n",
                 [&HEADER[..], &values].concat(),
@@ -157,8 +157,8 @@ mod tests {
     }
 
     #[test]
-    fn bytes_without_a_definition_must_fit_exactly() {
-        // A field before the values: seven as their number leaves four bytes.
+    fn bytes_without_definition_must_fit_exactly() {
+        // An unknown field before the values: the count 7 would leave four bytes.
         let shifted = [&HEADER[..], &[7, 0, 0, 0, 7, 0, 0, 0], &[0; 28]].concat();
         for text in ["", "std_msgs/Header header header ;;\n{}\n"] {
             assert!(action(text, &shifted).is_err());
@@ -168,8 +168,8 @@ mod tests {
     }
 
     #[test]
-    fn cdr_of_version_2_is_read() {
-        // An eight-byte number stands at a multiple of four.
+    fn cdr_version_2_is_read() {
+        // In version 2, eight-byte numbers are aligned to four bytes.
         let schema = type_schema::<std_msgs::Float64MultiArray>();
         let decoding = Decoding::new("std_msgs/msg/Float64MultiArray", &schema);
         let body = [

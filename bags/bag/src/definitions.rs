@@ -1,36 +1,27 @@
-//! Message definitions: of this suite's own types, else of the ROS packages on `AMENT_PREFIX_PATH`.
+//! Message definitions: this suite's own, and those of the ROS packages on `AMENT_PREFIX_PATH`.
 
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
-use std::sync::LazyLock;
 
-use crate::{Schema, SchemaEncoding, type_schema};
-use wm_msgs::{
-    DescriptionError, Message, TypeDescription, builtin_interfaces, diagnostic_msgs, geometry_msgs,
-    lifecycle_msgs, rcl_interfaces, rosgraph_msgs, sensor_msgs, std_msgs, tf2_msgs,
-    trajectory_msgs, vision_msgs, visualization_msgs,
-    wm_msgs::{
-        Action, ActionCandidates, ActionChunk, Assessment, CameraState, EnvObservation,
-        ExecutorStatus, Goal, Latent, LatentSpace, Plan, Prediction, PredictionError,
-    },
-};
+use crate::{Schema, SchemaEncoding, own_types};
+use wm_msgs::DEFINITIONS;
 
-/// A definition file is text of a few kilobytes; a larger one is no definition.
+/// A definition file has a few kilobytes; larger files are ignored \[bytes\].
 const FILE_LIMIT: u64 = 1 << 20;
 
-/// A type of more parts than this is refused.
-const PARTS_LIMIT: usize = 256;
+/// Limit of the types that a definition uses, directly or not.
+const TYPES_LIMIT: usize = 256;
 
-/// The definition of `package/msg/Type`, or an empty schema where it is found nowhere: the bytes can be recorded
-/// and played all the same, only not decoded by who does not know the type.
+/// The definition of `package/msg/Type`, if this suite or a package under `prefixes` has one. Without a definition, the
+/// bytes can be recorded and played, but a reader must know the type.
 #[must_use]
 pub fn definition(type_name: &str, prefixes: &[PathBuf]) -> Option<Schema> {
     own(type_name).or_else(|| installed(type_name, prefixes))
 }
 
-/// The definitions that may be that of a type's publisher, which DDS does not send: that of this suite, then another that is
-/// installed. Bytes say which of them fits.
+/// Possible definitions of a publisher's type, which DDS does not send: this suite's, then a different installed one.
+/// The bytes of a message show which one fits.
 #[must_use]
 pub fn candidates(type_name: &str, prefixes: &[PathBuf]) -> Vec<Schema> {
     let mut found: Vec<Schema> = own(type_name).into_iter().collect();
@@ -46,7 +37,7 @@ pub fn candidates(type_name: &str, prefixes: &[PathBuf]) -> Vec<Schema> {
     found
 }
 
-/// What stands for a definition that was not found.
+/// The schema for a type without a known definition.
 #[must_use]
 pub fn unknown() -> Schema {
     Schema {
@@ -58,101 +49,34 @@ pub fn unknown() -> Schema {
 /// The folders of `AMENT_PREFIX_PATH`.
 #[must_use]
 pub fn prefixes() -> Vec<PathBuf> {
+    // Unset without a sourced ROS 2: no folders.
     let path = std::env::var_os("AMENT_PREFIX_PATH").unwrap_or_default();
     std::env::split_paths(&path)
         .filter(|prefix| !prefix.as_os_str().is_empty())
         .collect()
 }
 
-/// A type of this suite.
-struct Own {
-    name: String,
-    dependencies: Vec<(&'static str, &'static str)>,
-    schema: fn() -> Schema,
-    description: fn() -> Result<TypeDescription, DescriptionError>,
-}
-
-fn own_type<M: Message>() -> Own {
-    Own {
-        name: M::ros_name(),
-        dependencies: M::dependencies(),
-        schema: type_schema::<M>,
-        description: TypeDescription::of::<M>,
-    }
-}
-
-static OWN: LazyLock<Vec<Own>> = LazyLock::new(|| {
-    vec![
-        own_type::<std_msgs::Header>(),
-        own_type::<std_msgs::String>(),
-        own_type::<std_msgs::Bool>(),
-        own_type::<std_msgs::Float32>(),
-        own_type::<std_msgs::Float64>(),
-        own_type::<std_msgs::Float64MultiArray>(),
-        own_type::<sensor_msgs::Image>(),
-        own_type::<sensor_msgs::CompressedImage>(),
-        own_type::<sensor_msgs::CameraInfo>(),
-        own_type::<sensor_msgs::JointState>(),
-        own_type::<geometry_msgs::Pose>(),
-        own_type::<geometry_msgs::PoseStamped>(),
-        own_type::<geometry_msgs::TwistStamped>(),
-        own_type::<geometry_msgs::PoseArray>(),
-        own_type::<diagnostic_msgs::DiagnosticArray>(),
-        own_type::<rosgraph_msgs::Clock>(),
-        own_type::<tf2_msgs::TFMessage>(),
-        own_type::<trajectory_msgs::JointTrajectory>(),
-        own_type::<vision_msgs::LabelInfo>(),
-        own_type::<visualization_msgs::MarkerArray>(),
-        own_type::<lifecycle_msgs::TransitionEvent>(),
-        own_type::<LatentSpace>(),
-        own_type::<Latent>(),
-        own_type::<Action>(),
-        own_type::<ActionChunk>(),
-        own_type::<ActionCandidates>(),
-        own_type::<Assessment>(),
-        own_type::<EnvObservation>(),
-        own_type::<Goal>(),
-        own_type::<Prediction>(),
-        own_type::<PredictionError>(),
-        own_type::<Plan>(),
-        own_type::<CameraState>(),
-        own_type::<ExecutorStatus>(),
-    ]
-});
-
 fn own(type_name: &str) -> Option<Schema> {
-    let own = OWN.iter().find(|own| own.name == type_name)?;
-    Some((own.schema)())
-}
-
-/// What this suite's own type of this name is made of; none for other types.
-pub(crate) fn own_description(type_name: &str) -> Option<TypeDescription> {
-    let own = OWN.iter().find(|own| own.name == type_name)?;
-    // A test holds every type of the suite.
-    (own.description)().ok()
-}
-
-/// Name and `.msg` text of this suite's own type of this name, or of one that such a type names.
-pub(crate) fn known_text(type_name: &str) -> Option<(&'static str, &'static str)> {
-    OWN.iter().find_map(|own| {
-        let named = own.dependencies.iter().find(|(name, _)| *name == type_name);
-        named.copied()
-    })
+    let own = own_types::find(type_name)?;
+    Some(Schema::from_parts(
+        own.definition,
+        own.dependencies.iter().copied(),
+    ))
 }
 
 fn installed(type_name: &str, prefixes: &[PathBuf]) -> Option<Schema> {
     let mut text = read(type_name, prefixes)?;
-    let mut seen = BTreeSet::from([type_name.to_owned()]);
-    let mut waiting = parts(type_name, &text);
-    while let Some(part) = waiting.pop() {
-        if seen.len() > PARTS_LIMIT {
+    let mut known = BTreeSet::from([type_name.to_owned()]);
+    let mut pending = field_types(type_name, &text);
+    while let Some(part) = pending.pop() {
+        if known.len() > TYPES_LIMIT {
             return None;
         }
-        if seen.insert(part.clone()) {
+        if known.insert(part.clone()) {
             let definition = read(&part, prefixes)?;
-            waiting.extend(parts(&part, &definition));
+            pending.extend(field_types(&part, &definition));
             let name = part.replace("/msg/", "/");
-            // writing to a String cannot fail
+            // Writing to a String cannot fail.
             write!(text, "\n{}\nMSG: {name}\n{definition}", "=".repeat(80)).ok();
         }
     }
@@ -161,7 +85,7 @@ fn installed(type_name: &str, prefixes: &[PathBuf]) -> Option<Schema> {
 
 fn read(type_name: &str, prefixes: &[PathBuf]) -> Option<String> {
     let (package, name) = type_name.split_once("/msg/")?;
-    // names come from the network: nothing but a file name may become part of a path
+    // Names come from the network: only plain file names may become part of a path.
     let is_plain = |part: &str| {
         !part.is_empty() && part.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
     };
@@ -184,25 +108,21 @@ fn read(type_name: &str, prefixes: &[PathBuf]) -> Option<String> {
                 None
             }
         });
-    // What every ROS node publishes beside its own topics, so that a bag can be decoded where no ROS is installed.
+    // Types that every ROS node publishes, so that a bag can be decoded without an installed ROS.
     let known = || {
-        let time = (
-            "builtin_interfaces/msg/Time",
-            builtin_interfaces::Time::DEFINITION,
-        );
-        rcl_interfaces::MESSAGES
-            .into_iter()
-            .chain([time])
-            .find(|(known, _)| *known == type_name)
-            .map(|(_, text)| text.to_owned())
+        let is_of_nodes = package == "rcl_interfaces" || type_name == "builtin_interfaces/msg/Time";
+        let mut all = DEFINITIONS.iter().filter(|_| is_of_nodes);
+        let (_, text) = all.find(|(known, _)| *known == type_name)?;
+        Some((*text).to_owned())
     };
     installed.or_else(known)
 }
 
-/// The message types that a definition's fields have, as `package/msg/Type`.
-fn parts(type_name: &str, definition: &str) -> Vec<String> {
+/// The message types of a definition's fields, as `package/msg/Type`.
+fn field_types(type_name: &str, definition: &str) -> Vec<String> {
+    // Never empty below: `split` gives at least one part.
     let package = type_name.split('/').next().unwrap_or_default();
-    let mut parts = Vec::new();
+    let mut field_types = Vec::new();
     for line in definition.lines() {
         let code = line.split('#').next().unwrap_or_default();
         let Some(field_type) = code.split_whitespace().next() else {
@@ -210,29 +130,33 @@ fn parts(type_name: &str, definition: &str) -> Vec<String> {
         };
         let field_type = field_type.split(['[', '<', '=']).next().unwrap_or_default();
         match field_type.split('/').collect::<Vec<_>>().as_slice() {
-            [package, name] | [package, "msg", name] => parts.push(format!("{package}/msg/{name}")),
-            // types begin with a capital; primitives do not
+            [package, name] | [package, "msg", name] => {
+                field_types.push(format!("{package}/msg/{name}"));
+            }
+            // Message types begin with a capital, primitives do not.
             [name] if name.starts_with(|c: char| c.is_ascii_uppercase()) => match *name {
-                "Header" => parts.push("std_msgs/msg/Header".to_owned()),
-                name => parts.push(format!("{package}/msg/{name}")),
+                "Header" => field_types.push("std_msgs/msg/Header".to_owned()),
+                name => field_types.push(format!("{package}/msg/{name}")),
             },
             _ => {}
         }
     }
-    parts
+    field_types
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::type_schema;
+    use wm_msgs::wm_msgs::Prediction;
 
     #[test]
-    fn own_types_need_no_ros() {
+    fn own_types_need_no_installed_ros() {
         let schema = definition("wm_msgs/msg/Prediction", &[]).unwrap();
         assert_eq!(schema, type_schema::<Prediction>());
         assert_eq!(definition("nav_msgs/msg/Odometry", &[]), None);
         let event = definition("rcl_interfaces/msg/ParameterEvent", &[]).unwrap();
-        // As ROS 2 Kilted installs it in share/rcl_interfaces/msg/ParameterEvent.json.
+        // From ROS 2 Kilted: share/rcl_interfaces/msg/ParameterEvent.json.
         let hash = event.type_hash("rcl_interfaces/msg/ParameterEvent");
         assert_eq!(
             hash.unwrap().unwrap().to_string(),
@@ -253,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn installed_types_come_with_their_parts_each_once() {
+    fn installed_types_list_each_dependency_once() {
         let folder = tempfile::tempdir().unwrap();
         let write = |package: &str, name: &str, text: &str| {
             let folder = folder.path().join("share").join(package).join("msg");
@@ -263,7 +187,7 @@ mod tests {
         write(
             "a",
             "Top",
-            "Header header\nuint8 X=1\nPart[<=3] parts # Comment\nb/Other other\nstring<=5 s\n",
+            "Header header\nuint8 X=1\nPart[<=3] field_types # Comment\nb/Other other\nstring<=5 s\n",
         );
         write("a", "Part", "b/Other again\nfloat64[9] k\n");
         write("b", "Other", "int32 x\n");

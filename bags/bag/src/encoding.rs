@@ -1,10 +1,9 @@
-//! How the messages of a channel are encoded.
+//! Encodings of messages.
 
 use crate::schema::canonical_type_name;
 
-/// Types whose messages are kept if they are protocol buffers: pictures as Foxglove's tools record them. `wm_camera`
-/// decodes them.
-pub const PROTOBUF_TYPES: [&str; 3] = [
+/// Protobuf types that the reader accepts: pictures as Foxglove's tools record them. `wm_camera` decodes them.
+pub(crate) const PROTOBUF_TYPES: [&str; 3] = [
     "foxglove.CompressedImage",
     "foxglove.CompressedVideo",
     "foxglove.RawImage",
@@ -13,14 +12,14 @@ pub const PROTOBUF_TYPES: [&str; 3] = [
 /// An encoding of messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MessageEncoding {
-    /// CDR, as everywhere in ROS 2.
+    /// CDR, the encoding of ROS 2.
     Cdr,
-    /// Protocol buffers, of [`PROTOBUF_TYPES`] alone.
+    /// Protocol buffers, only of Foxglove's picture types.
     Protobuf,
 }
 
 impl MessageEncoding {
-    /// The name in files, as MCAP and rosbag2 have it.
+    /// The name in MCAP and rosbag2 files.
     #[must_use]
     pub fn as_str(self) -> &'static str {
         match self {
@@ -29,10 +28,10 @@ impl MessageEncoding {
         }
     }
 
-    /// Encoding and type of a channel with messages in `encoding` of the type `type_name`, if it has one.
+    /// Encoding and canonical type name of a channel.
     ///
     /// # Errors
-    /// Why its messages cannot be read.
+    /// The reason why its messages cannot be read.
     pub(crate) fn of_channel(
         encoding: &str,
         type_name: Option<&str>,

@@ -1,4 +1,4 @@
-//! What holds until it is replaced: messages of latched topics, which a late subscriber receives too.
+//! Messages of latched topics, which late subscribers receive too.
 
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -9,11 +9,11 @@ use bytes::Bytes;
 
 use crate::QosProfile;
 
-/// Messages of `/tf_static` that are kept: several nodes publish there, each its own frames.
+/// Limit of `/tf_static` messages: several nodes publish there, each its own frames.
 const STATIC_FRAMES: usize = 64;
 
-/// Topics, by the end of their names, that are latched wherever they are published.
-const LATCHED: [&str; 8] = [
+/// Name endings of topics that are always latched.
+const LATCHED_ENDINGS: [&str; 8] = [
     "/tf_static",
     "/robot_description",
     "/task/instruction",
@@ -24,14 +24,14 @@ const LATCHED: [&str; 8] = [
     "/map",
 ];
 
-/// The profile of a topic whose recorder wrote none, by what the topic is known for; none for other topics.
+/// The conventional profile of a topic that was recorded without one; `None` if its name implies nothing.
 #[must_use]
 pub fn known_qos(topic: &str) -> Option<QosProfile> {
-    let is_known = LATCHED.iter().any(|end| topic.ends_with(end));
+    let is_known = LATCHED_ENDINGS.iter().any(|end| topic.ends_with(end));
     is_known.then(QosProfile::latched)
 }
 
-/// How many messages of a latched topic hold at a time.
+/// Number of messages of a latched topic that a late subscriber receives.
 #[must_use]
 pub fn kept_messages(topic: &str) -> usize {
     match topic.ends_with("/tf_static") {
@@ -40,13 +40,13 @@ pub fn kept_messages(topic: &str) -> usize {
     }
 }
 
-/// The messages of latched topics that hold.
+/// The messages of latched topics that a late subscriber receives.
 #[derive(Clone, Debug)]
-pub struct Latched<T> {
+pub struct LatchedMessages<T> {
     topics: BTreeMap<Arc<str>, VecDeque<(Bytes, T)>>,
 }
 
-impl<T> Default for Latched<T> {
+impl<T> Default for LatchedMessages<T> {
     fn default() -> Self {
         Self {
             topics: BTreeMap::new(),
@@ -54,9 +54,9 @@ impl<T> Default for Latched<T> {
     }
 }
 
-impl<T> Latched<T> {
-    /// Takes the next message of a latched topic. It replaces the oldest, or the one with the same bytes.
-    pub fn keep(&mut self, topic: &Arc<str>, data: &Bytes, message: T) {
+impl<T> LatchedMessages<T> {
+    /// Adds a message of a latched topic. It replaces the oldest one, or the one with the same bytes.
+    pub fn add(&mut self, topic: &Arc<str>, data: &Bytes, message: T) {
         let kept = self.topics.entry(Arc::clone(topic)).or_default();
         kept.retain(|(known, _)| known != data);
         kept.push_back((data.clone(), message));
@@ -65,7 +65,7 @@ impl<T> Latched<T> {
         }
     }
 
-    /// The messages that hold, topic by topic, in the order in which they came.
+    /// The messages, by topic, in the order of their arrival.
     pub fn iter(&self) -> impl Iterator<Item = (&Arc<str>, &T)> {
         let topics = self.topics.iter();
         topics.flat_map(|(topic, kept)| kept.iter().map(move |(_, message)| (topic, message)))
@@ -85,8 +85,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_last_message_holds_and_static_frames_add_up() {
-        let mut latched = Latched::default();
+    fn last_message_replaces_others_except_static_frames() {
+        let mut latched = LatchedMessages::default();
         for (topic, data, number) in [
             ("/tf_static", "a", 1),
             ("/tf_static", "b", 2),
@@ -94,7 +94,7 @@ mod tests {
             ("/tf_static", "a", 4),
             ("/task/instruction", "pull", 5),
         ] {
-            latched.keep(&topic.into(), &Bytes::from_static(data.as_bytes()), number);
+            latched.add(&topic.into(), &Bytes::from_static(data.as_bytes()), number);
         }
         let kept: Vec<_> = latched.into_messages().map(|(_, number)| number).collect();
         assert_eq!(kept, [5, 2, 4]);

@@ -1,9 +1,8 @@
-//! rosbag2 bags in MCAP: a reader, a writer and their `metadata.yaml`.
+//! Reads, writes, cuts, converts and recovers rosbag2 bags.
 //!
-//! A bag is a directory with `metadata.yaml` and one or more `.mcap` files (profile `ros2`, messages in CDR, schemas in
-//! `ros2msg` with their dependencies). The reader also takes a lone `.mcap`, a bag whose recorder was killed (no
-//! `metadata.yaml`, no footer), files without chunks or without a summary, sqlite3 files, and what rosbag2 compresses. [`recover`] repairs such a bag,
-//! [`cut`](fn@cut) shortens one, [`convert`](fn@convert) makes MCAP of any.
+//! A bag is a folder with `metadata.yaml` and one or more `.mcap` files (profile `ros2`, messages in CDR, schemas in
+//! `ros2msg` with their dependencies). The reader also accepts a single `.mcap`, the bag of a killed recorder (without
+//! `metadata.yaml` or footer), files without chunks or summary, sqlite3 files, and the compressions of rosbag2.
 //!
 //! ```
 //! use wm_bag::{BagReader, BagWriter, QosProfile, WriterOptions};
@@ -17,31 +16,41 @@
 //! writer.finish()?;
 //!
 //! let reader = BagReader::open(&scratch)?;
-//! for message in reader.messages() {
-//!     println!("{}", message?.decode::<Text>()?.data);
+//! for message in reader.messages().only_topics(["/task/instruction"]) {
+//!     assert_eq!(message?.decode::<Text>()?.data, "put the cup on the plate");
 //! }
 //! # std::fs::remove_dir_all(&scratch).ok();
 //! # Ok(())
 //! # }
 //! ```
 //!
-//! # What holds
-//! - Messages come in log-time order, across files; those of the same time in the order of the file.
+//! # API
+//! | task | items |
+//! |---|---|
+//! | read | [`BagReader`], its [`Messages`], [`BagMessage`], [`TopicInfo`], [`BagSummary`] and [`BagWarning`] |
+//! | write | [`BagWriter`], [`WriterOptions`], [`Compression`], [`StoragePreset`] |
+//! | copy | [`cut`](fn@cut), [`convert`](fn@convert) with a [`Transform`], [`recover`](fn@recover) |
+//! | definitions of types | [`Schema`], [`type_schema`], [`definitions`] |
+//! | QoS | [`QosProfile`], [`known_qos`], [`LatchedMessages`] |
+//! | select | [`TopicFilter`], [`Shard`] (the share of one process among many) |
+//! | paths | [`set_aside`](fn@set_aside), [`free_name`], [`is_bag_file`], [`preferred_form`] |
+//!
+//! Every failure is a [`BagError`].
+//!
+//! # Invariants
+//! - Messages come in log-time order across files; those of the same time in the order of the file.
 //! - Memory is bounded by the chunks that overlap in time (one, in most bags), never by the file.
-//! - CDR bytes are handed over as they were written; nothing is decoded unless asked for.
-//! - The writer hands each finished chunk to the operating system: a killed process loses at most the open chunk,
-//!   and with a [`sync_interval`](WriterOptions::sync_interval) a power cut at most that interval and the open chunk.
-//! - Any bytes in a file give messages or an error, never a panic; every length is held against a named limit.
+//! - CDR bytes are never changed, and decoded only by [`BagMessage::decode`]: by the bag's definition, fields by name.
+//! - The writer passes each finished chunk to the operating system: a killed process loses at most the open chunk, and
+//!   with a [`sync_interval`](WriterOptions::sync_interval) a power cut at most that interval and the open chunk.
+//! - Any bytes in a file give messages or an error, never a panic; every length is checked against a named limit.
+//! - Unreadable channels are skipped and named. Foxglove's pictures in protobuf are read as bytes.
 //!
-//! - A message is decoded by the definition that the bag carries, its fields by their names.
-//! - A channel that cannot be read is left out by name, and the others are read. Pictures in protobuf
-//!   ([`PROTOBUF_TYPES`]) are read as bytes.
-//!
-//! # What it does not do
-//! Attachments; writing sqlite3, or with the file and message compression of rosbag2 (both are read). No ROS and no clock:
-//! playing and recording live in the nodes.
+//! # Not supported
+//! Attachments; writing sqlite3 or rosbag2's file and message compression. Playing and recording need ROS and a clock, so
+//! nodes implement them.
 
-mod aside;
+mod bag_copy;
 mod convert;
 mod cut;
 mod decoding;
@@ -50,11 +59,12 @@ mod encoding;
 mod error;
 mod latched;
 mod metadata;
-mod part;
+mod own_types;
 mod qos;
 mod reader;
 mod recover;
 mod schema;
+mod set_aside;
 mod shard;
 mod summary;
 mod topic;
@@ -62,12 +72,11 @@ mod topic_filter;
 mod warning;
 mod writer;
 
-pub use aside::{free_name, set_aside};
-pub use convert::{Converted, NewMessage, NewTopic, Omission, TopicTransform, Transform, convert};
+pub use convert::{Conversion, NewMessage, NewTopic, Omission, TopicTransform, Transform, convert};
 pub use cut::{Cut, CutEnd, CutStart, cut};
-pub use encoding::{MessageEncoding, PROTOBUF_TYPES};
+pub use encoding::MessageEncoding;
 pub use error::BagError;
-pub use latched::{Latched, kept_messages, known_qos};
+pub use latched::{LatchedMessages, kept_messages, known_qos};
 pub use qos::{Durability, QosProfile, Reliability};
 pub use reader::{
     BagMessage, BagReader, Messages,
@@ -75,6 +84,7 @@ pub use reader::{
 };
 pub use recover::{Loss, Losses, Recovery, recover};
 pub use schema::{Schema, SchemaEncoding, type_schema};
+pub use set_aside::{free_name, set_aside};
 pub use shard::Shard;
 pub use summary::{BagSummary, ORIGIN, TopicSummary};
 pub use topic::TopicInfo;
@@ -82,6 +92,6 @@ pub use topic_filter::TopicFilter;
 pub use warning::BagWarning;
 pub use writer::{BagWriter, Compression, StoragePreset, WriterOptions};
 
-/// Keys of a channel's metadata in the file, as `rosbag2_storage_mcap` writes them.
+/// Keys of a channel's metadata in a file (`rosbag2_storage_mcap`).
 pub(crate) const QOS_KEY: &str = "offered_qos_profiles";
 pub(crate) const TYPE_HASH_KEY: &str = "topic_type_hash";

@@ -10,21 +10,19 @@ use serde_yaml_ng::Value;
 
 use crate::BagError;
 
-/// The file's name within a bag.
 pub(crate) const FILE_NAME: &str = "metadata.yaml";
-/// The version that is written (rosbag2 `bag_metadata.hpp`); older ones are read too.
+/// The version that the writer writes (rosbag2 `bag_metadata.hpp`); older ones are read too.
 const VERSION: u32 = 9;
-/// A metadata file of a bag with thousands of topics and files is well under this; a larger one is not metadata.
+/// Bags with thousands of topics and files have far smaller metadata.
 const MAX_BYTES: u64 = 64 << 20;
 
-/// `metadata.yaml`, whole: what rosbag2 puts under one key.
+/// The content of `metadata.yaml`: one key.
 #[derive(Serialize, Deserialize)]
 struct Document {
     rosbag2_bagfile_information: Metadata,
 }
 
-/// `metadata.yaml` of rosbag2 (`rosbag2_storage/yaml.hpp`). What a reader can do without has a default, since older
-/// versions lack it.
+/// The metadata of a bag (rosbag2 `rosbag2_storage/yaml.hpp`). Keys that older versions lack have defaults.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Metadata {
     pub version: u32,
@@ -72,7 +70,7 @@ pub(crate) struct TopicMetadata {
     #[serde(rename = "type")]
     pub type_name: String,
     pub serialization_format: String,
-    /// A list of profiles since version 9, YAML within a string before that.
+    /// A list of profiles since version 9; earlier, YAML within a string.
     #[serde(default)]
     pub offered_qos_profiles: Value,
     #[serde(default)]
@@ -88,9 +86,9 @@ pub(crate) struct FileInformation {
 }
 
 impl Metadata {
-    /// A bag of these MCAP files.
+    /// The metadata of a bag with these MCAP files.
     pub fn of_files(files: Vec<FileInformation>) -> Self {
-        // A file without a message has no time.
+        // Files without messages have no time; 0 if no file has one.
         let spans = files.iter().filter(|file| file.message_count > 0);
         let start = spans
             .clone()
@@ -124,7 +122,7 @@ impl Metadata {
         }
     }
 
-    /// Reads the bag's metadata; none when the bag has no such file.
+    /// Reads the bag's metadata; `None` if the file is missing.
     pub fn read(dir: &Path) -> Result<Option<Self>, BagError> {
         let path = dir.join(FILE_NAME);
         let wrong = |reason: String| BagError::Metadata {
@@ -148,7 +146,7 @@ impl Metadata {
         Ok(Some(document.rosbag2_bagfile_information))
     }
 
-    /// Writes the bag's metadata in one step, so that a reader sees all of it or none, after a power cut too.
+    /// Replaces the bag's metadata atomically: even after a power cut, a reader finds all of it or none.
     pub fn write(self, dir: &Path) -> Result<(), BagError> {
         let path = dir.join(FILE_NAME);
         let text = serde_yaml_ng::to_string(&Document {
@@ -171,7 +169,7 @@ impl Metadata {
     }
 }
 
-/// Waits until the names of the files in `dir` are on the disk.
+/// Waits until the file names in `dir` are on the disk.
 pub(crate) fn sync_folder(dir: &Path) -> Result<(), BagError> {
     let synced = fs::File::open(dir).and_then(|folder| folder.sync_all());
     synced.map_err(|error| BagError::io(dir, error))
@@ -182,7 +180,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn metadata_survives_the_file() {
+    fn metadata_survives_a_round_trip() {
         let dir = tempfile::tempdir().unwrap();
         let file = |number: u64, start: i64| FileInformation {
             path: format!("bag_{number}.mcap").into(),
@@ -211,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn absent_and_foreign_files_are_told_apart() {
+    fn missing_metadata_is_no_error_and_other_yaml_is() {
         let dir = tempfile::tempdir().unwrap();
         assert!(Metadata::read(dir.path()).unwrap().is_none());
         fs::write(dir.path().join(FILE_NAME), "just: yaml\n").unwrap();

@@ -3,7 +3,7 @@ use serde_yaml_ng::Value;
 
 use crate::BagError;
 
-/// Whether samples may be lost on the way.
+/// Whether samples may be lost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Reliability {
     /// Lost samples are sent again.
@@ -12,35 +12,35 @@ pub enum Reliability {
     BestEffort,
 }
 
-/// Whether a late subscriber is served.
+/// Which samples a late subscriber receives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Durability {
-    /// Only what comes after it has joined.
+    /// Samples that are published after it joined.
     Volatile,
-    /// The last samples too: "latched".
+    /// The last samples too ("latched").
     TransientLocal,
 }
 
-/// The part of a ROS QoS profile that the suite uses. Deadline, lifespan and liveliness are written as "not set"
-/// and not read.
+/// The policies of a ROS QoS profile that the suite uses. Deadline, lifespan and liveliness are written as "not set" and
+/// ignored when read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct QosProfile {
     /// Whether samples may be lost.
     pub reliability: Reliability,
-    /// Whether a late subscriber is served.
+    /// Which samples a late subscriber receives.
     pub durability: Durability,
-    /// How many samples are kept (`keep_last`); 0 keeps all.
+    /// Queue depth (`keep_last`) \[samples\]; 0 keeps all.
     pub depth: u32,
 }
 
-/// rosbag2's "infinite" duration: `rmw_time_t` with both parts at their largest.
+/// rosbag2's infinite duration: the maximum of `rmw_time_t`.
 const INFINITE: YamlDuration = YamlDuration {
     sec: 9_223_372_036,
     nsec: 854_775_807,
 };
 
 impl QosProfile {
-    /// Actions, goals, plans: reliable, the last 10, volatile.
+    /// Actions, goals, plans: reliable, volatile, depth 10.
     #[must_use]
     pub const fn reliable() -> Self {
         Self {
@@ -50,7 +50,7 @@ impl QosProfile {
         }
     }
 
-    /// Cameras and latents, as `SensorDataQoS`: best effort, the last 5, volatile.
+    /// Cameras and latents, as `SensorDataQoS`: best effort, volatile, depth 5.
     #[must_use]
     pub const fn sensor_data() -> Self {
         Self {
@@ -60,7 +60,7 @@ impl QosProfile {
         }
     }
 
-    /// What holds until it is replaced: reliable, the last one, transient local.
+    /// Latched topics: reliable, transient local, depth 1.
     #[must_use]
     pub const fn latched() -> Self {
         Self {
@@ -70,24 +70,24 @@ impl QosProfile {
         }
     }
 
-    /// `offered_qos_profiles` with this one profile, as rosbag2 writes it since metadata version 9.
+    /// The text of `offered_qos_profiles` with this profile, as rosbag2 writes it since metadata version 9.
     #[must_use]
     pub fn to_yaml(&self) -> String {
-        // A struct of strings and numbers always has a YAML form.
+        // Cannot fail: a struct of strings and numbers always has a YAML form.
         serde_yaml_ng::to_string(&[YamlProfile::from(self)]).unwrap_or_default()
     }
 
-    /// Reads `offered_qos_profiles`: policies by name, or by the numbers of `rmw/types.h` that older bags have.
+    /// Parses `offered_qos_profiles`: policies by name, or by the numbers of `rmw/types.h` in older bags.
     ///
     /// # Errors
-    /// Text that is not a YAML list of profiles, or an unknown policy.
+    /// The text is not a YAML list of profiles, or has an unknown policy.
     pub fn parse_yaml(yaml: &str) -> Result<Vec<Self>, BagError> {
         if yaml.trim().is_empty() {
             return Ok(Vec::new());
         }
-        let profiles: Vec<ReadProfile> =
+        let profiles: Vec<ParsedProfile> =
             serde_yaml_ng::from_str(yaml).map_err(|error| BagError::Qos(error.to_string()))?;
-        profiles.iter().map(ReadProfile::profile).collect()
+        profiles.iter().map(ParsedProfile::profile).collect()
     }
 }
 
@@ -137,16 +137,16 @@ impl From<&QosProfile> for YamlProfile {
 }
 
 #[derive(Deserialize)]
-struct ReadProfile {
+struct ParsedProfile {
     history: Value,
     depth: u32,
     reliability: Value,
     durability: Value,
 }
 
-impl ReadProfile {
+impl ParsedProfile {
     fn profile(&self) -> Result<QosProfile, BagError> {
-        // A depth of 0 with keep_last is the middleware's way to say "default".
+        // With keep_last, middlewares write depth 0 for "default".
         let keep_all = policy(
             "history",
             &self.history,
@@ -177,8 +177,8 @@ impl ReadProfile {
     }
 }
 
-/// The value of a policy that is given by name or by number. `system_default` (0) and `unknown`, which recorders
-/// write for a publisher of another vendor, give ROS's own default.
+/// Parses a policy by name or number. `system_default` (0) and `unknown`, which recorders write for a publisher of another
+/// vendor, give the default of ROS.
 fn policy<T: Copy>(
     name: &str,
     value: &Value,
@@ -208,7 +208,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn profiles_survive_yaml() {
+    fn profiles_survive_a_round_trip() {
         for profile in [
             QosProfile::reliable(),
             QosProfile::sensor_data(),
@@ -226,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_of_old_bags_are_read() {
+    fn numeric_policies_of_old_bags_are_read() {
         let yaml = "- history: 3\n  depth: 0\n  reliability: 1\n  durability: 2\n  deadline:\n    sec: 2147483647\n    nsec: 4294967295\n";
         let [profile] = QosProfile::parse_yaml(yaml).unwrap()[..] else {
             panic!("one profile")
@@ -241,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn bad_profiles_are_named() {
+    fn invalid_policies_are_named() {
         assert_eq!(QosProfile::parse_yaml("").unwrap(), []);
         let error = QosProfile::parse_yaml(
             "- {history: keep_last, depth: 1, reliability: maybe, durability: volatile}",

@@ -32,17 +32,17 @@ pub use messages::{BagMessage, Messages};
 pub(crate) use messages::{StoredMessage, StoredMessages};
 use passes::{Passes, Spans};
 use stored_file::{StoredFile, listed_file, numbered_files};
-use times::{Stretch, Times, main_part};
+use times::{Stretch, Times, find_main_part};
 
-/// A bag that has been opened: its files are indexed, its messages not yet read.
+/// An open bag: its files are indexed, its messages not yet read.
 #[derive(Debug)]
 pub struct BagReader {
     path: PathBuf,
     index: Arc<Vec<FileIndex>>,
     topics: Vec<TopicInfo>,
-    /// The first and the last log time, in ns.
+    /// First and last log time \[ns\].
     span: Option<(u64, u64)>,
-    /// Those of the recording itself.
+    /// First and last log time of the recording itself \[ns\].
     main_span: Option<(u64, u64)>,
     stretches: Vec<Stretch>,
     unbroken: Spans,
@@ -54,18 +54,16 @@ pub struct BagReader {
 }
 
 impl BagReader {
-    /// Opens a bag directory, or one of its files: MCAP or sqlite3, as they are or compressed by rosbag2.
+    /// Opens a bag folder, or one of its files: MCAP or sqlite3, plain or compressed by rosbag2.
     ///
-    /// A file with a summary whose indexes agree is not read beyond these; one without (truncated, or not indexed) is
-    /// scanned once. A file that is compressed as a whole is decompressed to a temporary file for as long as this reader and
-    /// its messages live.
+    /// Of a file with a consistent summary, only the indexes are read; a file without one is scanned once. A compressed file
+    /// is decompressed to a temporary file, which is deleted with this reader and its messages.
     ///
     /// # Errors
-    /// No such path, not a bag, empty, another storage or compression, or no room for a decompressed file. Not an error, but
-    /// named in [`warnings`](Self::warnings): a truncated or partly damaged file, a damaged `metadata.yaml`, a file that it
-    /// lists and that is missing while others are there, and channels that cannot be read (another encoding than CDR, no
-    /// type, a second type on a topic; of protobuf, other types than
-    /// [`PROTOBUF_TYPES`](crate::PROTOBUF_TYPES)).
+    /// The path is missing, not a bag or empty, the storage or compression is unknown, or a decompressed file has no room.
+    /// [`warnings`](Self::warnings) names what can be skipped: truncated or damaged files, invalid metadata, single missing
+    /// files, and unreadable channels (without a type, with a second type, in an encoding other than CDR, except
+    /// Foxglove's pictures in protobuf).
     pub fn open(path: impl AsRef<Path>) -> Result<Self, BagError> {
         let path = path.as_ref();
         let found = fs::metadata(path).map_err(|source| BagError::io(path, source))?;
@@ -87,7 +85,7 @@ impl BagReader {
                     index.push(file_index);
                     warnings.extend(file_warnings);
                 }
-                // The recorder was killed when it had just made the bag's next file.
+                // The recorder was killed just after it created this file.
                 Err(BagError::Empty { .. }) if is_unfinished && is_one_of_several => {
                     warnings.push(BagWarning::Truncated {
                         file,
@@ -98,9 +96,9 @@ impl BagReader {
             }
         }
 
-        let mut topics = topics::merged(&mut index);
+        let mut topics = topics::merge_topics(&mut index);
         for warning in index.iter().flat_map(FileIndex::channel_warnings) {
-            // The same of each file of a bag.
+            // All files of a bag may have the same fault.
             if !warnings.contains(&warning) {
                 warnings.push(warning);
             }
@@ -119,8 +117,9 @@ impl BagReader {
                     files: counted + skipped,
                 });
             }
-            topics::take_repeated(&mut topics, &metadata, index.len());
+            topics::subtract_repetitions(&mut topics, &metadata, index.len());
             topics::add_from_metadata(&mut topics, &metadata, &index, &mut warnings);
+            // Older versions have no `custom_data`.
             for (key, count) in metadata.custom_data.unwrap_or_default() {
                 match (key.strip_prefix(LOST_PREFIX), count.parse()) {
                     (Some(topic), Ok(count)) => {
@@ -149,7 +148,7 @@ impl BagReader {
         let (unbroken, doubled) = passes.spans();
         let stretches = times.stretches();
         warnings.extend(BagWarning::of_times(path, &times, &stretches));
-        let main = main_part(&stretches);
+        let main = find_main_part(&stretches);
         Ok(Self {
             path: path.to_owned(),
             index: Arc::new(index),
@@ -166,19 +165,19 @@ impl BagReader {
         })
     }
 
-    /// What `custom_data` of the bag's `metadata.yaml` holds under `key`.
+    /// The note `key`: a value of `custom_data` in `metadata.yaml`.
     #[must_use]
     pub fn note(&self, key: &str) -> Option<&str> {
         self.custom.get(key).map(String::as_str)
     }
 
-    /// The path that was opened.
+    /// The path of the bag.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// The topics, by name; those without messages too.
+    /// The topics, sorted by name, including those without messages.
     #[must_use]
     pub fn topics(&self) -> &[TopicInfo] {
         &self.topics
@@ -202,39 +201,33 @@ impl BagReader {
         self.span.map_or(0, |(_, end)| end)
     }
 
-    /// First and last log time of the recording itself, in ns since the epoch: without the messages that are more than a day
-    /// from most others, because of a stamp of zero or a clock that was not set. None for a bag without messages.
-    #[must_use]
-    pub fn main_span_ns(&self) -> Option<(u64, u64)> {
-        self.main_span
-    }
-
-    /// The log time that is so long after the beginning of the recording itself ([`main_span_ns`](Self::main_span_ns)), in
-    /// ns since the epoch.
+    /// The log time at this offset from the start of the recording itself, in ns since the epoch. Messages more than a day
+    /// from most others, which have invalid stamps, are not part of it.
     #[must_use]
     pub fn time_at(&self, offset: Duration) -> u64 {
         let start_ns = self.main_span.map_or(0, |(start, _)| start);
+        // Saturates at 584 years.
         let offset_ns = u64::try_from(offset.as_nanos()).unwrap_or(u64::MAX);
         start_ns.saturating_add(offset_ns)
     }
 
-    /// The gaps of more than ten seconds between messages, in order: log times of the message before and of the one after,
-    /// in ns since the epoch. Of a bag with thousands of gaps, the largest.
+    /// Gaps of more than ten seconds, in order: log times of the messages before and after, in ns since the epoch. A bag with
+    /// thousands of gaps returns only the largest.
     pub fn gaps_ns(&self) -> impl Iterator<Item = (u64, u64)> + '_ {
         let pairs = self.stretches.iter().zip(self.stretches.iter().skip(1));
         pairs.map(|(one, next)| (one.end_ns, next.start_ns))
     }
 
-    /// The spans of log time, first and last in ns since the epoch, in order, within which messages follow each other without
-    /// a gap of more than ten seconds, and the recorder's clock is not set back. The last message of a span and the first of
-    /// the next are no neighbours. Latched topics do not count.
+    /// Spans of log time (first and last, in ns since the epoch, in order) without a gap of more than ten seconds and without
+    /// a backward step of the recorder's clock. The last message of a span and the first of the next are not neighbours.
+    /// Latched topics are ignored.
     #[must_use]
     pub fn unbroken_ns(&self) -> &[(u64, u64)] {
         &self.unbroken
     }
 
-    /// Whether this log time was recorded more than once, because the recorder's clock was set back by more than ten seconds:
-    /// the true order of the messages then is unknown.
+    /// Whether this log time was recorded twice, because the recorder's clock stepped back by more than ten seconds. The true
+    /// order of such messages is unknown.
     #[must_use]
     pub fn is_doubled(&self, log_time_ns: u64) -> bool {
         let begun = self
@@ -244,14 +237,13 @@ impl BagReader {
         last.is_some_and(|(_, end_ns)| log_time_ns <= *end_ns)
     }
 
-    /// Messages of all topics. Where a file is damaged, those that can be read.
+    /// Number of messages in all topics; in damaged files, of those that can be read.
     #[must_use]
     pub fn message_count(&self) -> u64 {
         self.topics.iter().map(|topic| topic.message_count).sum()
     }
 
-    /// Whether a file ends early (its recorder was killed, or a copy was cut short). Everything up to the last whole
-    /// chunk is read.
+    /// Whether a file ends early (killed recorder, incomplete copy). Messages up to its last whole chunk are read.
     #[must_use]
     pub fn truncated(&self) -> bool {
         self.warnings
@@ -259,19 +251,19 @@ impl BagReader {
             .any(|warning| matches!(warning, BagWarning::Truncated { .. }))
     }
 
-    /// What the user should know about the bag.
+    /// Faults of the bag that do not prevent reading.
     #[must_use]
     pub fn warnings(&self) -> &[BagWarning] {
         &self.warnings
     }
 
-    /// All messages, in log-time order. The iterator stands on its own: it opens the files again as it needs them.
+    /// All messages, in log-time order. The iterator opens the files itself and does not borrow the reader.
     #[must_use]
     pub fn messages(&self) -> Messages {
         Messages::new(Arc::clone(&self.index))
     }
 
-    /// Messages as the files hold them, for who copies them; `select` says which.
+    /// Stored messages, for copies; `select` limits them.
     pub(crate) fn stored_messages(
         &self,
         select: impl FnOnce(Messages) -> Messages,
@@ -279,7 +271,7 @@ impl BagReader {
         StoredMessages(select(self.messages()))
     }
 
-    /// The same message with its topic; none of a channel that is left out.
+    /// The message with its topic; `None` if its channel is skipped.
     pub(crate) fn message_of(&self, stored: &StoredMessage) -> Option<BagMessage> {
         let file = self.index.get(stored.file)?;
         let channel = file.channels.get(&stored.header.channel_id)?;
@@ -290,7 +282,7 @@ impl BagReader {
         ))
     }
 
-    /// The channels of the files, each with the number of its file, as the files define them.
+    /// The channels as the files define them, each with the number of its file.
     pub(crate) fn definitions(
         &self,
     ) -> impl Iterator<Item = (usize, &Arc<mcap::Channel<'static>>)> {
@@ -298,7 +290,7 @@ impl BagReader {
         files.flat_map(|(number, file)| file.definitions.values().map(move |c| (number, c)))
     }
 
-    /// What the bag holds, for `bag info`.
+    /// The contents of the bag, for `bag info`.
     #[must_use]
     pub fn summary(&self) -> BagSummary {
         let compressions: BTreeSet<&str> = self
@@ -344,7 +336,7 @@ impl BagReader {
     }
 }
 
-/// The files of a folder, and its metadata where they can be read.
+/// The files of a folder, and its metadata if valid.
 fn files_of(
     dir: &Path,
     warnings: &mut Vec<BagWarning>,
@@ -371,7 +363,7 @@ fn files_of(
                 warnings.push(BagWarning::BadMetadata { file, reason });
                 Ok((files, None))
             }
-            // There is nothing else to read.
+            // Without a file, the invalid metadata is the fault to report.
             Err(BagError::Empty { .. }) => Err(BagError::Metadata { path: file, reason }),
             Err(error) => Err(error),
         },
@@ -379,7 +371,7 @@ fn files_of(
     }
 }
 
-/// Refuses storages and compressions that this crate does not know.
+/// Rejects unknown storages and compressions.
 pub(crate) fn check_storage(dir: &Path, metadata: &Metadata) -> Result<(), BagError> {
     if !["mcap", "sqlite3"].contains(&metadata.storage_identifier.as_str()) {
         return Err(BagError::Storage {

@@ -17,7 +17,7 @@ use crate::{
     metadata::Metadata,
     reader::{
         check_storage,
-        chunk::{RECORD_HEADER_BYTES, Records, decompressed, record_header},
+        chunk::{RECORD_HEADER_BYTES, Records, decompress, record_header},
         payload,
         record::parse,
         stored_file::{StoredFile, numbered_files},
@@ -25,20 +25,19 @@ use crate::{
     writer::LOST_PREFIX,
 };
 pub use loss::{Loss, Losses};
-use survey::{Stretch, Survey, survey};
+use survey::{IntactRange, Survey, examine};
 
-/// What came of [`recover`].
+/// The result of [`recover`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Recovery {
     /// The new bag.
     pub summary: BagSummary,
-    /// What of the old one is not in it.
+    /// The parts of the old bag that it lacks.
     pub losses: Losses,
-    /// Files that had no end: their recorder was killed, or a copy was cut short. What is behind their last byte is
-    /// nowhere and not counted in `losses`.
+    /// Truncated files (killed recorder, incomplete copy). `losses` cannot count the bytes after their end.
     pub without_end: Vec<PathBuf>,
-    /// What the user should know of its files.
+    /// Faults of the old bag's files.
     pub warnings: Vec<BagWarning>,
 }
 
@@ -61,23 +60,22 @@ impl fmt::Display for Recovery {
     }
 }
 
-/// Writes a sound bag at `output`, with indexes, summary and `metadata.yaml`, of what is left of the bag folder or
-/// `.mcap` at `input`: cut off at any byte, or damaged at any.
+/// Rebuilds the bag folder or `.mcap` file at `input`, truncated or damaged anywhere, as a valid bag at `output`, with
+/// indexes, summary and `metadata.yaml`.
 ///
-/// Of each file, every chunk is kept that can be decompressed and whose checksum is right, also behind a damaged one;
-/// messages outside chunks, which have no checksum, as long as their lengths lead from one to the next. Bytes of
-/// messages, their times and sequence numbers, schemas and channels with their metadata stay as they were, each file stays
-/// a file, and what `metadata.yaml` notes of the bag stays where it can be read. Attachments and metadata records are not
-/// copied, which counts as a loss.
+/// Keeps every chunk that can be decompressed and has a correct checksum, also after a damaged one. Messages outside
+/// chunks have no checksum: they are kept as long as each length leads to the next record. Copies the bytes, times and
+/// sequence numbers of messages, schemas, channels, the division into files, and notes if readable. Attachments and
+/// metadata records count as lost.
 ///
 /// # Errors
-/// No bag at all, sqlite3 files, an `output` that exists, or files that cannot be read or written.
+/// `input` is not a bag or has sqlite3 files, `output` exists, or a file cannot be read or written.
 pub fn recover(input: impl AsRef<Path>, output: impl AsRef<Path>) -> Result<Recovery, BagError> {
     let input = input.as_ref();
     let found = fs::metadata(input).map_err(|source| BagError::io(input, source))?;
     let mut warnings = Vec::new();
     let (files, metadata) = if found.is_dir() {
-        // Metadata that cannot be read is one of the things that are made anew.
+        // Invalid metadata is rebuilt.
         let metadata = Metadata::read(input).ok().flatten();
         if let Some(metadata) = &metadata {
             check_storage(input, metadata)?;
@@ -104,9 +102,9 @@ pub fn recover(input: impl AsRef<Path>, output: impl AsRef<Path>) -> Result<Reco
             );
         }
         warnings.extend(warning);
-        match survey(&stored, &mut losses) {
+        match examine(&stored, &mut losses) {
             Ok(found) => surveys.push((stored, found)),
-            // One file of several; the others are a bag still.
+            // Other files may still be readable.
             Err(error @ (BagError::Empty { .. } | BagError::NotABag { .. })) => {
                 let bytes = fs::metadata(&path).map_or(0, |found| found.len());
                 losses.add(&path, 0, bytes, 0, &error.to_string());
@@ -121,8 +119,9 @@ pub fn recover(input: impl AsRef<Path>, output: impl AsRef<Path>) -> Result<Reco
 
     let mut options = WriterOptions::default();
     let compression = surveys.iter().find_map(|(_, found)| found.compression);
+    // Without a chunk, the new bag has the default.
     options.compression = compression.unwrap_or_default();
-    // The files have them already, if they were written so.
+    // Files that repeat latched messages have them already.
     options.repeats_latched = false;
     let metadata = metadata.as_ref();
     options.ros_distro = metadata.map_or_else(String::new, |old| old.ros_distro.clone());
@@ -155,14 +154,14 @@ pub fn recover(input: impl AsRef<Path>, output: impl AsRef<Path>) -> Result<Reco
     })
 }
 
-/// Copies the sound stretches of one file.
+/// Copies the undamaged ranges of one file.
 struct Copier<'a> {
     path: &'a Path,
-    stretches: &'a [Stretch],
+    intact: &'a [IntactRange],
     file: BufReader<File>,
-    /// Number in the new bag of each channel of the file.
+    /// The new bag's channel number, by channel id.
     numbers: HashMap<u16, usize>,
-    /// Topics of the channels that the new bag does not have.
+    /// Topics of skipped channels, by channel id.
     skipped: HashMap<u16, String>,
     writer: &'a mut BagWriter,
     losses: &'a mut Losses,
@@ -188,8 +187,7 @@ impl<'a> Copier<'a> {
                 skipped.insert(id, topic);
                 continue;
             }
-            // Outside of chunks nothing says whether a definition is what was written: one that cannot be true is
-            // left out, and its messages are counted as lost.
+            // Outside chunks, definitions have no checksum: an impossible one is skipped, and its messages count as lost.
             match writer.add_channel(channel) {
                 Ok(number) => {
                     numbers.insert(id, number);
@@ -204,7 +202,7 @@ impl<'a> Copier<'a> {
         }
         Ok(Self {
             path,
-            stretches: &found.stretches,
+            intact: &found.intact,
             file: BufReader::new(file),
             numbers,
             skipped,
@@ -214,46 +212,44 @@ impl<'a> Copier<'a> {
     }
 
     fn run(mut self) -> Result<(), BagError> {
-        for stretch in self.stretches {
+        for range in self.intact {
             let io = |source| BagError::io(self.path, source);
-            self.file
-                .seek(SeekFrom::Start(stretch.offset))
-                .map_err(io)?;
-            let mut at = stretch.offset;
-            while at < stretch.end {
-                at += self.record(stretch)?;
+            self.file.seek(SeekFrom::Start(range.offset)).map_err(io)?;
+            let mut at = range.offset;
+            while at < range.end {
+                at += self.record(range)?;
             }
         }
         Ok(())
     }
 
-    /// Copies the messages of the record that comes next; gives its size, in bytes.
-    fn record(&mut self, stretch: &Stretch) -> Result<u64, BagError> {
+    /// Copies the messages of the next record; returns its size in bytes.
+    fn record(&mut self, range: &IntactRange) -> Result<u64, BagError> {
         let io = |source| BagError::io(self.path, source);
         let changed = |reason: String| BagError::Chunk {
             path: self.path.to_owned(),
-            offset: stretch.offset,
+            offset: range.offset,
             reason,
         };
         let mut header = [0; RECORD_HEADER_BYTES as usize];
         self.file.read_exact(&mut header).map_err(io)?;
         let length = record_header(&header).map_or(0, |(_, length)| length);
         let size = RECORD_HEADER_BYTES.saturating_add(length);
-        if size > stretch.end - stretch.offset {
-            return Err(changed("it has changed since it was surveyed".to_owned()));
+        if size > range.end - range.offset {
+            return Err(changed("it has changed since it was examined".to_owned()));
         }
-        // The survey held the record to MAX_RECORD_BYTES and to the file's size.
+        // Fits: bounded by MAX_RECORD_BYTES and the file's size.
         let mut body = vec![0; length as usize];
         self.file.read_exact(&mut body).map_err(io)?;
-        if !stretch.is_chunk {
+        if !range.is_chunk {
             self.message(&body)?;
             return Ok(size);
         }
-        let records = decompressed(&body).map_err(changed)?;
+        let records = decompress(&body).map_err(changed)?;
         for record in Records::new(records) {
             let record = record.map_err(|reason| BagError::Chunk {
                 path: self.path.to_owned(),
-                offset: stretch.offset,
+                offset: range.offset,
                 reason,
             })?;
             if record.opcode == op::MESSAGE {
@@ -276,8 +272,8 @@ impl<'a> Copier<'a> {
             }
             return Ok(());
         };
-        // The new bag's metadata say nothing of compressed messages.
-        let plain = match payload::decompressed(&data) {
+        // The new bag's metadata declares no compressed messages.
+        let plain = match payload::decompress(&data) {
             Some(Ok(plain)) => Some(plain),
             None => None,
             Some(Err(_)) => {

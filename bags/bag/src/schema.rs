@@ -2,24 +2,24 @@ use std::{borrow::Cow, sync::Arc};
 
 use wm_msgs::{DescriptionError, Message, TypeDescription, TypeHash, idl_definitions};
 
-use crate::{BagError, definitions::known_text};
+use crate::{BagError, own_types};
 
 /// Equal signs on the line before each dependency.
 const DELIMITER: usize = 80;
 
-/// How a schema's text is written, as the MCAP registry names it.
+/// Encoding of a schema's text, by its name in the MCAP registry.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub enum SchemaEncoding {
-    /// `.msg` text, each dependency after a line of 80 `=`.
+    /// `.msg` text; each dependency follows a line of 80 `=`.
     Ros2Msg,
     /// OMG IDL.
     Ros2Idl,
-    /// Anything else; empty when the recorder found no definition. Kept as it was.
+    /// Another encoding, copied unchanged; empty if the recorder found no definition.
     Other(String),
 }
 
 impl SchemaEncoding {
-    /// The name in the file.
+    /// The name in MCAP files.
     #[must_use]
     pub fn as_str(&self) -> &str {
         match self {
@@ -40,12 +40,12 @@ impl From<&str> for SchemaEncoding {
     }
 }
 
-/// The definition of a message type as a bag carries it.
+/// The definition of a message type in a bag.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Schema {
-    /// How `text` is written.
+    /// Encoding of `text`.
     pub encoding: SchemaEncoding,
-    /// The definition, with those of the types that it names.
+    /// The definition, and those of the types that it uses.
     pub text: String,
 }
 
@@ -59,28 +59,45 @@ impl Schema {
         }
     }
 
-    /// The hash of the type `package/msg/Type` that this schema defines (REP-2016), from its `.msg` text; none for a
-    /// schema in another encoding.
+    /// A `ros2msg` schema of a definition and its named dependencies (rosbag2 `docs/message_definition_encoding.md`).
+    pub(crate) fn from_parts(
+        definition: &str,
+        dependencies: impl IntoIterator<Item = (&'static str, &'static str)>,
+    ) -> Self {
+        let mut text = definition.trim_end().to_owned();
+        text.push('\n');
+        for (ros_name, definition) in dependencies {
+            text.push_str(&"=".repeat(DELIMITER));
+            text.push_str("\nMSG: ");
+            // Without `msg`, as rosbag2's code writes it.
+            text.push_str(&ros_name.replace("/msg/", "/"));
+            text.push('\n');
+            text.push_str(definition.trim_end());
+            text.push('\n');
+        }
+        Self::ros2msg(text)
+    }
+
+    /// The type hash of `package/msg/Type` (REP-2016); `None` unless the schema is `.msg` text.
     ///
     /// # Errors
-    /// The text is no definition, or lacks that of a type that it names.
+    /// The text is invalid, or lacks the definition of a type that it uses.
     pub fn type_hash(&self, type_name: &str) -> Result<Option<TypeHash>, DescriptionError> {
         if self.encoding != SchemaEncoding::Ros2Msg {
             return Ok(None);
         }
-        let (own, dependencies) = parts(&self.text);
+        let (own, dependencies) = split_definitions(&self.text);
         let description = TypeDescription::message(type_name, own, dependencies)?;
         Ok(Some(description.hash()))
     }
 
-    /// What messages of the type `package/msg/Type` with this schema are made of; none for a schema without a text, or in
-    /// an encoding other than `ros2msg` and `ros2idl`.
+    /// Fields of the type `package/msg/Type`; `None` without a text, or in an encoding other than `ros2msg` and `ros2idl`.
     ///
-    /// Types that the text names and does not define are those of this suite, and `Header` without a package is that of
-    /// `std_msgs`: some writers leave both to the reader.
+    /// Some writers omit definitions of known types: types of this suite are added, and `Header` without a package is that of
+    /// `std_msgs`.
     ///
     /// # Errors
-    /// The text is no definition, or lacks that of a type that this suite does not know.
+    /// The text is invalid, or lacks the definition of an unknown type that it uses.
     pub fn description(
         &self,
         type_name: &str,
@@ -92,7 +109,7 @@ impl Schema {
         let (own, mut dependencies): (&str, Vec<(&str, &str)>) = match self.encoding {
             SchemaEncoding::Ros2Msg => {
                 text = with_header_package(&self.text);
-                parts(&text)
+                split_definitions(&text)
             }
             SchemaEncoding::Ros2Idl => {
                 definitions = idl_definitions(&self.text)?;
@@ -111,18 +128,20 @@ impl Schema {
         };
         loop {
             let described = TypeDescription::message(type_name, own, dependencies.iter().copied());
-            // Each round adds a type that was missing, of which there are few.
+            // Each round adds one missing type.
             match &described {
-                Err(DescriptionError::Missing { name, .. }) => match known_text(name) {
-                    Some(known) => dependencies.push(known),
-                    None => return described.map(Some),
-                },
+                Err(DescriptionError::Missing { name, .. }) => {
+                    match own_types::find_dependency(name) {
+                        Some(known) => dependencies.push(known),
+                        None => return described.map(Some),
+                    }
+                }
                 _ => return described.map(Some),
             }
         }
     }
 
-    /// Whether messages with this schema have the fields of `M`: by their definition, or, if there is none, by name.
+    /// Whether messages with this schema have the fields of `M`. True without a definition.
     #[must_use]
     pub fn has_fields_of<M: Message>(&self) -> bool {
         match (self.description(&M::ros_name()), TypeDescription::of::<M>()) {
@@ -133,7 +152,7 @@ impl Schema {
     }
 }
 
-/// The text with `std_msgs/Header` for `Header`, as in ROS 1, unless a package defines a `Header` of its own.
+/// Replaces `Header` (ROS 1) by `std_msgs/Header`, unless a package defines its own `Header`.
 fn with_header_package(text: &str) -> Cow<'_, str> {
     let is_bare = |line: &str| {
         let rest = line.trim_start().strip_prefix("Header");
@@ -153,11 +172,11 @@ fn with_header_package(text: &str) -> Cow<'_, str> {
     Cow::Owned(lines.collect())
 }
 
-/// The type's own text, and name and text of each dependency.
-fn parts(text: &str) -> (&str, Vec<(&str, &str)>) {
+/// Splits a text into the type's own definition, and names and definitions of its dependencies.
+fn split_definitions(text: &str) -> (&str, Vec<(&str, &str)>) {
     let delimiter = "=".repeat(DELIMITER);
     let mut parts = Vec::new();
-    // Where the present part begins, and its name: the first has none.
+    // Start and name of the current part; the first has no name.
     let (mut own, mut start, mut name) = (text, 0, None);
     let mut at = 0;
     let mut lines = text.split_inclusive('\n').peekable();
@@ -167,6 +186,7 @@ fn parts(text: &str) -> (&str, Vec<(&str, &str)>) {
             .copied()
             .and_then(|line| line.strip_prefix("MSG: "));
         if let (true, Some(next)) = (line.trim_end() == delimiter, next) {
+            // In range: both are places of lines in `text`.
             let part = text.get(start..at).unwrap_or_default();
             match name.replace(next.trim()) {
                 None => own = part,
@@ -185,25 +205,12 @@ fn parts(text: &str) -> (&str, Vec<(&str, &str)>) {
 }
 
 /// The `ros2msg` schema of a Rust message type.
-///
-/// The type's own text comes first, with no delimiter; each dependency follows a line of exactly 80 `=` and a line
-/// `MSG: package/Type` (rosbag2 `docs/message_definition_encoding.md`; the name as rosbag2's own code writes it).
 #[must_use]
 pub fn type_schema<M: Message>() -> Schema {
-    let mut text = M::DEFINITION.trim_end().to_owned();
-    text.push('\n');
-    for (ros_name, definition) in M::dependencies() {
-        text.push_str(&"=".repeat(DELIMITER));
-        text.push_str("\nMSG: ");
-        text.push_str(&ros_name.replace("/msg/", "/"));
-        text.push('\n');
-        text.push_str(definition.trim_end());
-        text.push('\n');
-    }
-    Schema::ros2msg(text)
+    Schema::from_parts(M::DEFINITION, M::dependencies())
 }
 
-/// A topic's name with the slash that ROS puts before it, and some writers do not.
+/// The topic name with its leading slash, which some writers omit.
 pub(crate) fn absolute(topic: &str) -> Cow<'_, str> {
     match topic.starts_with('/') {
         true => Cow::Borrowed(topic),
@@ -211,7 +218,7 @@ pub(crate) fn absolute(topic: &str) -> Cow<'_, str> {
     }
 }
 
-/// The channel with the slash that belongs before its topic's name.
+/// The channel with a leading slash in its topic name.
 pub(crate) fn with_absolute_name(
     channel: &Arc<mcap::Channel<'static>>,
 ) -> Arc<mcap::Channel<'static>> {
@@ -225,7 +232,7 @@ pub(crate) fn with_absolute_name(
     }
 }
 
-/// A type's name as `package/msg/Type`; takes the short form `package/Type` too.
+/// The type name `package/msg/Type`, also from the short form `package/Type`.
 pub(crate) fn canonical_type_name(name: &str) -> Result<String, BagError> {
     let parts: Vec<&str> = name.split('/').collect();
     match parts.as_slice() {
@@ -246,7 +253,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn schema_text_lists_each_dependency_after_eighty_equal_signs() {
+    fn dependencies_follow_lines_of_eighty_equal_signs() {
         let text = type_schema::<wm_msgs::sensor_msgs::CompressedImage>().text;
         let parts: Vec<&str> = text.split(&format!("{}\n", "=".repeat(80))).collect();
         assert_eq!(parts.len(), 3, "{text}");
@@ -263,14 +270,14 @@ mod tests {
     }
 
     #[test]
-    fn a_schema_gives_the_hash_of_its_type() {
+    fn schema_has_the_hash_of_its_type() {
         fn hold<M: Message>() {
             let hash = type_schema::<M>().type_hash(&M::ros_name()).unwrap();
             assert_eq!(hash, Some(TypeDescription::of::<M>().unwrap().hash()));
         }
         hold::<wm_msgs::std_msgs::Bool>();
         hold::<wm_msgs::wm_msgs::Prediction>();
-        // Both spellings of a dependency's name are in use.
+        // Writers use both spellings of a dependency's name.
         let text = type_schema::<wm_msgs::std_msgs::Header>()
             .text
             .replace("MSG: builtin_interfaces/", "MSG: builtin_interfaces/msg/");

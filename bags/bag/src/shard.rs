@@ -1,6 +1,6 @@
 use std::{fmt, ops::Range, str::FromStr};
 
-/// One of several processes or machines that share the work on many recordings: every Nth is its own.
+/// The share of one process among several that divide many recordings: every Nth unit is its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shard {
     index: usize,
@@ -8,23 +8,23 @@ pub struct Shard {
 }
 
 impl Shard {
-    /// The only one.
+    /// A single process with all units.
     pub const WHOLE: Self = Self { index: 0, count: 1 };
 
-    /// Whether the recording, or unit of work, of this number is this one's.
+    /// Whether this shard has the unit (a recording, for example) of this number.
     #[must_use]
     pub fn has(self, unit: usize) -> bool {
         unit % self.count == self.index
     }
 
-    /// How many of `count` are its own.
+    /// Number of this shard's units among `count`.
     #[must_use]
     pub fn share_of(self, count: u64) -> u64 {
         let (index, shards) = (self.index as u64, self.count as u64);
         count.saturating_sub(index).div_ceil(shards)
     }
 
-    /// Its own of `count` things in a row, which are cut into one range per shard; the first ones may have one more.
+    /// This shard's contiguous range among `count` units; the first shards may have one more.
     #[must_use]
     pub fn range_of(self, count: usize) -> Range<usize> {
         let (each, rest) = (count / self.count, count % self.count);
@@ -32,7 +32,7 @@ impl Shard {
         first..first + each + usize::from(self.index < rest)
     }
 
-    /// Whether there are others.
+    /// Whether there are other shards.
     #[must_use]
     pub fn is_part(self) -> bool {
         self.count > 1
@@ -48,7 +48,7 @@ impl fmt::Display for Shard {
 impl FromStr for Shard {
     type Err = String;
 
-    /// `I/N`, I from 0.
+    /// Parses `I/N`, with I from 0 to N - 1.
     fn from_str(text: &str) -> Result<Self, String> {
         let numbers = text.split_once('/');
         let numbers = numbers.and_then(|(i, n)| Some((i.parse().ok()?, n.parse().ok()?)));
@@ -66,7 +66,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_unit_is_in_one_shard() {
+    fn each_unit_is_in_one_shard() {
         let shards: [Shard; 3] = ["0/3", "1/3", "2/3"].map(|s| s.parse().unwrap());
         for unit in 0..10 {
             assert_eq!(shards.iter().filter(|shard| shard.has(unit)).count(), 1);

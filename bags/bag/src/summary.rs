@@ -7,44 +7,43 @@ use std::{
 
 use crate::BagWarning;
 
-/// The note (key of `custom_data` in `metadata.yaml`) that tells where a bag was imported from: `DATASET/FILE`, and
-/// `#NUMBER` after it where that holds several episodes.
+/// Key of the note with the source of an imported bag: `DATASET/FILE`, and `#NUMBER` if the file has several episodes.
 pub const ORIGIN: &str = "wm.import.source";
-/// A note is shown if it is at most this long, which fits a line of a terminal. Others, such as an action space in JSON,
-/// are named.
+/// Longer notes, such as an action space in JSON, are shown by their size, since they do not fit a terminal line.
 const LONGEST_NOTE: usize = 80;
 
-/// What a bag holds. Its [`Display`](fmt::Display) is the text of `bag info`.
+/// The contents of a bag. Its [`Display`](fmt::Display) is the text of `bag info`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct BagSummary {
-    /// The bag: a directory, or one `.mcap`.
+    /// The folder or file.
     pub path: PathBuf,
     /// Its files, in the order of reading.
     pub files: Vec<PathBuf>,
-    /// Size of the files together, in bytes.
+    /// Total size of the files, in bytes.
     pub size_bytes: u64,
     /// Log time of the first message in ns since the epoch; 0 for a bag without messages.
     pub start_ns: u64,
     /// Log time of the last message in ns since the epoch; 0 for a bag without messages.
     pub end_ns: u64,
-    /// First and last log time of the recording itself: without messages that are more than a day from most others.
+    /// First and last log time of the recording itself, in ns since the epoch: without messages more than a day from most
+    /// others, which have invalid stamps.
     pub main_span_ns: Option<(u64, u64)>,
-    /// How the files are stored: `mcap`, `sqlite3` or both.
+    /// Storage of the files: `mcap`, `sqlite3` or both.
     pub storage: String,
-    /// Messages of all topics.
+    /// Number of messages.
     pub message_count: u64,
     /// The topics, by name.
     pub topics: Vec<TopicSummary>,
-    /// Messages that the recorder lost, by topic.
+    /// Number of messages that the recorder lost, by topic.
     pub lost: BTreeMap<String, u64>,
     /// Compression of the chunks: `none`, `zstd`, `lz4`, or several of them.
     pub compression: String,
-    /// The ROS distribution that the recorder named; empty when it named none.
+    /// The recorder's ROS distribution; empty if unknown.
     pub ros_distro: String,
-    /// What its `metadata.yaml` notes under `custom_data`, by key, without the messages lost.
+    /// The notes: `custom_data` in `metadata.yaml`, without the lost messages.
     pub notes: BTreeMap<String, String>,
-    /// What the user should know.
+    /// Faults of the bag that do not prevent reading.
     pub warnings: Vec<BagWarning>,
 }
 
@@ -57,7 +56,7 @@ pub struct TopicSummary {
     pub type_name: String,
     /// Encoding of the messages: `cdr` or `protobuf`.
     pub serialization_format: String,
-    /// Messages of this topic.
+    /// Number of messages.
     pub message_count: u64,
 }
 
@@ -156,13 +155,13 @@ impl fmt::Display for BagSummary {
     }
 }
 
-/// A size in bytes, as people read it.
+/// Displays a size in bytes with a unit.
 struct Size(u64);
 
 impl fmt::Display for Size {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         const UNITS: [&str; 4] = ["KiB", "MiB", "GiB", "TiB"];
-        // f64 is exact below 2^53 bytes, and one decimal is shown.
+        // f64 is exact below 2^53, and one decimal is shown.
         let mut value = self.0 as f64;
         let mut unit = "B";
         for larger in UNITS {
@@ -180,7 +179,7 @@ impl fmt::Display for Size {
     }
 }
 
-/// A time in ns since the epoch, as a date in UTC and as a number.
+/// Displays a time in ns since the epoch as a UTC date and a number.
 pub(crate) struct Instant(pub u64);
 
 impl fmt::Display for Instant {

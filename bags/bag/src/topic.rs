@@ -7,23 +7,23 @@ use crate::{Durability, MessageEncoding, QosProfile, Schema, known_qos};
 pub struct TopicInfo {
     /// The full name, for example `/camera/image_raw`.
     pub name: Arc<str>,
-    /// The type, as `package/msg/Type`; of protobuf as `package.Type`.
+    /// The type: `package/msg/Type`, for protobuf `package.Type`.
     pub type_name: Arc<str>,
-    /// How the messages are encoded.
+    /// Encoding of the messages.
     pub encoding: MessageEncoding,
-    /// The type's definition; without a text for protobuf.
+    /// The type's definition; for protobuf without a text.
     pub schema: Arc<Schema>,
-    /// `offered_qos_profiles` as the recorder wrote it (YAML); empty when it wrote none.
+    /// The recorder's `offered_qos_profiles` (YAML); may be empty.
     pub qos_yaml: Arc<str>,
-    /// `type_description_hash` as the recorder wrote it (`RIHS01_...`, REP-2016); empty when it wrote none.
+    /// The recorder's `type_description_hash` (`RIHS01_...`, REP-2016); may be empty.
     pub type_hash: Arc<str>,
-    /// Messages of this topic in all files.
+    /// Number of messages in all files.
     pub message_count: u64,
 }
 
 impl TopicInfo {
-    /// The first QoS profile that the recorded publishers offered. If it is absent or unreadable, that for which the topic
-    /// is known ([`known_qos`]), if there is one.
+    /// The first QoS profile that the recorded publishers offered; if missing or invalid, the conventional one of the topic
+    /// ([`known_qos`]).
     #[must_use]
     pub fn qos(&self) -> Option<QosProfile> {
         let recorded = QosProfile::parse_yaml(&self.qos_yaml).ok();
@@ -31,7 +31,7 @@ impl TopicInfo {
         recorded.or_else(|| known_qos(&self.name))
     }
 
-    /// Whether a late subscriber receives the last message too.
+    /// Whether late subscribers receive the last message.
     #[must_use]
     pub fn is_latched(&self) -> bool {
         self.qos()

@@ -2,8 +2,8 @@ use regex::Regex;
 
 use crate::BagError;
 
-/// Which topics are meant, as the options of `ros2 bag` say it: those named and those that a regular expression
-/// finds, or all where neither is given; without those that are excluded.
+/// Selects topics as the options of `ros2 bag` do: named ones and those that match a regular expression (all without
+/// either), except excluded ones.
 #[derive(Clone, Debug, Default)]
 pub struct TopicFilter {
     topics: Vec<String>,
@@ -16,7 +16,7 @@ impl TopicFilter {
     /// A filter of these names and expressions; an expression may match any part of a name.
     ///
     /// # Errors
-    /// Text that is no regular expression.
+    /// An expression is invalid.
     pub fn new(
         topics: Vec<String>,
         regex: Option<&str>,
@@ -37,26 +37,26 @@ impl TopicFilter {
         })
     }
 
-    /// The topics that are named.
+    /// The named topics.
     #[must_use]
     pub fn named(&self) -> &[String] {
         &self.topics
     }
 
-    /// Whether neither names nor an expression say which topics are meant.
+    /// Whether the filter has neither names nor an expression.
     #[must_use]
     pub fn is_all(&self) -> bool {
         self.topics.is_empty() && self.regex.is_none()
     }
 
-    /// Whether this topic is left out, whatever else speaks for it.
+    /// Whether this topic is excluded, even if it is named.
     #[must_use]
     pub fn excludes(&self, topic: &str) -> bool {
         let matches = |regex: &Option<Regex>| regex.as_ref().is_some_and(|r| r.is_match(topic));
         self.exclude_topics.iter().any(|name| name == topic) || matches(&self.exclude_regex)
     }
 
-    /// Whether this topic is meant.
+    /// Whether this topic is selected.
     #[must_use]
     pub fn wants(&self, topic: &str) -> bool {
         let is_named = self.topics.iter().any(|name| name == topic);
@@ -70,7 +70,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_and_expressions_add_up_and_exclusion_wins() {
+    fn exclusion_wins_over_names_and_expressions() {
         let filter = |topics: &[&str], regex, exclude: &[&str], exclude_regex| {
             let owned = |names: &[&str]| names.iter().map(ToString::to_string).collect();
             TopicFilter::new(owned(topics), regex, owned(exclude), exclude_regex).unwrap()

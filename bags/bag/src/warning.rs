@@ -5,213 +5,144 @@ use std::{
 };
 
 use crate::{
-    decoding::Fields,
-    reader::times::{Stretch, Times, main_part},
+    decoding::FieldMatch,
+    reader::times::{Stretch, Times, find_main_part},
     summary::Instant,
 };
 
-/// Something about a bag that its user should know, although it can be read.
+/// A fault of a bag that does not prevent reading it.
+#[expect(missing_docs, reason = "fields are named after their content")]
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum BagWarning {
-    /// The file ends early: its recorder was killed, or a copy was cut short.
+    /// The file ends early: killed recorder or incomplete copy.
     Truncated {
-        /// The file.
         file: PathBuf,
-        /// Bytes after the last whole record, of which nothing is read.
+        /// Bytes after the last whole record, which are not read.
         lost_bytes: u64,
     },
-    /// The file's summary is absent or wrong although the file has an end; its records were scanned instead.
-    NoSummary {
-        /// The file.
-        file: PathBuf,
-        /// What is wrong with it.
-        reason: String,
-    },
+    /// The summary is missing or invalid although the file is complete; its records were read instead.
+    NoSummary { file: PathBuf, reason: String },
     /// Part of the file is damaged; its messages are missing from the counts.
     Damaged {
-        /// The file.
         file: PathBuf,
-        /// Where the damaged record begins.
         offset: u64,
-        /// What is wrong with it.
         reason: String,
     },
-    /// More of the file is damaged than is reported one by one.
-    MoreDamaged {
-        /// The file.
-        file: PathBuf,
-        /// Damaged places without a warning of their own.
-        places: u64,
-    },
-    /// More chunks and messages are left out of a copy than are named one by one.
-    MoreSkipped {
-        /// How many.
-        count: u64,
-    },
-    /// A directory without `metadata.yaml`; its `.mcap` files were taken by name.
-    NoMetadata {
-        /// The bag.
-        dir: PathBuf,
-    },
-    /// `metadata.yaml` cannot be understood (it is empty after a power cut, for example); the `.mcap` files were taken by
-    /// name.
-    BadMetadata {
-        /// The `metadata.yaml`.
-        file: PathBuf,
-        /// What is wrong with it.
-        reason: String,
-    },
-    /// The summary differs from the messages; the messages count.
-    WrongSummary {
-        /// The file.
-        file: PathBuf,
-        /// What differs.
-        reason: String,
-    },
-    /// A channel that cannot be read is left out.
+    /// Further damaged places of the file.
+    MoreDamaged { file: PathBuf, places: u64 },
+    /// Further chunks and messages that were not copied.
+    MoreSkipped { count: u64 },
+    /// A folder without `metadata.yaml`; its files were found by name.
+    NoMetadata { dir: PathBuf },
+    /// `metadata.yaml` is invalid (for example empty, after a power cut); the files were found by name.
+    BadMetadata { file: PathBuf, reason: String },
+    /// The summary contradicts the messages, which are read.
+    WrongSummary { file: PathBuf, reason: String },
+    /// An unreadable channel was skipped.
     ChannelSkipped {
-        /// The file.
         file: PathBuf,
-        /// The topic.
         topic: String,
-        /// Its messages.
         messages: u64,
-        /// Why.
         reason: String,
     },
-    /// The bag's definition of a type has other fields than this version's; fields are matched by name.
+    /// The bag's definition of a type has other fields than this version's; they are matched by name.
     OtherFields {
-        /// The topic.
         topic: String,
-        /// The type.
         type_name: String,
-        /// Fields that the bag lacks; they have default values.
+        /// Fields that the bag lacks; they get default values.
         missing: Vec<String>,
-        /// Fields that this version's type lacks; they are not read.
+        /// Fields that this version lacks; they are ignored.
         dropped: Vec<String>,
     },
-    /// The bag's definition of a type does not fit this version's: its messages are copied and played, not decoded.
+    /// The bag's definition of a type does not fit this version's: messages can be copied and played, not decoded.
     Undecodable {
-        /// The topic.
         topic: String,
-        /// The type.
         type_name: String,
-        /// What does not fit.
         reason: String,
     },
-    /// The bag's definition of a type cannot be understood: messages are decoded as this version's type if they have
-    /// exactly its length.
+    /// The bag's definition of a type is invalid: messages are decoded as this version's type if they have exactly its
+    /// length.
     UnreadableDefinition {
-        /// The topic.
         topic: String,
-        /// The type.
         type_name: String,
         /// The fault of the definition.
         reason: String,
     },
-    /// A file that was compressed as a whole was decompressed for reading.
+    /// A compressed file was decompressed to a temporary file.
     Decompressed {
-        /// The compressed file.
         file: PathBuf,
-        /// The folder of the temporary file.
         folder: PathBuf,
-        /// Size of the temporary file.
         bytes: u64,
     },
     /// The end of a compressed file is damaged or missing.
     CompressedEnd {
-        /// The compressed file.
         file: PathBuf,
-        /// Bytes that were decompressed.
         bytes: u64,
-        /// What the decoder met.
         reason: String,
     },
-    /// The recorder of an sqlite3 file was killed: a copy of the file takes over the journal.
+    /// The recorder of an sqlite3 file was killed: its journal was applied to a temporary copy.
     Journal {
-        /// The file.
         file: PathBuf,
-        /// The folder of the copy.
         folder: PathBuf,
-        /// Size of the copy.
         bytes: u64,
     },
-    /// A file is there in two forms (compressed and not, for example); this one is not read.
-    Twice {
-        /// The file.
-        file: PathBuf,
-    },
-    /// A message is left out of a copy of the bag.
+    /// Another form of this file (compressed, for example) was read instead.
+    Twice { file: PathBuf },
+    /// A message was not copied.
     MessageSkipped(String),
-    /// Messages of a topic are left out of a converted bag.
+    /// Messages of a topic were not converted.
     Omitted {
-        /// The topic in the old bag.
         topic: String,
-        /// How many.
         messages: u64,
-        /// Why.
         reason: String,
     },
     /// A file that `metadata.yaml` lists is missing.
-    MissingFile {
-        /// The bag.
-        dir: PathBuf,
-        /// The file.
-        file: PathBuf,
-    },
+    MissingFile { dir: PathBuf, file: PathBuf },
     /// Messages are more than a day from most others.
     Apart {
-        /// The bag.
         path: PathBuf,
-        /// How many.
         messages: u64,
-        /// The first and the last log time of all messages, in ns.
+        /// First and last log time of all messages \[ns\].
         all_ns: (u64, u64),
-        /// Those of the recording itself.
+        /// First and last log time of the recording itself \[ns\].
         main_ns: (u64, u64),
     },
-    /// Stretches without a message.
+    /// Gaps without messages.
     Gaps {
-        /// The bag.
         path: PathBuf,
-        /// How many.
         gaps: u64,
-        /// Log times before and after the longest, in ns.
+        /// Log times before and after the longest gap \[ns\].
         longest_ns: (u64, u64),
     },
-    /// The log times step back, in the order in which messages were written.
+    /// The log times step back, in the order of writing.
     StepsBack {
-        /// The bag.
         path: PathBuf,
-        /// How often.
         steps: u64,
-        /// Log times before and after the first step, in ns.
+        /// Log times before and after the first step \[ns\].
         first_ns: (u64, u64),
     },
     /// All messages have the same log time.
     OneTime {
-        /// The bag.
         path: PathBuf,
-        /// The time, in ns.
+        /// The time \[ns\].
         log_time_ns: u64,
     },
-    /// `metadata.yaml` counts other messages than the files hold.
+    /// `metadata.yaml` and the files have different message counts.
     CountDiffers {
-        /// The bag.
         dir: PathBuf,
-        /// What `metadata.yaml` says.
+        /// The count in `metadata.yaml`.
         metadata: u64,
-        /// What the files hold.
+        /// The count in the files.
         files: u64,
     },
 }
 
-/// Fewer messages than this may have one log time without a fault.
+/// Fewer messages may have the same log time without a warning.
 const MANY: u64 = 10;
 
 impl BagWarning {
-    /// Whether messages that were in the bag cannot be read any more.
+    /// Whether messages of the bag are lost.
     #[must_use]
     pub fn is_loss(&self) -> bool {
         matches!(
@@ -227,12 +158,12 @@ impl BagWarning {
         )
     }
 
-    /// The warning about the fields of a channel's type, if they differ.
-    pub(crate) fn of_fields(topic: &str, type_name: &str, fields: &Fields) -> Option<Self> {
+    /// The warning about a channel's fields, if they differ from this version's.
+    pub(crate) fn of_fields(topic: &str, type_name: &str, fields: &FieldMatch) -> Option<Self> {
         let (topic, type_name) = (topic.to_owned(), type_name.to_owned());
         match fields {
-            Fields::Same | Fields::Unknown => None,
-            Fields::Mapped(mapping) => {
+            FieldMatch::Same | FieldMatch::Unknown => None,
+            FieldMatch::Mapped(mapping) => {
                 let (missing, dropped) = (mapping.missing().to_vec(), mapping.dropped().to_vec());
                 let differs = !missing.is_empty() || !dropped.is_empty();
                 differs.then_some(Self::OtherFields {
@@ -242,12 +173,12 @@ impl BagWarning {
                     dropped,
                 })
             }
-            Fields::Refused(reason) => Some(Self::Undecodable {
+            FieldMatch::Refused(reason) => Some(Self::Undecodable {
                 topic,
                 type_name,
                 reason: reason.clone(),
             }),
-            Fields::Unreadable(error) => Some(Self::UnreadableDefinition {
+            FieldMatch::Unreadable(error) => Some(Self::UnreadableDefinition {
                 topic,
                 type_name,
                 reason: error.to_string(),
@@ -255,7 +186,6 @@ impl BagWarning {
         }
     }
 
-    /// The warnings about log times.
     pub(crate) fn of_times(path: &Path, times: &Times, stretches: &[Stretch]) -> Vec<Self> {
         let path = || path.to_owned();
         let mut warnings = Vec::new();
@@ -269,7 +199,7 @@ impl BagWarning {
                 log_time_ns: first.start_ns,
             });
         }
-        let main = main_part(stretches);
+        let main = find_main_part(stretches);
         if let Some((main, messages @ 1..)) = main {
             warnings.push(Self::Apart {
                 path: path(),
@@ -278,7 +208,7 @@ impl BagWarning {
                 main_ns: (main.start_ns, main.end_ns),
             });
         }
-        // Gaps to messages outside the recording are part of the warning above.
+        // `Apart` covers gaps to messages outside the recording.
         let is_within = |stretch: &&Stretch| {
             main.is_none_or(|(main, _)| {
                 main.start_ns <= stretch.start_ns && stretch.end_ns <= main.end_ns
@@ -305,7 +235,6 @@ impl BagWarning {
     }
 }
 
-/// Seconds between two log times.
 fn seconds((from_ns, to_ns): (u64, u64)) -> f64 {
     Duration::from_nanos(to_ns.abs_diff(from_ns)).as_secs_f64()
 }
@@ -344,7 +273,7 @@ impl fmt::Display for BagWarning {
                 )
             }
             Self::MoreSkipped { count } => {
-                write!(f, "{count} more chunks or messages are left out")
+                write!(f, "{count} more chunks or messages are skipped")
             }
             Self::NoMetadata { dir } => {
                 write!(
@@ -356,7 +285,7 @@ impl fmt::Display for BagWarning {
             Self::BadMetadata { file, reason } => {
                 write!(
                     f,
-                    "{} is damaged ({reason}): the files beside it are read in the order of their names",
+                    "{} is damaged ({reason}): the files of its folder are read in the order of their names",
                     file.display()
                 )
             }
@@ -374,7 +303,7 @@ impl fmt::Display for BagWarning {
                 reason,
             } => write!(
                 f,
-                "{}: channel {topic} with {messages} message(s) is left out: {reason}",
+                "{}: channel {topic} with {messages} message(s) is skipped: {reason}",
                 file.display()
             ),
             Self::OtherFields {
@@ -391,7 +320,7 @@ impl fmt::Display for BagWarning {
                     write!(f, "; missing, set to defaults: {}", missing.join(", "))?;
                 }
                 if !dropped.is_empty() {
-                    write!(f, "; not read: {}", dropped.join(", "))?;
+                    write!(f, "; ignored: {}", dropped.join(", "))?;
                 }
                 Ok(())
             }
@@ -409,7 +338,7 @@ impl fmt::Display for BagWarning {
                 reason,
             } => write!(
                 f,
-                "{topic}: the bag's definition of {type_name} cannot be understood ({reason}); messages are decoded as \
+                "{topic}: the bag's definition of {type_name} is invalid ({reason}); messages are decoded as \
                  this version's type if they have its length"
             ),
             Self::Decompressed {
@@ -428,7 +357,7 @@ impl fmt::Display for BagWarning {
                 reason,
             } => write!(
                 f,
-                "{} is damaged or ends early ({reason}): read up to byte {bytes} of what it compresses",
+                "{} is damaged or ends early ({reason}): its first {bytes} decompressed bytes are read",
                 file.display()
             ),
             Self::Journal {
@@ -443,15 +372,15 @@ impl fmt::Display for BagWarning {
             ),
             Self::Twice { file } => write!(
                 f,
-                "{} is not read: the same file is there in another form",
+                "{} is skipped: another form of the same file is read",
                 file.display()
             ),
-            Self::MessageSkipped(reason) => write!(f, "a message is left out: {reason}"),
+            Self::MessageSkipped(reason) => write!(f, "a message is skipped: {reason}"),
             Self::Omitted {
                 topic,
                 messages,
                 reason,
-            } => write!(f, "{topic}: {messages} message(s) are left out: {reason}"),
+            } => write!(f, "{topic}: {messages} message(s) are skipped: {reason}"),
             Self::MissingFile { dir, file } => write!(
                 f,
                 "{}: metadata.yaml lists {}, which does not exist; the other files are read",
@@ -509,7 +438,7 @@ impl fmt::Display for BagWarning {
                 files,
             } => write!(
                 f,
-                "{}: metadata.yaml counts {metadata} messages, the files hold {files}",
+                "{}: metadata.yaml counts {metadata} messages, the files have {files}",
                 dir.display()
             ),
         }

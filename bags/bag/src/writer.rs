@@ -14,47 +14,47 @@ use mcap::records::MessageHeader;
 use wm_msgs::{Message, cdr};
 
 use crate::{
-    BagError, BagSummary, Durability, Latched, MessageEncoding, QOS_KEY, QosProfile, Schema,
-    TYPE_HASH_KEY, TopicSummary, known_qos,
+    BagError, BagSummary, Durability, LatchedMessages, MessageEncoding, QOS_KEY, QosProfile,
+    Schema, TYPE_HASH_KEY, TopicSummary, known_qos,
     metadata::{
         FileInformation, Metadata, Nanoseconds, SinceEpoch, TopicMetadata, TopicWithMessageCount,
     },
-    reader::times::{Times, main_part},
+    reader::times::{Times, find_main_part},
     schema::{canonical_type_name, with_absolute_name},
     type_schema,
 };
 use file::{BagFile, WrittenFile};
 pub use options::{Compression, StoragePreset, WriterOptions};
 
-/// Prefix of the keys in `custom_data` that hold the messages lost of each topic.
+/// Prefix of the keys in `custom_data` with the lost messages of a topic.
 pub(crate) const LOST_PREFIX: &str = "lost_messages.";
-/// Prefix of the keys that hold how many messages of a topic the bag's later files begin with once more.
+/// Prefix of the keys in `custom_data` with the number of messages of a topic that later files repeat.
 pub(crate) const REPEATED_PREFIX: &str = "wm.repeated_messages.";
 
-/// A channel that is being written; several may share a topic, as in a bag that is copied.
+/// A channel of the bag; in a copied bag, several may share a topic.
 struct Channel {
     definition: Arc<mcap::Channel<'static>>,
     /// The type, as `package/msg/Type`.
     type_name: String,
     message_count: u64,
     is_latched: bool,
-    /// Messages that were written again at the beginning of a file.
+    /// Number of messages that later files repeat.
     repeated: u64,
 }
 
-/// A message that is written again at the beginning of the next file.
-struct Kept {
-    /// Number of its channel.
+/// A latched message, repeated at the start of the next file.
+struct LatchedCopy {
+    /// Index of its channel.
     number: usize,
     header: MessageHeader,
     data: Bytes,
 }
 
-/// Writes a bag: a directory `NAME` with `NAME_0.mcap` and, at [`finish`](Self::finish), `metadata.yaml`. With a limit
-/// of size or duration in the options, `NAME_1.mcap` and so on come after it, each with every topic.
+/// Writes a bag: a folder `NAME` with `NAME_0.mcap` and, after [`finish`](Self::finish), `metadata.yaml`. With a limit of
+/// size or duration in the options, `NAME_1.mcap` and so on follow, each with every topic.
 ///
-/// Each finished chunk is handed to the operating system at once. A writer that is dropped without `finish` leaves a
-/// `.mcap` that can be read, and no `metadata.yaml`.
+/// Each finished chunk is passed to the operating system at once. A writer that is dropped without `finish` leaves a
+/// readable `.mcap` and no `metadata.yaml`.
 pub struct BagWriter {
     dir: PathBuf,
     name: String,
@@ -62,24 +62,24 @@ pub struct BagWriter {
     file: BagFile,
     written: Vec<WrittenFile>,
     channels: Vec<Channel>,
-    /// Number of each topic's first channel.
+    /// Index of each topic's first channel.
     by_topic: HashMap<String, usize>,
-    /// The same of channels without a definition.
+    /// Index of each topic's channel without a definition.
     undefined: HashMap<String, usize>,
-    latched: Latched<Kept>,
-    /// Whether the file has begun, and has yet to get what holds.
+    latched: LatchedMessages<LatchedCopy>,
+    /// Whether the file is new and still lacks the latched messages.
     is_new_file: bool,
     times: Times,
     message_count: u64,
     lost: BTreeMap<String, u64>,
-    custom: BTreeMap<String, String>,
+    notes: BTreeMap<String, String>,
 }
 
 impl BagWriter {
-    /// Begins a bag at `dir`, which must not exist, or be an empty directory.
+    /// Creates a bag at `dir`, which must be missing or an empty folder.
     ///
     /// # Errors
-    /// Something already exists there, or the file cannot be made.
+    /// `dir` exists and is not an empty folder, or the file cannot be created.
     pub fn create(dir: impl AsRef<Path>, options: WriterOptions) -> Result<Self, BagError> {
         let dir = dir.as_ref().to_owned();
         let name = dir
@@ -108,22 +108,21 @@ impl BagWriter {
             channels: Vec::new(),
             by_topic: HashMap::new(),
             undefined: HashMap::new(),
-            latched: Latched::default(),
+            latched: LatchedMessages::default(),
             is_new_file: false,
             times: Times::default(),
             message_count: 0,
             lost: BTreeMap::new(),
-            custom: BTreeMap::new(),
+            notes: BTreeMap::new(),
         })
     }
 
-    /// Notes something about the bag as a whole, under `custom_data` of its `metadata.yaml`, as `ros2 bag record
-    /// --custom-data` does; a key that is noted again has the new value.
+    /// Adds or replaces a note about the bag in `custom_data` of `metadata.yaml`, as `ros2 bag record --custom-data` does.
     pub fn note(&mut self, key: &str, value: impl Into<String>) {
-        self.custom.insert(key.to_owned(), value.into());
+        self.notes.insert(key.to_owned(), value.into());
     }
 
-    /// The bag's directory.
+    /// The bag's folder.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.dir
@@ -135,7 +134,7 @@ impl BagWriter {
         self.message_count
     }
 
-    /// Adds a topic with the QoS that its publisher offers. Adding it again with the same type changes nothing.
+    /// Adds a topic with its publisher's QoS. Adding it again with the same type has no effect.
     ///
     /// # Errors
     /// The topic has another type already, or a bad name; or the file cannot be written.
@@ -146,8 +145,8 @@ impl BagWriter {
         self.add_topic_raw(topic, &M::ros_name(), &type_schema::<M>(), &qos.to_yaml())
     }
 
-    /// Adds a topic of a type that is known by name only. `qos_yaml` is `offered_qos_profiles` of rosbag2
-    /// ([`QosProfile::to_yaml`], or that of another bag). Adding it again with the same type changes nothing.
+    /// Adds a topic by the name of its type. `qos_yaml` is the text of `offered_qos_profiles` ([`QosProfile::to_yaml`], or from
+    /// another bag). Adding it again with the same type has no effect.
     ///
     /// # Errors
     /// The topic has another type already, or a bad name; or the file cannot be written.
@@ -165,13 +164,13 @@ impl BagWriter {
             return Err(BagError::TopicName(topic.to_owned()));
         }
         let type_name = canonical_type_name(type_name)?;
-        // A type whose definition is unknown, or not understood, is recorded all the same, as rosbag2 does it.
+        // Types with an unknown or invalid definition are recorded too, as by rosbag2.
         let type_hash = match schema.type_hash(&type_name) {
             Ok(Some(hash)) => hash.to_string(),
             Ok(None) | Err(_) => String::new(),
         };
         let schema = mcap::Schema {
-            // Ids are given by each file.
+            // Each file assigns its own ids.
             id: 0,
             name: type_name,
             encoding: schema.encoding.as_str().to_owned(),
@@ -190,7 +189,7 @@ impl BagWriter {
         self.add_channel(Arc::new(channel)).map(|_| ())
     }
 
-    /// Adds a channel as another file defines it, and gives its number for [`copy`](Self::copy).
+    /// Adds a channel of another file; returns its index for [`copy`](Self::copy).
     ///
     /// # Errors
     /// The topic has another type already, or no type; or the file cannot be written.
@@ -230,10 +229,7 @@ impl BagWriter {
         Ok(number)
     }
 
-    /// Writes a message. A new topic is added as reliable, volatile ([`QosProfile::reliable`]).
-    ///
-    /// # Errors
-    /// See [`write_raw`](Self::write_raw).
+    /// Writes a message. A new topic gets the QoS [`QosProfile::reliable`].
     pub fn write<M: Message>(
         &mut self,
         topic: &str,
@@ -248,8 +244,7 @@ impl BagWriter {
         self.append(topic, &M::ros_name(), log_time_ns, &data)
     }
 
-    /// Writes a message that is CDR already, header included; its bytes are stored untouched. A new topic is added
-    /// with `schema` as reliable, volatile ([`QosProfile::reliable`]).
+    /// Writes a message in CDR, with its header, unchanged. A new topic gets `schema` and the QoS [`QosProfile::reliable`].
     ///
     /// # Errors
     /// The topic has another type, the bytes cannot be CDR, the time is past 2^63 - 1 ns, or the file cannot be
@@ -266,8 +261,8 @@ impl BagWriter {
         self.append(topic, type_name, log_time_ns, data)
     }
 
-    /// Writes a message whose definition is not known to a topic that has another definition: on a channel of its own, with
-    /// the topic's type and QoS, so that nothing is said of its bytes that is not true.
+    /// Writes a message of unknown definition to a topic that has a definition: on a separate channel with the topic's type and
+    /// QoS, so that the bag claims no wrong definition.
     ///
     /// # Errors
     /// The topic has not been added, the bytes cannot be CDR, the time is past 2^63 - 1 ns, or the file cannot be written.
@@ -298,14 +293,14 @@ impl BagWriter {
         self.append_to(number, topic, (log_time_ns, log_time_ns), data)
     }
 
-    /// Counts messages that were lost before they came here (a full queue), so that the bag says so.
+    /// Counts messages that were lost before this writer, for example in a full queue.
     pub fn count_lost(&mut self, topic: &str, messages: u64) {
         if messages > 0 {
             *self.lost.entry(topic.to_owned()).or_default() += messages;
         }
     }
 
-    /// Closes the open chunk and hands it to the operating system.
+    /// Closes the open chunk and passes it to the operating system.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -313,7 +308,7 @@ impl BagWriter {
         self.file.flush()
     }
 
-    /// Ends the bag: the last chunk, the summary, then, once the file is on the disk, `metadata.yaml`.
+    /// Writes the last chunk and the summary and, once the file is on the disk, `metadata.yaml`.
     ///
     /// # Errors
     /// The files cannot be written.
@@ -322,27 +317,28 @@ impl BagWriter {
         let span = self.written.iter().filter_map(|file| file.span).reduce(
             |(start, end), (next_start, next_end)| (start.min(next_start), end.max(next_end)),
         );
+        // As rosbag2, an empty bag has the time 0.
         let (start_ns, end_ns) = span.unwrap_or((0, 0));
-        let main = main_part(&self.times.stretches());
+        let main = find_main_part(&self.times.stretches());
         let mut topics: BTreeMap<&str, TopicWithMessageCount> = BTreeMap::new();
         for channel in &self.channels {
             topics
                 .entry(channel.definition.topic.as_str())
                 .and_modify(|topic| topic.message_count += channel.message_count)
-                .or_insert_with(|| topic_with_count(channel));
+                .or_insert_with(|| describe_topic(channel));
         }
-        let mut metadata = Metadata::of_files(self.written.iter().map(file_information).collect());
+        let mut metadata = Metadata::of_files(self.written.iter().map(describe_file).collect());
         metadata.ros_distro.clone_from(&self.options.ros_distro);
-        let mut custom = self.custom.clone();
+        let mut notes = self.notes.clone();
         for channel in self.channels.iter().filter(|channel| channel.repeated > 0) {
             let key = format!("{REPEATED_PREFIX}{}", channel.definition.topic);
-            custom.insert(key, channel.repeated.to_string());
+            notes.insert(key, channel.repeated.to_string());
         }
         let losses = self.lost.iter();
-        custom.extend(
+        notes.extend(
             losses.map(|(topic, count)| (format!("{LOST_PREFIX}{topic}"), count.to_string())),
         );
-        metadata.custom_data = (!custom.is_empty()).then_some(custom);
+        metadata.custom_data = (!notes.is_empty()).then_some(notes);
         let repeated = |topic: &str| -> u64 {
             let channels = self.channels.iter();
             let of_topic = channels.filter(|channel| channel.definition.topic == topic);
@@ -371,12 +367,12 @@ impl BagWriter {
             lost: self.lost,
             compression: self.options.chunk_compression().name().to_owned(),
             ros_distro: self.options.ros_distro,
-            notes: self.custom,
+            notes: self.notes,
             warnings: Vec::new(),
         })
     }
 
-    /// The number of the topic's channel if it is known, held against the type.
+    /// The index of the topic's channel, if it exists; checks its type.
     fn known_channel(&self, topic: &str, type_name: &str) -> Result<Option<usize>, BagError> {
         let number = self.by_topic.get(topic).copied();
         let Some((number, known)) = number.and_then(|n| Some((n, self.channels.get(n)?))) else {
@@ -394,7 +390,6 @@ impl BagWriter {
         Ok(Some(number))
     }
 
-    /// Writes to a topic that has been added.
     fn append(
         &mut self,
         topic: &str,
@@ -407,7 +402,7 @@ impl BagWriter {
         self.append_to(number, topic, (log_time_ns, log_time_ns), data)
     }
 
-    /// Writes to a topic that has been added, with these log and publish times, in ns.
+    /// Writes to an existing topic, with these log and publish times \[ns\].
     pub(crate) fn append_at(
         &mut self,
         topic: &str,
@@ -419,7 +414,7 @@ impl BagWriter {
         self.append_to(number, topic, times_ns, data)
     }
 
-    /// Writes to the channel of this number, with these log and publish times, in ns.
+    /// Writes to the channel with this index, with these log and publish times \[ns\].
     fn append_to(
         &mut self,
         number: usize,
@@ -438,7 +433,7 @@ impl BagWriter {
         };
         let header = MessageHeader {
             channel_id: 0,
-            // MCAP's sequence is 32 bits wide and may wrap.
+            // Wraps: sequence numbers of MCAP have 32 bits.
             sequence: (channel.message_count - channel.repeated + 1) as u32,
             log_time: log_time_ns,
             publish_time: publish_time_ns,
@@ -446,8 +441,7 @@ impl BagWriter {
         self.copy(number, header, data)
     }
 
-    /// Writes a message to the channel of this number, with the times and the sequence number of `header`; the bytes
-    /// as they are.
+    /// Writes an unchanged message to the channel with this index, with the times and sequence number of `header`.
     ///
     /// # Errors
     /// The time is past 2^63 - 1 ns, or the file cannot be written.
@@ -478,12 +472,12 @@ impl BagWriter {
             if channel.is_latched {
                 let topic = channel.definition.topic.as_str().into();
                 let data = Bytes::copy_from_slice(data);
-                let kept = Kept {
+                let latched = LatchedCopy {
                     number,
                     header,
                     data: data.clone(),
                 };
-                self.latched.keep(&topic, &data, kept);
+                self.latched.add(&topic, &data, latched);
             }
         }
         self.message_count += 1;
@@ -491,14 +485,14 @@ impl BagWriter {
         Ok(())
     }
 
-    /// Begins a file with what holds, at the log time of its first message; the publish times stay.
+    /// Repeats the latched messages with this log time; their publish times stay.
     fn repeat_latched(&mut self, log_time_ns: u64) -> Result<(), BagError> {
-        for (_, kept) in self.latched.iter() {
-            let mut header = kept.header;
+        for (_, latched) in self.latched.iter() {
+            let mut header = latched.header;
             header.log_time = log_time_ns;
             self.file
-                .write(kept.number, header, &kept.data, &self.options)?;
-            if let Some(channel) = self.channels.get_mut(kept.number) {
+                .write(latched.number, header, &latched.data, &self.options)?;
+            if let Some(channel) = self.channels.get_mut(latched.number) {
                 channel.message_count += 1;
                 channel.repeated += 1;
             }
@@ -506,7 +500,7 @@ impl BagWriter {
         Ok(())
     }
 
-    /// Ends the file and begins the next, with all channels: each file can be read by itself.
+    /// Continues in a new file with all channels, which can be read by itself.
     ///
     /// # Errors
     /// The files cannot be written.
@@ -524,14 +518,16 @@ impl BagWriter {
     }
 }
 
-/// Whether a topic with these profiles is latched; without any, by what it is known for.
+/// Whether a topic with these profiles is latched; without a valid profile, by its name.
 fn is_latched(topic: &str, qos_yaml: &str) -> bool {
+    // An invalid profile counts as a missing one.
     let profiles = QosProfile::parse_yaml(qos_yaml).unwrap_or_default();
     let profile = profiles.into_iter().next().or_else(|| known_qos(topic));
     profile.is_some_and(|qos| qos.durability == Durability::TransientLocal)
 }
 
-fn topic_with_count(channel: &Channel) -> TopicWithMessageCount {
+fn describe_topic(channel: &Channel) -> TopicWithMessageCount {
+    // Channels of other recorders may lack both keys; rosbag2 then writes empty values.
     let metadata = |key: &str| channel.definition.metadata.get(key).cloned();
     let qos_yaml = metadata(QOS_KEY).unwrap_or_default();
     TopicWithMessageCount {
@@ -539,19 +535,21 @@ fn topic_with_count(channel: &Channel) -> TopicWithMessageCount {
             name: channel.definition.topic.clone(),
             type_name: channel.type_name.clone(),
             serialization_format: channel.definition.message_encoding.clone(),
-            // Text that is no YAML stays text, the form of older versions.
+            // Invalid YAML is kept as text, the form of older versions.
             offered_qos_profiles: serde_yaml_ng::from_str(&qos_yaml)
                 .unwrap_or_else(|_| qos_yaml.into()),
-            // The key of rosbag2's own recorder.
+            // The key that rosbag2's recorder uses.
             type_description_hash: metadata(TYPE_HASH_KEY).unwrap_or_default(),
         },
         message_count: channel.message_count,
     }
 }
 
-fn file_information(file: &WrittenFile) -> FileInformation {
+fn describe_file(file: &WrittenFile) -> FileInformation {
+    // As rosbag2, an empty file has the time 0.
     let (start_ns, end_ns) = file.span.unwrap_or((0, 0));
     FileInformation {
+        // Never empty: the writer named the file itself.
         path: file.path.file_name().map(PathBuf::from).unwrap_or_default(),
         starting_time: SinceEpoch {
             nanoseconds_since_epoch: signed(start_ns),
@@ -563,7 +561,7 @@ fn file_information(file: &WrittenFile) -> FileInformation {
     }
 }
 
-/// Log times are held to 2^63 - 1 when they are written, so that nothing saturates here.
+/// Never saturates: log times are limited to 2^63 - 1 when they are written.
 fn signed(time_ns: u64) -> i64 {
     i64::try_from(time_ns).unwrap_or(i64::MAX)
 }

@@ -1,6 +1,6 @@
-//! Bags of other programs: channels that cannot be read, and definitions with other fields.
+//! Bags of other programs: unreadable channels, and definitions with other fields.
 
-#![allow(clippy::unwrap_used)] // the helpers of tests too, not only what is marked #[test]
+#![allow(clippy::unwrap_used)] // the lint exempts #[test] functions, not their helpers
 
 use std::{collections::BTreeMap, fs, path::PathBuf};
 
@@ -11,12 +11,12 @@ use wm_msgs::{cdr, std_msgs::String as Text, wm_msgs::Action};
 
 const START_NS: u64 = 1_750_000_000_000_000_000;
 
-/// An MCAP file: of each channel its topic, schema (name, encoding, text), encoding and messages.
-struct File {
+/// Builds an MCAP file.
+struct McapFile {
     writer: mcap::Writer<std::io::Cursor<Vec<u8>>>,
 }
 
-impl File {
+impl McapFile {
     fn new() -> Self {
         let options = WriteOptions::new().profile("ros2");
         Self {
@@ -73,9 +73,9 @@ fn texts(reader: &BagReader) -> Vec<String> {
 }
 
 #[test]
-fn unreadable_channels_are_left_out_by_name() {
+fn unreadable_channels_are_skipped_by_name() {
     let scratch = TempDir::new().unwrap();
-    let mut file = File::new();
+    let mut file = McapFile::new();
     let string = ("std_msgs/msg/String", "ros2msg", "string data");
     file.channel(
         "/json",
@@ -183,9 +183,9 @@ fn messages_of_an_undefined_channel_are_counted() {
 }
 
 #[test]
-fn a_topic_with_two_types_keeps_the_one_of_most_messages() {
+fn most_frequent_type_of_a_topic_is_kept() {
     let scratch = TempDir::new().unwrap();
-    let mut file = File::new();
+    let mut file = McapFile::new();
     let float = ("std_msgs/msg/Float32", "ros2msg", "float32 data");
     file.channel("/x", Some(float), "cdr", &[vec![0, 1, 0, 0, 0, 0, 0, 0]]);
     let string = ("std_msgs/msg/String", "ros2msg", "string data");
@@ -204,9 +204,9 @@ fn a_topic_with_two_types_keeps_the_one_of_most_messages() {
 }
 
 #[test]
-fn a_topic_without_its_slash_is_found_with_it() {
+fn topic_without_leading_slash_gets_one() {
     let scratch = TempDir::new().unwrap();
-    let mut file = File::new();
+    let mut file = McapFile::new();
     let string = ("std_msgs/msg/String", "ros2msg", "string data");
     file.channel("task/instruction", Some(string), "cdr", &[text("push")]);
     let path = file.write(&scratch);
@@ -225,9 +225,9 @@ fn a_topic_without_its_slash_is_found_with_it() {
 const HEADER: [u8; 16] = [1, 0, 0, 0, 0, 0, 0, 0, 2, 0, 0, 0, b'b', 0, 0, 0];
 
 #[test]
-fn other_fields_are_named_and_values_keep_their_fields() {
+fn other_fields_are_named_and_values_keep_their_names() {
     let scratch = TempDir::new().unwrap();
-    let mut file = File::new();
+    let mut file = McapFile::new();
     let definition = "std_msgs/Header header\nuint32 mode\nfloat32[] values\n";
     let schema = ("wm_msgs/msg/Action", "ros2msg", definition);
     let values = [
@@ -255,7 +255,7 @@ fn other_fields_are_named_and_values_keep_their_fields() {
     );
     let warnings: Vec<String> = reader.warnings().iter().map(ToString::to_string).collect();
     assert!(
-        warnings[0].contains("/wm/action") && warnings[0].contains("not read: mode"),
+        warnings[0].contains("/wm/action") && warnings[0].contains("ignored: mode"),
         "{warnings:?}"
     );
     assert!(
@@ -264,15 +264,15 @@ fn other_fields_are_named_and_values_keep_their_fields() {
     );
 }
 
-/// A channel whose record is damaged: its messages are named, and those around them are read.
+/// A channel's record is damaged.
 #[test]
-fn messages_of_an_unknown_channel_hide_no_others() {
+fn undefined_channel_does_not_hide_other_messages() {
     let scratch = TempDir::new().unwrap();
     let options = WriteOptions::new()
         .compression(None)
         .calculate_chunk_crcs(false)
         .emit_summary_records(false);
-    let mut file = File {
+    let mut file = McapFile {
         writer: options.create(std::io::Cursor::new(Vec::new())).unwrap(),
     };
     let string = ("std_msgs/msg/String", "ros2msg", "string data");
@@ -285,7 +285,7 @@ fn messages_of_an_unknown_channel_hide_no_others() {
         .windows(8)
         .position(|window| window == b"/damaged")
         .unwrap();
-    // Opcode, length, two ids and the length of the topic are before it.
+    // The topic follows opcode, length, two ids and its own length.
     assert_eq!(bytes[topic - 17], 4);
     bytes[topic - 17] = 0x90;
     fs::write(&path, bytes).unwrap();
@@ -294,16 +294,16 @@ fn messages_of_an_unknown_channel_hide_no_others() {
     assert_eq!((good.len(), bad.len()), (3, 1));
     let error = bad[0].as_ref().unwrap_err().to_string();
     assert!(
-        error.contains("unknown channel") && error.contains("1 more"),
+        error.contains("undefined channel") && error.contains("1 more"),
         "{error}"
     );
 }
 
-/// rosbag2 has no time after 2^63 - 1 ns, and MCAP has.
+/// MCAP can store times past 2^63 - 1 ns, rosbag2 cannot.
 #[test]
-fn a_message_of_a_time_that_rosbag2_lacks_is_left_out_of_a_part_by_name() {
+fn message_past_rosbag2_time_is_skipped_by_name() {
     let scratch = TempDir::new().unwrap();
-    let mut file = File::new();
+    let mut file = McapFile::new();
     let string = ("std_msgs/msg/String", "ros2msg", "string data");
     let channel_id = file.channel("/text", Some(string), "cdr", &[text("a")]);
     let header = MessageHeader {

@@ -1,7 +1,7 @@
-//! Bags against readers and writers that nobody here wrote: rosbags, mcap and mcap-ros2-support from PyPI, in the
-//! virtual environment that `tests/setup_ros2` makes.
+//! Interoperability with independent readers and writers: rosbags, mcap and mcap-ros2-support from PyPI, in the virtual
+//! environment that `tests/setup_ros2` makes.
 
-#![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
+#![allow(clippy::unwrap_used, clippy::expect_used)] // the lint exempts #[test] functions, not their helpers
 
 use std::{
     path::{Path, PathBuf},
@@ -27,7 +27,7 @@ use wm_msgs::{
 
 const START_NS: u64 = 1_700_000_000_000_000_000;
 
-/// A Python program of `tests/interop`; `None` (with a plain message) where its libraries are not installed.
+/// Runs a Python program of `tests/interop`; `None` (with a plain message) if its libraries are not installed.
 fn peer(script: &str, arg: &Path) -> Option<Value> {
     let root = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."));
     let python = root.join(".venv/tools/bin/python");
@@ -44,7 +44,7 @@ fn peer(script: &str, arg: &Path) -> Option<Value> {
     let output = Command::new(python)
         .arg(root.join("tests/interop").join(script))
         .arg(arg)
-        // Set by the wheels of ROS 2; it would load their libraries into this Python.
+        // The wheels of ROS 2 set it; it would load their libraries into this Python.
         .env_remove("LD_LIBRARY_PATH")
         .output()
         .unwrap();
@@ -57,7 +57,7 @@ fn peer(script: &str, arg: &Path) -> Option<Value> {
     Some(serde_json::from_slice(&output.stdout).unwrap())
 }
 
-/// What a bag holds, in the form in which the Python programs print it.
+/// The contents of a bag, in the form that the Python programs print.
 fn contents(bag: &Path) -> Value {
     let rows = BagReader::open(bag).unwrap().messages().map(|message| {
         let message = message.unwrap();
@@ -75,7 +75,7 @@ fn contents(bag: &Path) -> Value {
     Value::Array(rows.collect())
 }
 
-/// A bag of every kind of field: texts, byte and number sequences, nested types, odd alignments.
+/// A bag with every kind of field: texts, byte and number sequences, nested types, odd alignments.
 fn write_bag(dir: &Path, compression: Compression) {
     let options = WriterOptions {
         compression,
@@ -193,7 +193,7 @@ fn write_bag_with(dir: &Path, options: WriterOptions) {
 }
 
 #[test]
-fn other_readers_see_what_we_wrote() {
+fn other_readers_read_our_bags() {
     let scratch = TempDir::new().unwrap();
     for (name, compression) in [
         ("plain", Compression::None),
@@ -230,7 +230,7 @@ fn other_readers_see_what_we_wrote() {
 }
 
 #[test]
-fn other_readers_see_bags_of_several_files_and_of_each_preset() {
+fn other_readers_read_split_bags_and_presets() {
     let scratch = TempDir::new().unwrap();
     let plain = WriterOptions::default;
     let split = |compression| WriterOptions {
@@ -257,7 +257,7 @@ fn other_readers_see_bags_of_several_files_and_of_each_preset() {
         assert_eq!(reader.summary().files.len(), files, "{name}");
         let written = contents(&bag);
         assert_eq!(written.as_array().unwrap().len(), 1 + 30 * 8);
-        // Others see the instruction that holds at the beginning of each file.
+        // Other readers see the latched instruction at the start of each file.
         let once = |seen: &Value| -> Value {
             let mut came = std::collections::HashSet::new();
             let rows = seen.as_array().unwrap().iter();
@@ -274,7 +274,7 @@ fn other_readers_see_bags_of_several_files_and_of_each_preset() {
 }
 
 #[test]
-fn other_readers_see_what_was_recovered_and_cut() {
+fn other_readers_read_recovered_and_cut_bags() {
     let scratch = TempDir::new().unwrap();
     let whole = scratch.path().join("whole");
     write_bag(&whole, Compression::Zstd);
@@ -312,7 +312,7 @@ fn other_readers_see_what_was_recovered_and_cut() {
 }
 
 #[test]
-fn we_read_what_rosbags_wrote() {
+fn bags_of_rosbags_are_read() {
     let scratch = TempDir::new().unwrap();
     let Some(written) = peer("bags_write.py", scratch.path()) else {
         return;
@@ -344,7 +344,7 @@ fn we_read_what_rosbags_wrote() {
 }
 
 #[test]
-fn a_copy_of_a_foreign_bag_keeps_its_bytes() {
+fn copy_of_a_foreign_bag_keeps_its_bytes() {
     let scratch = TempDir::new().unwrap();
     let Some(written) = peer("bags_write.py", scratch.path()) else {
         return;

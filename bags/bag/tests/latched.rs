@@ -1,6 +1,6 @@
-//! Latched topics: what holds at a time, in each file of a split, and by what their names are known for.
+//! Latched topics: at a time of a bag, in each file of a split, and by their names.
 
-#![allow(clippy::unwrap_used)] // the helpers of tests too, not only what is marked #[test]
+#![allow(clippy::unwrap_used)] // the lint exempts #[test] functions, not their helpers
 
 use tempfile::TempDir;
 use wm_bag::{BagReader, BagWriter, QosProfile, WriterOptions, recover, type_schema};
@@ -13,7 +13,7 @@ fn text(data: &str) -> Text {
     Text { data: data.into() }
 }
 
-/// Topic, text and log time in seconds after the start.
+/// Topic, text and log time \[s after the start\].
 fn rows(messages: impl IntoIterator<Item = wm_bag::BagMessage>) -> Vec<(String, String, u64)> {
     let row = |message: wm_bag::BagMessage| {
         let text = message.decode::<Text>().unwrap().data;
@@ -30,7 +30,7 @@ fn row(topic: &str, text: &str, seconds: u64) -> (String, String, u64) {
     (topic.to_owned(), text.to_owned(), seconds)
 }
 
-/// Two static frames and an instruction, which changes in the sixth second; a note each second.
+/// Two static frames; an instruction that changes in the sixth second; a note each second.
 fn write(writer: &mut BagWriter) {
     for topic in ["/tf_static", "/task/instruction"] {
         writer
@@ -58,7 +58,7 @@ fn write(writer: &mut BagWriter) {
 }
 
 #[test]
-fn what_holds_at_a_time_is_found() {
+fn latched_messages_before_a_time_are_found() {
     let scratch = TempDir::new().unwrap();
     let dir = scratch.path().join("bag");
     let options = WriterOptions {
@@ -89,7 +89,7 @@ fn what_holds_at_a_time_is_found() {
 }
 
 #[test]
-fn each_file_of_a_split_begins_with_what_holds() {
+fn each_file_starts_with_latched_messages() {
     let scratch = TempDir::new().unwrap();
     let dir = scratch.path().join("bag");
     let options = WriterOptions {
@@ -120,7 +120,7 @@ fn each_file_of_a_split_begins_with_what_holds() {
         [&begin("pull", 8)[..], &[row("/note", "8", 8)]].concat()
     );
 
-    // The bag as a whole has each message once, also after it was recovered.
+    // The whole bag has each message once, also after recovery.
     let recovered = scratch.path().join("recovered");
     recover(&dir, &recovered).unwrap();
     for dir in [dir, recovered] {
@@ -137,7 +137,7 @@ fn each_file_of_a_split_begins_with_what_holds() {
 }
 
 #[test]
-fn the_same_message_twice_is_not_a_repetition() {
+fn same_message_published_twice_is_kept_twice() {
     let scratch = TempDir::new().unwrap();
     let dir = scratch.path().join("bag");
     let mut writer = BagWriter::create(&dir, WriterOptions::default()).unwrap();
@@ -158,7 +158,7 @@ fn the_same_message_twice_is_not_a_repetition() {
 }
 
 #[test]
-fn topics_without_qos_are_latched_where_their_names_are_known() {
+fn known_topics_without_qos_are_latched() {
     let scratch = TempDir::new().unwrap();
     for (number, qos) in ["", "[]", "not: [yaml"].into_iter().enumerate() {
         let dir = scratch.path().join(number.to_string());

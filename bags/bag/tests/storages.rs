@@ -1,6 +1,6 @@
-//! What rosbag2 stores other than plain MCAP: compressed files, compressed messages, sqlite3.
+//! Storages of rosbag2 other than plain MCAP: compressed files, compressed messages, sqlite3.
 
-#![allow(clippy::unwrap_used)] // the helpers of tests too, not only what is marked #[test]
+#![allow(clippy::unwrap_used)] // the lint exempts #[test] functions, not their helpers
 
 use std::{
     fs,
@@ -19,7 +19,7 @@ use wm_msgs::{
 
 const START_NS: u64 = 1_750_000_000_000_000_000;
 
-/// A bag of ten texts that begin with this number; gives its file.
+/// Writes a bag with ten numbered texts; returns its file.
 fn mcap(dir: &Path, first: u64) -> PathBuf {
     let mut writer = BagWriter::create(dir, WriterOptions::default()).unwrap();
     for number in first..first + 10 {
@@ -51,9 +51,9 @@ fn numbers(range: std::ops::Range<u64>) -> Vec<String> {
     range.map(|number| number.to_string()).collect()
 }
 
-/// What rosbag2 leaves when it is killed in its mode FILE: closed files compressed, the open one not.
+/// With the mode FILE, a killed rosbag2 leaves closed files compressed, the open one not.
 #[test]
-fn a_killed_recorder_with_file_compression_loses_nothing() {
+fn killed_recorder_with_file_compression_loses_nothing() {
     let scratch = TempDir::new().unwrap();
     let dir = scratch.path().join("killed");
     fs::create_dir(&dir).unwrap();
@@ -75,15 +75,15 @@ fn a_killed_recorder_with_file_compression_loses_nothing() {
     assert_eq!(
         fs::read_dir(&dir).unwrap().count(),
         3,
-        "nothing is written into the bag"
+        "reading does not change the bag"
     );
 }
 
 #[test]
-fn a_file_that_is_there_twice_is_read_once() {
+fn file_in_two_forms_is_read_once() {
     let scratch = TempDir::new().unwrap();
     let file = mcap(&scratch.path().join("bag"), 0);
-    // The recorder was killed while it compressed.
+    // As if the recorder was killed while it compressed.
     let whole = zstd::bulk::compress(&fs::read(&file).unwrap(), 1).unwrap();
     fs::write(file.with_extension("mcap.zstd"), &whole[..whole.len() / 2]).unwrap();
     fs::remove_file(file.with_file_name("metadata.yaml")).unwrap();
@@ -99,7 +99,7 @@ fn a_file_that_is_there_twice_is_read_once() {
 }
 
 #[test]
-fn a_cut_compressed_file_is_read_up_to_its_end() {
+fn truncated_compressed_file_is_read_to_its_end() {
     let scratch = TempDir::new().unwrap();
     let dir = scratch.path().join("bag");
     let options = WriterOptions {
@@ -116,7 +116,7 @@ fn a_cut_compressed_file_is_read_up_to_its_end() {
     }
     let file = writer.finish().unwrap().files.remove(0);
     let mut encoder = zstd::stream::write::Encoder::new(Vec::new(), 1).unwrap();
-    // Blocks that are closed can be read, as of a recorder that compresses while it writes.
+    // Finished blocks can be read, as of a recorder that compresses while it writes.
     for part in fs::read(&file).unwrap().chunks(20_000) {
         std::io::Write::write_all(&mut encoder, part).unwrap();
         std::io::Write::flush(&mut encoder).unwrap();
@@ -162,7 +162,7 @@ fn listed_files_are_found_compressed_or_not() {
 }
 
 #[test]
-fn the_other_files_are_read_where_one_is_missing() {
+fn other_files_are_read_if_one_is_missing() {
     let scratch = TempDir::new().unwrap();
     let dir = scratch.path().join("bag");
     mcap(&dir, 0);
@@ -179,9 +179,9 @@ fn the_other_files_are_read_where_one_is_missing() {
     assert!(reader.warnings().iter().any(missing));
 }
 
-/// In its mode MESSAGE, rosbag2 compresses each message by itself; a file says nothing of it.
+/// In the mode MESSAGE, rosbag2 compresses each message, and the file itself does not record it.
 #[test]
-fn compressed_messages_are_read_and_recovered_as_plain_ones() {
+fn compressed_messages_are_read_and_recovered_plain() {
     let scratch = TempDir::new().unwrap();
     let dir = scratch.path().join("bag");
     let schema = wm_bag::type_schema::<Text>();
@@ -236,7 +236,7 @@ fn tables(version: u32) -> String {
     )
 }
 
-/// A file with `messages` texts on one topic and a flag on another.
+/// A file with `messages` texts on one topic, and flags on another.
 fn sqlite(path: &Path, version: u32, messages: i64) {
     let file = Connection::open(path).unwrap();
     fill(&file, version, messages);
@@ -264,7 +264,7 @@ fn fill(file: &Connection, version: u32, messages: i64) {
         let definition = "INSERT INTO message_definitions VALUES (1, 'std_msgs/msg/String', 'ros2msg', 'string data', '')";
         file.execute(definition, []).unwrap();
     }
-    // One transaction, so that the disk is waited for once.
+    // One transaction waits for the disk only once.
     file.execute_batch("BEGIN").unwrap();
     let mut insert = file
         .prepare("INSERT INTO messages VALUES (?1, ?2, ?3, ?4)")
@@ -274,7 +274,7 @@ fn fill(file: &Connection, version: u32, messages: i64) {
             data: number.to_string(),
         })
         .unwrap();
-        // Every fourth was late.
+        // Every fourth is late.
         let late = if number % 4 == 0 { 3_500_000 } else { 0 };
         let time = START_NS as i64 + number * 1_000_000 - late;
         insert.execute(params![number + 1, 1, time, data]).unwrap();
@@ -325,13 +325,13 @@ fn sqlite_bags_of_every_version_are_read_in_log_order() {
         assert_eq!(
             fs::read_dir(&dir).unwrap().count(),
             1,
-            "nothing is written beside it"
+            "reading creates no files"
         );
     }
 }
 
 #[test]
-fn a_compressed_sqlite_file_is_read() {
+fn compressed_sqlite_file_is_read() {
     let scratch = TempDir::new().unwrap();
     let plain = scratch.path().join("bag_0.db3");
     sqlite(&plain, 4, 20);
@@ -343,9 +343,9 @@ fn a_compressed_sqlite_file_is_read() {
     assert_eq!(BagReader::open(&odd).unwrap().messages().count(), 21);
 }
 
-/// A recorder that was killed leaves its last messages in the write-ahead log.
+/// A killed recorder leaves its last messages in the write-ahead log.
 #[test]
-fn the_journal_of_a_killed_recorder_is_read_from_a_copy() {
+fn journal_of_a_killed_recorder_is_read_from_a_copy() {
     let scratch = TempDir::new().unwrap();
     let (open, dir) = (scratch.path().join("open"), scratch.path().join("killed"));
     fs::create_dir(&open).unwrap();
@@ -383,7 +383,7 @@ fn damaged_sqlite_files_give_messages_or_an_error() {
     let whole = fs::read(&path).unwrap();
     let mut read_in_part = false;
     for part in 1..20 {
-        // Cut, and flipped.
+        // Truncated, then with flipped bits.
         fs::write(&path, &whole[..whole.len() * part / 20]).unwrap();
         let mut flipped = whole.clone();
         for at in (100 + part * 7..whole.len()).step_by(whole.len() / 5) {
@@ -399,7 +399,7 @@ fn damaged_sqlite_files_give_messages_or_an_error() {
         }
     }
     assert!(read_in_part);
-    // A view could compute anything, and without an end.
+    // A view could compute without end.
     fs::remove_file(&path).unwrap();
     let file = Connection::open(&path).unwrap();
     file.execute_batch(
@@ -413,9 +413,9 @@ fn damaged_sqlite_files_give_messages_or_an_error() {
     assert!(error.contains("without a table of messages"), "{error}");
 }
 
-/// A definition of this machine must not stand over bytes that it does not fit.
+/// A definition of this machine must not be used for bytes that it does not fit.
 #[test]
-fn sqlite_bags_without_definitions_get_only_one_that_fits() {
+fn sqlite_bags_get_only_definitions_that_fit() {
     let scratch = TempDir::new().unwrap();
     let path = scratch.path().join("bag_0.db3");
     let file = Connection::open(&path).unwrap();

@@ -1,6 +1,6 @@
-//! Log times that lie: of chunks, of summaries, and of the clock itself.
+//! Wrong log times: in chunks, summaries and of the clock itself.
 
-#![allow(clippy::unwrap_used)] // the helpers of tests too, not only what is marked #[test]
+#![allow(clippy::unwrap_used)] // the lint exempts #[test] functions, not their helpers
 
 use std::{
     fs,
@@ -17,7 +17,7 @@ use wm_msgs::std_msgs::String as Text;
 const S: u64 = 1_000_000_000;
 const START_NS: u64 = 1_750_000_000 * S;
 
-/// A bag of one file with a text at each of these times, in this order; gives the file.
+/// Writes a bag of one file with a text at each of these times, in this order; returns the file.
 fn bag(folder: &Path, times: impl IntoIterator<Item = u64>) -> PathBuf {
     let options = WriterOptions {
         chunk_size: 60,
@@ -37,7 +37,7 @@ fn times(path: &Path) -> Vec<u64> {
     messages.map(|message| message.log_time_ns).collect()
 }
 
-/// Offset of the body and opcode of each record at the top of a file.
+/// Body offset and opcode of each top-level record.
 fn records(bytes: &[u8]) -> Vec<(usize, u8)> {
     let (mut at, mut records) = (8, Vec::new());
     while at + 9 < bytes.len() - 8 {
@@ -68,7 +68,7 @@ fn seconds() -> impl Iterator<Item = u64> {
 }
 
 #[test]
-fn chunk_times_that_lie_change_no_reading() {
+fn wrong_chunk_times_do_not_change_reading() {
     let swap = |body: &mut [u8]| body[..16].rotate_left(8);
     let front = |body: &mut [u8]| body[..16].copy_from_slice(&[0; 16]);
     type Edit<'a> = (&'a [u8], &'a dyn Fn(&mut [u8]));
@@ -99,7 +99,7 @@ fn chunk_times_that_lie_change_no_reading() {
         cut(&file, &part, start, end, &TopicFilter::default()).unwrap();
         assert_eq!(times(&part), &expected[10..13], "edit {number}");
         let is_told = |warning: &BagWarning| matches!(warning, BagWarning::WrongSummary { .. });
-        // An index of messages alone is checked, and not needed.
+        // A wrong message index alone changes nothing.
         assert_eq!(
             reader.warnings().iter().any(is_told),
             opcodes != [MESSAGE_INDEX]
@@ -111,7 +111,7 @@ fn chunk_times_that_lie_change_no_reading() {
 fn wrong_statistics_are_reported() {
     let scratch = TempDir::new().unwrap();
     let file = bag(&scratch.path().join("bag"), seconds());
-    // Counts: of messages; then the first and the last time.
+    // The message count; then the first and the last time.
     change(&file, &[STATISTICS], |body| {
         body[..8].copy_from_slice(&5_000_000_u64.to_le_bytes());
         body[26..42].copy_from_slice(&[255; 16]);
@@ -123,14 +123,14 @@ fn wrong_statistics_are_reported() {
     );
     let warning = reader.warnings()[0].to_string();
     assert!(
-        warning.contains("counts 5000000 messages, the file holds 30"),
+        warning.contains("counts 5000000 messages, the file has 30"),
         "{warning}"
     );
     assert!(warning.contains("log times"), "{warning}");
 }
 
 #[test]
-fn lengths_that_lead_out_of_a_record_take_no_memory() {
+fn lengths_beyond_a_record_take_no_memory() {
     let scratch = TempDir::new().unwrap();
     let file = bag(&scratch.path().join("bag"), seconds());
     let whole = fs::read(&file).unwrap();
@@ -145,7 +145,7 @@ fn lengths_that_lead_out_of_a_record_take_no_memory() {
         change(&file, &[opcode], |body| {
             body[at..at + 4].copy_from_slice(&[255; 4]);
         });
-        // Damage is named; what it takes is bounded by the file, which the limit of the process would show.
+        // Memory is bounded by the file: the memory limit of the process would show a violation.
         if let Ok(reader) = BagReader::open(&file) {
             reader.messages().for_each(drop);
         }
@@ -153,7 +153,7 @@ fn lengths_that_lead_out_of_a_record_take_no_memory() {
 }
 
 #[test]
-fn messages_at_time_zero_are_reported_and_move_no_offset() {
+fn messages_at_time_zero_are_reported_and_skip_offsets() {
     for outlier in [0, 2 * START_NS] {
         let scratch = TempDir::new().unwrap();
         let dir = scratch.path().join("bag");
@@ -170,7 +170,10 @@ fn messages_at_time_zero_are_reported_and_move_no_offset() {
         }
         writer.finish().unwrap();
         let reader = BagReader::open(&dir).unwrap();
-        assert_eq!(reader.main_span_ns(), Some((START_NS, START_NS + 29 * S)));
+        assert_eq!(
+            reader.summary().main_span_ns,
+            Some((START_NS, START_NS + 29 * S))
+        );
         assert_eq!(reader.summary().duration_ns(), 29 * S);
         assert_eq!(reader.time_at(Duration::from_secs(2)), START_NS + 2 * S);
         let texts: Vec<String> = reader.warnings().iter().map(ToString::to_string).collect();
@@ -190,7 +193,7 @@ fn messages_at_time_zero_are_reported_and_move_no_offset() {
 }
 
 #[test]
-fn a_step_back_of_the_clock_is_reported_with_its_place() {
+fn backward_clock_step_is_reported_with_its_place() {
     let scratch = TempDir::new().unwrap();
     let back = START_NS - 7200 * S;
     let all = seconds().chain((0..5).map(|second| back + second * S));
@@ -220,7 +223,7 @@ fn a_step_back_of_the_clock_is_reported_with_its_place() {
 }
 
 #[test]
-fn messages_that_are_late_by_seconds_are_sorted_without_a_word() {
+fn messages_late_by_seconds_are_sorted_without_warning() {
     let scratch = TempDir::new().unwrap();
     let late = (0..60_u64).map(|number| START_NS + (number ^ 5) * S / 5);
     let file = bag(&scratch.path().join("bag"), late);

@@ -1,18 +1,18 @@
-//! Colours of a sensor whose pixels see one colour each.
+//! Demosaicing of Bayer patterns.
 
 use cv_convert::ndarray::ArrayView2;
 
-/// RGB of a mosaic: each colour that a pixel lacks is the mean of its neighbours that have it (bilinear, as in cv_bridge).
+/// Converts a mosaic to RGB: each missing colour of a pixel is the mean of its neighbours (bilinear, as in cv_bridge).
 /// `red` is column and row of the first red pixel.
-pub(crate) fn demosaiced(mosaic: ArrayView2<'_, u8>, (red_x, red_y): (usize, usize)) -> Vec<u8> {
+pub(crate) fn demosaic(mosaic: ArrayView2<'_, u8>, (red_x, red_y): (usize, usize)) -> Vec<u8> {
     let (height, width) = mosaic.dim();
     let mut rgb = Vec::with_capacity(width * height * 3);
     for y in 0..height {
-        // At an edge the pixel on the other side stands in, which has the same colour; a picture of one row has none.
-        let rows = [mirrored(y, height, false), y, mirrored(y, height, true)];
+        // At an edge, the pixel on the other side has the same colour; a picture of one row has none.
+        let rows = [mirror(y, height, false), y, mirror(y, height, true)];
         let is_red_row = y % 2 == red_y;
         for x in 0..width {
-            let columns = [mirrored(x, width, false), x, mirrored(x, width, true)];
+            let columns = [mirror(x, width, false), x, mirror(x, width, true)];
             let at = |row: usize, column: usize| {
                 let place = (rows.get(row), columns.get(column));
                 let value = match place {
@@ -32,15 +32,15 @@ pub(crate) fn demosaiced(mosaic: ArrayView2<'_, u8>, (red_x, red_y): (usize, usi
                 (false, true) => [down, here, across],
                 (false, false) => [corners, beside, here],
             };
-            // Means of bytes.
+            // Fits: means of bytes.
             rgb.extend(colour.map(|value| value as u8));
         }
     }
     rgb
 }
 
-/// The neighbour of a place, after or before it.
-fn mirrored(at: usize, length: usize, is_after: bool) -> usize {
+/// The neighbour before or after `at`, mirrored at the edges.
+fn mirror(at: usize, length: usize, is_after: bool) -> usize {
     let last = length.saturating_sub(1);
     let neighbour = match (is_after, at) {
         (true, at) if at < last => at + 1,

@@ -1,4 +1,4 @@
-//! A camera's frame, by either transport.
+//! Camera frames, raw or compressed.
 
 use std::{
     hash::{DefaultHasher, Hasher as _},
@@ -18,7 +18,7 @@ use crate::{
     image_message::{ImageError, decode_compressed, decode_image},
 };
 
-/// A frame by either transport.
+/// A frame, raw or compressed.
 #[derive(Clone, Debug)]
 pub enum CameraFrame {
     /// sensor_msgs/Image.
@@ -28,11 +28,10 @@ pub enum CameraFrame {
 }
 
 impl CameraFrame {
-    /// The frame that a bag's message holds: compressed if its type says so, else raw. The types of ROS, and those of
-    /// Foxglove in protobuf.
+    /// Decodes a bag's message of a ROS image type, or of Foxglove's in protobuf.
     ///
     /// # Errors
-    /// Bytes that are no message of an image type, by name.
+    /// The type is not an image type, or the bytes are invalid.
     pub fn of_bag(message: &BagMessage) -> Result<Self, BagError> {
         match &*message.type_name {
             foxglove::COMPRESSED_IMAGE => foxglove::compressed_image(message).map(Self::Compressed),
@@ -50,8 +49,8 @@ impl CameraFrame {
         }
     }
 
-    /// A number that frames share if their pictures are the same, byte for byte: a live camera has sensor noise, so that no
-    /// two pictures of it do. Stamps are not part of it.
+    /// A hash of the picture's bytes, without the stamp. Frames of a live camera differ by their sensor noise, so equal
+    /// fingerprints mean a repeated picture.
     pub fn fingerprint(&self) -> u64 {
         let mut hasher = DefaultHasher::new();
         match self {
@@ -66,7 +65,7 @@ impl CameraFrame {
         hasher.finish()
     }
 
-    /// Width and height \[px\], without decoding the picture; `None` if its bytes do not begin like a picture.
+    /// Width and height \[px\], read from the header; `None` if it is invalid.
     pub fn size(&self) -> Option<(u32, u32)> {
         match self {
             Self::Raw(image) => Some((image.width, image.height)),
@@ -77,10 +76,10 @@ impl CameraFrame {
         }
     }
 
-    /// The pixels.
+    /// Decodes the pixels.
     ///
     /// # Errors
-    /// [`ImageError`] names what is wrong with the message.
+    /// [`ImageError`] names the fault of the message.
     pub fn decode(&self) -> Result<RgbImage, ImageError> {
         match self {
             Self::Raw(image) => decode_image(image),
@@ -107,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn sizes_are_known_without_decoding() {
+    fn size_is_known_without_decoding() {
         assert_eq!(raw(1, 2, &[]).size(), Some((2, 0)));
         let mut png = Cursor::new(Vec::new());
         RgbImage::new(7, 5)
@@ -118,7 +117,7 @@ mod tests {
             data: png.into_inner(),
             ..CompressedImage::default()
         };
-        // A format that is wrong does not hide the size.
+        // A wrong format does not hide the size.
         assert_eq!(
             CameraFrame::Compressed(compressed.clone()).size(),
             Some((7, 5))
@@ -128,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn fingerprints_are_of_the_picture_alone() {
+    fn fingerprint_depends_on_the_picture_alone() {
         let picture = raw(1, 2, &[1, 2, 3, 4]).fingerprint();
         assert_eq!(picture, raw(2, 2, &[1, 2, 3, 4]).fingerprint());
         assert_ne!(picture, raw(1, 2, &[1, 2, 3, 5]).fingerprint());

@@ -1,51 +1,41 @@
-//! How a camera sees what a picture of another size shows.
+//! Camera calibration for scaled pictures and parts of pictures.
 
 use thiserror::Error;
 use wm_msgs::sensor_msgs::{CameraInfo, RegionOfInterest};
 
-/// The topic of camera_info beside a topic of images, as image_transport has it.
-pub fn topic_beside(images: &str) -> String {
+/// The camera_info topic of an image topic, as in image_transport.
+pub fn info_topic(images: &str) -> String {
     match images.rsplit_once('/') {
         Some((folder, _)) => format!("{folder}/camera_info"),
         None => "camera_info".to_owned(),
     }
 }
 
-/// Why it is not known how a camera sees its pictures.
+/// A fault of a camera_info message.
+#[expect(missing_docs, reason = "the error texts describe variants and fields")]
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 #[non_exhaustive]
 pub enum CameraInfoError {
-    /// Focal lengths of 0, as REP 104 has it, or a picture without pixels.
+    /// Focal lengths of 0 (REP 104: not calibrated), or a picture without pixels.
     #[error("the camera is not calibrated: its focal lengths are 0")]
     NotCalibrated,
-    /// A matrix or a distortion with NaN or infinity.
     #[error("camera_info has values that are not finite")]
     NotFinite,
-    /// A region outside of the sensor.
     #[error("camera_info has a region of interest beyond its {width}x{height} pixels")]
-    Region {
-        /// Columns of the sensor.
-        width: u32,
-        /// Rows of the sensor.
-        height: u32,
-    },
-    /// Of pictures of another size.
+    Region { width: u32, height: u32 },
     #[error(
-        "camera_info is of pictures of {}x{} pixels, with binning and region of interest; the camera's have {}x{}",
+        "camera_info describes pictures of {}x{} pixels, after binning and region of interest; the camera's have {}x{}",
         .expected.0, .expected.1, .found.0, .found.1
     )]
     Size {
-        /// Columns and rows by camera_info.
+        /// Columns and rows in camera_info.
         expected: (u32, u32),
         /// Columns and rows of the picture.
         found: (u32, u32),
     },
 }
 
-/// Whether `info` is of the camera that takes pictures of this size.
-///
-/// # Errors
-/// [`CameraInfoError`].
+/// Checks that `info` fits pictures of this size.
 pub fn check(info: &CameraInfo, picture: (u32, u32)) -> Result<(), CameraInfoError> {
     let expected = picture_size(info)?;
     // Drivers round odd sizes up or down.
@@ -59,8 +49,8 @@ pub fn check(info: &CameraInfo, picture: (u32, u32)) -> Result<(), CameraInfoErr
     }
 }
 
-/// The part of the sensor that pictures show, in pixels before binning.
-fn seen(info: &CameraInfo) -> Result<(u32, u32), CameraInfoError> {
+/// Size of the region of the sensor that pictures show \[px before binning\].
+fn sensor_region(info: &CameraInfo) -> Result<(u32, u32), CameraInfoError> {
     let values = info.k.iter().chain(&info.p).chain(&info.r).chain(&info.d);
     if values.into_iter().any(|value| !value.is_finite()) {
         return Err(CameraInfoError::NotFinite);
@@ -90,43 +80,42 @@ fn seen(info: &CameraInfo) -> Result<(u32, u32), CameraInfoError> {
     }
 }
 
-/// How the camera of `info` sees a picture that is all of its own, resized to `width` x `height` pixels. It has the
-/// header of `info`.
+/// The calibration for the camera's whole picture, scaled to `width` x `height` pixels, with the header of `info`.
 ///
-/// The middle of a pixel is at whole numbers, as ROS has it, so that a principal point moves with the pixels' edges. What
-/// binning and region of interest do to the picture is in the result, which has neither. Distortion is about directions,
+/// As in ROS, pixel centres have whole coordinates, so the principal point scales with the pixel edges. Binning and region
+/// of interest are included in the result, which has neither. Distortion applies to directions and stays.
 /// and stays.
 ///
 /// # Errors
 /// [`CameraInfoError`]: not calibrated, not finite, or a region beyond the sensor.
-pub fn resized(info: &CameraInfo, size: (u32, u32)) -> Result<CameraInfo, CameraInfoError> {
-    part(info, [0.0, 0.0, 1.0, 1.0], size)
+pub fn scale(info: &CameraInfo, size: (u32, u32)) -> Result<CameraInfo, CameraInfoError> {
+    scale_part(info, [0.0, 0.0, 1.0, 1.0], size)
 }
 
-/// Columns and rows of the picture that belongs to `info`: of its region of interest, after binning.
+/// Columns and rows of the picture of `info`: its region of interest, after binning.
 ///
 /// # Errors
 /// [`CameraInfoError`]: not calibrated, not finite, or a region beyond the sensor.
 pub fn picture_size(info: &CameraInfo) -> Result<(u32, u32), CameraInfoError> {
-    let (width, height) = seen(info)?;
+    let (width, height) = sensor_region(info)?;
     Ok((
         width / info.binning_x.max(1),
         height / info.binning_y.max(1),
     ))
 }
 
-/// As [`resized`], for a picture of a part of the camera's: left, top, width and height in fractions of the camera's
-/// picture. The part may reach beyond it, as a picture with bars does.
+/// As [`scale`], for a part of the camera's picture: left, top, width and height as fractions of the picture. The part may
+/// exceed the picture, as in a picture with bars.
 ///
 /// # Errors
 /// [`CameraInfoError`]: not calibrated, not finite, or a region beyond the sensor.
-pub fn part(
+pub fn scale_part(
     info: &CameraInfo,
     [from_left, from_top, part_width, part_height]: [f64; 4],
     (width, height): (u32, u32),
 ) -> Result<CameraInfo, CameraInfoError> {
     let roi = info.roi;
-    let (seen_width, seen_height) = seen(info)?;
+    let (seen_width, seen_height) = sensor_region(info)?;
     let [fx, skew, cx, _, fy, cy, ..] = info.k;
     if width == 0 || height == 0 {
         return Err(CameraInfoError::NotCalibrated);
@@ -143,7 +132,7 @@ pub fn part(
     let column = |at: f64| (at - left + 0.5) * x - 0.5;
     let row = |at: f64| (at - top + 0.5) * y - 0.5;
     let [pfx, pskew, pcx, tx, _, pfy, pcy, ty, ..] = info.p;
-    // Some drivers leave the projection empty.
+    // Some drivers do not fill the projection.
     let p = match pfx == 0.0 {
         true => info.p,
         false => [
@@ -200,27 +189,27 @@ mod tests {
         }
     }
 
-    /// Where a direction (x / z, y / z) is in the picture \[pixel\].
+    /// Projects a direction (x / z, y / z) to the picture \[px\].
     fn place(info: &CameraInfo, x: f64, y: f64) -> (f64, f64) {
         (info.k[0] * x + info.k[2], info.k[4] * y + info.k[5])
     }
 
     #[test]
-    fn camera_info_lies_beside_the_images() {
+    fn camera_info_topic_is_next_to_the_image_topic() {
         for (images, expected) in [
             ("/front/image_raw", "/front/camera_info"),
             ("/image", "/camera_info"),
             ("image", "camera_info"),
         ] {
-            assert_eq!(topic_beside(images), expected);
+            assert_eq!(info_topic(images), expected);
         }
     }
 
     #[test]
-    fn the_edges_of_the_picture_stay_its_edges() {
-        let (before, after) = (camera(), resized(&camera(), (256, 128)).unwrap());
+    fn scaling_keeps_the_edges_of_the_picture() {
+        let (before, after) = (camera(), scale(&camera(), (256, 128)).unwrap());
         assert_eq!((after.width, after.height), (256, 128));
-        // The directions of the picture's upper left and lower right corner, at the outer edges of the corner pixels.
+        // The directions of the upper left and lower right corner, at the outer edges of the corner pixels.
         for (at, expected) in [
             ((-0.5, -0.5), (-0.5, -0.5)),
             ((639.5, 479.5), (255.5, 127.5)),
@@ -238,11 +227,11 @@ mod tests {
             after.p
         );
         assert_eq!(after.d, before.d);
-        assert_eq!(resized(&before, (640, 480)), Ok(before));
+        assert_eq!(scale(&before, (640, 480)), Ok(before));
     }
 
     #[test]
-    fn binning_and_region_of_interest_are_in_the_result() {
+    fn binning_and_region_of_interest_are_applied() {
         let part = CameraInfo {
             binning_x: 2,
             binning_y: 2,
@@ -255,8 +244,8 @@ mod tests {
             },
             ..camera()
         };
-        let after = resized(&part, (160, 120)).unwrap();
-        // The middle of the region is the middle of the picture.
+        let after = scale(&part, (160, 120)).unwrap();
+        // The centre of the region is the centre of the picture.
         assert_eq!((after.k[2], after.k[5]), (79.5, 59.5));
         assert_eq!((after.k[0], after.k[4]), (250.0, 255.0));
         assert_eq!(
@@ -266,19 +255,19 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_that_is_not_calibrated_gives_none() {
+    fn uncalibrated_camera_is_rejected() {
         let blind = CameraInfo {
             k: [0.0; 9],
             ..camera()
         };
         let none = Err(CameraInfoError::NotCalibrated);
-        assert_eq!(resized(&blind, (256, 256)), none);
-        assert_eq!(resized(&CameraInfo::default(), (256, 256)), none);
-        assert_eq!(resized(&camera(), (0, 256)), none);
+        assert_eq!(scale(&blind, (256, 256)), none);
+        assert_eq!(scale(&CameraInfo::default(), (256, 256)), none);
+        assert_eq!(scale(&camera(), (0, 256)), none);
     }
 
     #[test]
-    fn camera_info_of_other_pictures_is_refused() {
+    fn camera_info_of_other_size_is_rejected() {
         assert_eq!(check(&camera(), (640, 480)), Ok(()));
         for size in [(1280, 720), (320, 240), (480, 640), (64, 64)] {
             let wrong = check(&camera(), size);
@@ -307,7 +296,7 @@ mod tests {
                 roi: region(x_offset, width),
                 ..camera()
             };
-            let wrong = resized(&beyond, (64, 64));
+            let wrong = scale(&beyond, (64, 64));
             assert!(
                 matches!(wrong, Err(CameraInfoError::Region { .. })),
                 "{wrong:?}"
@@ -316,7 +305,7 @@ mod tests {
     }
 
     #[test]
-    fn values_that_are_not_finite_are_refused() {
+    fn values_that_are_not_finite_are_rejected() {
         let mut infos = vec![camera(); 4];
         infos[0].k[2] = f64::NAN;
         infos[1].p[3] = f64::INFINITY;
@@ -324,12 +313,12 @@ mod tests {
         infos[3].r[8] = f64::NEG_INFINITY;
         for info in infos {
             assert_eq!(check(&info, (640, 480)), Err(CameraInfoError::NotFinite));
-            assert_eq!(resized(&info, (64, 64)), Err(CameraInfoError::NotFinite));
+            assert_eq!(scale(&info, (64, 64)), Err(CameraInfoError::NotFinite));
         }
     }
 
     #[test]
-    fn a_part_moves_the_principal_point_and_keeps_the_directions() {
+    fn part_moves_the_principal_point_and_keeps_directions() {
         let before = CameraInfo {
             width: 1280,
             height: 720,
@@ -340,13 +329,13 @@ mod tests {
             ..CameraInfo::default()
         };
         assert_eq!(picture_size(&before), Ok((1280, 720)));
-        // The middle square, halved; and bars of 280 rows above and below, at a fifth.
+        // The middle square at half size; and bars of 280 rows above and below, at a fifth.
         let middle = [280.0 / 1280.0, 0.0, 720.0 / 1280.0, 1.0];
-        let cut = part(&before, middle, (360, 360)).unwrap();
+        let cut = scale_part(&before, middle, (360, 360)).unwrap();
         let bars = [0.0, -280.0 / 720.0, 1.0, 1280.0 / 720.0];
-        let padded = part(&before, bars, (256, 256)).unwrap();
+        let padded = scale_part(&before, bars, (256, 256)).unwrap();
         for (x, y) in [(0.0, 0.0), (-0.2, 0.3), (0.1, -0.1)] {
-            // Edges of pixels, so that scales apply.
+            // Scales apply to pixel edges.
             let (column, row) = place(&before, x, y);
             let (column, row) = (column + 0.5, row + 0.5);
             let (u, v) = place(&cut, x, y);
@@ -360,7 +349,7 @@ mod tests {
     }
 
     #[test]
-    fn a_binned_region_has_the_size_of_its_picture() {
+    fn picture_size_is_the_binned_region() {
         let binned = CameraInfo {
             binning_x: 2,
             binning_y: 4,

@@ -2,30 +2,30 @@
 
 use crate::error::ImageError;
 
-/// How the bytes of an image are laid out.
+/// Layout of an image's bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Encoding {
-    /// A pixel has so many bytes; offsets of red, green and blue in them.
+    /// Bytes per pixel, and offsets of red, green and blue.
     Pixels { bytes: usize, rgb: [usize; 3] },
-    /// Two pixels have four bytes: offsets of the first luma and of the differences of blue and red. The second luma is two
-    /// bytes after the first.
+    /// Four bytes per two pixels: offsets of the first luma (the second is two bytes later) and of the blue and red
+    /// differences.
     Yuv422 {
         luma: usize,
         differences: [usize; 2],
     },
-    /// A plane of luma, then one of pairs of differences.
+    /// A plane of luma, then a plane with pairs of differences.
     SemiPlanar {
-        /// Whether the difference of red comes first.
+        /// Whether the red difference comes first.
         is_red_first: bool,
-        /// Whether the differences have the size of the picture; else half its width and height.
+        /// Whether the differences have full resolution; otherwise half in each direction.
         is_full_size: bool,
     },
-    /// One colour a pixel: column and row of the first red one.
+    /// One colour per pixel: column and row of the first red pixel.
     Bayer { red: (usize, usize) },
 }
 
 impl Encoding {
-    /// The layout of a name.
+    /// The layout of an encoding, by name.
     ///
     /// # Errors
     /// [`ImageError::Depth`], [`ImageError::Encoding`].
@@ -37,7 +37,7 @@ impl Encoding {
         };
         Ok(match name {
             "rgb8" => pixels(3, [0, 1, 2]),
-            // OpenCV's types have its order.
+            // OpenCV's types are in BGR order.
             "bgr8" | "8UC3" => pixels(3, [2, 1, 0]),
             "rgba8" => pixels(4, [0, 1, 2]),
             "bgra8" | "8UC4" => pixels(4, [2, 1, 0]),
@@ -52,7 +52,7 @@ impl Encoding {
             },
             "nv12" => semi_planar(false, false),
             "nv21" => semi_planar(true, false),
-            // As V4L2 has it: blue first.
+            // As in V4L2: blue first.
             "nv24" => semi_planar(false, true),
             "bayer_rggb8" => Self::Bayer { red: (0, 0) },
             "bayer_grbg8" => Self::Bayer { red: (1, 0) },
@@ -65,7 +65,7 @@ impl Encoding {
         })
     }
 
-    /// Bytes of a row of so many pixels.
+    /// Size of a row \[bytes\].
     pub(crate) fn row_bytes(self, width: usize) -> usize {
         match self {
             Self::Pixels { bytes, .. } => width * bytes,

@@ -1,16 +1,16 @@
-//! How a compressed picture is coded, by its bytes.
+//! Codecs of compressed pictures, detected by their bytes.
 
 use wm_msgs::sensor_msgs::CompressedImage;
 
 use crate::{error::ImageError, limits::MAX_COMPRESSED};
 
 const PNG: &[u8] = b"\x89PNG\r\n\x1a\n";
-/// Bytes before the picture of compressed_depth_image_transport: a kind and two numbers.
+/// Size of the header of compressed_depth_image_transport: a kind and two numbers.
 const DEPTH_HEADER: usize = 12;
-/// Longest part of a foreign `format` that an error repeats \[character\].
+/// Limit of an unknown `format` in an error \[characters\].
 const LONGEST_NAME: usize = 64;
 
-/// A codec that is decoded here.
+/// A supported codec.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
     /// JPEG.
@@ -20,7 +20,7 @@ pub enum Format {
 }
 
 impl Format {
-    /// The format of a message.
+    /// Detects the codec of a message.
     ///
     /// # Errors
     /// [`ImageError::Format`], [`ImageError::Depth`], [`ImageError::TooLarge`].
@@ -43,15 +43,14 @@ impl Format {
         match is_depth {
             true => Err(ImageError::Depth(format)),
             false => Err(ImageError::Format {
-                found: name(data),
+                found: name_codec(data),
                 format,
             }),
         }
     }
 }
 
-/// What foreign bytes are.
-fn name(data: &[u8]) -> &'static str {
+fn name_codec(data: &[u8]) -> &'static str {
     match data {
         [] => "empty",
         [

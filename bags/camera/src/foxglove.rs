@@ -1,63 +1,36 @@
-//! Pictures in Foxglove's types (<https://docs.foxglove.dev/docs/sdk/schemas>): in protobuf, and CompressedVideo in CDR too.
+//! Pictures in Foxglove's types (<https://docs.foxglove.dev/docs/sdk/schemas>): in protobuf; CompressedVideo also in CDR.
 
-use serde::{Deserialize, Serialize};
-use wm_bag::{BagError, BagMessage, MessageEncoding, Schema};
-use wm_msgs::{Message as _, builtin_interfaces::Time, cdr, sensor_msgs, std_msgs::Header};
+use wm_bag::{BagError, BagMessage, MessageEncoding};
+use wm_msgs::{
+    builtin_interfaces::Time, cdr, foxglove_msgs::CompressedVideo, sensor_msgs, std_msgs::Header,
+};
 
-/// The protobuf type that becomes sensor_msgs/CompressedImage.
-pub const COMPRESSED_IMAGE: &str = "foxglove.CompressedImage";
-/// The protobuf type that becomes sensor_msgs/Image.
-pub const RAW_IMAGE: &str = "foxglove.RawImage";
-/// The protobuf type that becomes [`CompressedVideo`].
-pub const PROTOBUF_VIDEO: &str = "foxglove.CompressedVideo";
-/// The ROS types with the fields of [`CompressedVideo`]; foxglove_msgs has the first.
-pub const ROS_VIDEO: [&str; 2] = [
+/// The protobuf type of sensor_msgs/CompressedImage.
+pub(crate) const COMPRESSED_IMAGE: &str = "foxglove.CompressedImage";
+/// The protobuf type of sensor_msgs/Image.
+pub(crate) const RAW_IMAGE: &str = "foxglove.RawImage";
+/// The protobuf type of [`CompressedVideo`].
+pub(crate) const PROTOBUF_VIDEO: &str = "foxglove.CompressedVideo";
+/// The ROS types with the fields of [`CompressedVideo`]; the first is that of foxglove_msgs.
+pub(crate) const ROS_VIDEO: [&str; 2] = [
     "foxglove_msgs/msg/CompressedVideo",
     "foxglove/msg/CompressedVideo",
 ];
 
-/// foxglove_msgs/CompressedVideo.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct CompressedVideo {
-    /// Capture time.
-    pub timestamp: Time,
-    /// Optical frame.
-    pub frame_id: String,
-    /// Coded bytes.
-    #[serde(with = "serde_bytes")]
-    pub data: Vec<u8>,
-    /// The codec.
-    pub format: String,
-}
-
-impl CompressedVideo {
-    /// The definition of foxglove_msgs.
-    #[must_use]
-    pub fn schema() -> Schema {
-        Schema::ros2msg(format!(
-            "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format\n{}\nMSG: \
-             builtin_interfaces/Time\n{}",
-            "=".repeat(80),
-            Time::DEFINITION
-        ))
-    }
-
-    /// The packet that a bag's message holds, in either encoding.
-    ///
-    /// # Errors
-    /// The type is another one, or the bytes are not of it.
-    pub fn of_bag(message: &BagMessage) -> Result<Self, BagError> {
-        let type_name = &*message.type_name;
-        match message.encoding {
-            MessageEncoding::Protobuf => protobuf::<Video>(message)?.into_ros(message),
-            MessageEncoding::Cdr if ROS_VIDEO.contains(&type_name) => {
-                cdr::from_bytes(&message.data).map_err(|reason| BagError::Cdr {
-                    topic: message.topic.to_string(),
-                    reason,
-                })
-            }
-            MessageEncoding::Cdr => Err(wrong_type(message, ROS_VIDEO[0])),
-        }
+/// The packet of video that a bag's message holds, in either encoding.
+///
+/// # Errors
+/// The message has another type, or its bytes do not fit the type.
+pub fn compressed_video(message: &BagMessage) -> Result<CompressedVideo, BagError> {
+    let type_name = &*message.type_name;
+    match message.encoding {
+        MessageEncoding::Protobuf => protobuf::<Video>(message)?.into_ros(message),
+        MessageEncoding::Cdr if ROS_VIDEO.contains(&type_name) => cdr::from_bytes(&message.data)
+            .map_err(|reason| BagError::Cdr {
+                topic: message.topic.to_string(),
+                reason,
+            }),
+        MessageEncoding::Cdr => Err(wrong_type(message, ROS_VIDEO[0])),
     }
 }
 
@@ -65,7 +38,9 @@ impl CompressedVideo {
 ///
 /// # Errors
 /// The type is another one, or the bytes are not of it.
-pub fn compressed_image(message: &BagMessage) -> Result<sensor_msgs::CompressedImage, BagError> {
+pub(crate) fn compressed_image(
+    message: &BagMessage,
+) -> Result<sensor_msgs::CompressedImage, BagError> {
     protobuf::<CompressedImage>(message)?.into_ros(message)
 }
 
@@ -73,11 +48,11 @@ pub fn compressed_image(message: &BagMessage) -> Result<sensor_msgs::CompressedI
 ///
 /// # Errors
 /// The type is another one, or the bytes are not of it.
-pub fn raw_image(message: &BagMessage) -> Result<sensor_msgs::Image, BagError> {
+pub(crate) fn raw_image(message: &BagMessage) -> Result<sensor_msgs::Image, BagError> {
     protobuf::<RawImage>(message)?.into_ros(message)
 }
 
-/// A protobuf type and the ROS type with the same contents.
+/// A protobuf type with the ROS type of the same contents.
 trait Foxglove: prost::Message + Default {
     const NAME: &str;
     type Ros;
@@ -165,7 +140,7 @@ impl Foxglove for RawImage {
             height: self.height,
             width: self.width,
             encoding: self.encoding,
-            // The type's definition has little-endian pixels alone.
+            // foxglove.RawImage is always little-endian.
             is_bigendian: 0,
             step: self.step,
             data: self.data,
@@ -194,7 +169,7 @@ fn protobuf<M: Foxglove>(message: &BagMessage) -> Result<M, BagError> {
     M::decode(&*message.data).map_err(|error| malformed(message, &error))
 }
 
-/// A time; a message without one has 0, as in ROS.
+/// Converts a time; without one it is 0, as in ROS.
 fn time(message: &BagMessage, timestamp: Option<Timestamp>) -> Result<Time, BagError> {
     let Some(Timestamp { seconds, nanos }) = timestamp else {
         return Ok(Time::default());

@@ -1,4 +1,4 @@
-//! The bag's last frame, as goal for the planner.
+//! The last frame of a bag as a goal for the planner.
 
 use thiserror::Error;
 use wm_bag::{BagError, BagMessage, BagReader, TopicInfo};
@@ -10,63 +10,50 @@ use crate::{
     transport::Transport,
 };
 
-/// JPEG quality of a goal that the bag has as raw image: artefacts well below what an encoder sees.
+/// JPEG quality of a goal from a raw image: artefacts stay below what an encoder sees.
 const QUALITY: u8 = 95;
 
-/// How much of the bag's end is looked through for its last frame before all of it is \[ns\].
+/// The last frame is searched in this part of the bag's end first, then in all of it \[ns\].
 const TAIL_NS: u64 = 5_000_000_000;
 
-/// Why a bag has no goal image.
+/// A bag without a goal image.
+#[expect(missing_docs, reason = "the error texts describe variants and fields")]
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum GoalError {
-    /// No camera.
     #[error(
         "the bag {bag} has no camera images (no topic of sensor_msgs/msg/Image or CompressedImage); its topics: {topics}{advice}"
     )]
     NoCamera {
-        /// The bag.
         bag: String,
-        /// Its topics.
         topics: String,
         /// What to do about topics with pictures that are not read.
         advice: String,
     },
-    /// A topic that is not there, or no camera's.
     #[error(
         "the bag {bag} has no camera images on {topic} or {topic}/compressed; it has them on: {cameras}{advice}"
     )]
     Topic {
-        /// The topic that was requested.
         topic: String,
-        /// The bag.
         bag: String,
-        /// Its camera topics.
         cameras: String,
         /// What to do about topics with pictures that are not read.
         advice: String,
     },
-    /// The camera's topic is empty.
     #[error("topic {0:?} has no readable messages")]
     Empty(String),
     /// The bag cannot be read.
     #[error(transparent)]
     Bag(#[from] BagError),
-    /// The last frame is no image.
     #[error("the last frame of {topic:?}: {source}")]
-    Image {
-        /// The camera's topic.
-        topic: String,
-        /// What is wrong with it.
-        source: ImageError,
-    },
+    Image { topic: String, source: ImageError },
 }
 
-/// The camera topic of a bag: `wanted` or its sibling `/compressed`, or, where `wanted` is empty, the first camera topic
-/// by name. Compressed ones (which are smaller) come before raw ones, and masks last.
+/// Selects a camera topic of a bag: `wanted` or its sibling `/compressed`; if `wanted` is empty, the first by name, with
+/// compressed topics (which are smaller) before raw ones and masks last.
 ///
 /// # Errors
-/// Where there is none.
+/// The bag has no such topic.
 pub fn camera_topic(reader: &BagReader, wanted: &str) -> Result<String, GoalError> {
     let bag = reader.path().display().to_string();
     let mut cameras: Vec<_> = reader
@@ -116,10 +103,10 @@ fn names<'a>(topics: impl Iterator<Item = &'a TopicInfo>) -> String {
     names.join(", ")
 }
 
-/// The last frame of a camera topic, as JPEG or PNG. A compressed one is handed on as it is.
+/// The last frame of a camera topic, as JPEG or PNG. Compressed frames are not recoded.
 ///
 /// # Errors
-/// Where the topic has no readable message, or the last one is no image.
+/// The topic has no readable message, or the last one is not an image.
 pub fn last_frame(reader: &BagReader, topic: &str) -> Result<CompressedImage, GoalError> {
     let readable = |from_ns| {
         reader
@@ -164,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn the_last_frame_is_found_whatever_comes_after_it() {
+    fn last_frame_is_found_whatever_follows_it() {
         let folder = tempfile::tempdir().unwrap();
         let mut writer =
             BagWriter::create(folder.path().join("bag"), WriterOptions::default()).unwrap();
@@ -224,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bag_without_camera_says_so_and_what_it_has() {
+    fn bag_without_camera_names_its_topics() {
         let folder = tempfile::tempdir().unwrap();
         let mut writer =
             BagWriter::create(folder.path().join("bag"), WriterOptions::default()).unwrap();

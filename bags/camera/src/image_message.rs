@@ -1,6 +1,6 @@
-//! Camera images between ROS messages and [`RgbImage`].
+//! Converts camera images between ROS messages and [`RgbImage`].
 //!
-//! Every message comes from outside: sizes are checked before anything is allocated, and each error names what was wrong.
+//! Messages are not trusted: sizes are checked before any allocation, and each error names the fault.
 
 use std::io::Cursor;
 
@@ -20,19 +20,19 @@ pub use crate::{
 };
 use crate::{format::Format, jpeg, raw_image::RosImage};
 
-/// Most memory that decoding a compressed image may take \[byte\]: an image of [`MAX_SIDE`] at 3 bytes, and some room.
+/// Memory limit for decoding an image: [`MAX_SIDE`] squared at 3 bytes, with a margin \[bytes\].
 const MAX_DECODED: u64 = 256 << 20;
 
-/// A raw image message as RGB. YUV is taken as BT.601 in the limited range, as cv_bridge does; Bayer patterns are
-/// interpolated linearly.
+/// Decodes a raw image message. As in cv_bridge, YUV is BT.601 in the limited range, and Bayer patterns are interpolated
+/// linearly.
 ///
 /// # Errors
-/// [`ImageError`] names the field that is wrong.
+/// [`ImageError`] names the invalid field.
 pub fn decode_image(image: &Image) -> Result<RgbImage, ImageError> {
     RosImage(image).try_to_cv()
 }
 
-/// A compressed image message (JPEG or PNG) as RGB. The bytes decide which it is: drivers write many things into `format`.
+/// Decodes a compressed image message (JPEG or PNG). Its bytes decide the codec, since drivers fill `format` differently.
 ///
 /// # Errors
 /// [`ImageError::Format`], [`ImageError::Depth`], [`ImageError::TooLarge`], [`ImageError::Jpeg`], [`ImageError::Codec`].
@@ -43,10 +43,7 @@ pub fn decode_compressed(image: &CompressedImage) -> Result<RgbImage, ImageError
     }
 }
 
-/// The bytes of a JPEG or PNG as RGB, with the checks of [`decode_compressed`].
-///
-/// # Errors
-/// As [`decode_compressed`].
+/// Decodes a JPEG or PNG with the checks of [`decode_compressed`].
 pub fn decode_picture(data: Vec<u8>) -> Result<RgbImage, ImageError> {
     decode_compressed(&CompressedImage {
         data,
@@ -54,11 +51,8 @@ pub fn decode_picture(data: Vec<u8>) -> Result<RgbImage, ImageError> {
     })
 }
 
-/// Format, columns and rows of a compressed image message that is a complete picture, and that [`decode_compressed`]
-/// decodes. A JPEG is not decoded for it, which takes a fraction of the time.
-///
-/// # Errors
-/// As [`decode_compressed`].
+/// Checks that [`decode_compressed`] decodes this message; returns its codec, columns and rows. Far faster for JPEG, which
+/// is not decoded.
 pub fn check_compressed(image: &CompressedImage) -> Result<(Format, (u32, u32)), ImageError> {
     let format = Format::of(image)?;
     let size = match format {
@@ -87,7 +81,7 @@ fn png(data: &[u8]) -> Result<RgbImage, ImageError> {
     Ok(decoded.into_rgb8())
 }
 
-/// An RGB image as a raw message (rgb8, rows without padding).
+/// Encodes a raw message (rgb8, rows without padding).
 pub fn encode_image(rgb: &RgbImage, header: Header) -> Image {
     Image {
         header,
@@ -100,10 +94,10 @@ pub fn encode_image(rgb: &RgbImage, header: Header) -> Image {
     }
 }
 
-/// An RGB image as a JPEG message; `quality` from 1 to 100.
+/// Encodes a JPEG message; `quality` from 1 to 100.
 ///
 /// # Errors
-/// [`ImageError::Codec`] where the image is too large for JPEG, or empty.
+/// [`ImageError::Codec`] if the image is too large for JPEG, or empty.
 pub fn encode_jpeg(
     rgb: &RgbImage,
     header: Header,

@@ -1,5 +1,5 @@
-//! Camera frames: raw and compressed image messages to RGB and back, and the camera of a bag. All camera images are
-//! decoded here: live, in training and in exports.
+//! Camera frames: converts raw and compressed image messages to RGB and back, and selects the camera of a bag. Live nodes,
+//! training and exports all decode camera images with this crate.
 
 mod bayer;
 pub mod camera_frame;
@@ -13,7 +13,7 @@ pub mod image_message;
 pub mod jpeg;
 mod limits;
 pub mod protobuf_topics;
-pub mod raw_image;
+mod raw_image;
 pub mod recent_pictures;
 pub mod signature;
 pub mod transport;

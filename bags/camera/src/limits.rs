@@ -1,6 +1,6 @@
-//! How large a picture may be: its sizes come from outside.
+//! Limits of received pictures.
 
-/// Longest side of an image that is accepted \[px\]: 8K cameras and no more.
+/// Longest side, for cameras up to 8K \[px\].
 pub const MAX_SIDE: u32 = 8192;
-/// Longest compressed image that is accepted \[byte\].
+/// Largest compressed image \[bytes\].
 pub const MAX_COMPRESSED: usize = 32 << 20;

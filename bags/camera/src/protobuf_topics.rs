@@ -1,4 +1,4 @@
-//! ROS messages for the protobuf topics of a bag that is converted.
+//! Conversion of a bag's protobuf topics to ROS messages.
 
 use serde::Serialize;
 use wm_bag::{
@@ -7,17 +7,18 @@ use wm_bag::{
 };
 use wm_msgs::{
     Message as _, cdr,
+    foxglove_msgs::CompressedVideo,
     sensor_msgs::{CompressedImage, Image},
 };
 
-use crate::foxglove::{self, CompressedVideo};
+use crate::foxglove;
 
-/// Converts pictures in protobuf to messages of ROS with the same contents, on topics of the same names:
-/// `foxglove.CompressedImage` and `foxglove.RawImage` to sensor_msgs, `foxglove.CompressedVideo` to foxglove_msgs.
+/// Converts protobuf pictures to ROS messages on topics of the same names: `foxglove.CompressedImage` and
+/// `foxglove.RawImage` to sensor_msgs, `foxglove.CompressedVideo` to foxglove_msgs.
 #[derive(Debug)]
 pub struct ProtobufTopics;
 
-/// A ROS type with the contents of a protobuf type.
+/// The conversion of a protobuf topic.
 struct RosTopic {
     topic: NewTopic,
     data: fn(&BagMessage) -> Result<Vec<u8>, String>,
@@ -40,8 +41,8 @@ impl Transform for ProtobufTopics {
                 }),
                 foxglove::PROTOBUF_VIDEO => (
                     foxglove::ROS_VIDEO[0].to_owned(),
-                    CompressedVideo::schema(),
-                    |message| bytes(CompressedVideo::of_bag(message)),
+                    type_schema::<CompressedVideo>(),
+                    |message| bytes(foxglove::compressed_video(message)),
                 ),
                 _ => return None,
             };

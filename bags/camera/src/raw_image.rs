@@ -1,4 +1,4 @@
-//! Raw image messages as RGB. Rows are viewed in place, through their step.
+//! Converts raw image messages to RGB. Rows are read in place.
 
 use cv_convert::{TryAsRefCv, TryToCv, ndarray};
 use image::RgbImage;
@@ -6,25 +6,25 @@ use ndarray::{ArrayView2, ShapeBuilder as _};
 use wm_msgs::sensor_msgs::Image;
 
 use crate::{
-    bayer::demosaiced,
+    bayer::demosaic,
     encoding::Encoding,
     error::ImageError,
     limits::MAX_SIDE,
     yuv::{Plane, YuvColours, YuvTable},
 };
 
-/// A raw image message, to be read with cv-convert's traits.
+/// A raw image message, for cv-convert's traits.
 #[derive(Clone, Copy, Debug)]
-pub struct RosImage<'a>(pub &'a Image);
+pub(crate) struct RosImage<'a>(pub &'a Image);
 
-/// Where the rows of a message lie.
+/// The layout of an image's rows.
 #[derive(Clone, Copy, Debug)]
 struct Rows {
     encoding: Encoding,
-    /// Pixels.
+    /// Width and height \[px\].
     width: usize,
     height: usize,
-    /// From one row to the next \[byte\].
+    /// Distance between rows \[bytes\].
     step: usize,
 }
 
@@ -35,7 +35,7 @@ impl Rows {
         if width == 0 || height == 0 || width > MAX_SIDE || height > MAX_SIDE {
             return Err(ImageError::Size { width, height });
         }
-        // Sides are bounded above: no product below overflows but those with the step, which are widened.
+        // Sides are bounded, so only products with the step can overflow; those are widened.
         let (columns, rows) = (width as usize, height as usize);
         let needed = encoding.row_bytes(columns);
         let wrong_data = |step: usize, expected| ImageError::Data {
@@ -45,7 +45,7 @@ impl Rows {
             height,
         };
         let step = match image.step as usize {
-            // Some drivers leave it empty where rows have no padding.
+            // Some drivers leave it 0 if rows have no padding.
             0 if image.data.len() == bytes(encoding, needed, (columns, rows)) => needed,
             step if step < needed => {
                 return Err(ImageError::Step {
@@ -58,7 +58,7 @@ impl Rows {
             step => step,
         };
         let expected = bytes(encoding, step, (columns, rows));
-        // Padding after the last row may be missing, and what comes after it is not read.
+        // Padding after the last row may be missing; bytes after it are ignored.
         if image.data.len() < expected {
             return Err(wrong_data(step, expected));
         }
@@ -71,7 +71,7 @@ impl Rows {
     }
 }
 
-/// Bytes that a picture has at least, without padding after its last row.
+/// Minimum size of a picture, without padding after its last row \[bytes\].
 fn bytes(encoding: Encoding, step: usize, (width, height): (usize, usize)) -> usize {
     let plane = |step: usize, rows: usize, row: usize| {
         step.saturating_mul(rows.saturating_sub(1))
@@ -87,7 +87,7 @@ fn bytes(encoding: Encoding, step: usize, (width, height): (usize, usize)) -> us
     }
 }
 
-/// Step, rows and bytes of a row of the plane of differences.
+/// Step, number of rows and row bytes of the plane of differences.
 fn pairs(
     is_full_size: bool,
     step: usize,
@@ -99,8 +99,7 @@ fn pairs(
     }
 }
 
-/// The bytes of every row without its padding, (height, bytes of a row), in place. Of an encoding of several planes, those
-/// of the first.
+/// The rows without padding (height, row bytes), in place; for encodings with several planes, those of the first.
 impl<'a> TryAsRefCv<'a, ArrayView2<'a, u8>> for RosImage<'a> {
     type Error = ImageError;
 
@@ -134,6 +133,7 @@ impl TryToCv<RgbImage> for RosImage<'_> {
             Encoding::Pixels { bytes, rgb: places } => {
                 for row in lines {
                     for pixel in row.chunks_exact(bytes) {
+                        // In range: each offset is below `bytes`.
                         let colour = places.map(|at| pixel.get(at).copied().unwrap_or(0));
                         rgb.extend(colour);
                     }
@@ -157,6 +157,7 @@ impl TryToCv<RgbImage> for RosImage<'_> {
                 let (step, _, length) = pairs(is_full_size, rows.step, size);
                 let after = self.0.data.get(rows.step.saturating_mul(rows.height)..);
                 let plane = Plane {
+                    // `Rows::of` has checked the size: this plane is complete.
                     data: after.unwrap_or_default(),
                     stride: step,
                 };
@@ -174,7 +175,7 @@ impl TryToCv<RgbImage> for RosImage<'_> {
                     }
                 }
             }
-            Encoding::Bayer { red } => rgb = demosaiced(view, red),
+            Encoding::Bayer { red } => rgb = demosaic(view, red),
         }
         RgbImage::from_raw(self.0.width, self.0.height, rgb).ok_or(ImageError::Size {
             width: self.0.width,

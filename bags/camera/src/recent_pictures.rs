@@ -1,16 +1,16 @@
-//! Pictures that are published again.
+//! Detection of repeated pictures.
 
 use std::collections::VecDeque;
 
-/// Pictures that are remembered: a driver that has stopped may publish its last few buffers in turn, usually four.
+/// Number of remembered pictures: a stopped driver may publish its last buffers, usually four, in turn.
 const REMEMBERED: usize = 4;
 
-/// The last few pictures of a camera, by their [fingerprints](crate::camera_frame::CameraFrame::fingerprint).
+/// The last pictures of a camera, by their [fingerprints](crate::camera_frame::CameraFrame::fingerprint).
 #[derive(Clone, Debug, Default)]
 pub struct RecentPictures(VecDeque<u64>);
 
 impl RecentPictures {
-    /// Takes the next picture; whether it is new, and not one of the last few.
+    /// Adds the next picture; false if it repeats one of the last.
     pub fn insert(&mut self, fingerprint: u64) -> bool {
         if self.0.contains(&fingerprint) {
             return false;
@@ -28,7 +28,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pictures_in_turn_are_not_new() {
+    fn pictures_published_in_turn_are_not_new() {
         let mut recent = RecentPictures::default();
         let is_new = [1, 2, 3, 4, 1, 2, 3, 4, 5, 2, 1, 3].map(|picture| recent.insert(picture));
         let mut expected = [true; 12];

@@ -1,18 +1,16 @@
-//! A picture in few numbers, to measure how much two pictures differ.
+//! Compact signatures of pictures, to measure their difference.
 
 use image::RgbImage;
 
-/// Most columns of the grid.
 const COLUMNS: u32 = 32;
-/// Most rows of the grid.
 const ROWS: u32 = 24;
-/// Least side of a cell \[px\]: fewer pixels would not average out noise.
+/// Minimum side of a cell \[px\], so that noise averages out.
 const LEAST_SIDE: u32 = 8;
 
-/// The mean luma of each cell of a grid that covers a picture: at most 32x24 cells, of at least 8x8 pixels.
+/// The mean luma in each cell of a grid over a picture: at most 32x24 cells of at least 8x8 pixels.
 ///
-/// A cell averages out most sensor noise: on 320x240 pixels, noise of one level changes a signature by 0.1 levels, while
-/// an arm in motion changes it by 1 to 30 levels.
+/// The mean reduces sensor noise: at 320x240 pixels, noise of one level changes a signature by 0.1 levels, a moving arm by
+/// 1 to 30.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Signature {
     size: (u32, u32),
@@ -35,7 +33,7 @@ impl Signature {
             let (pixels, _) = pixels.as_chunks::<3>();
             for ([red, green, blue], column) in pixels.iter().zip(&column_of) {
                 let at = first + *column as usize;
-                // Rec. 601 weights in 256ths.
+                // Weights of BT.601 times 256.
                 let luma = 77 * u64::from(*red) + 150 * u64::from(*green) + 29 * u64::from(*blue);
                 if let (Some(sum), Some(count)) = (sums.get_mut(at), counts.get_mut(at)) {
                     *sum += luma;
@@ -57,7 +55,7 @@ impl Signature {
         self.size
     }
 
-    /// The mean absolute difference of the cells \[levels of 0 to 255\]; `None` if the pictures have different sizes.
+    /// Mean absolute difference of the cells \[levels, 0 to 255\]; `None` for different sizes.
     #[must_use]
     pub fn change(&self, other: &Self) -> Option<f32> {
         if self.size != other.size || self.cells.is_empty() {
@@ -69,9 +67,9 @@ impl Signature {
     }
 }
 
-/// The cell of pixel `at` of `length`, if `cells` cells cover them evenly.
+/// The cell of pixel `at`, if `cells` cells divide `length` evenly.
 fn cell(at: u32, length: u32, cells: u32) -> u32 {
-    // A side of a picture is below 2^32, and the product below 2^37.
+    // Fits: below 2^37.
     (u64::from(at) * u64::from(cells) / u64::from(length.max(1))) as u32
 }
 
@@ -91,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn equal_pictures_do_not_change_and_moved_ones_do() {
+    fn moved_pictures_differ_and_equal_ones_do_not() {
         let (here, there) = (Signature::of(&square_at(8)), Signature::of(&square_at(10)));
         assert_eq!(here.change(&Signature::of(&square_at(8))), Some(0.0));
         assert_eq!(here, Signature::of(&square_at(8)));
@@ -112,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_of_other_sizes_are_not_compared() {
+    fn pictures_of_different_sizes_are_not_compared() {
         let wide = Signature::of(&RgbImage::new(64, 48));
         let high = Signature::of(&RgbImage::new(48, 64));
         assert_eq!((wide.change(&high), wide.size()), (None, (64, 48)));

@@ -1,4 +1,4 @@
-//! The topics of a camera: its images, and the siblings by which image_transport sends the same.
+//! The topics of a camera, raw and by other image transports.
 
 use wm_msgs::{
     Message as _,
@@ -7,15 +7,15 @@ use wm_msgs::{
 
 use crate::foxglove;
 
-/// Of ffmpeg_image_transport.
+/// The type of ffmpeg_image_transport.
 pub(crate) const FFMPEG: &str = "ffmpeg_image_transport_msgs/msg/FFMPEGPacket";
 
-/// The last part of a topic's name by which image_transport sends JPEG or PNG.
+/// Name ending of topics with JPEG or PNG (image_transport).
 pub const COMPRESSED: &str = "/compressed";
-/// The last parts of the names of video topics: ffmpeg_image_transport, foxglove_compressed_video_transport, recorders.
+/// Name endings of video topics: ffmpeg_image_transport, foxglove_compressed_video_transport, recorders.
 pub const VIDEO: [&str; 4] = ["/ffmpeg", "/foxglove", "/video", "/h264"];
 
-/// A camera's topic without its transport.
+/// The topic without the ending of its transport.
 #[must_use]
 pub fn base(topic: &str) -> &str {
     let mut transports = VIDEO.iter().chain([&COMPRESSED]);
@@ -23,14 +23,14 @@ pub fn base(topic: &str) -> &str {
     base.filter(|base| !base.is_empty()).unwrap_or(topic)
 }
 
-/// By what a topic sends pictures.
+/// The transport of a topic's pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Transport {
-    /// sensor_msgs/Image, or the same in protobuf.
+    /// sensor_msgs/Image, or its protobuf counterpart.
     Raw,
-    /// sensor_msgs/CompressedImage with JPEG or PNG, or the same in protobuf.
+    /// sensor_msgs/CompressedImage with JPEG or PNG, or its protobuf counterpart.
     Compressed,
-    /// Compressed video, h264 mostly.
+    /// Compressed video, usually h264.
     Video,
     /// Distances (compressed_depth_image_transport).
     Depth,
@@ -39,13 +39,14 @@ pub enum Transport {
 }
 
 impl Transport {
-    /// The transport of a topic with this name and type; none if it sends no pictures.
+    /// The transport by topic name and type; `None` without pictures.
     pub fn of(topic: &str, type_name: &str) -> Option<Self> {
         let is_image = type_name == Image::ros_name() || type_name == foxglove::RAW_IMAGE;
         let is_compressed =
             [&*CompressedImage::ros_name(), foxglove::COMPRESSED_IMAGE].contains(&type_name);
         let is_video = [FFMPEG, foxglove::PROTOBUF_VIDEO].contains(&type_name)
             || foxglove::ROS_VIDEO.contains(&type_name);
+        // Never empty: `rsplit` gives at least one part.
         let sibling = topic.rsplit('/').next().unwrap_or_default();
         match sibling {
             _ if is_video => Some(Self::Video),
@@ -58,22 +59,24 @@ impl Transport {
         }
     }
 
-    /// Whether every program here decodes it.
+    /// Whether every program of the suite decodes it.
     pub fn is_read(self) -> bool {
         matches!(self, Self::Raw | Self::Compressed)
     }
 
-    /// What to do about a topic that is not read.
+    /// Advice for a topic that only some programs decode.
     pub fn advice(self, topic: &str) -> Option<String> {
         Some(match self {
             Self::Raw | Self::Compressed => return None,
             Self::Video => format!(
-                "{topic} is compressed video, which wm dataset reads from bags; for anything else, make pictures of it: wm bag \
+                "{topic} is compressed video, which only wm dataset reads; convert it to pictures: wm bag \
                  convert IN OUT --video jpeg, or publish the camera as sensor_msgs/CompressedImage (image_transport: \
                  compressed)"
             ),
             Self::Depth => {
-                format!("{topic} has distances, not colours; choose the colour camera's topic")
+                format!(
+                    "{topic} has distances instead of colours; choose the colour camera's topic"
+                )
             }
             Self::Other(codec) => format!(
                 "{topic} is compressed by {codec}, which is not supported; republish it: ros2 run image_transport republish \

@@ -1,5 +1,4 @@
-//! Compressed video: the packets of topics, and the decoder of h264. Behind the feature `video`, since OpenH264 is built
-//! from C++.
+//! Compressed video: packets of topics, and the h264 decoder. Needs the feature `video`, since OpenH264 is C++.
 
 mod h264;
 mod packet;
@@ -14,55 +13,44 @@ use crate::{
 };
 pub use h264::{H264Decoder, has_keyframe};
 pub use packet::VideoPacket;
-pub use stream::{Dropped, Shown, VideoStream};
+pub use stream::{DropCounts, VideoPicture, VideoStream};
 pub use topics::VideoTopics;
 
-/// Why a video has no picture.
+/// A fault of a video.
+#[expect(missing_docs, reason = "the error texts describe variants and fields")]
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum VideoError {
-    /// A codec that is not decoded here.
     #[error("video in \"{0}\" is not supported; expected h264")]
     Codec(String),
-    /// A layout that is not supported.
     #[error("h264 with {0} is not supported; expected 8 bits and 4:2:0 chroma (yuv420p)")]
     Layout(&'static str),
-    /// Bytes are wrong.
     #[error("the h264 stream is damaged: {0}")]
     Damaged(&'static str),
-    /// A frame of no size, or of one that no camera has.
     #[error("expected frames of 1 to {MAX_SIDE} pixels per side, got {width} x {height}")]
-    Size {
-        /// Columns.
-        width: usize,
-        /// Rows.
-        height: usize,
-    },
-    /// A picture depends on another one whose packet did not come.
-    #[error("packets are missing: a picture depends on one that did not come")]
+    Size { width: usize, height: usize },
+    #[error("packets are missing: a picture depends on one that was not received")]
     Missing,
-    /// The decoder failed.
     #[error("h264: {0}")]
     Decoder(String),
-    /// The decoder returned less than a picture.
+    /// The decoder returned an incomplete picture.
     #[error(transparent)]
     Plane(#[from] ShortPlane),
 }
 
-/// What a stream or its container says of colours. What is missing is as in ffmpeg: BT.601, limited range.
+/// Colour tags of a stream or its container. As in ffmpeg, the defaults are BT.601 and limited range.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ColourTags {
     /// `matrix_coefficients` of ITU-T H.273; 2 is unspecified.
     pub matrix: Option<u8>,
-    /// Whether black to white are 0 to 255.
+    /// Whether black to white is 0 to 255.
     pub is_full_range: Option<bool>,
 }
 
 impl ColourTags {
-    /// A matrix that says nothing.
     const UNSPECIFIED: u8 = 2;
 
-    /// These, and those of `other` where these say nothing.
+    /// These tags, completed by those of `other`.
     #[must_use]
     pub fn or(self, other: Self) -> Self {
         let said = |matrix: Option<u8>| matrix.filter(|matrix| *matrix != Self::UNSPECIFIED);
@@ -81,11 +69,11 @@ impl ColourTags {
     }
 }
 
-/// A size that a camera may have.
+/// Checks that a camera may have this size.
 ///
 /// # Errors
 /// [`VideoError::Size`].
-pub fn checked_size(width: usize, height: usize) -> Result<(u32, u32), VideoError> {
+pub fn check_size(width: usize, height: usize) -> Result<(u32, u32), VideoError> {
     let side = |side: usize| {
         u32::try_from(side)
             .ok()

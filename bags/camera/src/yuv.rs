@@ -1,12 +1,12 @@
-//! Luma and colour differences as RGB, by the colour tags of a video (ITU-T H.273).
+//! Conversion of YUV to RGB, by the colour tags of a video (ITU-T H.273).
 
 use image::RgbImage;
 use thiserror::Error;
 
-/// Which weights of red and blue make the luma.
+/// The matrix of luma and colour differences.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Matrix {
-    /// ITU-R BT.601, which ffmpeg assumes for a video without tags.
+    /// ITU-R BT.601, ffmpeg's default.
     #[default]
     Bt601,
     /// ITU-R BT.709.
@@ -20,7 +20,7 @@ pub enum Matrix {
 }
 
 impl Matrix {
-    /// The matrix of a number of H.273, table 4. Numbers without a matrix here are taken as BT.601, as ffmpeg does.
+    /// The matrix with this number (H.273, table 4); BT.601 for unsupported numbers, as in ffmpeg.
     pub fn of(matrix_coefficients: u8) -> Self {
         match matrix_coefficients {
             1 => Self::Bt709,
@@ -43,21 +43,21 @@ impl Matrix {
     }
 }
 
-/// How a video's numbers become colours.
+/// The colour encoding of a video.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct YuvColours {
     /// The matrix.
     pub matrix: Matrix,
-    /// Whether black to white are 0 to 255; else 16 to 235.
+    /// Whether black to white is 0 to 255; otherwise 16 to 235.
     pub is_full_range: bool,
 }
 
 /// A plane of samples.
 #[derive(Clone, Copy, Debug)]
 pub struct Plane<'a> {
-    /// Its bytes.
+    /// The bytes.
     pub data: &'a [u8],
-    /// From one row to the next \[byte\].
+    /// Distance between rows \[bytes\].
     pub stride: usize,
 }
 
@@ -68,7 +68,7 @@ impl<'a> Plane<'a> {
     }
 }
 
-/// Planes that are smaller than their picture.
+/// A plane is smaller than its picture.
 #[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
 #[error("a plane is smaller than its picture of {width}x{height} pixels")]
 pub struct ShortPlane {
@@ -78,13 +78,13 @@ pub struct ShortPlane {
     pub height: u32,
 }
 
-/// Bits after the point of the products below.
+/// Fraction bits of the fixed-point products below.
 const FRACTION: u32 = 16;
 
-/// What each number adds to the colours.
+/// Contributions of each sample value to the colours.
 #[derive(Clone, Debug)]
 pub struct YuvTable {
-    /// Luma, a half for rounding included.
+    /// Contribution of luma, with a half for rounding.
     luma: [i32; 256],
     red_of_red: [i32; 256],
     green_of_blue: [i32; 256],
@@ -102,7 +102,7 @@ impl YuvTable {
             false => (16.0, 255.0 / 219.0, 255.0 / 224.0),
         };
         let scale = f64::from(1_u32 << FRACTION);
-        // All products are below 2^10 before they are scaled.
+        // Fits: products are below 2^10 before scaling.
         let table = |zero: f64, factor: f64| {
             std::array::from_fn(|level| ((level as f64 - zero) * factor * scale).round() as i32)
         };
@@ -133,7 +133,7 @@ impl YuvTable {
         .map(|value| (value >> FRACTION).clamp(0, 255) as u8)
     }
 
-    /// A picture of three planes, the colour differences at half its width and height.
+    /// Converts three planes, with the colour differences at half resolution in each direction.
     ///
     /// # Errors
     /// A plane is too small.

@@ -1,27 +1,27 @@
-//! All findings together.
+//! The combined findings of an audit.
 
 use crate::{Episodes, Finding, Level, behaviour, effect, lag};
 use serde::{Deserialize, Serialize};
 use std::{collections::BTreeMap, fmt};
 
-/// Bags that are named of a finding.
-const NAMED: usize = 50;
+/// Limit of bag names in a finding.
+const BAG_NAMES_LIMIT: usize = 50;
 
-/// The findings about a recording, or about the bags of a data set.
+/// The findings about a recording or a data set.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Audit {
     /// Faults first.
     pub findings: Vec<Finding>,
 }
 
-/// The findings about one bag of several.
+/// The findings about one bag of a data set.
 #[derive(Clone, Debug, Default)]
 pub struct BagFindings {
-    /// Its name.
+    /// Name of the bag.
     pub bag: String,
-    /// What was found.
+    /// The findings.
     pub findings: Vec<Finding>,
-    /// Sizes of the pictures of its first camera, width and height \[px\].
+    /// Picture sizes of the first camera, width and height \[px\].
     pub sizes: Vec<(u32, u32)>,
 }
 
@@ -35,31 +35,31 @@ impl Audit {
         findings
     }
 
-    /// Puts the findings about each bag together with those about all.
+    /// Combines the findings about each bag with those about all.
     #[must_use]
     pub fn new(bags: &[BagFindings], all: Vec<Finding>) -> Self {
-        let mut findings = joined(bags);
-        findings.extend(sizes(bags));
+        let mut findings = join(bags);
+        findings.extend(compare_sizes(bags));
         findings.extend(all);
-        // The order of the checks stays within a level.
+        // The sort is stable: within a level, the order of the checks stays.
         findings.sort_by_key(|finding| std::cmp::Reverse(finding.level));
         Self { findings }
     }
 
-    /// The worst level.
+    /// The worst level; [`Level::Ok`] without findings.
     #[must_use]
     pub fn worst(&self) -> Level {
         let levels = self.findings.iter().map(|finding| finding.level);
         levels.max().unwrap_or_default()
     }
 
-    /// The findings that somebody should act on.
+    /// The findings that need action.
     pub fn faults(&self) -> impl Iterator<Item = &Finding> {
         self.findings.iter().filter(|finding| finding.is_fault())
     }
 }
 
-/// A line for each finding, and one for all.
+/// One line per finding, and a summary.
 impl fmt::Display for Audit {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for finding in &self.findings {
@@ -86,22 +86,22 @@ impl fmt::Display for Audit {
 }
 
 /// Findings with the names of their bags.
-type Named<'a> = Vec<(&'a str, &'a Finding)>;
+type NamedFindings<'a> = Vec<(&'a str, &'a Finding)>;
 
-/// One finding in place of those that several bags share.
-fn joined(bags: &[BagFindings]) -> Vec<Finding> {
-    let mut groups: BTreeMap<(String, Level, String), Named<'_>> = BTreeMap::new();
+/// Merges findings that several bags share.
+fn join(bags: &[BagFindings]) -> Vec<Finding> {
+    let mut groups: BTreeMap<(String, Level, String), NamedFindings<'_>> = BTreeMap::new();
     for bag in bags {
         for finding in &bag.findings {
             let key = (
                 finding.check.to_string(),
                 finding.level,
-                wording(&finding.what),
+                remove_numbers(&finding.what),
             );
             groups.entry(key).or_default().push((&bag.bag, finding));
         }
     }
-    let join = |group: Named<'_>| {
+    let join = |group: NamedFindings<'_>| {
         let (name, first) = group.first()?;
         let mut finding = (*first).clone();
         let mut names: Vec<String> = group.iter().map(|(name, _)| (*name).to_owned()).collect();
@@ -118,22 +118,22 @@ fn joined(bags: &[BagFindings]) -> Vec<Finding> {
             };
             finding = finding.figure("bags", names.len() as f64);
         }
-        names.truncate(NAMED);
+        names.truncate(BAG_NAMES_LIMIT);
         finding.bags = names;
         Some(finding)
     };
     groups.into_values().filter_map(join).collect()
 }
 
-/// A verdict without its numbers: two bags with the same fault differ in nothing else.
-fn wording(what: &str) -> String {
+/// The verdict without its numbers, which is equal for bags with the same fault.
+fn remove_numbers(what: &str) -> String {
     what.chars()
         .filter(|letter| !letter.is_ascii_digit() && *letter != '.')
         .collect()
 }
 
-/// Sizes that differ from bag to bag.
-fn sizes(bags: &[BagFindings]) -> Option<Finding> {
+/// Checks that all bags have the same picture size.
+fn compare_sizes(bags: &[BagFindings]) -> Option<Finding> {
     let mut sizes: BTreeMap<(u32, u32), Vec<&str>> = BTreeMap::new();
     for bag in bags {
         if let [only] = bag.sizes.as_slice() {
@@ -144,6 +144,7 @@ fn sizes(bags: &[BagFindings]) -> Option<Finding> {
         return None;
     }
     let shown = sizes.iter().take(4).map(|((width, height), bags)| {
+        // Each size has at least one bag.
         let first = bags.first().copied().unwrap_or_default();
         format!("{width}x{height} in {} (first {first})", bags.len())
     });
@@ -155,12 +156,13 @@ fn sizes(bags: &[BagFindings]) -> Option<Finding> {
     let mut shapes = sizes
         .keys()
         .map(|(width, height)| f64::from(*width) / f64::from((*height).max(1)));
+    // There are at least two sizes.
     let first = shapes.next().unwrap_or(1.0);
     let finding = if shapes.all(|shape| (shape / first - 1.0).abs() < 0.01) {
         Finding::note("sizes", what)
     } else {
         Finding::warning("sizes", what)
-            .because("pictures of other shapes are fitted to the model's in another way, and the same thing looks different")
+            .because("pictures of different shapes are fitted to the model's differently, so the same object looks different")
             .fix("prepare bags of one shape, or crop the others first")
     };
     Some(finding.figure("sizes", sizes.len() as f64))
@@ -209,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn other_shapes_are_a_fault_and_other_sizes_a_note() {
+    fn different_shapes_are_a_fault_different_sizes_a_note() {
         let of = |name, size| bag(name, Finding::ok("frames", "good"), size);
         let same = Audit::new(&[of("a", (64, 48)), of("b", (640, 480))], Vec::new());
         assert_eq!(same.worst(), Level::Note);
@@ -219,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn one_bag_is_not_named() {
+    fn single_bag_is_not_named() {
         let audit = Audit::new(
             &[bag("a", Finding::warning("frozen", "frozen"), (1, 1))],
             Vec::new(),

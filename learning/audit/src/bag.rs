@@ -1,4 +1,4 @@
-//! The audit of one bag: every picture is decoded, and none is kept.
+//! The audit of one bag, in one pass; pictures are not kept.
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -16,43 +16,43 @@ use wm_msgs::{Message as _, geometry_msgs::PoseStamped, sensor_msgs::JointState,
 
 use crate::{
     Audit, BagFindings, Episode, Episodes, Finding, Stamps, StateLog,
-    recorded::{ActionTrack, Recorded},
+    recorded::{ActionTrack, RecordedTopics},
     state::{JOINTS_TOPIC, POSE_TOPICS},
 };
 
-/// The camera that actions are compared with, unless another one is named.
+/// Default camera for comparison with actions.
 const CAMERA: &str = "/camera/image_raw";
-/// The topic of the actions, unless another one is named.
+/// Default topic of the actions.
 const ACTION: &str = "/wm/action";
-/// The suite's own pictures, and the simulator's masks, are no camera's.
-const NO_CAMERA: [&str; 2] = ["/wm/", "/camera/mask"];
-/// Actions that are kept: an hour at 100 Hz.
-const MOST_ACTIONS: usize = 360_000;
-/// Frames that are compared with actions: an hour at 30 Hz.
-const MOST_FRAMES: usize = 108_000;
-/// An episode ends at a gap of this many periods, as in a data set.
+/// Prefixes of picture topics that are not cameras: the suite's own, and the simulator's masks.
+const NOT_CAMERAS: [&str; 2] = ["/wm/", "/camera/mask"];
+/// Limit of actions: an hour at 100 Hz.
+const ACTIONS_LIMIT: usize = 360_000;
+/// Limit of frames that are compared with actions: an hour at 30 Hz.
+const FRAMES_LIMIT: usize = 108_000;
+/// Gap that ends an episode, as in data sets \[periods\].
 const GAP_PERIODS: f64 = 1.75;
 
-/// Whether the pictures of video topics are judged: this build has their decoder (feature `video`).
+/// Whether this build can decode video topics (feature `video`).
 pub const JUDGES_VIDEO: bool = cfg!(feature = "video");
 
-/// The topics to look at; those that are not named are found in the bag.
+/// The topics to audit; others are found in the bag.
 #[derive(Clone, Debug, Default)]
 pub struct Topics {
-    /// Cameras, with or without their transport.
+    /// Cameras, with or without the ending of their transport.
     pub cameras: Vec<String>,
-    /// The actions, of the type wm_msgs/Action.
+    /// Actions (wm_msgs/Action).
     pub actions: Option<String>,
 }
 
-/// A frame that actions are compared with.
+/// A frame for comparison with actions.
 struct Frame {
     at_ns: i64,
     motion: Option<f32>,
 }
 
-struct Reading {
-    recorded: Recorded,
+struct BagAudit {
+    recorded: RecordedTopics,
     cameras: Vec<String>,
     state_topics: Vec<String>,
     action_topic: String,
@@ -62,27 +62,26 @@ struct Reading {
     actions: Vec<(i64, Vec<f32>)>,
     frames: Vec<Frame>,
     pace: Pace,
-    /// The last of the frames.
+    /// Signature of the last frame.
     shown: Option<Signature>,
-    /// The decoders of the cameras that send video.
     #[cfg(feature = "video")]
     videos: video::Videos,
-    /// Messages that cannot be read, by topic: how many, and the reason for the first.
+    /// Number of unreadable messages, and the first reason, by topic.
     unreadable: BTreeMap<Option<Arc<str>>, (u64, String)>,
     unfit: (u64, Option<String>),
 }
 
-/// Reads a bag once and examines its cameras, actions and state; calls `each` after each message.
+/// Audits cameras, actions and state of a bag in one pass; calls `each` after each message.
 #[must_use]
 pub fn audit_bag(reader: &BagReader, topics: &Topics, mut each: impl FnMut()) -> Audit {
     let mut all = Vec::new();
     let space = ActionSpace::of_note(reader.note(ActionSpace::NOTE)).unwrap_or_else(|error| {
-        let what = format!("the action space that the bag notes cannot be read: {error}");
+        let what = format!("the bag's note of its action space cannot be read: {error}");
         all.push(Finding::warning("actions", what));
         ActionSpace::bridge()
     });
-    let cameras = cameras(reader, &topics.cameras, JUDGES_VIDEO, &mut all);
-    let action_topic = action_topic(reader, topics.actions.as_deref(), &mut all);
+    let cameras = select_cameras(reader, &topics.cameras, JUDGES_VIDEO, &mut all);
+    let action_topic = select_action_topic(reader, topics.actions.as_deref(), &mut all);
     let period_ns = (1e9 / space.rate()) as i64;
     let has = |name: &&str| {
         reader.topic(name).is_some_and(|topic| {
@@ -93,10 +92,10 @@ pub fn audit_bag(reader: &BagReader, topics: &Topics, mut each: impl FnMut()) ->
     };
     let pose = POSE_TOPICS.into_iter().find(has);
     let joints = Some(JOINTS_TOPIC).filter(has);
-    let mut reading = Reading {
+    let mut reading = BagAudit {
         #[cfg(feature = "video")]
         videos: video::Videos::of(reader, &cameras),
-        recorded: Recorded::new(cameras.iter().map(String::as_str), &action_topic),
+        recorded: RecordedTopics::new(cameras.iter().map(String::as_str), &action_topic),
         cameras,
         state_topics: pose.into_iter().chain(joints).map(str::to_owned).collect(),
         action_topic,
@@ -104,7 +103,7 @@ pub fn audit_bag(reader: &BagReader, topics: &Topics, mut each: impl FnMut()) ->
         state: StateLog::default(),
         actions: Vec::new(),
         frames: Vec::new(),
-        // The gap of the camera is not known yet: frames may be a quarter of a period early.
+        // The camera's period is not known yet: frames may be a quarter of a period early.
         pace: Pace::new(period_ns, period_ns / 2),
         shown: None,
         unreadable: BTreeMap::new(),
@@ -123,10 +122,13 @@ pub fn audit_bag(reader: &BagReader, topics: &Topics, mut each: impl FnMut()) ->
     reading.finish(all)
 }
 
-/// The cameras of a bag by transport: compressed, raw, video.
-fn by_transport(reader: &BagReader) -> Vec<(Transport, String)> {
+/// The cameras of a bag: compressed, then raw, then video.
+fn list_cameras(reader: &BagReader) -> Vec<(Transport, String)> {
     let topics = reader.topics().iter().filter(|topic| {
-        topic.message_count > 0 && !NO_CAMERA.iter().any(|other| topic.name.starts_with(other))
+        topic.message_count > 0
+            && !NOT_CAMERAS
+                .iter()
+                .any(|other| topic.name.starts_with(other))
     });
     let transports = topics.filter_map(|topic| {
         let transport = Transport::of(&topic.name, &topic.type_name)?;
@@ -141,10 +143,10 @@ fn by_transport(reader: &BagReader) -> Vec<(Transport, String)> {
     found
 }
 
-/// The video topics of a bag whose camera has no other topic.
+/// The video topics of a bag whose camera has no other transport.
 #[must_use]
 pub fn video_topics(reader: &BagReader) -> Vec<String> {
-    let found = by_transport(reader);
+    let found = list_cameras(reader);
     let has_stills = |camera: &str| {
         let mut others = found.iter().filter(|(transport, _)| transport.is_read());
         others.any(|(_, name)| base(name) == camera)
@@ -155,8 +157,8 @@ pub fn video_topics(reader: &BagReader) -> Vec<String> {
     video.map(|(_, name)| name.clone()).collect()
 }
 
-/// The cameras of a bag, the one that actions are compared with first.
-fn cameras(
+/// The cameras of a bag, first the one for comparison with actions.
+fn select_cameras(
     reader: &BagReader,
     named: &[String],
     judges_video: bool,
@@ -166,9 +168,9 @@ fn cameras(
         let camera = base(name);
         named.is_empty() || named.iter().any(|named| base(named) == camera)
     };
-    // Of a camera with several transports, which sends each picture several times, the first.
+    // Several transports send the same pictures: use the first.
     let mut found: Vec<String> = Vec::new();
-    for (transport, name) in by_transport(reader) {
+    for (transport, name) in list_cameras(reader) {
         let is_judged = transport.is_read() || judges_video && transport == Transport::Video;
         if is_judged && !found.iter().any(|other| base(other) == base(&name)) {
             found.push(name);
@@ -182,12 +184,12 @@ fn cameras(
     findings.extend(unjudged.iter().map(|name| {
         let what = format!("not judged: {name} is compressed video, and wm has no decoder for it");
         Finding::note("camera", what)
-            .fix("build the program that wm bag info --audit uses for it: cargo build --release -p wm_import")
+            .fix("build the program with the decoder, which wm bag info --audit then starts: cargo build --release -p wm_import")
     }));
     found.sort_by_key(|name| (base(name) != CAMERA, name.clone()));
     if named.is_empty() {
         if found.is_empty() && unjudged.is_empty() {
-            findings.push(no_camera(reader));
+            findings.push(missing_camera(reader));
         }
         return found;
     }
@@ -205,8 +207,8 @@ fn cameras(
     named.collect()
 }
 
-/// The finding for a bag without pictures that are read here.
-fn no_camera(reader: &BagReader) -> Finding {
+/// The finding for a bag without readable pictures.
+fn missing_camera(reader: &BagReader) -> Finding {
     let topics = reader
         .topics()
         .iter()
@@ -222,7 +224,11 @@ fn no_camera(reader: &BagReader) -> Finding {
     }
 }
 
-fn action_topic(reader: &BagReader, named: Option<&str>, findings: &mut Vec<Finding>) -> String {
+fn select_action_topic(
+    reader: &BagReader,
+    named: Option<&str>,
+    findings: &mut Vec<Finding>,
+) -> String {
     let has_actions =
         |topic: &&TopicInfo| topic.message_count > 0 && *topic.type_name == Action::ros_name();
     let found: Vec<&str> = reader
@@ -249,7 +255,7 @@ fn action_topic(reader: &BagReader, named: Option<&str>, findings: &mut Vec<Find
     }
 }
 
-impl Reading {
+impl BagAudit {
     fn take(&mut self, message: &BagMessage) -> Result<(), String> {
         let topic = &*message.topic;
         let words = |error: wm_bag::BagError| error.to_string();
@@ -278,7 +284,7 @@ impl Reading {
             if let Err(error) = self.space.check(&action.values) {
                 self.unfit.0 += 1;
                 self.unfit.1.get_or_insert(error.to_string());
-            } else if self.actions.len() < MOST_ACTIONS {
+            } else if self.actions.len() < ACTIONS_LIMIT {
                 self.actions.push((at_ns, action.values));
             }
             return Ok(());
@@ -291,7 +297,7 @@ impl Reading {
         taken.map_err(words)
     }
 
-    /// Takes a picture: when it was taken \[ns\], its fingerprint and size \[px\], and its signature if it was decoded.
+    /// Adds a picture: stamp \[ns\], fingerprint, size \[px\], and signature if it was decoded.
     fn show(
         &mut self,
         camera: usize,
@@ -304,7 +310,7 @@ impl Reading {
             pictures.push(at_ns, fingerprint, size, signature.clone());
         }
         let is_newer = self.frames.last().is_none_or(|last| at_ns > last.at_ns);
-        if camera == 0 && is_newer && self.frames.len() < MOST_FRAMES && self.pace.is_due(at_ns) {
+        if camera == 0 && is_newer && self.frames.len() < FRAMES_LIMIT && self.pace.is_due(at_ns) {
             let both = self.shown.as_ref().zip(signature.as_ref());
             let motion = both.and_then(|(before, now)| before.change(now));
             self.frames.push(Frame { at_ns, motion });
@@ -345,7 +351,8 @@ impl Reading {
         findings.extend(self.recorded.check_pictures(&track));
         let camera = self.recorded.cameras.first();
         let gap_s = camera.and_then(|camera| camera.clocks.gaps().median_s());
-        // A camera that is slower than the actions' rate gives all its frames.
+        // The period is the slower one of camera and actions.
+        // Without a gap, the camera has at most one frame.
         let period_s = (1.0 / self.space.rate()).max(gap_s.unwrap_or(0.0));
         if !self.actions.is_empty() && self.frames.len() > 1 {
             let episodes = self.episodes(period_s);
@@ -363,7 +370,7 @@ impl Reading {
         Audit::new(&[bag], all)
     }
 
-    /// Frames without gaps, with the actions from each to the next.
+    /// Splits the frames at gaps, and assigns to each the actions up to the next frame.
     fn episodes(&mut self, period_s: f64) -> Vec<Episode> {
         let period_ns = (period_s * 1e9) as i64;
         let path = std::mem::take(&mut self.state).path(&self.space);

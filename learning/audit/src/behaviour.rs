@@ -1,4 +1,4 @@
-//! The actions by themselves: idle time, zeros at the end, outliers, units, the gripper's range.
+//! Checks of actions alone: idle time, zeros at the end, outliers, units, gripper ranges.
 
 use crate::{
     Finding,
@@ -7,42 +7,41 @@ use crate::{
 };
 use wm_motion::actions::{ActionSurvey, Cause, Contradiction, Dimension, Hint, Kind};
 
-/// Share of idle frames from which on it is a fault. Of four real data sets it is 0 to .12.
+/// Share of idle frames that is a fault. Four real data sets have 0 to 0.12.
 const IDLE: f64 = 0.5;
-/// Share of the frames that are idle at the starts, or at the ends, of episodes, from which on it is a fault.
+/// Share of frames idle at the start, or at the end, of episodes that is a fault.
 const IDLE_END: f64 = 0.2;
-/// An idle start or end of this length is worth a note \[s\].
+/// Idle start or end that gets a note \[s\].
 const LONG_S: f64 = 1.0;
-/// Shortest episode whose last action is looked at \[frames\].
-const LEAST_EPISODE: usize = 5;
-/// Actions below which no outliers are looked for.
-const LEAST_ACTIONS: usize = 50;
-/// The values of a dimension that are taken for usual, as a quantile of their magnitudes.
+/// Shortest episode whose last action is checked \[frames\].
+const EPISODE_MIN: usize = 5;
+/// Minimum number of actions for the search for outliers.
+const ACTIONS_MIN: usize = 50;
+/// Quantile of the magnitudes of a dimension up to which values are usual.
 const USUAL: f64 = 0.95;
-/// A change this many times beyond the usual ones is an outlier. Of 17,000 real actions none is.
+/// An outlier exceeds the usual changes by this factor. None of 17,000 real actions does.
 const OUTLIER: f32 = 10.0;
-/// As [`OUTLIER`], of targets, which may jump: a real hand's do by 14 times.
+/// As [`OUTLIER`], for targets, which may jump: those of a real hand do by a factor of 14.
 const OUTLIER_OF_TARGETS: f32 = 25.0;
-/// A dimension that moves little is measured by this share of those of its kind that move much.
+/// The usual change of a dimension is at least this share of the largest of its kind.
 const OF_KIND: f32 = 1.0 / 3.0;
-/// An end effector that is faster is none \[m/s\].
-const FASTEST: f64 = 2.0;
-/// Share of actions that may be so.
-const FAST: f64 = 0.1;
-/// The check of the gripper's range.
+/// Speed limit of a plausible end effector \[m/s\].
+const SPEED_LIMIT: f64 = 2.0;
+/// Share of actions that may exceed [`SPEED_LIMIT`].
+const FAST_SHARE: f64 = 0.1;
+/// Name of the check of the gripper's range.
 const GRIPPER: &str = "gripper";
 
-/// The findings about the actions by themselves.
 pub(crate) fn check(all: Episodes<'_>) -> Vec<Finding> {
-    let mut findings = vec![idle(all)];
-    findings.extend(last_action(all));
-    findings.extend(outliers(all));
-    findings.extend(units(all));
-    findings.extend(grippers(all));
+    let mut findings = vec![check_idle(all)];
+    findings.extend(check_last_action(all));
+    findings.extend(find_outliers(all));
+    findings.extend(check_units(all));
+    findings.extend(check_grippers(all));
     findings
 }
 
-fn idle(all: Episodes<'_>) -> Finding {
+fn check_idle(all: Episodes<'_>) -> Finding {
     let idle = all.idle();
     let frames = all.frames().max(1) as f64;
     let count = idle.iter().flatten().filter(|idle| **idle).count() as f64;
@@ -50,7 +49,7 @@ fn idle(all: Episodes<'_>) -> Finding {
         .iter()
         .map(|episode| episode.iter().take_while(|idle| **idle).count());
     let ends = idle.iter().map(|episode| {
-        // An episode that is idle as a whole has a start and no end.
+        // A wholly idle episode counts as a start without an end.
         let is_moving = episode.iter().any(|idle| !idle);
         let end = episode.iter().rev().take_while(|idle| **idle).count();
         if is_moving { end } else { 0 }
@@ -60,6 +59,7 @@ fn idle(all: Episodes<'_>) -> Finding {
     let sum_share = |frames_idle: &[usize]| frames_idle.iter().sum::<usize>() as f64 / frames;
     let median_s = |frames_idle: &[usize]| {
         let values = frames_idle.iter().map(|count| *count as f32);
+        // 0 without episodes.
         f64::from(quantile(values, 0.5).unwrap_or(0.0)) * all.period_s
     };
     let (start_s, end_s) = (median_s(&starts), median_s(&ends));
@@ -74,7 +74,7 @@ fn idle(all: Episodes<'_>) -> Finding {
     let finding = if is_fault {
         Finding::warning("idle", what)
             .because("a model learns standstill instead of motion")
-            .fix("leave idle parts out: wm bag cut, or --cut-topic with a topic that has a message when the task begins")
+            .fix("remove idle parts: wm bag cut, or --cut-topic with a topic that has a message when the task begins")
     } else if start_s >= LONG_S || end_s >= LONG_S {
         Finding::note("idle", what)
     } else {
@@ -88,14 +88,14 @@ fn idle(all: Episodes<'_>) -> Finding {
         .figure("idle_end_share", end_share)
 }
 
-/// Actions that change the state are zero in the last frame, and were not before.
-fn last_action(all: Episodes<'_>) -> Option<Finding> {
+/// Reports actions that change the state and are zero only in the last frame.
+fn check_last_action(all: Episodes<'_>) -> Option<Finding> {
     let changes = all.changes();
     let is_change = |dimension: &&Dimension| Effect::of(dimension.kind) == Effect::Change;
     all.space.dimensions().iter().find(is_change)?;
     let judged = changes.iter().filter(|episode| {
         let frames = episode.first().map_or(0, Vec::len);
-        frames >= LEAST_EPISODE && episode.iter().flatten().any(|value| *value != 0.0)
+        frames >= EPISODE_MIN && episode.iter().flatten().any(|value| *value != 0.0)
     });
     let judged: Vec<_> = judged.collect();
     let is_zero = |episode: &&&Vec<Vec<f32>>| {
@@ -110,14 +110,14 @@ fn last_action(all: Episodes<'_>) -> Option<Finding> {
             judged.len()
         );
         Finding::note("last", what)
-            .because("nothing follows the last frame, so that no model is trained on this action")
+            .because("the last frame has no successor, so no model is trained on this action")
             .fix("nothing")
             .figure("last_action_zero", zero as f64)
     })
 }
 
-fn outliers(all: Episodes<'_>) -> Vec<Finding> {
-    if all.frames() < LEAST_ACTIONS {
+fn find_outliers(all: Episodes<'_>) -> Vec<Finding> {
+    if all.frames() < ACTIONS_MIN {
         return Vec::new();
     }
     let changes = all.changes();
@@ -127,12 +127,14 @@ fn outliers(all: Episodes<'_>) -> Vec<Finding> {
         episodes.flatten().map(|value| value.abs())
     };
     let usual: Vec<f32> = (0..dimensions.len())
+        // 0 without values, which disables the check.
         .map(|index| quantile(column(index), USUAL).unwrap_or(0.0))
         .collect();
     let findings = dimensions.iter().enumerate().filter_map(|(index, dimension)| {
         let like = dimensions.iter().zip(&usual);
         let like = like.filter(|(other, _)| (other.kind, &other.unit) == (dimension.kind, &dimension.unit));
         let of_kind = like.map(|(_, usual)| *usual).fold(0.0, f32::max) * OF_KIND;
+        // In range: `usual` has one value per dimension.
         let own = usual.get(index).copied().unwrap_or(0.0);
         let times = match Effect::of(dimension.kind) {
             Effect::Target => OUTLIER_OF_TARGETS,
@@ -150,7 +152,7 @@ fn outliers(all: Episodes<'_>) -> Vec<Finding> {
             );
             Finding::warning("outliers", what)
                 .because("a few wrong values widen the scale that all actions are trained with")
-                .fix("look at these moments (wm view BAG), and leave them out (wm bag cut)")
+                .fix("inspect these moments (wm view BAG), and remove them (wm bag cut)")
                 .figure("outliers", beyond as f64)
                 .figure("greatest", f64::from(most))
         })
@@ -158,8 +160,8 @@ fn outliers(all: Episodes<'_>) -> Vec<Finding> {
     findings.collect()
 }
 
-/// Changes of position that no arm makes: positions, or another unit.
-fn units(all: Episodes<'_>) -> Option<Finding> {
+/// Reports implausible changes of position: absolute positions, or another unit.
+fn check_units(all: Episodes<'_>) -> Option<Finding> {
     let dimensions = all.space.dimensions();
     let is_metre = |d: &Dimension| {
         let unit = (d.kind, d.unit.as_str());
@@ -185,24 +187,24 @@ fn units(all: Episodes<'_>) -> Option<Finding> {
         squares.map(|square| square.sqrt() / all.period_s).collect()
     };
     let speeds: Vec<f64> = all.episodes.iter().flat_map(speeds).collect();
-    let fast = speeds.iter().filter(|speed| **speed > FASTEST).count();
+    let fast = speeds.iter().filter(|speed| **speed > SPEED_LIMIT).count();
     let share = fast as f64 / speeds.len().max(1) as f64;
-    (share > FAST).then(|| {
+    (share > FAST_SHARE).then(|| {
         let most = speeds.iter().copied().fold(0.0, f64::max);
         let what = format!(
-            "{:.0} % of the actions move the end effector by more than {FASTEST} m/s, up to {most:.1} m/s",
+            "{:.0} % of the actions move the end effector by more than {SPEED_LIMIT} m/s, up to {most:.1} m/s",
             share * 100.0
         );
         Finding::warning("units", what)
-            .because("no arm does: the values may be positions instead of changes, or of another unit")
-            .fix("give an --action-space whose kinds and units are those of the recording")
+            .because("no arm is so fast: the values may be positions instead of changes, or in another unit")
+            .fix("set an --action-space with the kinds and units of the recording")
             .figure("fast_share", share)
             .figure("fastest_m_s", most)
     })
 }
 
-/// Grippers whose values are not 0 (closed) to 1 (open), or may be inverted.
-fn grippers(all: Episodes<'_>) -> Vec<Finding> {
+/// Reports grippers outside 0 (closed) to 1 (open), or inverted ones.
+fn check_grippers(all: Episodes<'_>) -> Vec<Finding> {
     let mut survey = ActionSurvey::new(all.space.clone(), all.space.rate());
     for episode in all.episodes {
         survey.add(&episode.rows(), &[] as &[&[f32]]);
@@ -216,20 +218,20 @@ fn grippers(all: Episodes<'_>) -> Vec<Finding> {
     let inverted = hints.iter().filter(|hint| hint.is_inverted());
     let inverted = inverted.map(|hint: &Hint| {
         Finding::note(GRIPPER, hint.to_string())
-            .because("a model takes 1 for open, and so do the commands of the executor")
-            .fix("compare it with the pictures; if so, give an --action-space whose gripper is inverted")
+            .because("for a model and for commands of the executor, 1 is open")
+            .fix("compare it with the pictures; if so, set an --action-space with an inverted gripper")
     });
     ranges.chain(inverted).collect()
 }
 
-/// The fault of a gripper whose values are `closed` to `open`.
+/// The finding for a gripper with values from `closed` to `open`.
 fn gripper_range(found: &Contradiction, (closed, open): (f32, f32)) -> Finding {
     let name = &found.column;
     let scale = |closed: f32, open: f32| (open - closed).recip();
     Finding::warning(GRIPPER, found.to_string())
-        .because("a model takes 0 for closed and 1 for open, and so do the commands of the executor")
+        .because("for a model and for commands of the executor, 0 is closed and 1 is open")
         .fix(format!(
-            "give an --action-space whose {name} is gripper_continuous with offset {closed} and scale {}, or with offset \
+            "set an --action-space whose {name} is gripper_continuous with offset {closed} and scale {}, or with offset \
              {open} and scale {} if {open} is closed",
             scale(closed, open),
             scale(open, closed)

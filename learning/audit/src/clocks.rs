@@ -1,54 +1,54 @@
-//! The three times of recorded messages: stamped, published, recorded.
+//! Checks of the times of messages: header stamp, publish time, log time.
 
 use crate::{Finding, gaps::Gaps};
 use std::fmt;
 use wm_bag::BagMessage;
 
 const CHECK: &str = "stamps";
-/// Stamps of camera and actions are of two clocks if they differ by more, compared with the times of recording \[s\].
+/// Offset between the stamps of camera and actions, relative to log times, that proves two clocks \[s\].
 const APART_S: f64 = 1.0;
-/// Two clocks run at different rates if they differ by more than this share.
+/// Relative difference of the rates of two clocks that is a fault.
 const RATES_APART: f64 = 0.02;
-/// Shortest recording whose clocks' rates are compared \[s\].
-const LEAST_S: f64 = 5.0;
-/// A clock this far from that of the recorder is another one: time since the start, or of a simulation \[s\].
+/// Shortest recording whose clock rates are compared \[s\].
+const DURATION_MIN_S: f64 = 5.0;
+/// Offset from the recorder's clock that proves another clock: time since the start, or simulated time \[s\].
 const DAY_S: f64 = 86_400.0;
-/// Share of stamps out of order from which on it is a fault.
+/// Share of unordered stamps that is a fault.
 const UNORDERED: f64 = 0.01;
-/// Offsets that are kept of a topic; of a longer one every second, fourth, eighth and so on.
-const OFFSETS: usize = 2048;
+/// Limit of stored offsets per topic; a longer topic stores every second, fourth, eighth and so on.
+const OFFSETS_LIMIT: usize = 2048;
 
 /// The times of a message \[ns\].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Stamps {
-    /// In its header, by the clock of the sender.
+    /// Header stamp, by the sender's clock.
     pub header_ns: i64,
-    /// When it was recorded or received.
+    /// Log time, or time of reception.
     pub log_ns: i64,
-    /// When it was published; many recorders repeat the log time.
+    /// Publish time; many recorders repeat the log time.
     pub publish_ns: i64,
 }
 
-/// The times of a topic's messages. Memory does not grow with their number.
+/// The times of a topic's messages, in bounded memory.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Clocks {
     /// The topic.
     pub topic: String,
     count: u64,
     zero: u64,
-    /// Stamps that equal the one of the message before, and are not 0.
+    /// Number of nonzero stamps equal to the previous one.
     equal: u64,
     backwards: u64,
     gaps: Gaps,
     header: Span,
     log: Span,
     last_header_ns: i64,
-    /// Header less log \[ns\], of every `stride`-th message.
+    /// Header stamp minus log time \[ns\], of every `stride`-th message.
     offsets_ns: Vec<i64>,
     stride: u64,
 }
 
-/// The least and the greatest time \[ns\].
+/// Earliest and latest time \[ns\].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Span {
     least_ns: i64,
@@ -56,10 +56,10 @@ struct Span {
 }
 
 impl Stamps {
-    /// Of a bag's message, whose header has the stamp `header_ns`.
+    /// The times of a bag's message with this header stamp.
     #[must_use]
     pub fn of_bag(message: &BagMessage, header_ns: i64) -> Self {
-        // Recorders stay below i64: 292 years after 1970.
+        // Never saturates: i64 reaches the year 2262.
         let signed = |ns: u64| i64::try_from(ns).unwrap_or(i64::MAX);
         Self {
             header_ns,
@@ -85,7 +85,7 @@ impl Span {
         seconds(self.most_ns.saturating_sub(self.least_ns))
     }
 
-    /// The part of the shorter span that lies in both; 1 for a moment within the other.
+    /// The share of the shorter span that both have; 1 for a moment within the other.
     fn overlap(self, other: Self) -> f64 {
         let begin_ns = self.least_ns.max(other.least_ns);
         let end_ns = self.most_ns.min(other.most_ns);
@@ -106,7 +106,7 @@ fn seconds(ns: i64) -> f64 {
 }
 
 impl Clocks {
-    /// Of a topic without messages so far.
+    /// The clocks of a topic, without messages.
     #[must_use]
     pub fn new(topic: &str) -> Self {
         Self {
@@ -116,7 +116,7 @@ impl Clocks {
         }
     }
 
-    /// Takes the times of the next message.
+    /// Adds the times of the next message.
     pub fn push(&mut self, stamps: Stamps) {
         let Stamps {
             header_ns, log_ns, ..
@@ -136,7 +136,7 @@ impl Clocks {
             }
         }
         self.last_header_ns = header_ns;
-        // A stamp of 0 is none.
+        // 0 means no stamp.
         let is_first_stamp = self.count == self.zero.saturating_sub(u64::from(header_ns == 0));
         if header_ns != 0 {
             self.header.grow(header_ns, is_first_stamp);
@@ -144,7 +144,7 @@ impl Clocks {
         self.log.grow(log_ns, is_first);
         if self.count.is_multiple_of(self.stride) && header_ns != 0 {
             self.offsets_ns.push(header_ns.saturating_sub(log_ns));
-            if self.offsets_ns.len() >= OFFSETS {
+            if self.offsets_ns.len() >= OFFSETS_LIMIT {
                 let mut index = 0_usize;
                 self.offsets_ns.retain(|_| {
                     index += 1;
@@ -162,13 +162,12 @@ impl Clocks {
         self.count
     }
 
-    /// The times from stamp to stamp.
-    #[must_use]
-    pub fn gaps(&self) -> &Gaps {
+    /// The times between successive stamps.
+    pub(crate) fn gaps(&self) -> &Gaps {
         &self.gaps
     }
 
-    /// Why the stamps in the headers give no moment: all are zero, or all are equal.
+    /// The fault of header stamps that are all zero or all equal.
     #[must_use]
     pub fn unusable(&self) -> Option<UnusableStamps> {
         if self.count < 2 {
@@ -186,15 +185,14 @@ impl Clocks {
         )
     }
 
-    /// The median of header less log \[s\].
-    #[must_use]
-    pub fn offset_s(&self) -> Option<f64> {
+    /// Median of header stamp minus log time \[s\].
+    pub(crate) fn offset_s(&self) -> Option<f64> {
         let mut offsets = self.offsets_ns.clone();
         offsets.sort_unstable();
         offsets.get(offsets.len() / 2).copied().map(seconds)
     }
 
-    /// The faults of the stamps of this topic alone.
+    /// Checks the stamps of this topic alone.
     #[must_use]
     pub fn check(&self) -> Vec<Finding> {
         if let Some(unusable) = self.unusable() {
@@ -207,7 +205,7 @@ impl Clocks {
         }
         let topic = &self.topic;
         let mut findings = Vec::new();
-        // One stamp of 0 may be the start of a simulated clock.
+        // A simulated clock may start at 0.
         if self.zero > 1 {
             let what = format!("{topic}: {} of {} stamps are 0", self.zero, self.count);
             findings.push(
@@ -231,7 +229,7 @@ impl Clocks {
             };
             findings.push(
                 level(CHECK, what)
-                    .because("such messages are dropped, or taken for a new recording")
+                    .because("such messages are dropped, or start a new recording")
                     .fix("use one publisher for each topic, and stamp with the time of capture")
                     .figure("unordered_stamps", unordered as f64),
             );
@@ -239,9 +237,7 @@ impl Clocks {
         findings
     }
 
-    /// Messages that are missing between others.
-    #[must_use]
-    pub fn check_gaps(&self) -> Option<Finding> {
+    pub(crate) fn check_gaps(&self) -> Option<Finding> {
         let (missing, longest_s) = self.gaps.missing();
         (missing > 0).then(|| {
             let what = format!(
@@ -250,26 +246,26 @@ impl Clocks {
                 self.count + missing
             );
             Finding::note("dropped", what)
-                .because("between messages that are far apart, the state is unknown")
+                .because("the state is unknown between distant messages")
                 .figure("missing", missing as f64)
                 .figure("longest_gap_s", longest_s)
         })
     }
 
-    /// The faults of the stamps of a camera and of the actions together.
-    #[must_use]
-    pub fn check_pair(camera: &Self, actions: &Self) -> Option<Finding> {
+    /// Checks the stamps of a camera and of the actions together.
+    pub(crate) fn check_pair(camera: &Self, actions: &Self) -> Option<Finding> {
         if camera.unusable().is_some() || actions.unusable().is_some() {
             return None;
         }
         let both = format!("{} and {}", camera.topic, actions.topic);
-        let why = "an action is matched with the frames of its stamp, here those of another moment";
+        let why =
+            "actions are matched with frames by their stamps, here with frames of another moment";
         let apart = |what: String| {
             Finding::error(CHECK, what)
                 .because(why)
                 .fix("stamp both by one clock; for this recording: --stamps log")
         };
-        // Log times that do not pass, or that are of other times, are no reference.
+        // Constant log times, or those of another clock, are no reference.
         let is_logged = camera.log.overlap(actions.log) > 0.5 && camera.log.seconds() > 0.0;
         let share = camera.header.overlap(actions.header);
         let (camera_s, actions_s) = (camera.offset_s()?, actions.offset_s()?);
@@ -281,9 +277,10 @@ impl Clocks {
             );
             return Some(apart(what).figure("apart_s", apart_s));
         }
-        // Messages without a stamp are no part of the header's span.
+        // Messages without a stamp are not part of the header's span.
         let is_stamped = camera.zero <= 1 && actions.zero <= 1;
-        let is_long = camera.log.seconds() > LEAST_S && actions.log.seconds() > LEAST_S;
+        let is_long =
+            camera.log.seconds() > DURATION_MIN_S && actions.log.seconds() > DURATION_MIN_S;
         if is_logged && is_stamped && is_long {
             let rate = |clocks: &Self| clocks.header.seconds() / clocks.log.seconds();
             let ratio = rate(camera) / rate(actions);
@@ -318,7 +315,7 @@ impl Clocks {
 }
 
 impl Span {
-    /// A duration in the unit that suits it.
+    /// A duration with a suitable unit.
     fn text(seconds: f64) -> String {
         let magnitude = seconds.abs();
         if magnitude > 2.0 * DAY_S {
@@ -332,7 +329,7 @@ impl Span {
 const USE_OTHERS: &str = "have the driver stamp each message with the time of its capture; for this recording: \
                           --stamps log (or publish)";
 
-/// Stamps in headers that give no moment.
+/// Unusable header stamps.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum UnusableStamps {
     /// All are 0.
@@ -370,7 +367,7 @@ mod tests {
     const START: i64 = 1_750_000_000_000_000_000;
     const PERIOD: i64 = 200_000_000;
 
-    /// Messages at 5 Hz whose header and log times are functions of the true time \[ns\].
+    /// Messages at 5 Hz with header and log times as functions of the true time \[ns\].
     fn clocks(topic: &str, header: impl Fn(i64) -> i64, log: impl Fn(i64) -> i64) -> Clocks {
         let mut clocks = Clocks::new(topic);
         for index in 0..100 {
@@ -428,7 +425,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_counts_from_boot_is_another_clock() {
+    fn clock_that_counts_from_boot_is_another_clock() {
         let camera = clocks("/camera", |at| at - START + 100_000_000_000, |at| at);
         let found = Clocks::check_pair(&camera, &good("/action")).unwrap();
         assert_eq!(found.level, Level::Error);
@@ -439,11 +436,11 @@ mod tests {
     }
 
     #[test]
-    fn one_clock_for_both_may_differ_from_the_recorders() {
+    fn shared_clock_may_differ_from_the_recorders() {
         let simulated = |topic| clocks(topic, |at| at - START, |at| at);
         let found = Clocks::check_pair(&simulated("/camera"), &simulated("/action")).unwrap();
         assert_eq!(found.level, Level::Note);
-        // A simulation at half the speed of the clock on the wall.
+        // A simulation at half real time.
         let slow = |topic| clocks(topic, |at| START + (at - START) / 2, |at| at);
         assert_eq!(Clocks::check_pair(&slow("/camera"), &slow("/action")), None);
     }
@@ -457,14 +454,14 @@ mod tests {
     }
 
     #[test]
-    fn log_times_of_zero_do_not_spoil_good_stamps() {
+    fn zero_log_times_do_not_invalidate_good_stamps() {
         let actions = clocks("/action", |at| at, |_| 0);
         let found = Clocks::check_pair(&good("/camera"), &actions).unwrap();
         assert_eq!(found.level, Level::Note);
     }
 
     #[test]
-    fn stamps_that_go_back_are_a_fault_if_many_do() {
+    fn many_backward_stamps_are_a_fault() {
         let mut few = good("/camera");
         few.push(Stamps {
             header_ns: START,
@@ -478,7 +475,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gap_of_the_state_is_named() {
+    fn gap_of_the_state_is_named() {
         let mut joints = Clocks::new("/joint_states");
         for index in (0..300).filter(|index| !(120..150).contains(index)) {
             joints.push(Stamps {
@@ -494,7 +491,7 @@ mod tests {
         );
         assert!(found.what.contains("0.31 s"), "{}", found.what);
         assert_eq!(good("/joint_states").check_gaps(), None);
-        // The time from a stamp of zero to a real one is no gap.
+        // The time from a zero stamp to a real one is not a gap.
         let mut late = Clocks::new("/joint_states");
         for index in (0..100).filter(|index| *index != 50) {
             late.push(Stamps {
@@ -513,14 +510,14 @@ mod tests {
     #[test]
     fn memory_does_not_grow_with_the_recording() {
         let mut long = Clocks::new("/camera");
-        for index in 0..20 * OFFSETS as i64 {
+        for index in 0..20 * OFFSETS_LIMIT as i64 {
             long.push(Stamps {
                 header_ns: START + index * PERIOD,
                 log_ns: START + index * PERIOD + 5_000_000,
                 publish_ns: 0,
             });
         }
-        assert!(long.offsets_ns.len() <= OFFSETS);
+        assert!(long.offsets_ns.len() <= OFFSETS_LIMIT);
         assert!((long.offset_s().unwrap() + 0.005).abs() < 1e-9);
     }
 }

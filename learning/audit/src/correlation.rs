@@ -1,12 +1,12 @@
-//! By how many frames one series follows another.
+//! Estimation of the lag between two series.
 
-/// Greatest shift that is tried \[frames\].
-pub(crate) const MOST_LAG: usize = 10;
-const LAGS: usize = 2 * MOST_LAG + 1;
-/// Standard errors from which on a shift is better than none.
-const SURE: f64 = 3.0;
-/// Least gain in correlation by a shift.
-const LEAST_GAIN: f64 = 0.05;
+/// Largest shift \[frames\].
+pub(crate) const LAG_LIMIT: usize = 10;
+const LAGS: usize = 2 * LAG_LIMIT + 1;
+/// Standard errors from which a shift is significant.
+const SIGNIFICANT: f64 = 3.0;
+/// Minimum gain in correlation by a shift.
+const GAIN_MIN: f64 = 0.05;
 
 /// Sums of products of two series, at one shift.
 #[derive(Clone, Copy, Debug, Default)]
@@ -37,32 +37,32 @@ impl Sums {
     }
 }
 
-/// How far, and how surely, the second series follows the first.
+/// The lag of the second series behind the first, and its significance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Lag {
-    /// Frames by which the second series is later.
+    /// Lag of the second series \[frames\].
     pub frames: i64,
     /// The correlation at this shift.
     pub correlation: f64,
     /// The correlation without a shift.
     pub unshifted: f64,
-    /// How many of its standard errors the difference of the two is, both by Fisher's z. The number of independent
-    /// frames is estimated from the autocorrelations of both series (M. S. Bartlett, JRSS 98, 1935).
+    /// Difference of the two correlations in standard errors, by Fisher's z. The number of independent frames is estimated
+    /// from the autocorrelations of both series (M. S. Bartlett, JRSS 98, 1935).
     pub score: f64,
-    /// The shift with the next best correlation that is no neighbour of the best.
+    /// The shift with the next best correlation, without neighbours of the best.
     pub second: i64,
     /// Its correlation.
     pub second_correlation: f64,
-    /// Frames that were compared.
+    /// Number of compared frames.
     pub count: usize,
 }
 
 impl Lag {
-    /// The best shift of the series `y` against `x`, over pairs of series of one episode each; values that are not finite
-    /// are skipped. `None` if nothing varies.
+    /// Finds the best shift between the series of each pair, one pair per episode. Skips values that are not finite. `None` if
+    /// a series is constant.
     pub fn of(pairs: &[(Vec<f32>, Vec<f32>)]) -> Option<Self> {
         let mut total = [Sums::default(); LAGS];
-        let mut own = [[Sums::default(); MOST_LAG]; 2];
+        let mut own = [[Sums::default(); LAG_LIMIT]; 2];
         let mut count = 0;
         for (x, y) in pairs {
             let (x, y) = (centred(x), centred(y));
@@ -72,10 +72,10 @@ impl Lag {
                 .filter(|(x, y)| x.is_finite() && y.is_finite())
                 .count();
             for (index, sums) in total.iter_mut().enumerate() {
-                // One of the two is moved.
+                // Only one of the two is shifted.
                 let (of_x, of_y) = (
-                    MOST_LAG.saturating_sub(index),
-                    index.saturating_sub(MOST_LAG),
+                    LAG_LIMIT.saturating_sub(index),
+                    index.saturating_sub(LAG_LIMIT),
                 );
                 for (x, y) in x.iter().skip(of_x).zip(y.iter().skip(of_y)) {
                     sums.push(*x, *y);
@@ -92,7 +92,7 @@ impl Lag {
         let best_of = |is_in: &dyn Fn(usize) -> bool| {
             let correlations = total.iter().map(|sums| sums.correlation()).enumerate();
             let correlations = correlations.filter(|(index, _)| {
-                // A shift that leaves few frames of short episodes gives any correlation.
+                // With few frames left of short episodes, correlations are arbitrary.
                 let compared = total.get(*index).map_or(0, |sums| sums.count);
                 is_in(*index) && compared * 2 >= count
             });
@@ -102,11 +102,7 @@ impl Lag {
         let varies = |sums: &Sums| sums.xx * sums.yy > 1e-12;
         total.get(best).filter(|sums| varies(sums))?;
         let (second, second_correlation) = best_of(&|index| index.abs_diff(best) > 1)?;
-        let unshifted = total
-            .get(MOST_LAG)
-            .copied()
-            .unwrap_or_default()
-            .correlation();
+        let unshifted = total.get(LAG_LIMIT)?.correlation();
         let [of_x, of_y] = own;
         let repeated: f64 = of_x
             .iter()
@@ -115,20 +111,20 @@ impl Lag {
             .sum();
         let independent = count as f64 / (1.0 + 2.0 * repeated).max(1.0);
         Some(Self {
-            // At most MOST_LAG either way.
-            frames: best as i64 - MOST_LAG as i64,
+            // Fits: at most LAG_LIMIT in either direction.
+            frames: best as i64 - LAG_LIMIT as i64,
             correlation,
             unshifted,
             score: score(correlation, unshifted, independent),
-            second: second as i64 - MOST_LAG as i64,
+            second: second as i64 - LAG_LIMIT as i64,
             second_correlation,
             count,
         })
     }
 
-    /// Whether this shift is better than none beyond doubt.
-    pub fn is_sure(&self) -> bool {
-        self.score >= SURE && self.correlation - self.unshifted >= LEAST_GAIN
+    /// Whether this shift is significantly better than none.
+    pub fn is_significant(&self) -> bool {
+        self.score >= SIGNIFICANT && self.correlation - self.unshifted >= GAIN_MIN
     }
 
     /// The probability that this shift is better than none, by the normal distribution.
@@ -151,14 +147,14 @@ impl Lag {
     }
 }
 
-/// The difference of two correlations in standard errors, over so many independent frames.
+/// Difference of two correlations in standard errors, over this many independent frames.
 fn score(a: f64, b: f64, independent: f64) -> f64 {
     let fisher = |correlation: f64| correlation.clamp(-0.9999, 0.9999).atanh();
     let error = (2.0 / (independent - 3.0).max(1e-9)).sqrt();
     (fisher(a) - fisher(b)) / error
 }
 
-/// The values less the mean of the finite ones.
+/// The values minus the mean of the finite ones.
 fn centred(values: &[f32]) -> Vec<f64> {
     let finite = || values.iter().filter(|value| value.is_finite());
     let count = finite().count().max(1) as f64;
@@ -175,7 +171,7 @@ mod tests {
 
     use super::*;
 
-    /// Numbers that look random, from 0 to 1.
+    /// Pseudo-random numbers from 0 to 1.
     fn noise(seed: u64) -> impl FnMut() -> f32 {
         let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
         move || {
@@ -186,7 +182,7 @@ mod tests {
         }
     }
 
-    /// Episodes in which the second series is `lag` frames late and has as much noise of its own.
+    /// Episodes whose second series lags by `lag` frames and has noise of the same size.
     fn late(episodes: u64, frames: usize, lag: usize) -> Vec<(Vec<f32>, Vec<f32>)> {
         let episode = |seed| {
             let (mut signal, mut own) = (noise(seed), noise(seed + 1000));
@@ -199,18 +195,21 @@ mod tests {
     }
 
     #[test]
-    fn a_late_series_is_found_with_its_confidence() {
+    fn lag_is_found_with_its_confidence() {
         for lag in [1, 2, 5] {
             let found = Lag::of(&late(10, 60, lag)).unwrap();
             assert_eq!(found.frames, lag as i64, "{found:?}");
-            assert!(found.is_sure() && found.correlation > 0.5, "{found:?}");
+            assert!(
+                found.is_significant() && found.correlation > 0.5,
+                "{found:?}"
+            );
         }
         let none = Lag::of(&late(10, 60, 0)).unwrap();
-        assert!(none.frames == 0 && !none.is_sure(), "{none:?}");
+        assert!(none.frames == 0 && !none.is_significant(), "{none:?}");
     }
 
     #[test]
-    fn unrelated_series_have_no_sure_lag() {
+    fn unrelated_series_have_no_significant_lag() {
         for seed in 1..40 {
             let (mut a, mut b) = (noise(seed), noise(seed + 77));
             let pair = |_| {
@@ -221,12 +220,15 @@ mod tests {
             };
             let pairs: Vec<(Vec<f32>, Vec<f32>)> = (0..6).map(pair).collect();
             let found = Lag::of(&pairs).unwrap();
-            assert!(!(found.is_sure() && found.correlation > 0.3), "{found:?}");
+            assert!(
+                !(found.is_significant() && found.correlation > 0.3),
+                "{found:?}"
+            );
         }
     }
 
     #[test]
-    fn nothing_that_varies_gives_no_lag() {
+    fn constant_series_have_no_lag() {
         assert_eq!(Lag::of(&[(vec![1.0; 50], vec![2.0; 50])]), None);
         assert_eq!(Lag::of(&[]), None);
         assert_eq!(Lag::of(&[(vec![f32::NAN; 9], vec![1.0; 9])]), None);
@@ -260,7 +262,7 @@ mod tests {
     }
 
     #[test]
-    fn confidence_is_that_of_the_normal_distribution() {
+    fn confidence_follows_the_normal_distribution() {
         let of = |score| {
             Lag {
                 score,

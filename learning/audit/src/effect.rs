@@ -1,4 +1,4 @@
-//! The actions compared with the change of the state.
+//! Comparison of the actions with the changes of the state.
 
 use crate::{
     Finding,
@@ -7,50 +7,50 @@ use crate::{
 use wm_motion::actions::Dimension;
 
 const CHECK: &str = "state";
-/// Actions and changes of the state are compared over windows of this length \[s\], which noise and a delay of the controller
-/// change little.
+/// Length of the windows over which actions and changes of the state are summed, so that noise and controller delays matter
+/// little \[s\].
 const WINDOW_S: f64 = 1.0;
-/// Shifts at which they are compared \[frames\]: the state may follow late, and seldom leads.
+/// Largest lead of the state over the actions \[frames\].
 const LEAD: i64 = 2;
-/// As [`LEAD`].
+/// Largest lag of the state behind the actions \[frames\].
 const FOLLOW: i64 = 10;
-/// Windows that do not overlap, below which nothing is said.
-const LEAST_WINDOWS: f64 = 6.0;
-/// As [`LEAST_WINDOWS`], to say that there is no relation.
-const LEAST_WINDOWS_UNRELATED: f64 = 20.0;
-/// Correlation from which on a factor is taken for one.
+/// Minimum number of disjoint windows for a verdict.
+const WINDOWS_MIN: f64 = 6.0;
+/// Minimum number of disjoint windows for the verdict "unrelated".
+const WINDOWS_MIN_UNRELATED: f64 = 20.0;
+/// Correlation from which a factor is reliable.
 const SURE: f64 = 0.9;
-/// Below this, there is no relation.
+/// Correlation below which actions and state are unrelated.
 const UNRELATED: f64 = 0.3;
-/// The state changes by this many times what the actions say, or less, without a finding.
+/// Accepted ratio of the state's change to the commanded one.
 const FACTORS: std::ops::RangeInclusive<f64> = 1.0 / 1.5..=1.5;
-/// As [`FACTORS`], of targets, which a finger that holds something does not reach: a real hand made 0.2 of them.
+/// As [`FACTORS`], for targets, which a finger that holds an object does not reach: the ratio of a real hand was 0.2.
 const FACTORS_OF_TARGETS: std::ops::RangeInclusive<f64> = 0.1..=1.5;
-/// A dimension that moves less than this share of the one that moves most, among those of its kind, is not judged.
+/// Dimensions that move less than this share of the largest motion of their kind are not judged.
 const MOVES: f64 = 0.2;
 
-/// A dimension's actions compared with the changes of its state.
+/// Linear fit of a dimension's state changes to its actions.
 #[derive(Clone, Copy, Debug)]
 struct Fit {
-    /// Change of the state for one unit of action.
+    /// Change of the state per unit of action.
     factor: f64,
     correlation: f64,
-    /// Root mean square of the actions and of the changes of the state.
+    /// Root mean squares of the actions and of the state's changes.
     action: f64,
     state: f64,
-    /// Windows that do not overlap.
+    /// Number of disjoint windows.
     windows: f64,
 }
 
-/// Whether the state changes as the actions say, by dimension.
+/// Checks, by dimension, that the state changes as commanded.
 pub(crate) fn check(all: Episodes<'_>) -> Vec<Finding> {
-    // A window has at least one frame, and at most those of an hour.
+    // Limited to one frame up to those of an hour.
     let window = ((WINDOW_S / all.period_s).round() as usize).max(1);
     let dimensions: Vec<&Dimension> = all.space.dimensions().iter().collect();
     let fits = dimensions.iter().enumerate().map(|(index, dimension)| {
         let shifts = -LEAD..=FOLLOW;
-        let fits = shifts.filter_map(|shift| fit(&all, index, dimension, window, shift));
-        let fits = fits.filter(|fit| fit.windows >= LEAST_WINDOWS);
+        let fits = shifts.filter_map(|shift| fit_factor(&all, index, dimension, window, shift));
+        let fits = fits.filter(|fit| fit.windows >= WINDOWS_MIN);
         fits.max_by(|a, b| a.correlation.abs().total_cmp(&b.correlation.abs()))
     });
     let fits: Vec<Option<Fit>> = fits.collect();
@@ -79,7 +79,7 @@ pub(crate) fn check(all: Episodes<'_>) -> Vec<Finding> {
                 .figure(&factor, fit.factor)
                 .figure(&correlation, fit.correlation)
         };
-        match verdict(dimension, fit, acts, moves) {
+        match judge(dimension, fit, acts, moves) {
             Some(finding) => findings.push(figures(finding)),
             None => {
                 if acts && fit.correlation >= SURE {
@@ -103,10 +103,10 @@ pub(crate) fn check(all: Episodes<'_>) -> Vec<Finding> {
     findings
 }
 
-/// Faults of a dimension. `acts` and `moves`: whether its actions and its state move enough for a judgement.
-fn verdict(dimension: &Dimension, fit: &Fit, acts: bool, moves: bool) -> Option<Finding> {
+/// Judges a dimension. `acts`, `moves`: whether its actions and its state move enough.
+fn judge(dimension: &Dimension, fit: &Fit, acts: bool, moves: bool) -> Option<Finding> {
     let name = &dimension.name;
-    let why = "a model trained on it expects other motions than plans cause, and plans go astray";
+    let why = "a model trained on it expects other motions than commands cause, and plans fail";
     let measured = format!("correlation {:.2}", fit.correlation);
     let factors = match Effect::of(dimension.kind) {
         Effect::Target => FACTORS_OF_TARGETS,
@@ -135,17 +135,17 @@ fn verdict(dimension: &Dimension, fit: &Fit, acts: bool, moves: bool) -> Option<
         );
     }
     let is_unrelated = acts && moves && fit.correlation.abs() < UNRELATED;
-    if is_unrelated && fit.windows >= LEAST_WINDOWS_UNRELATED {
+    if is_unrelated && fit.windows >= WINDOWS_MIN_UNRELATED {
         let what = format!("{name}: the actions do not explain how the state changes ({measured})");
         return Some(Finding::warning(CHECK, what).because(why).fix(
-            "check which value is which, their frame, and that actions and state are of one arm",
+            "check the order and the frame of the values, and that actions and state are of one arm",
         ));
     }
     None
 }
 
-/// Compares windows of a dimension, with the state `shift` frames later.
-fn fit(
+/// Fits the windows of a dimension, with the state shifted by `shift` frames.
+fn fit_factor(
     all: &Episodes<'_>,
     index: usize,
     dimension: &Dimension,
@@ -159,7 +159,7 @@ fn fit(
     let of_one = all.change_of_one(dimension.kind);
     let (mut xy, mut xx, mut yy, mut count) = (0.0, 0.0, 0.0, 0.0);
     for episode in all.episodes {
-        for (x, y) in windows(episode, index, effect, window, shift) {
+        for (x, y) in sum_windows(episode, index, effect, window, shift) {
             let x = x * of_one;
             xy += x * y;
             xx += x * x;
@@ -180,8 +180,8 @@ fn fit(
     })
 }
 
-/// By window: what the actions add up to, and how the state changes.
-fn windows(
+/// By window: the sum of the actions, and the change of the state.
+fn sum_windows(
     episode: &Episode,
     index: usize,
     effect: Effect,
@@ -189,7 +189,7 @@ fn windows(
     shift: i64,
 ) -> Vec<(f64, f64)> {
     let actions = episode.actions(index);
-    // Sums up to each frame, or the target there.
+    // Cumulative sums at each frame, or the targets.
     let paths: Vec<f64> = match effect {
         Effect::Change => {
             let mut sum = 0.0;

@@ -1,26 +1,26 @@
-//! The frames of an episode: action, motion in the pictures, state.
+//! Frames of an episode: action, motion in the picture, state.
 
 use crate::{pictures::IDLE, quantile::quantile};
 use wm_motion::actions::{ActionSpace, Kind};
 
-/// A value is strong if it belongs to the greatest tenth of its dimension.
+/// Quantile from which a value of a dimension is strong.
 const STRONG: f64 = 0.9;
-/// Values of a dimension count at most this many of its standard deviations: one broken value is no motion.
-const MOST_DEVIATIONS: f32 = 5.0;
+/// Limit of a value in standard deviations of its dimension: a single wrong value is not motion.
+const DEVIATIONS_LIMIT: f32 = 5.0;
 
-/// What a value of an action does to the state.
+/// The effect of an action's value on the state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Effect {
-    /// It changes the state by itself: a delta by its value, a velocity by its value times the period.
+    /// Changes the state: a delta by its value, a velocity by its value times the period.
     Change,
-    /// The state follows it.
+    /// A target that the state follows.
     Target,
-    /// It opens or closes a gripper, whose motion is not compared.
+    /// Opens or closes a gripper, whose motion is not compared.
     Gripper,
 }
 
 impl Effect {
-    /// The effect of a value of this kind, over the interval from its frame to the next.
+    /// The effect of a value of this kind between two frames.
     pub fn of(kind: Kind) -> Self {
         if kind.is_gripper() {
             Self::Gripper
@@ -32,21 +32,21 @@ impl Effect {
     }
 }
 
-/// Frames of one episode, evenly spaced, each with the action from it to the next one.
+/// Evenly spaced frames of one episode, each with the action up to the next frame.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Episode {
-    /// Its name, or the bag's.
+    /// Name of the episode or bag.
     pub name: String,
     width: usize,
     actions: Vec<f32>,
-    /// Mean change of the picture since the frame before \[levels\]; NaN if unknown.
+    /// Mean change of the picture since the previous frame \[levels\]; NaN if unknown.
     motion: Vec<f32>,
     /// The state in the units of the action's dimensions; NaN if unknown.
     state: Vec<f32>,
 }
 
 impl Episode {
-    /// Without frames so far, for actions of `width` values.
+    /// An episode without frames, for actions of `width` values.
     #[must_use]
     pub fn new(name: impl Into<String>, width: usize) -> Self {
         Self {
@@ -56,8 +56,8 @@ impl Episode {
         }
     }
 
-    /// Adds a frame: the action from it to the next one, the mean change of the picture since the frame before \[levels\],
-    /// and the state at the frame, which may begin anywhere. Missing values are taken for unknown.
+    /// Adds a frame: the action up to the next frame, the mean change of the picture since the previous frame \[levels\], and
+    /// the state, with any origin. `None` is unknown.
     pub fn push(&mut self, action: &[f32], motion: Option<f32>, state: Option<&[f32]>) {
         let unknown = std::iter::repeat(f32::NAN);
         let row = |values: &[f32]| -> Vec<f32> {
@@ -75,13 +75,13 @@ impl Episode {
         self.motion.len()
     }
 
-    /// Whether it has no frame.
+    /// Whether it has no frames.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.motion.is_empty()
     }
 
-    /// The values of dimension `dimension`, a frame each.
+    /// The values of a dimension at each frame.
     fn column(&self, values: &[f32], dimension: usize) -> Vec<f32> {
         values
             .iter()
@@ -112,7 +112,7 @@ impl Episode {
         &mut self.actions
     }
 
-    /// How much the action changes a dimension at each frame: of a velocity, for each second.
+    /// Commanded change of a dimension at each frame; for velocities, per second.
     pub(crate) fn changes(&self, dimension: usize, kind: Kind) -> Vec<f32> {
         let values = self.actions(dimension);
         match Effect::of(kind) {
@@ -128,7 +128,7 @@ impl Episode {
     }
 }
 
-/// Each value less the one before; 0 for the first.
+/// Differences between successive values; 0 for the first.
 pub(crate) fn differences(values: &[f32]) -> Vec<f32> {
     let before = values.first().into_iter().chain(values);
     values
@@ -138,14 +138,14 @@ pub(crate) fn differences(values: &[f32]) -> Vec<f32> {
         .collect()
 }
 
-/// How fast something moves at each frame: the root of the sum of squares of its dimensions, each in units of its standard
-/// deviation over all episodes.
+/// Speed at each frame: root of the sum of squares over the dimensions, each in standard deviations over all episodes.
 pub(crate) fn speeds(episodes: &[Vec<Vec<f32>>]) -> Vec<Vec<f32>> {
+    // 0 without episodes.
     let dimensions = episodes.iter().map(Vec::len).max().unwrap_or(0);
     let scales: Vec<f32> = (0..dimensions)
         .map(|dimension| {
             let values = episodes.iter().filter_map(|episode| episode.get(dimension));
-            deviation(values.flatten().copied())
+            standard_deviation(values.flatten().copied())
         })
         .collect();
     let of_episode = |episode: &Vec<Vec<f32>>| {
@@ -157,7 +157,7 @@ pub(crate) fn speeds(episodes: &[Vec<Vec<f32>>]) -> Vec<Vec<f32>> {
             .filter(|(_, scale)| **scale > 0.0)
         {
             for (square, value) in squares.iter_mut().zip(values) {
-                *square += (value.abs() / scale).min(MOST_DEVIATIONS).powi(2);
+                *square += (value.abs() / scale).min(DEVIATIONS_LIMIT).powi(2);
             }
         }
         squares.into_iter().map(f32::sqrt).collect()
@@ -165,8 +165,8 @@ pub(crate) fn speeds(episodes: &[Vec<Vec<f32>>]) -> Vec<Vec<f32>> {
     episodes.iter().map(of_episode).collect()
 }
 
-/// The standard deviation of the finite values; 0 of none.
-fn deviation(values: impl Iterator<Item = f32> + Clone) -> f32 {
+/// The standard deviation of the finite values; 0 without values.
+fn standard_deviation(values: impl Iterator<Item = f32> + Clone) -> f32 {
     let finite = || {
         values
             .clone()
@@ -176,26 +176,27 @@ fn deviation(values: impl Iterator<Item = f32> + Clone) -> f32 {
     let count = finite().count().max(1) as f64;
     let mean = finite().sum::<f64>() / count;
     let variance = finite().map(|value| (value - mean).powi(2)).sum::<f64>() / count;
-    // Single precision is what the values have.
+    // The values have single precision.
     variance.sqrt() as f32
 }
 
-/// What strong actions are, by dimension: what the activity of a robot is measured by.
+/// Strong actions by dimension: the unit of a robot's activity.
 #[derive(Clone, Debug)]
 pub(crate) struct Strength(Vec<f32>);
 
 impl Strength {
-    /// Of changes by dimension.
+    /// Computes it from changes, by dimension.
     pub fn of(dimensions: impl Iterator<Item = Vec<f32>>) -> Self {
         let strong = dimensions.map(|values| {
             let magnitudes = || values.iter().map(|value| value.abs());
             let strong = quantile(magnitudes(), STRONG).filter(|strong| *strong > 0.0);
+            // 0 without values: the dimension is then ignored.
             strong.or(quantile(magnitudes(), 1.0)).unwrap_or(0.0)
         });
         Self(strong.collect())
     }
 
-    /// The activity of one action, given its changes: 0 idle, 1 strong in at least one dimension.
+    /// The activity of one action: 0 idle, 1 strong in at least one dimension.
     pub fn activity(&self, changes: impl Iterator<Item = f32>) -> f32 {
         let shares = changes.zip(&self.0).filter(|(_, strong)| **strong > 0.0);
         let shares = shares.map(|(change, strong)| change.abs() / strong);
@@ -203,19 +204,19 @@ impl Strength {
     }
 }
 
-/// The episodes of a data set, or of a bag, and what their actions are.
+/// The episodes of a data set or a bag, and their action space.
 #[derive(Clone, Copy, Debug)]
 pub struct Episodes<'a> {
     /// The episodes.
     pub episodes: &'a [Episode],
-    /// What the values of their actions are.
+    /// The action space.
     pub space: &'a ActionSpace,
-    /// From frame to frame \[s\].
+    /// Frame period \[s\].
     pub period_s: f64,
 }
 
 impl Episodes<'_> {
-    /// Change of the state for a value of 1 that lasts a period: velocities act for its duration.
+    /// Change of the state by a value of 1 in one period; velocities are integrated.
     pub(crate) fn change_of_one(&self, kind: Kind) -> f64 {
         if kind.is_velocity() {
             self.period_s
@@ -224,12 +225,11 @@ impl Episodes<'_> {
         }
     }
 
-    /// All frames.
     pub(crate) fn frames(&self) -> usize {
         self.episodes.iter().map(Episode::len).sum()
     }
 
-    /// How much the actions change each dimension at each frame, by episode.
+    /// Commanded changes by episode, dimension and frame.
     pub(crate) fn changes(&self) -> Vec<Vec<Vec<f32>>> {
         let dimensions = self.space.dimensions();
         let of_episode = |episode: &Episode| {
@@ -252,6 +252,7 @@ impl Episodes<'_> {
         let of_episode = |episode: &Vec<Vec<f32>>| {
             let frames = episode.first().map_or(0, Vec::len);
             let at = |frame: usize| {
+                // In range: all dimensions of an episode have the same length.
                 let values = episode.iter().map(|v| v.get(frame).copied().unwrap_or(0.0));
                 strength.activity(values)
             };
@@ -260,13 +261,13 @@ impl Episodes<'_> {
         changes.iter().map(of_episode).collect()
     }
 
-    /// Whether the robot is idle at each frame, by episode: no action, and no motion in the picture if that is known.
+    /// Whether the robot is idle at each frame, by episode: no action, and no motion in the picture, if known.
     pub(crate) fn idle(&self) -> Vec<Vec<bool>> {
         let activity = self.activity();
         let of_episode = |(episode, activity): (&Episode, &Vec<f32>)| {
             let motion = episode.motion().chain([f32::NAN]);
             let frames = activity.iter().zip(motion);
-            // A picture whose change is unknown does not decide.
+            // An unknown change of the picture does not decide.
             let is_idle =
                 |(acts, moves): (&f32, f32)| *acts < IDLE && (moves.is_nan() || moves < 1.0);
             frames.map(is_idle).collect()
@@ -285,7 +286,7 @@ mod tests {
     use wm_motion::actions::Dimension;
 
     #[test]
-    fn targets_act_by_their_change() {
+    fn targets_count_by_their_change() {
         let mut episode = Episode::new("a", 2);
         for target in [0.1, 0.1, 0.4] {
             episode.push(&[target, 1.0], None, Some(&[target]));
@@ -323,7 +324,7 @@ mod tests {
             period_s: 0.2,
         };
         assert_eq!(episodes.activity()[0][4..6], [0.0, 1.0]);
-        // The picture moves from frame 3 on.
+        // The picture changes from frame 3.
         assert_eq!(episodes.idle()[0][..5], [true, true, true, false, false]);
         let changes = episodes.changes();
         let speeds = speeds(&changes);

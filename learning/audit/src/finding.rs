@@ -3,20 +3,20 @@
 use serde::{Deserialize, Serialize};
 use std::{borrow::Cow, collections::BTreeMap, fmt};
 
-/// How bad a finding is.
+/// The severity of a finding.
 #[derive(
     Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
 )]
 #[serde(rename_all = "lowercase")]
 pub enum Level {
-    /// As it should be.
+    /// No fault.
     #[default]
     Ok,
-    /// Worth knowing; nothing has to be done.
+    /// Information; no action needed.
     Note,
-    /// It works, but worse than it could, or not always.
+    /// Data or nodes work, but worse, or not always.
     Warning,
-    /// It does not work.
+    /// Data or nodes do not work.
     Error,
 }
 
@@ -31,27 +31,27 @@ impl Level {
     }
 }
 
-/// The result of a check: the verdict, why it matters, the remedy, and the figures that were measured.
+/// The result of a check: verdict, reason, remedy, and measured figures.
 ///
-/// Its [`Display`](fmt::Display) is a line, with why and fix on lines of their own below it.
+/// Its [`Display`](fmt::Display) is a line, with reason and remedy on lines of their own below it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Finding {
     /// The check, in one word: `camera`.
     pub check: Cow<'static, str>,
-    /// How bad it is.
+    /// The severity.
     pub level: Level,
     /// The verdict.
     pub what: String,
     /// Why it matters.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub why: Option<String>,
-    /// What to do: a command if there is one.
+    /// The remedy: a command, if there is one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fix: Option<String>,
-    /// What was measured, by a name with its unit: `lag_frames`, `gap_s`.
+    /// Measured figures; names have units: `lag_frames`, `gap_s`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub figures: BTreeMap<String, f64>,
-    /// The bags with this finding; empty if it is of all data together, or of live topics.
+    /// The bags with this finding; empty for findings about all data or live topics.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub bags: Vec<String>,
 }
@@ -74,36 +74,36 @@ impl Finding {
         Self::new(check, Level::Ok, what)
     }
 
-    /// A fact that is worth knowing.
+    /// Information.
     pub fn note(check: &'static str, what: impl Into<String>) -> Self {
         Self::new(check, Level::Note, what)
     }
 
-    /// A fault with which data or nodes work worse.
+    /// A fault that impairs data or nodes.
     pub fn warning(check: &'static str, what: impl Into<String>) -> Self {
         Self::new(check, Level::Warning, what)
     }
 
-    /// A fault with which data or nodes do not work.
+    /// A fault that makes data or nodes unusable.
     pub fn error(check: &'static str, what: impl Into<String>) -> Self {
         Self::new(check, Level::Error, what)
     }
 
-    /// The same, and why it matters.
+    /// Adds the reason why it matters.
     #[must_use]
     pub fn because(mut self, why: impl Into<String>) -> Self {
         self.why = Some(why.into());
         self
     }
 
-    /// The same, and what to do.
+    /// Adds the remedy.
     #[must_use]
     pub fn fix(mut self, fix: impl Into<String>) -> Self {
         self.fix = Some(fix.into());
         self
     }
 
-    /// The same with a figure, if it is a number.
+    /// Adds a figure, if it is finite.
     #[must_use]
     pub fn figure(mut self, name: &str, value: f64) -> Self {
         // JSON has no NaN.
@@ -113,7 +113,7 @@ impl Finding {
         self
     }
 
-    /// Whether somebody should act on it.
+    /// Whether it needs action.
     #[must_use]
     pub fn is_fault(&self) -> bool {
         self.level >= Level::Warning

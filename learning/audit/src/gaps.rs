@@ -1,32 +1,32 @@
-//! Times from each message of a topic to the next.
+//! Times between successive messages of a topic.
 
 use std::collections::BTreeMap;
 
-/// Gaps are counted in classes of a twentieth of an octave, 3.5 % wide: memory does not grow with their number.
+/// Resolution of the histogram: classes 3.5 % wide, in bounded memory.
 const CLASSES_PER_OCTAVE: f64 = 20.0;
-/// From this many periods on, a message is missing; stamps jitter by less. As a data set cuts its episodes.
+/// Gap that means a missing message, as in data sets; stamps jitter by less \[periods\].
 const MISSING_PERIODS: f64 = 1.75;
-/// From this many periods on, and for at least a second, the recording pauses, and nothing is missing.
+/// Gap that is a pause instead, if it also lasts [`PAUSE_S`] \[periods\].
 const PAUSE_PERIODS: f64 = 10.0;
-/// As [`PAUSE_PERIODS`] \[s\].
+/// Minimum duration of a pause \[s\].
 const PAUSE_S: f64 = 1.0;
 
-/// Positive times from each message of a topic to the next.
+/// Histogram of positive times between successive messages.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Gaps {
-    /// The number of gaps of each class and their sum \[s\].
+pub(crate) struct Gaps {
+    /// Number and sum \[s\] of the gaps, by class.
     classes: BTreeMap<i32, (u64, f64)>,
     count: u64,
 }
 
 impl Gaps {
-    /// Adds a gap \[ns\], if time passes in it.
+    /// Adds a gap \[ns\]; ignores gaps that are not positive.
     pub fn push(&mut self, gap_ns: i64) {
         if gap_ns <= 0 {
             return;
         }
         let seconds = gap_ns as f64 / 1e9;
-        // From -600 to 700.
+        // Fits: from -600 to 700.
         let class = (seconds.log2() * CLASSES_PER_OCTAVE).floor() as i32;
         let (count, sum) = self.classes.entry(class).or_default();
         *count += 1;
@@ -45,7 +45,6 @@ impl Gaps {
     }
 
     /// The median \[s\], to within 3.5 %; `None` for fewer than two gaps.
-    #[must_use]
     pub fn median_s(&self) -> Option<f64> {
         if self.count < 2 {
             return None;
@@ -60,8 +59,7 @@ impl Gaps {
         None
     }
 
-    /// Messages that are missing in gaps of 1.75 to 10 periods, or of less than a second, and the longest gap \[s\].
-    #[must_use]
+    /// Number of missing messages, and the longest gap \[s\]. Pauses do not count.
     pub fn missing(&self) -> (u64, f64) {
         let Some(period_s) = self.median_s() else {
             return (0, 0.0);
@@ -73,17 +71,11 @@ impl Gaps {
             let periods = gap_s / period_s;
             let is_pause = periods >= PAUSE_PERIODS && gap_s >= PAUSE_S;
             if periods >= MISSING_PERIODS && !is_pause {
-                // Of less than a second, or at most 9.
+                // Fits: at most 9, or less than a second.
                 missing += count * (periods.round() as u64).saturating_sub(1);
             }
         }
         (missing, longest_s)
-    }
-
-    /// The number of gaps.
-    #[must_use]
-    pub fn count(&self) -> u64 {
-        self.count
     }
 }
 
@@ -100,8 +92,8 @@ mod tests {
     }
 
     #[test]
-    fn jitter_is_no_missing_message() {
-        // A real arm's stamps: 10 Hz with 31 ms of jitter.
+    fn jitter_is_not_a_missing_message() {
+        // As of a real arm: 10 Hz with 31 ms of jitter.
         let jitter = (0..200).map(|index| 100 + (index * 37 % 63) - 31);
         let gaps = of_milliseconds(jitter);
         assert!((gaps.median_s().unwrap() - 0.1).abs() < 0.005);
@@ -116,15 +108,15 @@ mod tests {
         assert_eq!(gaps.missing().0, 1 + 3);
         gaps.push(60_000_000_000);
         let (missing, longest_s) = gaps.missing();
-        assert_eq!((missing, gaps.count()), (4, 53));
+        assert_eq!((missing, gaps.count), (4, 53));
         assert!((longest_s - 60.0).abs() < 1e-6);
     }
 
     #[test]
-    fn time_that_does_not_pass_is_no_gap() {
+    fn gaps_that_are_not_positive_are_ignored() {
         let gaps = of_milliseconds([0, -5, 100]);
         assert_eq!(
-            (gaps.count(), gaps.median_s(), gaps.missing()),
+            (gaps.count, gaps.median_s(), gaps.missing()),
             (1, None, (0, 0.0))
         );
         assert!(

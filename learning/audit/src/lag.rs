@@ -1,42 +1,42 @@
-//! Whether pictures, actions and state are of the same moment.
+//! Checks that pictures, actions and state have the same time.
 
 use crate::{
     Finding,
-    correlation::{Lag, MOST_LAG},
+    correlation::{LAG_LIMIT, Lag},
     episode::{Effect, Episode, Episodes, differences, speeds},
     quantile::quantile,
 };
 
 const CHECK: &str = "lag";
-/// Fewest frames of which something is said.
-const LEAST_FRAMES: usize = 30;
-/// Least correlation of motion with actions that change the state, and with targets, which lead it by a varying time.
-const LEAST: f64 = 0.3;
-/// As [`LEAST`].
-const LEAST_OF_TARGETS: f64 = 0.2;
-/// A shift from which on a model learns actions of another moment \[frames\]. Real arms begin to move up to a frame after
-/// their command (Bridge V2: one frame of 0.2 s).
+/// Minimum number of frames for a verdict.
+const FRAMES_MIN: usize = 30;
+/// Minimum correlation of motion with actions that change the state.
+const CORRELATION_MIN: f64 = 0.3;
+/// Minimum correlation of motion with targets, which lead it by a varying time.
+const CORRELATION_MIN_TARGETS: f64 = 0.2;
+/// Shift that is a fault \[frames\]. Real arms begin to move up to a frame after their command (Bridge V2: one frame of
+/// 0.2 s).
 const FAULT: i64 = 2;
-/// Time by which an arm may follow its targets \[s\].
-const FOLLOWS_S: f64 = 0.5;
-/// Actions explain no motion if the correlation stays below this at every shift, over this many frames. Of five real
-/// robots it is .26 to .81; with the actions of other moments, below .05.
-const NONE: f64 = 0.12;
-/// As [`NONE`].
-const NONE_FRAMES: usize = 500;
-/// Change of the picture that is taken for noise, as a quantile.
+/// Accepted lag of an arm behind its targets \[s\].
+const FOLLOW_LIMIT_S: f64 = 0.5;
+/// Correlation below which actions and motion are unrelated at every shift. Five real robots have 0.26 to 0.81; with actions
+/// of other moments, below 0.05.
+const UNRELATED: f64 = 0.12;
+/// Minimum number of frames for the verdict "unrelated".
+const UNRELATED_FRAMES: usize = 500;
+/// Quantile of the picture's change that counts as noise.
 const NOISE: f64 = 0.05;
 
-/// How far the pictures follow the actions, and the state.
+/// Checks the lag of the pictures behind the actions and the state.
 pub(crate) fn check(all: Episodes<'_>) -> Vec<Finding> {
-    if all.frames() < LEAST_FRAMES {
+    if all.frames() < FRAMES_MIN {
         let what = format!(
-            "not judged: {} frames; {LEAST_FRAMES} are needed",
+            "not judged: {} frames; {FRAMES_MIN} are needed",
             all.frames()
         );
         return vec![Finding::ok(CHECK, what)];
     }
-    let shown = pictures(all.episodes);
+    let shown = picture_motion(all.episodes);
     let acts = speeds(&all.changes());
     let of_actions = Lag::of(&pairs(&acts, &shown));
     let moves = speeds(&state_changes(&all));
@@ -44,31 +44,35 @@ pub(crate) fn check(all: Episodes<'_>) -> Vec<Finding> {
     let is_target = |kind| Effect::of(kind) == Effect::Target;
     let mut kinds = all.space.dimensions().iter().map(|d| d.kind);
     let has_targets = kinds.any(is_target);
-    let least = if has_targets { LEAST_OF_TARGETS } else { LEAST };
-    let Some(lag) = of_actions else {
-        return vec![constant(&all, &shown)];
+    let least = if has_targets {
+        CORRELATION_MIN_TARGETS
+    } else {
+        CORRELATION_MIN
     };
-    if lag.correlation < NONE && lag.count >= NONE_FRAMES {
-        return vec![unexplained(&lag)];
+    let Some(lag) = of_actions else {
+        return vec![constant_series(&all, &shown)];
+    };
+    if lag.correlation < UNRELATED && lag.count >= UNRELATED_FRAMES {
+        return vec![unrelated_actions(&lag)];
     }
-    let finding = if lag.correlation < least || lag.count < LEAST_FRAMES {
+    let finding = if lag.correlation < least || lag.count < FRAMES_MIN {
         Finding::ok(
             CHECK,
             format!("not judged: correlation {:.2} at best", lag.correlation),
         )
     } else {
-        judged(
+        judge(
             &lag,
-            of_state.filter(Lag::is_sure),
+            of_state.filter(Lag::is_significant),
             has_targets,
             all.period_s,
         )
     };
-    vec![with_figures(finding, &lag, of_state.as_ref(), all.period_s)]
+    vec![add_figures(finding, &lag, of_state.as_ref(), all.period_s)]
 }
 
-/// The verdict of a correlation that is strong enough.
-fn judged(lag: &Lag, of_state: Option<Lag>, has_targets: bool, period_s: f64) -> Finding {
+/// Judges a sufficient correlation.
+fn judge(lag: &Lag, of_state: Option<Lag>, has_targets: bool, period_s: f64) -> Finding {
     let seconds = |frames: i64| frames.unsigned_abs() as f64 * period_s;
     let frames = |frames: i64| match frames.unsigned_abs() {
         1 => "1 frame".to_owned(),
@@ -78,7 +82,7 @@ fn judged(lag: &Lag, of_state: Option<Lag>, has_targets: bool, period_s: f64) ->
         "correlation {:.2} against {:.2} without a shift, confidence {:.1} %",
         lag.correlation,
         lag.unshifted,
-        // Never all: the distribution has no end.
+        // Never 100 %: the distribution has no end.
         (lag.confidence() * 100.0).min(99.9)
     );
     let fix = |shift: i64| {
@@ -89,7 +93,8 @@ fn judged(lag: &Lag, of_state: Option<Lag>, has_targets: bool, period_s: f64) ->
         )
     };
     let why = "a model learns the effect of actions of another moment";
-    let camera = of_state.filter(|lag| lag.correlation >= LEAST && lag.frames.abs() >= FAULT);
+    let camera =
+        of_state.filter(|lag| lag.correlation >= CORRELATION_MIN && lag.frames.abs() >= FAULT);
     if let Some(camera) = camera {
         let what = format!(
             "the pictures {} the state by {} ({:.2} s): correlation {:.2} against {:.2} without a shift",
@@ -99,14 +104,14 @@ fn judged(lag: &Lag, of_state: Option<Lag>, has_targets: bool, period_s: f64) ->
             camera.correlation,
             camera.unshifted
         );
-        let shift = if lag.is_sure() {
+        let shift = if lag.is_significant() {
             lag.frames
         } else {
             camera.frames
         };
         return Finding::warning(CHECK, what).because(why).fix(fix(shift));
     }
-    if !lag.is_sure() && lag.frames != 0 {
+    if !lag.is_significant() && lag.frames != 0 {
         let what = format!(
             "no shift is surely better than none: correlation {:.2} without, {:.2} at {}",
             lag.unshifted,
@@ -128,7 +133,7 @@ fn judged(lag: &Lag, of_state: Option<Lag>, has_targets: bool, period_s: f64) ->
         frames(lag.frames),
         seconds(lag.frames)
     );
-    if has_targets && lag.frames > 0 && seconds(lag.frames) <= FOLLOWS_S {
+    if has_targets && lag.frames > 0 && seconds(lag.frames) <= FOLLOW_LIMIT_S {
         return Finding::note(CHECK, follows)
             .because("an arm follows its targets with such a delay")
             .fix(format!(
@@ -149,7 +154,7 @@ fn judged(lag: &Lag, of_state: Option<Lag>, has_targets: bool, period_s: f64) ->
         .fix(fix(lag.frames))
 }
 
-fn with_figures(finding: Finding, lag: &Lag, of_state: Option<&Lag>, period_s: f64) -> Finding {
+fn add_figures(finding: Finding, lag: &Lag, of_state: Option<&Lag>, period_s: f64) -> Finding {
     let finding = finding
         .figure("lag_frames", lag.frames as f64)
         .figure("lag_s", lag.frames as f64 * period_s)
@@ -168,20 +173,20 @@ fn with_figures(finding: Finding, lag: &Lag, of_state: Option<&Lag>, period_s: f
     }
 }
 
-fn unexplained(lag: &Lag) -> Finding {
+fn unrelated_actions(lag: &Lag) -> Finding {
     let what = format!(
         "the actions explain no motion in the pictures: correlation {:.2} at best, over {} frames and shifts of up to \
-         {MOST_LAG} frames",
+         {LAG_LIMIT} frames",
         lag.correlation, lag.count
     );
     let finding = Finding::warning(CHECK, what)
         .because("a model learns to ignore such actions")
         .fix("check that camera and actions are of the same robot and the same clock, and what the values mean (--action-space)");
-    with_figures(finding, lag, None, 0.0)
+    add_figures(finding, lag, None, 0.0)
 }
 
-/// Of actions, or pictures, that never vary.
-fn constant(all: &Episodes<'_>, shown: &[Vec<f32>]) -> Finding {
+/// The finding for constant actions or pictures.
+fn constant_series(all: &Episodes<'_>, shown: &[Vec<f32>]) -> Finding {
     let acts = all.changes();
     let is_still = acts.iter().flatten().flatten().all(|value| *value == 0.0);
     let moves = shown.iter().flatten().any(|moves| *moves > 1.0);
@@ -203,10 +208,10 @@ fn constant(all: &Episodes<'_>, shown: &[Vec<f32>]) -> Finding {
     Finding::ok(CHECK, what)
 }
 
-/// The motion in the pictures from each frame to the next, without noise; the root, so that a passing hand or a change of
-/// light does not outweigh all else.
-fn pictures(episodes: &[Episode]) -> Vec<Vec<f32>> {
+/// Motion in the pictures between frames, without noise. The root limits the weight of a passing hand or a change of light.
+fn picture_motion(episodes: &[Episode]) -> Vec<Vec<f32>> {
     let all = episodes.iter().flat_map(Episode::motion);
+    // Without known changes there is nothing to subtract it from.
     let noise = quantile(all, NOISE).unwrap_or(0.0);
     let of_episode = |episode: &Episode| {
         let without_noise = |moves: f32| match moves.is_finite() {
@@ -218,14 +223,14 @@ fn pictures(episodes: &[Episode]) -> Vec<Vec<f32>> {
     episodes.iter().map(of_episode).collect()
 }
 
-/// The change of the state from each frame to the next, by episode and dimension, where it is known.
+/// Changes of the state between frames, by episode and dimension, if known.
 fn state_changes(all: &Episodes<'_>) -> Vec<Vec<Vec<f32>>> {
     let of_episode = |episode: &Episode| {
         let dimensions = (0..).zip(all.space.dimensions());
         let moved = dimensions.filter(|(_, d)| !d.kind.is_gripper());
         let moved = moved.map(|(index, _)| {
             let changes = differences(&episode.state(index));
-            // From this frame to the next.
+            // To the next frame.
             changes.into_iter().skip(1).collect()
         });
         moved.collect()

@@ -1,22 +1,21 @@
-//! An audit of robot data: of recordings, of the bags of a data set, and of live topics.
+//! Audits robot data: recordings, data sets and live topics.
 //!
-//! A pure audit over a stream of observations: the times of each message, the pictures as a fingerprint and a
-//! [`Signature`](wm_camera::signature::Signature), the actions and the state. It gives [`Finding`]s: a verdict with the
-//! figures that were measured, why it matters, and what to do; as text and as JSON.
+//! Input is a stream of observations: times of messages, fingerprint and
+//! [`Signature`](wm_camera::signature::Signature) of pictures, actions and state. Output is a list of [`Finding`]s: verdict,
+//! measured figures, reason and remedy, as text and JSON.
 //!
-//! | module | what |
+//! | item | checks |
 //! | --- | --- |
 //! | [`Clocks`] | stamps that are zero, constant, out of order, or of another clock |
 //! | [`Pictures`] | repeated and frozen frames with the true rate, missing frames, sizes that change |
-//! | [`Audit::of_episodes`] | lag between pictures, actions and state; actions against the change of the state; idle time, outliers, units, the last action |
-//! | [`audit_bag`] | all of it for one bag, for `wm bag info --audit` |
+//! | [`Audit::of_episodes`] | lag between pictures, actions and state; changes of the state compared with actions; idle time, outliers, units, the last action |
+//! | [`audit_bag`] | all checks for one bag, for `wm bag info --audit` |
 //!
-//! Who uses it: `wm dataset` (`wm_dataset`) while it prepares bags, `wm bag info --audit`, and `wm doctor` (`wm_doctor`) on
-//! live messages. No DDS, no clock, no model; memory is bounded: of a picture some numbers are kept, of an hour at 30 Hz
-//! about 2 MB.
+//! Users: `wm dataset` (`wm_dataset`) during preparation, `wm bag info --audit`, and `wm doctor` (`wm_doctor`) on live
+//! messages. No DDS, no clock, no model. Memory is bounded: a few numbers per picture, about 2 MB for an hour at 30 Hz.
 //!
-//! Thresholds are constants beside their checks. Each was measured on real data without a fault (Bridge V2, DROID, a Dobot
-//! CR5, a Unitree G1: 32,000 frames) and on each fault; `learning/import/tests/audit_shared_data.rs` repeats that.
+//! Thresholds are constants next to their checks, measured on real data without a fault (Bridge V2, DROID, a Dobot CR5, a
+//! Unitree G1: 32,000 frames) and with each fault; `learning/import/tests/audit_shared_data.rs` repeats this.
 
 mod audit;
 mod bag;
@@ -38,7 +37,7 @@ pub use bag::{JUDGES_VIDEO, Topics, audit_bag, video_topics};
 pub use clocks::{Clocks, Stamps, UnusableStamps};
 pub use episode::{Episode, Episodes};
 pub use finding::{Finding, Level};
-pub use gaps::Gaps;
+
 pub use pictures::{Activity, Pictures};
-pub use recorded::{ActionTrack, Recorded, RecordedCamera};
+pub use recorded::{ActionTrack, RecordedCamera, RecordedTopics};
 pub use state::{JOINTS_TOPIC, POSE_TOPICS, StateLog, StatePath};

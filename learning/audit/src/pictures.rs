@@ -1,52 +1,51 @@
-//! The pictures of a camera: repeats, standstill, sizes, rate.
+//! Checks of a camera's pictures: repeats, freezes, sizes, rate.
 
 use crate::{Finding, gaps::Gaps};
 use std::collections::BTreeMap;
 use wm_camera::{recent_pictures::RecentPictures, signature::Signature};
 
-/// Pictures that are remembered of a camera: an hour at 30 Hz, 1.3 MB.
-const MOST: usize = 108_000;
-/// Mean change below which a picture shows the same as another, but for noise \[levels\]. Of 48,000 real frames
-/// with the arm in motion, none stayed below it for more than 0.9 s.
+/// Limit of pictures per camera: an hour at 30 Hz, 1.3 MB.
+const PICTURES_LIMIT: usize = 108_000;
+/// Mean change that is only noise \[levels\]. Of 48,000 real frames with the arm in motion, none stayed below it for more
+/// than 0.9 s.
 const STILL: f32 = 0.3;
-/// A picture that changed by less than this share of the changes around it repeats an earlier one. Of 25,000 real frames
-/// in motion 0.7 % do, at most 1.5 % of one camera's.
+/// A picture repeats an earlier one if its change is below this share of the changes around it. In real motion, 0.7 % of
+/// 25,000 frames do, at most 1.5 % of one camera.
 const REPEAT_SHARE: f32 = 0.08;
-/// Change around it that is motion and no noise \[levels\].
+/// Change around a picture that is motion \[levels\].
 const IN_MOTION: f32 = 1.0;
-/// Pictures on each side among which motion is looked for: those that are compared, and those that are equal byte for byte.
-const AROUND: usize = 3;
-/// As [`AROUND`].
-const AROUND_EQUAL: usize = 12;
-/// Share of repeats from which on they are a fault.
+/// Number of pictures on each side in which motion is searched, for compared pictures.
+const NEIGHBOURS: usize = 3;
+/// As [`NEIGHBOURS`], for pictures that are equal byte for byte.
+const NEIGHBOURS_EQUAL: usize = 12;
+/// Share of repeats that is a fault.
 const REPEATS: f64 = 0.05;
-/// Pairs of pictures in motion below which repeats are not judged.
-const LEAST_PAIRS: u64 = 10;
-/// A camera is frozen if it stands still for so long while the robot acts \[s\].
+/// Minimum number of pairs in motion for a verdict about repeats.
+const PAIRS_MIN: u64 = 10;
+/// Standstill during activity of the robot that is a freeze \[s\].
 const FROZEN_S: f64 = 2.0;
-/// As [`FROZEN_S`], in pictures.
+/// As [`FROZEN_S`] \[pictures\].
 const FROZEN_PICTURES: usize = 12;
-/// Activity of the robot from which on pictures should change, as a share of its strong actions.
+/// Activity of the robot that should change pictures, as a share of its strong actions.
 const ACTS: f32 = 0.3;
-/// Activity below which the robot is idle, as a share of its strong actions.
+/// Activity of an idle robot, as a share of its strong actions.
 pub(crate) const IDLE: f32 = 0.05;
-/// Share of missing frames from which on it is a fault. A real arm whose stamps jitter by a third of a period (Dobot CR5)
-/// seems to miss up to 7 %.
+/// Share of missing frames that is a fault. A real arm (Dobot CR5) whose stamps jitter by a third of a period seems to miss
+/// up to 7 %.
 const MISSING: f64 = 0.08;
 
-/// How much a picture differs from the one before.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Change {
     /// The bytes differ; the pictures were not compared.
     Unknown,
-    /// The bytes are those of one of the last few pictures.
+    /// The bytes equal those of a recent picture.
     Equal,
     /// Mean absolute difference \[levels\].
     Levels(f32),
 }
 
 impl Change {
-    /// In levels; pictures that were not compared differ without bound.
+    /// In levels; infinite for pictures that were not compared.
     fn levels(self) -> f32 {
         match self {
             Self::Unknown => f32::INFINITY,
@@ -56,17 +55,17 @@ impl Change {
     }
 }
 
-/// A picture and the one before.
+/// A picture and its predecessor.
 #[derive(Clone, Copy, Debug)]
 struct Pair {
-    /// When this picture was taken \[ns\].
+    /// Time of capture \[ns\].
     at_ns: i64,
     change: Change,
-    /// Whether it shows the same as the first picture of the standstill.
+    /// Whether it equals the first picture of the standstill.
     is_still: bool,
 }
 
-/// The pictures of a camera in the order of arrival. Of each, only a few numbers are kept.
+/// The pictures of a camera in the order of arrival: a few numbers each.
 #[derive(Clone, Debug, Default)]
 pub struct Pictures {
     /// The topic.
@@ -79,15 +78,15 @@ pub struct Pictures {
     last: Option<(u64, Option<Signature>)>,
     recent: RecentPictures,
     last_ns: i64,
-    /// The first picture of a standstill.
+    /// Signature of the first picture of a standstill.
     anchor: Option<Signature>,
 }
 
-/// How active the robot is from one moment to another \[ns\], as a share of its strong actions; `None` if that is unknown.
+/// Activity of the robot between two times \[ns\], as a share of its strong actions; `None` if unknown.
 pub type Activity<'a> = &'a dyn Fn(i64, i64) -> Option<f32>;
 
 impl Pictures {
-    /// Of a camera without pictures so far.
+    /// A camera without pictures.
     #[must_use]
     pub fn new(topic: &str) -> Self {
         Self {
@@ -96,9 +95,8 @@ impl Pictures {
         }
     }
 
-    /// Takes the next picture: when it was taken \[ns\], a fingerprint of its bytes, its width and height \[px\] and, if
-    /// it was decoded, its signature. Gives the mean change since the picture before, if both were decoded or are the same
-    /// \[levels\].
+    /// Adds the next picture: time of capture \[ns\], fingerprint, width and height \[px\], and signature if it was decoded.
+    /// Returns the mean change since the previous picture \[levels\], if both were decoded or are equal.
     pub fn push(
         &mut self,
         at_ns: i64,
@@ -131,7 +129,7 @@ impl Pictures {
         self.last = Some((fingerprint, signature));
         match change {
             None => self.first_ns = Some(at_ns),
-            Some(_) if self.pairs.len() >= MOST => self.beyond += 1,
+            Some(_) if self.pairs.len() >= PICTURES_LIMIT => self.beyond += 1,
             Some(change) => {
                 self.gaps.push(at_ns.saturating_sub(self.last_ns));
                 self.pairs.push(Pair {
@@ -145,21 +143,21 @@ impl Pictures {
         levels
     }
 
-    /// Adds the pictures of a later part of the recording. The two at the joint are not compared.
+    /// Adds the pictures of a later part of the recording; those at the joint are not compared.
     pub fn append(&mut self, later: Self) {
         let Some(first_ns) = later.first_ns else {
             return;
         };
         match self.first_ns {
             None => self.first_ns = Some(first_ns),
-            Some(_) => self.keep(Pair {
+            Some(_) => self.push_pair(Pair {
                 at_ns: first_ns,
                 change: Change::Unknown,
                 is_still: false,
             }),
         }
         for pair in later.pairs {
-            self.keep(pair);
+            self.push_pair(pair);
         }
         self.beyond += later.beyond;
         self.gaps.append(&later.gaps);
@@ -171,8 +169,8 @@ impl Pictures {
         self.anchor = later.anchor;
     }
 
-    fn keep(&mut self, pair: Pair) {
-        match self.pairs.len() < MOST {
+    fn push_pair(&mut self, pair: Pair) {
+        match self.pairs.len() < PICTURES_LIMIT {
             true => self.pairs.push(pair),
             false => self.beyond += 1,
         }
@@ -185,29 +183,30 @@ impl Pictures {
             .map_or(0, |_| 1 + self.pairs.len() as u64 + self.beyond)
     }
 
-    /// The sizes of the pictures, width and height \[px\], and how many have each.
+    /// Number of pictures by width and height \[px\].
     #[must_use]
     pub fn sizes(&self) -> &BTreeMap<(u32, u32), u64> {
         &self.sizes
     }
 
-    /// Pairs of a picture and the next one, with when they were taken \[ns\].
+    /// Successive pairs with their times \[ns\].
     fn spans(&self) -> impl Iterator<Item = (i64, &Pair)> {
         let begins = self.pairs.iter().map(|pair| pair.at_ns);
         let begins = self.first_ns.into_iter().chain(begins);
         begins.zip(&self.pairs)
     }
 
-    /// The number of repeats among pictures in motion, and of all pictures in motion.
-    fn repeats(&self, activity: Option<Activity<'_>>) -> (u64, u64) {
+    /// Number of repeats among pictures in motion, and number of pictures in motion.
+    fn count_repeats(&self, activity: Option<Activity<'_>>) -> (u64, u64) {
         let (mut repeats, mut in_motion) = (0, 0);
         for (index, (from_ns, pair)) in self.spans().enumerate() {
             let around = if pair.change == Change::Equal {
-                AROUND_EQUAL
+                NEIGHBOURS_EQUAL
             } else {
-                AROUND
+                NEIGHBOURS
             };
             let most = |pairs: Option<&[Pair]>| {
+                // In range: both ranges end within `pairs`.
                 let levels = pairs.unwrap_or_default().iter().map(|p| p.change.levels());
                 levels.fold(0.0, f32::max)
             };
@@ -216,7 +215,7 @@ impl Pictures {
             let after = most(self.pairs.get(index + 1..end));
             let moved = before.min(after);
             let acts = activity.and_then(|activity| activity(from_ns, pair.at_ns));
-            // An idle robot in a picture without noise looks the same twice.
+            // Without noise, pictures of an idle robot are equal.
             if acts.is_some_and(|acts| acts < IDLE) {
                 continue;
             }
@@ -229,8 +228,8 @@ impl Pictures {
         (repeats, in_motion)
     }
 
-    /// The standstills in which the robot acts: begin, end \[ns\] and number of pictures.
-    fn frozen(&self, activity: Option<Activity<'_>>) -> Vec<(i64, i64, usize)> {
+    /// Standstills during activity of the robot: begin, end \[ns\], number of pictures.
+    fn find_freezes(&self, activity: Option<Activity<'_>>) -> Vec<(i64, i64, usize)> {
         let spans: Vec<(i64, &Pair)> = self.spans().collect();
         let runs = spans.chunk_by(|(_, a), (_, b)| a.is_still == b.is_still);
         let runs = runs.filter(|run| run.first().is_some_and(|(_, pair)| pair.is_still));
@@ -250,7 +249,7 @@ impl Pictures {
         frozen.collect()
     }
 
-    /// Faults of the pictures. `activity`: the robot's motion, if known.
+    /// Checks the pictures. `activity`: the robot's motion, if known.
     #[must_use]
     pub fn check(&self, activity: Option<Activity<'_>>) -> Vec<Finding> {
         let mut findings: Vec<Finding> = self.check_sizes().into_iter().collect();
@@ -281,14 +280,14 @@ impl Pictures {
         let what = format!("{}: the size of the pictures changes: {shown}", self.topic);
         Some(
             Finding::warning("sizes", what)
-                .because("pictures of other sizes are scaled in another way: the view jumps")
+                .because("pictures of different sizes are scaled differently: the view jumps")
                 .fix("record one size; split this recording where the size changes (wm bag cut)")
                 .figure("sizes", self.sizes.len() as f64),
         )
     }
 
     fn check_standstill(&self, activity: Option<Activity<'_>>) -> Option<Finding> {
-        let frozen = self.frozen(activity);
+        let frozen = self.find_freezes(activity);
         let pictures: usize = frozen.iter().map(|(_, _, pictures)| pictures).sum();
         let seconds = |(from_ns, to_ns, _): &(i64, i64, usize)| (to_ns - from_ns) as f64 / 1e9;
         let total_s: f64 = frozen.iter().map(seconds).sum();
@@ -309,8 +308,8 @@ impl Pictures {
                 (Finding::warning, what)
             };
             let finding = level("frozen", what)
-                .because("a model learns from it that actions change nothing")
-                .fix("look at driver and cable of the camera; leave these parts out (wm bag cut)");
+                .because("a model learns that actions change nothing")
+                .fix("check driver and cable of the camera; remove these parts (wm bag cut)");
             return Some(
                 finding
                     .figure("frozen_s", total_s)
@@ -326,14 +325,14 @@ impl Pictures {
                 self.count()
             );
             Finding::note("frozen", what)
-                .fix("move something in front of the camera and look again")
+                .fix("move an object in front of the camera and check again")
         })
     }
 
     fn check_repeats(&self, activity: Option<Activity<'_>>) -> Option<Finding> {
-        let (repeats, in_motion) = self.repeats(activity);
+        let (repeats, in_motion) = self.count_repeats(activity);
         let period_s = self.gaps.median_s()?;
-        if in_motion < LEAST_PAIRS {
+        if in_motion < PAIRS_MIN {
             return None;
         }
         let share = repeats as f64 / in_motion as f64;
@@ -349,7 +348,7 @@ impl Pictures {
         );
         Some(
             Finding::warning("repeats", what)
-                .because("a model learns from a repeated picture that its action changes nothing")
+                .because("a model learns from repeated pictures that actions change nothing")
                 .fix(format!(
                     "set the rate of the driver to that of the camera ({true_rate:.0} Hz), or prepare the data at a rate that \
                      is no higher (rate in --action-space)"
@@ -372,7 +371,7 @@ impl Pictures {
         );
         let finding = if share > MISSING {
             Finding::warning("dropped", what)
-                .because("an episode ends at a missing frame")
+                .because("episodes end at missing frames")
                 .fix("record on a faster disk, publish /compressed, or lower the rate (wm doctor shows lost frames)")
         } else if missing > 0 {
             Finding::note("dropped", what)
@@ -387,7 +386,7 @@ impl Pictures {
         )
     }
 
-    /// A line for a camera without a fault.
+    /// The finding for a camera without a fault.
     #[must_use]
     pub fn summary(&self) -> Finding {
         let rate = self.gaps.median_s().map(|period_s| 1.0 / period_s);

@@ -1,4 +1,4 @@
-//! What the topics of a recording show by themselves.
+//! Checks of the cameras, actions and states of a recording.
 
 use crate::{
     Clocks, Finding, Pictures, Stamps,
@@ -7,13 +7,13 @@ use crate::{
 use wm_camera::signature::Signature;
 use wm_motion::actions::ActionSpace;
 
-/// An action this far back says nothing of a moment \[ns\].
+/// Actions older than this do not count at a time \[ns\].
 const NEAR_NS: i64 = 1_000_000_000;
 
 /// A camera of a recording.
 #[derive(Clone, Debug)]
 pub struct RecordedCamera {
-    /// When its messages were stamped and recorded.
+    /// Times of its messages.
     pub clocks: Clocks,
     /// Its pictures.
     pub pictures: Pictures,
@@ -21,17 +21,17 @@ pub struct RecordedCamera {
 
 /// The cameras and actions of a recording.
 #[derive(Clone, Debug)]
-pub struct Recorded {
-    /// The cameras, the one that actions are compared with first.
+pub struct RecordedTopics {
+    /// The cameras; the first is compared with actions.
     pub cameras: Vec<RecordedCamera>,
-    /// When the actions were stamped and recorded.
+    /// Times of the actions.
     pub actions: Clocks,
-    /// When each topic with the state was stamped and recorded.
+    /// Times of the messages of each state topic.
     pub states: Vec<Clocks>,
 }
 
-impl Recorded {
-    /// Of topics without messages so far.
+impl RecordedTopics {
+    /// Topics without messages.
     #[must_use]
     pub fn new<'a>(cameras: impl IntoIterator<Item = &'a str>, action_topic: &str) -> Self {
         let camera = |topic| RecordedCamera {
@@ -45,7 +45,7 @@ impl Recorded {
         }
     }
 
-    /// Takes the times of a message with the state.
+    /// Adds the times of a state message.
     pub fn state(&mut self, topic: &str, stamps: Stamps) {
         if let Some(clocks) = self.states.iter_mut().find(|clocks| clocks.topic == topic) {
             return clocks.push(stamps);
@@ -55,15 +55,15 @@ impl Recorded {
         self.states.push(clocks);
     }
 
-    /// Takes the times of a message of camera `camera`.
+    /// Adds the times of a message of camera `camera`.
     pub fn stamp(&mut self, camera: usize, stamps: Stamps) {
         if let Some(camera) = self.cameras.get_mut(camera) {
             camera.clocks.push(stamps);
         }
     }
 
-    /// Takes a picture of camera `camera`: its times, when it was taken \[ns\], its width and height \[px\] and, if it was
-    /// decoded, its signature. Gives the mean change since the picture before, if both have a signature \[levels\].
+    /// Adds a picture of camera `camera`: time of capture \[ns\], fingerprint, width and height \[px\], and signature if it was
+    /// decoded. Returns the mean change since the previous picture \[levels\], if both have a signature.
     pub fn picture(
         &mut self,
         camera: usize,
@@ -76,8 +76,7 @@ impl Recorded {
         camera.pictures.push(at_ns, fingerprint, size, signature)
     }
 
-    /// Faults of the stamps. If `uses_headers` is false, other times are used, and unusable headers are worth a
-    /// note.
+    /// Checks the stamps. If `uses_headers` is false, other times are used, and unusable headers get a note.
     #[must_use]
     pub fn check_stamps(&self, uses_headers: bool) -> Vec<Finding> {
         let clocks = self.cameras.iter().map(|camera| &camera.clocks);
@@ -98,7 +97,7 @@ impl Recorded {
         findings
     }
 
-    /// Faults of the pictures.
+    /// Checks the pictures.
     #[must_use]
     pub fn check_pictures(&self, actions: &ActionTrack) -> Vec<Finding> {
         let cameras = self.cameras.iter();
@@ -108,7 +107,7 @@ impl Recorded {
     }
 }
 
-/// The actions of a recording by their stamps, and how active the robot is.
+/// The activity of a robot over time.
 #[derive(Clone, Debug, Default)]
 pub struct ActionTrack {
     /// Stamp \[ns\] and activity, in the order of the stamps.
@@ -116,7 +115,7 @@ pub struct ActionTrack {
 }
 
 impl ActionTrack {
-    /// Of actions in the order of their stamps \[ns\].
+    /// Computes it from actions in the order of their stamps \[ns\].
     #[must_use]
     pub fn new<'a>(
         space: &ActionSpace,
@@ -127,6 +126,7 @@ impl ActionTrack {
             .map(|(index, dimension)| {
                 let values = rows
                     .clone()
+                    // In range: callers have checked the rows against `space`.
                     .map(|(_, row)| row.get(index).copied().unwrap_or(0.0));
                 let values: Vec<f32> = values.collect();
                 match Effect::of(dimension.kind) {
@@ -140,6 +140,7 @@ impl ActionTrack {
         let activity = |at: usize| {
             let row = columns
                 .iter()
+                // In range: each column has one value per row.
                 .map(|column| column.get(at).copied().unwrap_or(0.0));
             strength.activity(row)
         };
@@ -149,13 +150,13 @@ impl ActionTrack {
         }
     }
 
-    /// Whether no action is known.
+    /// Whether it has no actions.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.actions.is_empty()
     }
 
-    /// What is wrong with pictures that show the robot of these actions.
+    /// Checks the pictures of a camera that shows the robot.
     #[must_use]
     pub fn check_pictures(&self, pictures: &Pictures) -> Vec<Finding> {
         let activity = |from_ns, to_ns| self.activity(from_ns, to_ns);
@@ -163,10 +164,10 @@ impl ActionTrack {
         pictures.check(known)
     }
 
-    /// The activity from one moment to another \[ns\]: the greatest of the actions that act then.
+    /// The largest activity between two times \[ns\].
     #[must_use]
     pub fn activity(&self, from_ns: i64, to_ns: i64) -> Option<f32> {
-        // The action that acts at the beginning, and those that follow.
+        // The action in effect at the start, and the later ones.
         let first = self.actions.partition_point(|(at_ns, _)| *at_ns <= from_ns);
         let end = self.actions.partition_point(|(at_ns, _)| *at_ns < to_ns);
         let first = first.saturating_sub(1);
@@ -183,7 +184,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_action_that_acts_then_counts() {
+    fn action_in_effect_counts() {
         let strong = [0.02, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0];
         let idle = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
         let rows = [(0, &idle), (200, &strong), (400, &idle)];

@@ -1,4 +1,4 @@
-//! What an arm's state was, at any moment.
+//! The state of an arm over time.
 
 use std::collections::BTreeMap;
 
@@ -6,18 +6,17 @@ use wm_bag::{BagError, BagMessage};
 use wm_motion::actions::{ActionSpace, Dimension, Kind};
 use wm_msgs::{Message as _, geometry_msgs::PoseStamped, sensor_msgs::JointState};
 
-/// Samples that are kept of a joint, or of the pose: an hour at 50 Hz.
-const MOST: usize = 180_000;
-/// Joints that are kept.
-const MOST_JOINTS: usize = 64;
-/// A state this far from a moment says nothing of it \[ns\].
+/// Limit of samples of a joint or the pose: an hour at 50 Hz.
+const SAMPLES_LIMIT: usize = 180_000;
+const JOINTS_LIMIT: usize = 64;
+/// Samples further than this do not count at a time \[ns\].
 const NEAR_NS: i64 = 500_000_000;
-/// Endings of a dimension's name after the name of its joint.
+/// Endings of a dimension's name after its joint's name.
 const ENDINGS: [&str; 4] = ["_vel", "_velocity", "_delta", ".pos"];
 
 /// Topics of an arm's pose, in the order of preference.
 pub const POSE_TOPICS: [&str; 2] = ["/arm/end_effector_pose", "/wm/ee_pose"];
-/// The topic of its joints.
+/// Topic of the joints.
 pub const JOINTS_TOPIC: &str = "/joint_states";
 
 /// The pose of an end effector: position \[m\] and unit quaternion x y z w.
@@ -31,10 +30,10 @@ pub struct StateLog {
 }
 
 impl StateLog {
-    /// Takes a message of a type that has a state, at its own stamp or at the moment `at_ns`.
+    /// Adds a state message at its stamp, converted by `at_ns`.
     ///
     /// # Errors
-    /// Bytes that are no message of the type.
+    /// The bytes are not of the message's type.
     pub fn take(
         &mut self,
         message: &BagMessage,
@@ -43,7 +42,7 @@ impl StateLog {
         if *message.type_name == PoseStamped::ros_name() {
             let stamped: PoseStamped = message.decode()?;
             let (position, turn) = (stamped.pose.position, stamped.pose.orientation);
-            if self.poses.len() < MOST {
+            if self.poses.len() < SAMPLES_LIMIT {
                 let at_ns = at_ns(stamped.header.stamp.to_nanos());
                 let position = [position.x, position.y, position.z];
                 self.poses
@@ -54,9 +53,9 @@ impl StateLog {
             let at_ns = at_ns(state.header.stamp.to_nanos());
             for (name, position) in state.name.iter().zip(&state.position) {
                 let is_known = self.joints.contains_key(name);
-                if is_known || self.joints.len() < MOST_JOINTS {
+                if is_known || self.joints.len() < JOINTS_LIMIT {
                     let samples = self.joints.entry(name.clone()).or_default();
-                    if samples.len() < MOST {
+                    if samples.len() < SAMPLES_LIMIT {
                         samples.push((at_ns, *position));
                     }
                 }
@@ -73,7 +72,7 @@ impl StateLog {
             samples.sort_by_key(|(at_ns, _)| *at_ns);
         }
         let turns = self.turns();
-        // The number of values of this kind that came before.
+        // Number of earlier values of this kind.
         let mut axes: BTreeMap<&'static str, usize> = BTreeMap::new();
         let mut axis = |group| {
             let count = axes.entry(group).or_default();
@@ -112,16 +111,16 @@ impl StateLog {
         names
             .find_map(|name| self.joints.get(name))
             .cloned()
+            // An unknown joint has no samples.
             .unwrap_or_default()
     }
 
-    /// Rotation vectors about the axes of the base from each pose to the next, added up \[rad\]: for the small turns
-    /// between two poses, these are roll, pitch and yaw.
+    /// Cumulated rotation vectors about the axes of the base \[rad\]: for small turns between poses, roll, pitch and yaw.
     fn turns(&self) -> Vec<(i64, [f64; 3])> {
         let mut sum = [0.0; 3];
         let mut before: Option<[f64; 4]> = None;
         let turned = self.poses.iter().map(|(at_ns, (_, turn))| {
-            let vector = before.map_or([0.0; 3], |before| between(before, *turn));
+            let vector = before.map_or([0.0; 3], |before| rotation_between(before, *turn));
             before = Some(*turn);
             for (sum, angle) in sum.iter_mut().zip(vector) {
                 *sum += angle;
@@ -132,8 +131,8 @@ impl StateLog {
     }
 }
 
-/// The rotation vector of the turn from one unit quaternion (x y z w) to another, in the fixed frame \[rad\].
-fn between([ax, ay, az, aw]: [f64; 4], [bx, by, bz, bw]: [f64; 4]) -> [f64; 3] {
+/// The rotation vector from one unit quaternion (x y z w) to another, in the fixed frame \[rad\].
+fn rotation_between([ax, ay, az, aw]: [f64; 4], [bx, by, bz, bw]: [f64; 4]) -> [f64; 3] {
     // b times the conjugate of a.
     let w = bw * aw + bx * ax + by * ay + bz * az;
     let vector = [
@@ -142,7 +141,7 @@ fn between([ax, ay, az, aw]: [f64; 4], [bx, by, bz, bw]: [f64; 4]) -> [f64; 3] {
         -bw * az + bz * aw - bx * ay + by * ax,
     ];
     let length = vector.iter().map(|value| value * value).sum::<f64>().sqrt();
-    // q and -q are the same turn: the shorter way.
+    // q and -q are the same turn: take the shorter way.
     let angle = 2.0 * length.atan2(w.abs()) * if w < 0.0 { -1.0 } else { 1.0 };
     vector.map(|value| {
         if length > 0.0 {
@@ -158,7 +157,7 @@ fn between([ax, ay, az, aw]: [f64; 4], [bx, by, bz, bw]: [f64; 4]) -> [f64; 3] {
 pub struct StatePath(Vec<Vec<(i64, f64)>>);
 
 impl StatePath {
-    /// The state at a moment, between the samples around it; NaN if none is near.
+    /// The state at a time, interpolated; NaN without near samples.
     #[must_use]
     pub fn at(&self, at_ns: i64) -> Vec<f32> {
         let value = |samples: &Vec<(i64, f64)>| {
@@ -176,7 +175,7 @@ impl StatePath {
                 (Some((_, value)), _) | (None, Some((_, value))) => value,
                 (None, None) => f64::NAN,
             };
-            // Metres and radians in single precision, as actions.
+            // Single precision, as actions.
             value as f32
         };
         self.0.iter().map(value).collect()
@@ -197,24 +196,24 @@ mod tests {
     }
 
     #[test]
-    fn a_turn_is_a_vector_about_the_axes_of_the_base() {
+    fn turn_is_a_vector_about_the_axes_of_the_base() {
         let start = about(2, 0.5);
         // Half a radian about z, then 0.1 rad about the fixed x.
         let [x, y, z, w] = start;
         let (s, c) = (0.05_f64.sin(), 0.05_f64.cos());
         let turned = [c * x + s * w, c * y - s * z, c * z + s * y, c * w - s * x];
-        let vector = between(start, turned);
+        let vector = rotation_between(start, turned);
         assert!((vector[0] - 0.1).abs() < 1e-9, "{vector:?}");
         assert!(
             vector[1].abs() < 1e-9 && vector[2].abs() < 1e-9,
             "{vector:?}"
         );
-        let opposite = between(start, turned.map(|value| -value));
+        let opposite = rotation_between(start, turned.map(|value| -value));
         assert!((opposite[0] - 0.1).abs() < 1e-9, "{opposite:?}");
     }
 
     #[test]
-    fn positions_lie_between_samples_and_are_unknown_far_from_them() {
+    fn positions_are_interpolated_between_near_samples() {
         let mut log = StateLog::default();
         for (index, x) in [(0, 0.1), (1, 0.2), (2, 0.4)] {
             log.poses
@@ -228,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn joints_are_found_by_the_names_of_their_values() {
+    fn joints_are_found_by_dimension_names() {
         let joint = |name: &str, kind| Dimension {
             name: name.into(),
             unit: "rad".into(),

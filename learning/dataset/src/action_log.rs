@@ -7,36 +7,36 @@ use wm_motion::{
 };
 use wm_msgs::{Message as _, sensor_msgs::JointState, wm_msgs::Action};
 
-use super::recording::Unusable;
+use super::recording::UnusableBag;
 
-/// Greatest age of a joint's value beside that of the first joint, if they come in several messages \[ns\].
+/// Greatest age of a joint's value against the first joint's, if joints arrive in several messages \[ns\].
 const OLDEST_NS: u64 = 1_000_000_000;
-/// Names of joints that an error lists.
+/// Most joint names in an error.
 const MOST_NAMES: usize = 100;
 
 /// The actions of a recording, by their stamps.
 #[derive(Debug, Default)]
 pub(super) struct ActionLog {
-    /// In ns, increasing once [`Self::sort`] is called.
+    /// \[ns\], ascending after [`Self::sort`].
     stamps: Vec<i64>,
-    /// `width` values a stamp: an hour at 100 Hz and seven dimensions takes 13 MB.
+    /// `width` values per stamp: an hour at 100 Hz with seven dimensions takes 13 MB.
     values: Vec<f32>,
     width: usize,
     /// Stamps of implausible actions \[ns\].
     implausible: Vec<i64>,
-    /// The first of these, in words.
+    /// Description of the first one.
     first_implausible: Option<String>,
-    /// The joints of the last message, whose motion lasts until the next one.
+    /// The joints of the last message; their motion lasts until the next one.
     joints: Option<(i64, Joints)>,
-    /// Time from one message of joints to the next \[ns\].
+    /// Time between joint messages \[ns\].
     joint_period_ns: i64,
-    /// The last value of each dimension's joint: an arm and its gripper may publish on one topic.
+    /// The last joint value of each dimension: an arm and its gripper may publish on one topic.
     latest: Vec<Option<Joint>>,
-    /// Names of the joints, for an error.
+    /// Joint names, for an error.
     names: BTreeSet<String>,
 }
 
-/// The joint of a dimension.
+/// One joint.
 #[derive(Clone, Copy, Debug)]
 struct Joint {
     at_ns: i64,
@@ -60,34 +60,33 @@ impl ActionLog {
         }
     }
 
-    /// Whether a topic of this type has actions.
+    /// Whether this type has actions.
     pub fn reads(type_name: &str) -> bool {
         type_name == Action::ros_name() || type_name == JointState::ros_name()
     }
 
-    /// The types that are read, for an error.
+    /// Accepted types, for an error.
     pub fn types() -> String {
         format!("{} or {}", Action::ros_name(), JointState::ros_name())
     }
 
-    /// Takes a message, at the time that `at_ns` gives for the stamp in its header \[ns\].
+    /// Adds a message at the time `at_ns(stamp of its header)` \[ns\].
     ///
     /// # Errors
-    /// [`Unusable::Lacks`] for a message that cannot be decoded, [`Unusable::Differs`] for one that is not of this action
-    /// space.
+    /// [`UnusableBag::Lacks`] for an undecodable message, [`UnusableBag::Differs`] for one of another action space.
     pub fn push(
         &mut self,
         message: &BagMessage,
         space: &ActionSpace,
         at_ns: impl FnOnce(i64) -> i64,
-    ) -> Result<(), Unusable> {
-        let undecodable = |error: BagError| Unusable::Lacks(error.to_string());
+    ) -> Result<(), UnusableBag> {
+        let undecodable = |error: BagError| UnusableBag::Lacks(error.to_string());
         if *message.type_name == Action::ros_name() {
             let action: Action = message.decode().map_err(undecodable)?;
             let at_ns = at_ns(action.header.stamp.to_nanos());
             return self
                 .insert(at_ns, &action.values, space)
-                .map_err(Unusable::Differs);
+                .map_err(UnusableBag::Differs);
         }
         let state: JointState = message.decode().map_err(undecodable)?;
         let at_ns = at_ns(state.header.stamp.to_nanos());
@@ -95,7 +94,7 @@ impl ActionLog {
             return Ok(());
         };
         if let Some((before_ns, before)) = self.joints.take() {
-            // A late message adds nothing to a later one.
+            // Late messages are ignored.
             if at_ns <= before_ns {
                 self.joints = Some((before_ns, before));
                 return Ok(());
@@ -103,14 +102,14 @@ impl ActionLog {
             self.joint_period_ns = at_ns - before_ns;
             let values = before.until(&joints, self.joint_period_ns, space);
             self.insert(before_ns, &values, space)
-                .map_err(Unusable::Differs)?;
+                .map_err(UnusableBag::Differs)?;
         }
         self.joints = Some((at_ns, joints));
         Ok(())
     }
 
-    /// Takes the joints of a message. All joints, if it has the first one and no other is too old: so one of several
-    /// publishers sets the times.
+    /// Merges the joints of a message. Returns all joints if the message has the first one and none is too old, so that
+    /// one of several publishers sets the times.
     fn merged(&mut self, state: &JointState, at_ns: i64, space: &ActionSpace) -> Option<Joints> {
         if self.names.len() < MOST_NAMES {
             self.names
@@ -122,7 +121,7 @@ impl ActionLog {
                 continue;
             };
             has_first |= which == 0;
-            // Single precision is what an action carries. An absent list is no number, and found out by `check`.
+            // Actions are f32. `check` rejects the NaN of an absent list.
             let value = |values: &[f64]| values.get(index).map_or(f32::NAN, |value| *value as f32);
             let joint = Joint {
                 at_ns,
@@ -146,12 +145,12 @@ impl ActionLog {
         })
     }
 
-    /// Names the first dimension that no message has a joint of.
+    /// Names the first dimension without a joint.
     fn check_names(&self, space: &ActionSpace) -> Result<(), String> {
         let mut joints = self.latest.iter().zip(space.dimensions());
         match joints.find(|(latest, _)| latest.is_none()) {
             Some((_, dimension)) if !self.names.is_empty() => Err(format!(
-                "expected the joints of {space}; there is no {:?} among {:?}",
+                "expected the joints of {space}; found no {:?} among {:?}",
                 dimension.name,
                 Vec::from_iter(&self.names)
             )),
@@ -175,15 +174,15 @@ impl ActionLog {
         Ok(())
     }
 
-    /// To be called after the last message: brings the actions into the order of their stamps.
+    /// Sorts the actions by stamp. Call it after the last message.
     ///
     /// # Errors
-    /// A dimension that no joint has the name of.
+    /// A dimension without a joint of its name.
     pub fn sort(&mut self, space: &ActionSpace) -> Result<(), String> {
         self.check_names(space)?;
         if let Some((at_ns, last)) = self.joints.take() {
             let mut values = last.until(&last, self.joint_period_ns, space);
-            // Nothing follows: what moves goes on as before.
+            // The last motion continues.
             let before = self.stamps.len().checked_sub(1);
             if let Some(before) = before.and_then(|index| self.row(index)) {
                 let dimensions = values.iter_mut().zip(before).zip(space.dimensions());
@@ -205,7 +204,7 @@ impl ActionLog {
         Ok(())
     }
 
-    /// Drops actions that no arm makes in the time until the next one, or in the usual time if that is longer: stamps
+    /// Drops actions too fast for any arm in the time until the next one, or in the usual time if longer, since stamps
     /// jitter.
     fn drop_too_fast(&mut self, space: &ActionSpace) {
         let pairs = self.stamps.iter().zip(self.stamps.iter().skip(1));
@@ -218,7 +217,7 @@ impl ActionLog {
         let found = self.stamps.iter().zip(nexts).enumerate();
         let found = found.filter_map(|(index, (at_ns, next_ns))| {
             let gap_ns = next_ns.map_or(usual_ns, |next_ns| next_ns.saturating_sub(*at_ns));
-            // A gap is far from 2^53 ns.
+            // Gaps are far below 2^53 ns.
             let span_s = gap_ns.max(usual_ns) as f64 / 1e9;
             let error = space.check_over(self.row(index)?, span_s).err()?;
             Some((index, *at_ns, error.to_string()))
@@ -253,7 +252,7 @@ impl ActionLog {
             .get(index * self.width..(index + 1) * self.width)
     }
 
-    /// The actions and their stamps \[ns\], in the order of time.
+    /// Actions with their stamps \[ns\], by time.
     pub fn rows(&self) -> impl Iterator<Item = (i64, &[f32])> + Clone {
         let rows = self.values.chunks_exact(self.width.max(1));
         self.stamps.iter().copied().zip(rows)
@@ -263,13 +262,13 @@ impl ActionLog {
         self.stamps.is_empty()
     }
 
-    /// How many actions were left out, and the first one, in words.
+    /// Number of dropped actions, and a description of the first.
     pub fn implausible(&self) -> Option<(usize, &str)> {
         let first = self.first_implausible.as_deref()?;
         Some((self.implausible.len(), first))
     }
 
-    /// Whether an action that was left out may have been taken from `from_ns` to `to_ns`.
+    /// Whether an action between `from_ns` and `to_ns` was dropped.
     fn is_doubtful(&self, from_ns: i64, to_ns: i64) -> bool {
         let first = self.implausible.partition_point(|at_ns| *at_ns < from_ns);
         self.implausible
@@ -279,9 +278,9 @@ impl ActionLog {
 }
 
 impl Joints {
-    /// The action from this message to the next, `span_ns` later: the change of the joints that are deltas, from their
-    /// positions or else from the velocity; the velocity of those that are velocities, or else from the change of the
-    /// position; and the position of the others.
+    /// The action between this message and the next, `span_ns` later: the change of delta joints, from positions or
+    /// else from the velocity; the velocity of velocity joints, or else from the change of the position; the position
+    /// of all others.
     fn until(&self, next: &Self, span_ns: i64, space: &ActionSpace) -> Vec<f32> {
         let seconds = span_ns as f32 / 1e9;
         let here = self.positions.iter().zip(&self.velocities);
@@ -307,19 +306,19 @@ impl Joints {
     }
 }
 
-/// What the robot does from moment to moment of a recording, in the order of time.
+/// The motion of a robot over a recording, by time.
 pub(super) struct Alignment<'a> {
     log: &'a ActionLog,
     space: &'a ActionSpace,
     motion: Motion,
     next: usize,
     period_ns: i64,
-    /// How much later actions act than they are stamped \[ns\].
+    /// Delay between the stamp and the effect of actions \[ns\].
     shift_ns: i64,
 }
 
 impl<'a> Alignment<'a> {
-    /// Of actions that act `shift` periods later than they are stamped.
+    /// Actions take effect `shift` periods after their stamps.
     pub fn new(log: &'a ActionLog, space: &'a ActionSpace, period_ns: i64, shift: i64) -> Self {
         Self {
             log,
@@ -331,12 +330,11 @@ impl<'a> Alignment<'a> {
         }
     }
 
-    /// What happens from `from_ns` to `to_ns`, which are not before those of the last call; none where no action is known
-    /// by then.
+    /// Motion from `from_ns` to `to_ns`, at or after the last call; `None` if no action is known then.
     pub fn between(&mut self, from_ns: i64, to_ns: i64) -> Option<Interval> {
         let from_ns = from_ns.saturating_sub(self.shift_ns);
         let to_ns = to_ns.saturating_sub(self.shift_ns);
-        // In parts: a motion keeps a minute.
+        // Feeds actions in steps: `Motion` keeps a minute.
         let until_ns = to_ns.saturating_add(self.period_ns);
         while let Some(at_ns) = self.log.stamps.get(self.next)
             && *at_ns <= until_ns

@@ -7,31 +7,31 @@ use wm_zoo::ModelFolder;
 
 use super::{
     Data, DataOptions, Dataset, DatasetError, Size,
-    data::{name_left_out, name_mixed_sizes},
+    data::{log_exclusions, log_mixed_sizes},
     preparation::Preparation,
     search::{find, find_others},
     store::{add_latent_statistics, is_prepared, read_audit, read_manifest},
 };
 use crate::Latents;
 
-/// Prepares bags for training: cuts them into episodes, resamples them to the rate of their action space, and splits them
-/// into training and validation.
+/// Prepare bags for training: cut them into episodes, resample them to the rate of their action space, and split them
+/// into training and validation
 #[derive(Args, Clone, Debug)]
 #[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
 pub struct DatasetArgs {
     #[command(subcommand)]
     command: Option<DatasetCommand>,
-    /// Bags: folders with metadata.yaml, .mcap files, or folders in which to search for bags
+    /// Bags: folders with metadata.yaml, .mcap files, or folders to search for bags
     #[arg(required = true, value_name = "BAG")]
     bags: Vec<PathBuf>,
-    /// Folder to write; it must not exist
+    /// Folder to create; it must not exist
     #[arg(short, long, required = true, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Height and width of a camera's pictures [default: 128x128]
     #[arg(long, value_name = "HxW")]
     size: Option<Size>,
-    /// How pictures of another aspect become pictures of this size: crop (the middle), stretch or pad (black bars). A model
-    /// has one of them, and refuses pictures that were prepared with another [default: crop]
+    /// How pictures of another aspect fit this size: crop (the middle), stretch or pad (black bars). A model requires
+    /// the fit it was trained with [default: crop]
     #[arg(long, value_name = "FIT")]
     fit: Option<Fit>,
     #[command(flatten)]
@@ -40,7 +40,7 @@ pub struct DatasetArgs {
 
 #[derive(Clone, Debug, Subcommand)]
 enum DatasetCommand {
-    /// Show the contents of a prepared folder, its audit, and what was left out
+    /// Show the contents of a prepared folder, its audit, and what was excluded
     Info {
         /// The folder
         dir: PathBuf,
@@ -52,24 +52,24 @@ enum DatasetCommand {
     Latents {
         /// The folder
         dir: PathBuf,
-        /// The model whose encoder it is: tiny, or a model's folder
+        /// Model whose encoder to use: tiny, or a model's folder
         #[arg(long, visible_alias = "autoencoder")]
         encoder: String,
-        /// Folder for the latents, and for smaller pictures if the encoder takes such [default: the prepared folder]
+        /// Folder for the latents, and for resized pictures if the encoder needs them [default: the prepared folder]
         #[arg(long)]
         cache: Option<PathBuf>,
-        /// Encode only the Ith of N equal parts of the frames, counted from 0, and leave the statistics: several machines
-        /// share the work, each with another I and the same folders. The same command without this joins the parts
+        /// Encode only the Ith of N equal parts of the frames, counted from 0, without statistics, to share the work
+        /// between machines with the same folders. Run the command without --shard to join the parts
         #[arg(long, value_name = "I/N")]
         shard: Option<Shard>,
     },
 }
 
 impl DatasetArgs {
-    /// Prepares the folder and prints what is in it, or what the subcommand asks for.
+    /// Runs the command.
     ///
     /// # Errors
-    /// When options, bags or folders cannot be used: the error names the offender.
+    /// Names the option, bag or folder at fault.
     pub fn run(&self) -> anyhow::Result<()> {
         match (&self.command, &self.out) {
             (Some(DatasetCommand::Info { dir, json }), _) => {
@@ -101,7 +101,7 @@ impl DatasetArgs {
                 if !is_prepared(dir) {
                     let dir = dir.display();
                     anyhow::bail!(
-                        "{dir}: it is no prepared data set; make one first: wm dataset {dir} -o DATA, then wm dataset \
+                        "{dir}: not a prepared data set; create one first: wm dataset {dir} -o DATA, then wm dataset \
                          latents DATA"
                     );
                 }
@@ -116,7 +116,7 @@ impl DatasetArgs {
                 }
             }
             (None, Some(out)) => Ok(self.prepare(out)?),
-            // The command line requires one or the other.
+            // Clap requires one of both.
             (None, None) => Ok(()),
         }
     }
@@ -144,9 +144,9 @@ impl DatasetArgs {
         )?;
         preparation.write(out)?;
         let manifest = read_manifest(out)?;
-        name_left_out(&manifest, out);
+        log_exclusions(&manifest, out);
         let audit = read_audit(out)?;
-        name_mixed_sizes(&manifest, audit.as_ref());
+        log_mixed_sizes(&manifest, audit.as_ref());
         println!("{manifest}");
         if let Some(audit) = audit {
             println!("{audit}");
@@ -155,7 +155,7 @@ impl DatasetArgs {
     }
 }
 
-/// Adds mean and standard deviation of the latents to the folder's statistics, and prints them.
+/// Writes the latents' mean and standard deviation to the folder's statistics, and prints them.
 fn add_statistics(dir: &Path, latents: &Latents) -> anyhow::Result<()> {
     let statistics = latents.statistics()?;
     for (channel, (mean, std)) in (statistics.mean.iter().zip(&statistics.std)).enumerate() {
@@ -164,7 +164,7 @@ fn add_statistics(dir: &Path, latents: &Latents) -> anyhow::Result<()> {
     Ok(add_latent_statistics(dir, statistics)?)
 }
 
-/// Encodes a shard's frames, and says where they are.
+/// Encodes a shard's frames, and prints their file.
 fn encode_shard(
     dataset: &Dataset,
     encoder: &dyn Encoder,
@@ -176,8 +176,8 @@ fn encode_shard(
         println!("{}", file.display());
     }
     if files.is_empty() {
-        println!("There are too few frames for shard {shard}.");
+        println!("Too few frames for shard {shard}.");
     }
-    println!("The same command without --shard joins the shards and adds the statistics.");
+    println!("Run the command without --shard to join the shards and add the statistics.");
     Ok(())
 }

@@ -8,19 +8,19 @@ use wm_camera::{
 };
 use wm_msgs::std_msgs::Header;
 
-/// How far back a keyframe is looked for at first \[ns\]: encoders send one every second or so.
+/// First search distance for a keyframe \[ns\]: encoders usually send one every second.
 const NEAR_NS: u64 = 10_000_000_000;
 
-/// A message of a camera's topic.
+/// A message of a camera topic.
 #[derive(Debug)]
 pub(super) enum CameraMessage {
-    /// A picture by itself.
+    /// An independent picture.
     Still(CameraFrame),
-    /// A picture of a video.
+    /// A video packet.
     Packet(VideoPacket),
 }
 
-/// Whether a topic of a bag is compressed video.
+/// Whether a topic has compressed video.
 pub(super) fn is_video(reader: &BagReader, topic: &str) -> bool {
     let info = reader.topic(topic);
     info.is_some_and(|info| Transport::of(topic, &info.type_name) == Some(Transport::Video))
@@ -47,7 +47,7 @@ impl CameraMessage {
         }
     }
 
-    /// A number that messages share if their pictures are the same, byte for byte. Packets of a video seldom share one.
+    /// Equal for byte-identical pictures. Video packets are rarely identical.
     pub fn fingerprint(&self) -> u64 {
         match self {
             Self::Still(frame) => frame.fingerprint(),
@@ -59,8 +59,7 @@ impl CameraMessage {
         }
     }
 
-    /// Width and height \[px\], without decoding the picture; `None` for a video, and if the bytes do not begin like a
-    /// picture.
+    /// Width and height \[px\] from the header; `None` for a video or an unknown format.
     pub fn size(&self) -> Option<(u32, u32)> {
         match self {
             Self::Still(frame) => frame.size(),
@@ -68,7 +67,7 @@ impl CameraMessage {
         }
     }
 
-    /// What no picture of the topic will do.
+    /// Rejects formats that no picture of the topic can have.
     pub fn check_format(&self) -> Result<(), String> {
         match self {
             Self::Still(frame) => match frame.decode() {
@@ -80,7 +79,7 @@ impl CameraMessage {
         }
     }
 
-    /// Whether it is decoded without an earlier one.
+    /// Whether it decodes without earlier packets.
     pub fn begins(&self) -> bool {
         match self {
             Self::Still(_) => true,
@@ -89,7 +88,7 @@ impl CameraMessage {
     }
 }
 
-/// The log time from which a topic is read to have its pictures from `from_ns` on: of a video, that of a keyframe.
+/// The log time to start at for all pictures from `from_ns` on; for a video, that of a keyframe.
 pub(super) fn first_needed(reader: &BagReader, topic: &str, from_ns: u64) -> u64 {
     if !is_video(reader, topic) {
         return from_ns;

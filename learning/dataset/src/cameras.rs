@@ -1,19 +1,18 @@
 use wm_bag::{BagReader, TopicInfo};
 use wm_camera::transport::{COMPRESSED, Transport, VIDEO, base};
 
-/// The camera of a robot that has one.
+/// Topic of a single camera.
 pub(super) const CAMERA: &str = "/camera/image_raw";
-/// The masks of its pictures, which the simulator writes.
+/// Mask topic of the simulator.
 pub(super) const MASK: &str = "/camera/mask/compressed";
-/// The topics of the cameras that are asked for; of the usual one, or the only one, where none is.
+/// The requested camera topics; by default the usual one, or the only one.
 ///
-/// Of a camera with several transports, which sends each frame several times, the compressed one is taken, then the raw
-/// one, then video.
+/// A camera with several transports publishes each frame several times: compressed is preferred, then raw, then video.
 ///
 /// # Errors
-/// Which one is missing, in words.
-pub(super) fn cameras(reader: &BagReader, asked: &[String]) -> Result<Vec<String>, String> {
-    if !asked.is_empty() {
+/// A description of the missing camera.
+pub(super) fn cameras(reader: &BagReader, requested: &[String]) -> Result<Vec<String>, String> {
+    if !requested.is_empty() {
         let missing = |topic: &String| {
             let others = names(reader);
             let others = if others.is_empty() {
@@ -24,7 +23,7 @@ pub(super) fn cameras(reader: &BagReader, asked: &[String]) -> Result<Vec<String
             let advice = advice(reader);
             format!("no camera {topic}: expected frames on it; the bag has {others}{advice}")
         };
-        let topics = asked
+        let topics = requested
             .iter()
             .map(|topic| transport(reader, topic).ok_or_else(|| missing(topic)));
         return topics.collect();
@@ -46,9 +45,9 @@ pub(super) fn cameras(reader: &BagReader, asked: &[String]) -> Result<Vec<String
     }
 }
 
-/// The topic of a camera with frames, by either transport.
+/// The topic of a camera with frames, by its transports.
 fn transport(reader: &BagReader, camera: &str) -> Option<String> {
-    // One that is given with its transport is meant so.
+    // A name with transport is used as it is.
     let base = base(camera);
     let compressed = format!("{base}{COMPRESSED}");
     let videos = VIDEO.map(|transport| format!("{base}{transport}"));
@@ -70,7 +69,7 @@ fn is_camera(topic: &TopicInfo) -> bool {
     topic.message_count > 0 && transport.is_some_and(is_read)
 }
 
-/// What to do about topics with pictures that are not read.
+/// Advice on topics with unreadable pictures.
 fn advice(reader: &BagReader) -> String {
     let unread = reader.topics().iter().filter_map(|topic| {
         let transport = Transport::of(&topic.name, &topic.type_name)?;
@@ -82,7 +81,7 @@ fn advice(reader: &BagReader) -> String {
     unread.map(|advice| format!("; {advice}")).collect()
 }
 
-/// The cameras that a bag has, but for pictures that were predicted.
+/// Cameras of a bag, without predicted pictures.
 fn names(reader: &BagReader) -> Vec<String> {
     let topics = reader.topics().iter().map(|topic| &*topic.name);
     let cameras = topics

@@ -5,18 +5,18 @@ use wm_motion::actions::ActionEncoding;
 
 use crate::FrameValues;
 
-/// Clips of model steps out of episodes: random ones to train on, or given ones.
+/// Clips of model steps from episodes: random ones for training, or given ones.
 pub struct ClipSource<'a> {
     values: &'a dyn FrameValues,
     encoding: &'a ActionEncoding,
-    /// Frames of a clip.
+    /// Frames per clip.
     frames: usize,
-    /// Episodes that are long enough.
+    /// Episodes of sufficient length.
     episodes: Vec<usize>,
     device: Device,
 }
 
-/// A clip: which episode, and its first camera frame there.
+/// A clip: an episode and the first camera frame in it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Clip {
     episode: usize,
@@ -24,13 +24,13 @@ pub struct Clip {
 }
 
 impl Clip {
-    /// The number of its episode among all.
+    /// Index of its episode.
     #[must_use]
     pub fn episode(&self) -> usize {
         self.episode
     }
 
-    /// The clip of an episode, by its number among all, from one of its camera frames on.
+    /// The clip of episode `episode` from camera frame `start`.
     #[must_use]
     pub fn new(episode: usize, start: usize) -> Self {
         Self { episode, start }
@@ -38,10 +38,10 @@ impl Clip {
 }
 
 impl<'a> ClipSource<'a> {
-    /// Clips of `frames` frames, one model step apart; episodes shorter than that are ignored.
+    /// Clips of `frames` frames, one model step apart; shorter episodes are skipped.
     ///
     /// # Errors
-    /// When no episode is long enough.
+    /// If no episode is long enough.
     pub fn new(
         values: &'a dyn FrameValues,
         encoding: &'a ActionEncoding,
@@ -67,32 +67,32 @@ impl<'a> ClipSource<'a> {
         Ok(source)
     }
 
-    /// The same, whose tensors are on `device`.
+    /// Moves tensors to `device`.
     #[must_use]
     pub fn on(self, device: &Device) -> Self {
         let device = device.clone();
         Self { device, ..self }
     }
 
-    /// Number of episodes that clips come from.
+    /// Number of usable episodes.
     #[must_use]
     pub fn len(&self) -> usize {
         self.episodes.len()
     }
 
-    /// Whether there are none; `new` does not make such a source.
+    /// Always false: `new` rejects an empty source.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.episodes.is_empty()
     }
 
-    /// Frames of a clip.
+    /// Frames per clip.
     #[must_use]
     pub fn frames(&self) -> usize {
         self.frames
     }
 
-    /// What the actions of its clips are.
+    /// Encoding of the clips' actions.
     #[must_use]
     pub fn encoding(&self) -> &ActionEncoding {
         self.encoding
@@ -104,24 +104,24 @@ impl<'a> ClipSource<'a> {
         self.values.episodes()[clip.episode].first_frame + clip.start
     }
 
-    /// Rows, columns and channels of a frame's values.
+    /// Rows, columns and channels of a frame.
     #[must_use]
     pub fn shape(&self) -> (usize, usize, usize) {
         self.values.shape()
     }
 
-    /// Values of an action.
+    /// Values of a model action.
     #[must_use]
     pub fn action_dim(&self) -> usize {
         self.encoding.action_dim()
     }
 
-    /// Camera frames from the first to the last of a clip.
+    /// Camera frames covered by a clip.
     fn span(&self) -> usize {
         (self.frames - 1) * self.encoding.frame_skip() + 1
     }
 
-    /// A clip anywhere in any episode.
+    /// A random clip.
     pub fn draw(&self, rng: &mut impl Rng) -> Clip {
         let episode = self.episodes[rng.random_range(0..self.episodes.len())];
         let last = self.values.episodes()[episode].frame_count - self.span();
@@ -131,7 +131,7 @@ impl<'a> ClipSource<'a> {
         }
     }
 
-    /// Clips that do not overlap, in order.
+    /// All non-overlapping clips, in order.
     #[must_use]
     pub fn all(&self) -> Vec<Clip> {
         let clips = self.episodes.iter().flat_map(|episode| {
@@ -144,10 +144,10 @@ impl<'a> ClipSource<'a> {
         clips.collect()
     }
 
-    /// This many random clips, as [`Self::tensors`].
+    /// `count` random clips as [`Self::tensors`].
     ///
     /// # Errors
-    /// If they cannot be read.
+    /// If frames cannot be read.
     pub fn batch(&self, count: usize, rng: &mut impl Rng) -> Result<(Tensor, Tensor)> {
         let clips: Vec<Clip> = (0..count).map(|_| self.draw(rng)).collect();
         self.tensors(&clips)
@@ -156,7 +156,7 @@ impl<'a> ClipSource<'a> {
     /// Values (B, frames, h, w, C) and the action of each frame (B, frames, A).
     ///
     /// # Errors
-    /// If they cannot be read.
+    /// If frames cannot be read.
     pub fn tensors(&self, clips: &[Clip]) -> Result<(Tensor, Tensor)> {
         let (mut values, mut actions) = (Vec::new(), Vec::new());
         for clip in clips {
@@ -169,9 +169,8 @@ impl<'a> ClipSource<'a> {
         ))
     }
 
-    /// Appends a clip's values (frames, h, w, C) and the model action of each frame (frames, A): what leads from it to
-    /// the next one. That of the last frame is in the episode too, but for an episode's end, where the action before is
-    /// held.
+    /// Appends a clip's values (frames, h, w, C) and the model action from each frame to the next (frames, A). At the
+    /// end of an episode, the last action repeats.
     pub fn load(&self, clip: Clip, values: &mut Vec<f32>, actions: &mut Vec<f32>) -> Result<()> {
         let episode = &self.values.episodes()[clip.episode];
         let skip = self.encoding.frame_skip();
@@ -181,7 +180,7 @@ impl<'a> ClipSource<'a> {
         }
         for i in 0..self.frames {
             let first = clip.start + i * skip;
-            // An episode's last frames have no whole step after them.
+            // The last frames of an episode lack a whole step.
             let first = first.min(episode.actions.len().saturating_sub(skip));
             let step = self
                 .encoding

@@ -10,33 +10,34 @@ use super::{
     recording::{Picture, Recording},
 };
 
-/// An episode before its pictures are decoded.
+/// An episode without its pictures.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Draft {
-    /// The stamp of each frame's picture \[ns\], for each stream of the recording.
+    /// Stamps of the frames' pictures \[ns\], by stream.
     pub stamps: Vec<Vec<i64>>,
-    /// When the first and the last of these pictures were recorded \[ns\].
+    /// Log times of the first and the last picture \[ns\].
     pub logged_ns: (u64, u64),
-    /// What the robot does from each frame to the next.
+    /// Motion from each frame to the next.
     pub actions: Vec<Vec<f32>>,
-    /// The state at each frame, a value for each of the action; NaN if unknown.
+    /// State at each frame, in the action's dimensions; NaN if unknown.
     pub states: Vec<Vec<f32>>,
     pub instruction: Option<String>,
     pub success: Option<bool>,
-    /// What the masks' values mean.
+    /// Meaning of the mask values.
     pub labels: BTreeMap<u8, String>,
 }
 
 impl Draft {
     /// Stamps of the first and the last frame \[ns\].
     pub fn span_ns(&self) -> (i64, i64) {
+        // `cut` makes no draft without streams or frames.
         let main = self.stamps.first().map(Vec::as_slice).unwrap_or_default();
         let ends = main.first().zip(main.last());
         ends.map_or((0, 0), |(first, last)| (*first, *last))
     }
 }
 
-/// What is in no episode, and why.
+/// Excluded frames, with the reason.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Omission {
     pub span_ns: Option<(i64, i64)>,
@@ -47,23 +48,22 @@ pub(super) struct Omission {
 
 /// A frame: the pictures of all streams at one time.
 struct Moment {
-    /// Its number among the first camera's pictures.
+    /// Index among the first camera's pictures.
     place: usize,
     pictures: Vec<Picture>,
     stamp_ns: i64,
 }
 
-/// The episodes of a recording: frames a period of the action space's rate apart, with what the robot does from each to
-/// the next.
+/// Cuts a recording into episodes of frames one action period apart, with the motion between them.
 ///
 /// # Errors
-/// In words, where the camera is slower than the model.
+/// A description if the camera is slower than the model.
 pub(super) fn cut(
     recording: &Recording,
     space: &ActionSpace,
     settings: &Settings,
 ) -> Result<(Vec<Draft>, Vec<Omission>), String> {
-    // A rate is at least 0.01 Hz.
+    // The rate is at least 0.01 Hz.
     let period_ns = (1e9 / space.rate()) as i64;
     let mut cutter = Cutter {
         recording,
@@ -91,6 +91,7 @@ pub(super) fn cut(
         });
     }
     let moments = cutter.moments();
+    // A single frame has no gap.
     let gap_ns = median_gap(&moments).unwrap_or(period_ns);
     if gap_ns > period_ns + period_ns / 2 {
         return Err(format!(
@@ -116,14 +117,14 @@ struct Cutter<'a> {
     settings: &'a Settings,
     period_ns: i64,
     alignment: Alignment<'a>,
-    /// Frames between whose neighbours no action is known.
+    /// Frames without known actions.
     actions_unknown: Omission,
     drafts: Vec<Draft>,
     omissions: Vec<Omission>,
 }
 
 impl Cutter<'_> {
-    /// Each picture of the first camera with the nearest one of every other stream, at most half a period away.
+    /// The first camera's pictures, each with the nearest picture of all other streams within half a period.
     fn moments(&mut self) -> Vec<Moment> {
         let Some((main, others)) = self.recording.streams.split_first() else {
             return Vec::new();
@@ -158,7 +159,7 @@ impl Cutter<'_> {
         moments
     }
 
-    /// The moments a period apart, in parts between which nothing may be learnt.
+    /// Frames one period apart, split where no motion may be learned across.
     fn parts(&self, moments: Vec<Moment>, gap_ns: i64) -> Vec<Vec<Moment>> {
         let longest_ns = self.settings.gap_periods * self.period_ns as f64;
         let mut cuts = self.recording.cuts.clone();
@@ -178,12 +179,12 @@ impl Cutter<'_> {
         for moment in moments {
             let begins = before.is_none_or(|(place, stamp_ns)| {
                 let is_gap = (moment.stamp_ns - stamp_ns) as f64 > longest_ns;
-                // A message that came before this picture and after that one.
+                // A message between that picture and this one.
                 let next = cuts.partition_point(|cut| *cut <= place);
                 let is_cut = cuts.get(next).is_some_and(|cut| *cut <= moment.place);
                 let begun_ns = parts.last().and_then(|part| part.first());
                 let is_long = self.settings.cut_seconds.is_some_and(|seconds| {
-                    // Of the frames around that time the nearest one begins it, as stamps jitter.
+                    // The frame nearest to the cut starts the part, since stamps jitter.
                     let end_ns = seconds * 1e9 - (gap_ns / 2).min(self.period_ns / 4) as f64;
                     begun_ns
                         .is_some_and(|begun| (moment.stamp_ns - begun.stamp_ns) as f64 >= end_ns)
@@ -204,7 +205,7 @@ impl Cutter<'_> {
         parts
     }
 
-    /// Makes episodes of a part: one, or several where actions are missing in between. `next` is where the next part begins.
+    /// Makes episodes of a part, split where actions are missing. `next` is the start of the next part.
     fn align(&mut self, part: &[Moment], next: Option<usize>, is_only: bool) {
         let mut run: Vec<(&Moment, Vec<f32>)> = Vec::new();
         for (index, moment) in part.iter().enumerate() {
@@ -216,7 +217,7 @@ impl Cutter<'_> {
             let interval = self.alignment.between(moment.stamp_ns, to_ns);
             let is_known = interval.as_ref().is_some_and(|interval| interval.is_given);
             match interval {
-                // After the last frame nothing need be done any more: some data sets record no action for it.
+                // No action is needed after the last frame, and some data sets record none.
                 Some(interval) if is_known || !run.is_empty() => {
                     run.push((moment, interval.values));
                 }
@@ -243,14 +244,14 @@ impl Cutter<'_> {
         };
         let span_ns = (first.stamp_ns, last.stamp_ns);
         let seconds = (span_ns.1 - span_ns.0 + self.period_ns) as f64 / 1e9;
-        // A nanosecond of rounding is no reason to lose an episode.
+        // Tolerates a nanosecond of rounding.
         if seconds + 1e-6 < self.settings.min_seconds {
             self.omissions.push(Omission {
                 span_ns: Some(span_ns),
                 count: run.len() as u64,
                 thing: Thing::Frame,
                 reason: format!(
-                    "an episode of {seconds:.2} s; at least {} s are asked for",
+                    "an episode of {seconds:.2} s; the minimum is {} s",
                     self.settings.min_seconds
                 ),
             });
@@ -280,7 +281,7 @@ impl Cutter<'_> {
         self.drafts.push(draft);
     }
 
-    /// What came last from the first frame to the next episode; of the only episode whatever came last.
+    /// The last success between the first frame and the next episode; of the whole bag for an only episode.
     fn success(&self, first: usize, next: Option<usize>, is_only: bool) -> Option<bool> {
         let is_of_it =
             |place: &usize| is_only || (*place > first && next.is_none_or(|next| *place <= next));
@@ -290,14 +291,14 @@ impl Cutter<'_> {
     }
 }
 
-/// What held at the first frame, or what came first while the episode lasted.
-fn at<T>(said: &[(usize, T)], first: usize, last: usize) -> Option<&T> {
-    let before = said.iter().rfind(|(place, _)| *place <= first);
-    let later = || said.iter().find(|(place, _)| *place <= last + 1);
-    before.or_else(later).map(|(_, said)| said)
+/// The value at the first frame, or the first one during the episode.
+fn at<T>(values: &[(usize, T)], first: usize, last: usize) -> Option<&T> {
+    let before = values.iter().rfind(|(place, _)| *place <= first);
+    let later = || values.iter().find(|(place, _)| *place <= last + 1);
+    before.or_else(later).map(|(_, values)| values)
 }
 
-/// The median: a jittery pair of frames says nothing of the rate.
+/// The median gap: a single jittery pair is no evidence of the rate.
 fn median_gap(moments: &[Moment]) -> Option<i64> {
     let pairs = moments.iter().zip(moments.iter().skip(1));
     let mut gaps: Vec<i64> = pairs.map(|(a, b)| b.stamp_ns - a.stamp_ns).collect();

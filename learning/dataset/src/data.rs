@@ -11,28 +11,28 @@ use super::{
     DataOptions, Dataset, DatasetError, Manifest, Size, SplitRule,
     manifest::Split,
     preparation::{Preparation, identity},
-    search::{Found, find_others},
+    search::{FoundBags, find_others},
     split::split,
     store::{Folder, cache_name, if_another_was_first, is_prepared, read_audit, read_manifest},
 };
 
-/// Most things that were left out that are named one by one.
-const NAMED: usize = 20;
+/// Most excluded items logged individually.
+const MAX_LOGGED: usize = 20;
 
-/// What a model is trained on, and what it is measured on.
+/// Training and validation data.
 #[derive(Debug)]
 pub struct Data {
-    /// Episodes that the model is fitted to.
+    /// Training episodes.
     pub training: Dataset,
-    /// Episodes for validation, if there are any.
+    /// Validation episodes, if any.
     pub validation: Option<Dataset>,
 }
 
 impl Data {
-    /// Holds paths and options against what is on the disk, before anything long begins: no recording is read.
+    /// Checks paths and options quickly, without reading recordings.
     ///
     /// # Errors
-    /// Names a path where there are no data, or options that cannot be used.
+    /// Names a path without data, or an invalid option.
     pub fn require(paths: &[PathBuf], options: &DataOptions) -> Result<(), DatasetError> {
         expect_effect(paths, options)?;
         options.with_config()?.split_rule()?;
@@ -40,8 +40,8 @@ impl Data {
         let bags =
             |paths: &[PathBuf]| -> Vec<PathBuf> { paths.iter().filter(is_bags).cloned().collect() };
         find_others(&bags(paths), &bags(&options.held_out)).or_else(|error| match error {
-            // All is prepared: there is nothing to look for.
-            DatasetError::Nothing(_) if bags(paths).is_empty() => Ok(Found::default()),
+            // All paths are prepared.
+            DatasetError::Nothing(_) if bags(paths).is_empty() => Ok(FoundBags::default()),
             error => Err(error),
         })?;
         for dir in paths.iter().chain(&options.held_out) {
@@ -52,18 +52,15 @@ impl Data {
         Ok(())
     }
 
-    /// The data at `paths`: bags (folders with `metadata.yaml`, or `.mcap` files), folders that are searched for bags, and
-    /// folders that `wm dataset` prepared. Bags are prepared into `cache`, or taken from there where an earlier call has
-    /// left them. Frames are as `framing` says; its size is that of all cameras side by side.
+    /// Opens `paths`: bags (folders with `metadata.yaml`, or `.mcap` files), folders to search for bags, and folders
+    /// prepared by `wm dataset`. Bags are prepared in `cache`, or reused from there. Frames have the size of `framing`,
+    /// all cameras side by side.
     ///
-    /// Which episodes are for validation: those of `options.held_out`; else those that a prepared folder names; else, and
-    /// wherever `options.validation` or its seed is given, a share by the options.
-    ///
-    /// What is left out is named by `tracing` at the level of warnings.
+    /// The validation episodes are those of `options.held_out`, else those of a prepared folder. Without both, or with
+    /// `options.validation` or its seed, they are a share of the episodes. Excluded data are logged as warnings.
     ///
     /// # Errors
-    /// When options or files cannot be used, bags are of different robots, or there is nothing to train on: the error
-    /// names the offender.
+    /// Names an invalid option or file, bags of different robots, or missing training data.
     pub fn open(
         paths: &[PathBuf],
         framing: impl Into<Framing>,
@@ -108,9 +105,8 @@ impl Data {
 }
 
 impl Dataset {
-    /// What a trained model is measured on: the episodes for validation, where a prepared folder names some or
-    /// `options` gives a share or a seed, as a training with these options chooses them; else all episodes. Otherwise as
-    /// [`Data::open`].
+    /// The evaluation data: the validation episodes of a prepared folder or of a share given by `options`, chosen as in
+    /// training; else all episodes. Otherwise as [`Data::open`].
     ///
     /// # Errors
     /// Those of [`Data::open`].
@@ -124,7 +120,7 @@ impl Dataset {
         let (framing, options) = (framing.into(), options.with_config()?);
         let folders = open_all((paths, &[]), framing, cache, &options)?;
         let splits = splits(&folders, &options, options.split_rule()?);
-        let is_split = |(opened, splits): (&Opened, &Vec<Split>)| {
+        let is_split = |(opened, splits): (&OpenFolder, &Vec<Split>)| {
             (is_chosen(&options) || opened.is_given) && splits.contains(&Split::Validation)
         };
         let is_split: Vec<bool> = folders.iter().zip(&splits).map(is_split).collect();
@@ -134,7 +130,7 @@ impl Dataset {
         })
     }
 
-    /// All episodes of the bags at or under `bags_root`, or of a prepared folder, with the usual options. Otherwise as
+    /// All episodes of the bags under `bags_root`, or of a prepared folder, with the usual options. Otherwise as
     /// [`Data::open`].
     ///
     /// # Errors
@@ -150,20 +146,20 @@ impl Dataset {
     }
 }
 
-/// A folder, and whether the user gave it: else it is one of a cache, and its split means nothing.
+/// A folder, and whether the user gave it. The split of a cache folder is ignored.
 #[derive(Clone)]
-pub(super) struct Opened {
+pub(super) struct OpenFolder {
     pub folder: Arc<Folder>,
     is_given: bool,
 }
 
-impl Opened {
-    /// What each of its episodes is, wherever their bags lie.
+impl OpenFolder {
+    /// Identities of its episodes, independent of the bags' location.
     fn identities(&self) -> Vec<String> {
         let manifest = self.folder.manifest();
         let episodes = manifest.episodes.iter().map(|episode| {
             let source = manifest.sources.get(episode.source);
-            // A manifest that names no source was changed by hand: a name is an identity too.
+            // A manifest without sources was edited: use the name instead.
             source.map_or_else(
                 || episode.name.clone(),
                 |source| identity(source, episode.begin_ns),
@@ -173,16 +169,16 @@ impl Opened {
     }
 }
 
-/// Whether the user wants a certain split, and not that of a prepared folder.
+/// Whether the user chose a split.
 fn is_chosen(options: &DataOptions) -> bool {
     options.validation.is_some() || options.validation_seed.is_some()
 }
 
-/// What each episode of each folder is for. Without other wishes a prepared folder stays split as it is.
-fn splits(folders: &[Opened], options: &DataOptions, rule: SplitRule) -> Vec<Vec<Split>> {
-    let is_free = |opened: &&Opened| is_chosen(options) || !opened.is_given;
+/// The split of each folder's episodes; by default that of the prepared folder.
+fn splits(folders: &[OpenFolder], options: &DataOptions, rule: SplitRule) -> Vec<Vec<Split>> {
+    let is_free = |opened: &&OpenFolder| is_chosen(options) || !opened.is_given;
     let free = folders.iter().filter(is_free);
-    let free: Vec<String> = free.flat_map(Opened::identities).collect();
+    let free: Vec<String> = free.flat_map(OpenFolder::identities).collect();
     let mut chosen = split(&free, rule).into_iter();
     let splits = folders.iter().map(|opened| {
         let listed = &opened.folder.manifest().episodes;
@@ -195,7 +191,8 @@ fn splits(folders: &[Opened], options: &DataOptions, rule: SplitRule) -> Vec<Vec
     splits.collect()
 }
 
-/// Refuses options for bags where there are none. Those of a file are no mistake: the bags were prepared by it.
+/// Rejects bag options on the command line if there are no bags. Options of a file may belong to an earlier
+/// preparation.
 fn expect_effect(paths: &[PathBuf], options: &DataOptions) -> Result<(), DatasetError> {
     let mut all = paths.iter().chain(&options.held_out);
     match (paths.first(), options.of_preparation()) {
@@ -209,22 +206,22 @@ fn expect_effect(paths: &[PathBuf], options: &DataOptions) -> Result<(), Dataset
     }
 }
 
-/// Opens data sets and bags, but for the bags that are `others`.
+/// Opens data sets and bags, except the bags in `others`.
 fn open_all(
     (paths, others): (&[PathBuf], &[PathBuf]),
     Framing { size, fit, .. }: Framing,
     cache: &Path,
     options: &DataOptions,
-) -> Result<Vec<Opened>, DatasetError> {
+) -> Result<Vec<OpenFolder>, DatasetError> {
     let (prepared, bags): (Vec<_>, Vec<_>) = paths.iter().cloned().partition(|p| is_prepared(p));
     let mut opened = Vec::new();
     for dir in prepared {
         let folder = Folder::open(&dir)?;
-        name_left_out(folder.manifest(), &dir);
-        name_mixed_sizes(folder.manifest(), None);
+        log_exclusions(folder.manifest(), &dir);
+        log_mixed_sizes(folder.manifest(), None);
         let view = view(size, folder.views())?;
         folder.manifest().expect_fit(&dir, view, fit)?;
-        opened.push(Opened {
+        opened.push(OpenFolder {
             folder: Arc::new(folder.at_size(view, cache)?),
             is_given: true,
         });
@@ -234,7 +231,7 @@ fn open_all(
         let view = view(size, settings.cameras.len().max(1))?;
         let others: Vec<_> = others.iter().filter(|p| !is_prepared(p)).cloned().collect();
         let found = find_others(&bags, &others)?;
-        let none = Found::default();
+        let none = FoundBags::default();
         let rule = options.split_rule()?;
         let preparation = Preparation::new(found, none, settings, (view, fit), rule)?;
         let dir = cache.join(cache_name(preparation.digest()));
@@ -244,11 +241,11 @@ fn open_all(
                 .or_else(if_another_was_first(&dir))?;
         }
         let folder = Folder::open(&dir)?;
-        name_left_out(folder.manifest(), &dir);
+        log_exclusions(folder.manifest(), &dir);
         let audit = read_audit(&dir)?;
-        name_faults(audit.as_ref());
-        name_mixed_sizes(folder.manifest(), audit.as_ref());
-        opened.push(Opened {
+        log_faults(audit.as_ref());
+        log_mixed_sizes(folder.manifest(), audit.as_ref());
+        opened.push(OpenFolder {
             folder: Arc::new(folder),
             is_given: false,
         });
@@ -256,7 +253,7 @@ fn open_all(
     Ok(opened)
 }
 
-/// The size of one of `views` pictures that lie side by side.
+/// The size of one of `views` pictures side by side.
 fn view(size: (usize, usize), views: usize) -> Result<Size, DatasetError> {
     let (height, width) = size;
     if !width.is_multiple_of(views) {
@@ -272,27 +269,30 @@ fn view(size: (usize, usize), views: usize) -> Result<Size, DatasetError> {
     })
 }
 
-pub(super) fn name_left_out(manifest: &Manifest, dir: &Path) {
-    for left in manifest.left_out.iter().take(NAMED) {
-        tracing::warn!("left out: {left}");
+pub(super) fn log_exclusions(manifest: &Manifest, dir: &Path) {
+    for left in manifest.left_out.iter().take(MAX_LOGGED) {
+        tracing::warn!("excluded: {left}");
     }
-    let more = manifest.left_out.len().saturating_sub(NAMED);
+    let more = manifest.left_out.len().saturating_sub(MAX_LOGGED);
     if more > 0 {
         let path = dir.join("dataset.json");
-        tracing::warn!("left out: {more} more; all are named in {}", path.display());
+        tracing::warn!(
+            "excluded: {more} more; all are listed in {}",
+            path.display()
+        );
     }
 }
 
-/// Logs what the audit found wrong with a folder of a cache, whose audit nobody has seen.
-fn name_faults(audit: Option<&Audit>) {
+/// Logs audit faults of a cache folder, whose audit no one has read.
+fn log_faults(audit: Option<&Audit>) {
     for finding in audit.into_iter().flat_map(Audit::faults) {
         let fix = finding.fix.as_deref().unwrap_or_default();
         tracing::warn!("audit: {}: {}; {fix}", finding.check, finding.what);
     }
 }
 
-/// Logs which cameras have pictures of several sizes, unless the audit that the user sees has it.
-pub(super) fn name_mixed_sizes(manifest: &Manifest, audit: Option<&Audit>) {
+/// Logs cameras with pictures of several sizes, unless the visible audit does.
+pub(super) fn log_mixed_sizes(manifest: &Manifest, audit: Option<&Audit>) {
     let mut faults = audit.into_iter().flat_map(Audit::faults);
     if faults.any(|finding| finding.check == "sizes") {
         return;
@@ -302,9 +302,9 @@ pub(super) fn name_mixed_sizes(manifest: &Manifest, audit: Option<&Audit>) {
     }
 }
 
-/// Refuses an episode that is for both.
-fn expect_apart(training: &[Opened], held_out: &[Opened]) -> Result<(), DatasetError> {
-    let identities = training.iter().flat_map(Opened::identities);
+/// Rejects an episode in both parts.
+fn expect_apart(training: &[OpenFolder], held_out: &[OpenFolder]) -> Result<(), DatasetError> {
+    let identities = training.iter().flat_map(OpenFolder::identities);
     let training: BTreeSet<String> = identities.collect();
     for opened in held_out {
         let manifest = opened.folder.manifest();

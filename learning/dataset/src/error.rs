@@ -2,85 +2,85 @@ use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
-/// What recordings are read from.
+/// Accepted inputs.
 const EXPECTED: &str = "bags (folders with metadata.yaml, or .mcap files), a folder of them, or one that \
                         `wm dataset BAGS --out FOLDER` prepared";
 
-/// Why recordings cannot be trained on.
+/// Recordings that cannot be used for training.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum DatasetError {
-    /// There is nothing of this name.
+    /// A missing path.
     #[error(
-        "{0}: no such file or folder; expected {EXPECTED}; `wm bag record` makes a bag, `wm sim --out FOLDER` simulated ones"
+        "{0}: no such file or folder; expected {EXPECTED}; record a bag with `wm bag record`, or simulate with `wm sim --out FOLDER`"
     )]
     Missing(PathBuf),
     /// No bag under the folder.
-    #[error("{0}: found no recording; expected {EXPECTED}; `wm bag info PATH` says what is in one")]
+    #[error("{0}: found no recording; expected {EXPECTED}; inspect one with `wm bag info PATH`")]
     Empty(PathBuf),
-    /// There are bags, but nothing in them can be used.
+    /// Bags without any usable episode.
     #[error("no episode can be used:\n{0}")]
     Nothing(String),
-    /// A bag does not belong to the others, or holds something it cannot use.
+    /// A bag that differs from the others, or has invalid contents.
     #[error("{bag}: {what}")]
     Episode {
-        /// The bag.
+        /// Path of the bag.
         bag: PathBuf,
-        /// What was expected and what came.
+        /// Expected and found.
         what: String,
     },
-    /// An option that cannot serve.
+    /// An invalid option.
     #[error("{option}: {what}")]
     Option {
-        /// The option, as on the command line.
+        /// Name on the command line.
         option: &'static str,
-        /// What was expected and what came.
+        /// Expected and found.
         what: String,
     },
-    /// A file of options or of an action space that cannot be understood.
+    /// An invalid file of options or of an action space.
     #[error("{path}: {what}")]
     File {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The fault.
         what: String,
     },
-    /// A prepared folder that is damaged, of another version, or does not fit what is asked for.
+    /// A prepared folder that is damaged, of another version, or unsuitable.
     #[error("{dir}: {what}")]
     Prepared {
-        /// The folder.
+        /// Path of the folder.
         dir: PathBuf,
-        /// What was expected and what came.
+        /// Expected and found.
         what: String,
     },
-    /// The folder to write exists.
+    /// An existing output folder.
     #[error("{0} exists already; give another folder, or remove this one")]
     Exists(PathBuf),
-    /// Prepared pictures are smaller than those asked for.
+    /// Prepared pictures that are too small.
     #[error(
         "{dir}: the prepared pictures have {}x{} pixels, but {}x{} are needed; prepare the bags again with --size {}x{}",
-        stored.0, stored.1, asked.0, asked.1, asked.0, asked.1
+        stored.0, stored.1, requested.0, requested.1, requested.0, requested.1
     )]
     Upscaling {
-        /// The prepared folder.
+        /// Path of the folder.
         dir: PathBuf,
-        /// Height and width of a view in the folder.
+        /// Height and width of a stored view.
         stored: (usize, usize),
-        /// Height and width of a view that is asked for.
-        asked: (usize, usize),
+        /// Height and width of a requested view.
+        requested: (usize, usize),
     },
-    /// A file cannot be read or written.
+    /// A file that cannot be read or written.
     #[error("{path}: {reason}")]
     Io {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Why. No source, since the message has it.
+        /// Cause; not a `source`, since the message includes it.
         reason: std::io::Error,
     },
 }
 
 impl DatasetError {
-    /// The error of an operation on a file.
+    /// An error with this path.
     pub(super) fn io(path: &Path) -> impl FnOnce(std::io::Error) -> Self + use<> {
         let path = path.to_owned();
         move |reason| Self::Io { path, reason }

@@ -7,7 +7,7 @@ use sha2::{Digest as _, Sha256};
 
 use super::DatasetError;
 
-/// SHA-256 of a bag's files, in hex; where the bag lies and what it is called make no difference.
+/// SHA-256 of a bag's files in hex, independent of its location and name.
 pub(super) fn fingerprint(bag: &Path) -> Result<String, DatasetError> {
     let mut hash = Sha256::new();
     let mut files = Vec::new();
@@ -34,7 +34,7 @@ pub(super) fn hex(hash: Sha256) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// As much of a digest as a file's name has.
+/// The part of a digest used in file names.
 pub(crate) fn short(digest: &str) -> String {
     digest.chars().take(16).collect()
 }

@@ -2,19 +2,18 @@ use anyhow::{Context as _, Result};
 
 use crate::{Dataset, Episode, Latents};
 
-/// Episodes with some values for each frame, which clips are cut from: the pictures themselves, or what a frozen encoder
-/// makes of them.
+/// Episodes with values for each frame, which clips are cut from: pictures, or latents of a frozen encoder.
 pub trait FrameValues: Sync {
-    /// The episodes, in the order of their frames.
+    /// Episodes by frame.
     fn episodes(&self) -> &[Episode];
 
-    /// Rows, columns and channels of a frame's values.
+    /// Rows, columns and channels of a frame.
     fn shape(&self) -> (usize, usize, usize);
 
-    /// Appends the values of frame `index`, in row-major order, to `out`.
+    /// Appends the values of frame `index` to `out`, row-major.
     ///
     /// # Errors
-    /// When there is no such frame.
+    /// For an unknown index.
     fn read(&self, index: usize, out: &mut Vec<f32>) -> Result<()>;
 }
 

@@ -1,8 +1,8 @@
-//! The latents of all frames of a [`Dataset`], encoded once by the frozen encoder and kept in one memory-mapped file of
-//! 16-bit floats.
+//! The latents of all frames of a [`Dataset`], encoded once by the frozen encoder and stored as 16-bit floats in a
+//! memory-mapped file.
 //!
-//! The cache is keyed by the digest of the frames and by the latent space: other frames or another encoder make a new one.
-//! Several machines may each encode a part of the frames beside it.
+//! The key of the cache is the digest of the frames and the latent space. Several machines may each encode a part of
+//! the frames.
 
 mod file;
 mod part;
@@ -22,7 +22,7 @@ use file::LatentFile;
 #[cfg(any(test, feature = "testing"))]
 use file::map;
 
-/// Latents of episodes, in the order of their frames.
+/// Latents of episodes, by frame.
 #[derive(Debug)]
 pub struct Latents {
     space: LatentSpace,
@@ -35,12 +35,12 @@ pub struct Latents {
 }
 
 impl Latents {
-    /// The latents of `dataset`: taken from `cache_dir`, or a prepared folder, where an earlier call has left them, or else
-    /// encoded now. What [`encode_shard`](Self::encode_shard) has left in `cache_dir` is not encoded again; it is joined and
-    /// removed. All frames of a folder are encoded, so that another choice of its episodes finds its latents too.
+    /// The latents of `dataset`, from `cache_dir`, from a prepared folder, or encoded now. Parts from
+    /// [`encode_shard`](Self::encode_shard) in `cache_dir` are joined and removed. All frames of a folder are encoded,
+    /// so that other splits find their latents too.
     ///
     /// # Errors
-    /// When a frame cannot be encoded, or the cache cannot be read or written.
+    /// If a frame cannot be encoded, or the cache cannot be read or written.
     pub fn open(dataset: &Dataset, encoder: &dyn Encoder, cache_dir: &Path) -> Result<Self> {
         let files = latent_files(dataset, encoder, cache_dir)?;
         let files = files.iter().map(LatentFile::open);
@@ -55,11 +55,11 @@ impl Latents {
         })
     }
 
-    /// Encodes a shard's share of the frames of each folder, unless they are in `cache_dir` already: one of as many ranges
-    /// as there are shards. Gives the files that have them; none where there are too few frames for all shards.
+    /// Encodes a shard of each folder's frames, unless `cache_dir` has them. Returns the files; none if there are fewer
+    /// batches than shards.
     ///
     /// # Errors
-    /// As [`open`](Self::open).
+    /// Those of [`open`](Self::open).
     pub fn encode_shard(
         dataset: &Dataset,
         encoder: &dyn Encoder,
@@ -74,7 +74,7 @@ impl Latents {
     /// The latents of `episodes` in one file.
     ///
     /// # Errors
-    /// If the file cannot be read, or has not their length.
+    /// If the file cannot be read, or has another length.
     #[cfg(any(test, feature = "testing"))]
     pub fn map(
         path: &Path,
@@ -98,53 +98,53 @@ impl Latents {
         })
     }
 
-    /// The space that the latents are in.
+    /// Latent space.
     #[must_use]
     pub fn space(&self) -> &LatentSpace {
         &self.space
     }
 
-    /// The episodes, in the order of their frames.
+    /// Episodes by frame.
     #[must_use]
     pub fn episodes(&self) -> &[Episode] {
         self.layout.episodes()
     }
 
-    /// What the actions of its episodes are.
+    /// Space of the episodes' actions.
     #[must_use]
     pub fn action_space(&self) -> &ActionSpace {
         &self.actions
     }
 
-    /// Number of cameras, whose pictures lie side by side in a frame.
+    /// Number of cameras, side by side in a frame.
     #[must_use]
     pub fn views(&self) -> usize {
         self.views
     }
 
-    /// The size of all pictures in the bags, as [`Dataset::picture_size`].
+    /// [`Dataset::picture_size`] of the frames.
     #[must_use]
     pub fn picture_size(&self) -> Option<PictureSize> {
         self.picture_size
     }
 
-    /// The same, said to be of so many cameras.
+    /// Sets the number of cameras.
     #[must_use]
     #[cfg(any(test, feature = "testing"))]
     pub fn of_views(self, views: usize) -> Self {
         Self { views, ..self }
     }
 
-    /// Digest of the frames that the latents are of.
+    /// Digest of the encoded frames.
     #[must_use]
     pub fn digest(&self) -> &str {
         &self.digest
     }
 
-    /// Appends the latent of frame `index`, in row-major order, to `out`.
+    /// Appends the latent of frame `index` to `out`, row-major.
     ///
     /// # Errors
-    /// When there is no such frame.
+    /// For an unknown index.
     pub fn read(&self, index: usize, out: &mut Vec<f32>) -> Result<()> {
         let bytes = self.space.elements() * size_of::<f16>();
         let latent = self.layout.locate(index).and_then(|(file, frame)| {
@@ -165,13 +165,12 @@ impl Latents {
     /// Mean and standard deviation of each channel over all frames.
     ///
     /// # Errors
-    /// When there is no frame.
+    /// Without frames.
     pub fn statistics(&self) -> Result<LatentStatistics> {
         let channels = self.space.channels;
         let frames = self.layout.frame_count();
         ensure!(frames > 0, "there are no latents");
-        // Per channel sum and sum of squares: latents are of the order of 1, so that nothing
-        // cancels in double precision.
+        // Sums and sums of squares per channel in f64: latents are near 1, so nothing cancels.
         let sums = (0..frames).into_par_iter().try_fold(
             || vec![(0.0_f64, 0.0_f64); channels],
             |mut sums, frame| -> Result<_> {
@@ -208,7 +207,7 @@ impl Latents {
     }
 }
 
-/// The file of each of a data set's folders.
+/// The files of a data set's folders.
 fn latent_files<'a>(
     dataset: &'a Dataset,
     encoder: &'a dyn Encoder,

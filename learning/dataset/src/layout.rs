@@ -1,14 +1,14 @@
 use super::Episode;
 
-/// Episodes out of several files, with the place of their frames there.
+/// Episodes of several files, with the location of their frames.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Layout {
     episodes: Vec<Episode>,
-    /// Of each episode.
+    /// By episode.
     places: Vec<Place>,
 }
 
-/// Where an episode's frames are.
+/// Location of an episode's frames.
 #[derive(Clone, Copy, Debug)]
 struct Place {
     file: usize,
@@ -16,7 +16,7 @@ struct Place {
 }
 
 impl Layout {
-    /// Adds an episode whose frames follow one another in file number `file`, from `episode.first_frame` on.
+    /// Adds an episode with consecutive frames in file `file`, from `episode.first_frame` on.
     pub fn push(&mut self, file: usize, episode: &Episode) {
         self.places.push(Place {
             file,
@@ -29,7 +29,7 @@ impl Layout {
         });
     }
 
-    /// The episodes, in the order of their frames here.
+    /// Episodes by frame.
     pub fn episodes(&self) -> &[Episode] {
         &self.episodes
     }
@@ -40,7 +40,7 @@ impl Layout {
         last.map_or(0, |last| last.first_frame + last.frame_count)
     }
 
-    /// The file of frame `index`, and its number there; `None` past the end.
+    /// File and index of frame `index`; `None` past the end.
     pub fn locate(&self, index: usize) -> Option<(usize, usize)> {
         let after = self.episodes.partition_point(|e| e.first_frame <= index);
         let at = after.checked_sub(1)?;

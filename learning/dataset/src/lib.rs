@@ -1,13 +1,11 @@
-//! Recordings as training wants them: episodes of frames that are decoded and resized once, in a memory-mapped file,
-//! beside the action taken at each frame.
+//! Recordings prepared for training: episodes of frames, decoded and resized once into a memory-mapped file, with the
+//! action at each frame.
 //!
-//! [`Data::open`] takes bags and folders that `wm dataset` prepared, and gives what to train on and what to measure on.
-//! Bags are read twice. The first reading keeps stamps and actions and cuts the recordings into episodes; the second one
-//! decodes the frames that are in one, and writes each to its place in the file. So memory holds one picture a thread and
-//! about 15 MB for an hour of actions at 100 Hz, however long a recording is.
+//! [`Data::open`] takes bags and folders prepared by `wm dataset`, and returns training and validation data. Bags are
+//! read twice. The first pass keeps stamps and actions and cuts episodes; the second decodes the frames of episodes
+//! into the file. Memory holds one picture per thread and about 15 MB per hour of actions at 100 Hz.
 //!
-//! Prepared data are keyed by the contents of the bags, the options, the picture size and the fit: other contents make a
-//! new folder in the cache.
+//! The key of prepared data is the contents of the bags, the options, the picture size and the fit.
 
 mod action_log;
 mod arguments;
@@ -62,23 +60,23 @@ pub(crate) use store::Folder;
 /// One episode of a [`Dataset`].
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Episode {
-    /// The bag's name, and a number where the bag has several episodes.
+    /// The bag's name, with a number if the bag has several episodes.
     pub name: String,
     /// Index of its first frame in the dataset.
     pub first_frame: usize,
-    /// How many frames it has.
+    /// Number of frames.
     pub frame_count: usize,
-    /// What the robot does from each frame to the next, in the units of the dataset's action space.
+    /// Motion from each frame to the next, in the units of the action space.
     pub actions: Vec<Vec<f32>>,
     /// The task in words (`/task/instruction`), if known.
     pub instruction: Option<String>,
-    /// Whether the robot did it (`/task/success`), where that is known.
+    /// Whether the task succeeded (`/task/success`), if known.
     pub success: Option<bool>,
-    /// What the values of its masks mean (`/camera/mask/label_info`), where that is known.
+    /// Meaning of the mask values (`/camera/mask/label_info`), if known.
     pub labels: BTreeMap<u8, String>,
 }
 
-/// Decoded episodes; see the module's documentation.
+/// DecodedFrames episodes.
 #[derive(Debug)]
 pub struct Dataset {
     digest: String,
@@ -89,9 +87,9 @@ pub struct Dataset {
 }
 
 impl Dataset {
-    /// The episodes that `is_in` chooses by the numbers of folder and episode, of at least one folder.
+    /// The episodes selected by `is_in(folder, episode)`, from at least one folder.
     fn of_folders(
-        folders: Vec<data::Opened>,
+        folders: Vec<data::OpenFolder>,
         (options, fit): (&DataOptions, Fit),
         is_in: impl Fn(usize, usize) -> bool,
     ) -> Result<Self, DatasetError> {
@@ -101,7 +99,7 @@ impl Dataset {
         let manifest = first.folder.manifest();
         let (views, size) = (first.folder.views(), manifest.size);
         let own = manifest.action_space.clone();
-        let asked = options.space()?;
+        let requested = options.space()?;
         let mut hash = Sha256::new();
         let mut layout = Layout::default();
         for (number, opened) in folders.iter().enumerate() {
@@ -113,8 +111,8 @@ impl Dataset {
             };
             let (a, b) = (a.manifest(), b.manifest());
             expect_same_space(&own, &b.action_space).map_err(prepared)?;
-            if let Some(asked) = &asked {
-                expect_same_space(asked, &b.action_space).map_err(prepared)?;
+            if let Some(requested) = &requested {
+                expect_same_space(requested, &b.action_space).map_err(prepared)?;
             }
             if a.cameras != b.cameras {
                 return Err(prepared(format!(
@@ -139,13 +137,13 @@ impl Dataset {
                 views,
                 fit,
             },
-            space: asked.unwrap_or(own),
+            space: requested.unwrap_or(own),
             layout,
             folders: folders.into_iter().map(|opened| opened.folder).collect(),
         })
     }
 
-    /// Refuses a data set of another robot.
+    /// Rejects a data set of another robot.
     fn expect_same(&self, other: &Self) -> Result<(), DatasetError> {
         let dir = other.folders.first().map(|folder| folder.dir().to_owned());
         let prepared = |what| DatasetError::Prepared {
@@ -155,13 +153,13 @@ impl Dataset {
         expect_same_space(&self.space, &other.space).map_err(prepared)
     }
 
-    /// Hex SHA-256 of what the dataset was made from.
+    /// Hex SHA-256 of its inputs.
     #[must_use]
     pub fn digest(&self) -> &str {
         &self.digest
     }
 
-    /// What its actions are.
+    /// Space of its actions.
     #[must_use]
     pub fn action_space(&self) -> &ActionSpace {
         &self.space
@@ -173,13 +171,13 @@ impl Dataset {
         self.framing.size
     }
 
-    /// How the pictures in the bags became its frames.
+    /// How pictures became frames.
     #[must_use]
     pub fn framing(&self) -> Framing {
         self.framing
     }
 
-    /// The size of all pictures in the bags; `None` if there are several sizes or cameras, or it was not recorded.
+    /// Size of all pictures in the bags; `None` if it varies, for several cameras, or if it was not recorded.
     #[must_use]
     pub fn picture_size(&self) -> Option<PictureSize> {
         let mut sizes = self.folders.iter().map(|f| f.manifest().picture_size());
@@ -187,19 +185,19 @@ impl Dataset {
         (self.views() == 1 && sizes.all(|size| size == Some(first))).then_some(first)
     }
 
-    /// Number of cameras, whose pictures lie side by side in a frame.
+    /// Number of cameras, side by side in a frame.
     #[must_use]
     pub fn views(&self) -> usize {
         self.framing.views
     }
 
-    /// Frames of all episodes together.
+    /// Frames of all episodes.
     #[must_use]
     pub fn frame_count(&self) -> usize {
         self.layout.frame_count()
     }
 
-    /// The episodes, in the order of their frames.
+    /// Episodes by frame.
     #[must_use]
     pub fn episodes(&self) -> &[Episode] {
         self.layout.episodes()
@@ -212,18 +210,18 @@ impl Dataset {
         self.folders.get(folder)?.frame(frame)
     }
 
-    /// The mask of frame `index`: height x width bytes, 0 background, 1 gripper, 2 and above objects; `None` past the
-    /// end, or where the bags have no masks.
+    /// Mask of frame `index`: height x width bytes, 0 background, 1 gripper, 2 and above objects; `None` past the end,
+    /// or without masks.
     #[must_use]
     pub fn mask(&self, index: usize) -> Option<&[u8]> {
         let (folder, frame) = self.layout.locate(index)?;
         self.folders.get(folder)?.mask(frame)
     }
 
-    /// Statistics of its episodes, and its action space with scales and clips fitted to them.
+    /// Statistics of its episodes, and its action space with fitted scales and clips.
     ///
     /// # Errors
-    /// When no scale fits a dimension's range.
+    /// If no scale fits the range of a dimension.
     pub fn statistics(&self) -> Result<DataStatistics, DatasetError> {
         let statistics = DataStatistics::of_episodes(self.episodes().iter(), &self.space);
         statistics.map_err(|error| DatasetError::Option {
@@ -236,19 +234,19 @@ impl Dataset {
         &self.layout
     }
 
-    /// What was left out when it was prepared.
+    /// Data excluded during preparation.
     pub fn left_out(&self) -> impl Iterator<Item = &LeftOut> {
         let folders = self.folders.iter();
         folders.flat_map(|folder| &folder.manifest().left_out)
     }
 
-    /// Where its frames are.
+    /// The folders of its frames.
     pub(crate) fn folders(&self) -> &[Arc<Folder>] {
         &self.folders
     }
 }
 
-/// Whether actions are the same, and at the same rate, at which frames were prepared.
+/// Checks that actions are the same, at the same rate.
 fn expect_same_space(own: &ActionSpace, other: &ActionSpace) -> Result<(), String> {
     let same = own.expect_same(other, "the data set", "this part of it");
     same.map_err(|error| error.to_string())?;

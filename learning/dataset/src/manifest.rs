@@ -10,40 +10,40 @@ use wm_motion::actions::ActionSpace;
 
 use super::{Settings, Size, SourceSize, SplitRule};
 
-/// Counts up where prepared folders become unreadable for older code, or the same bags give other frames or actions.
+/// Increases when older code cannot read new folders, or the same bags give other frames or actions.
 pub(super) const VERSION: u32 = 4;
 
-/// What a prepared folder says of itself: `dataset.json`.
+/// The description of a prepared folder: `dataset.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Manifest {
     /// Version of the format.
     pub version: u32,
-    /// Hex SHA-256 of what the folder was made from: contents of the bags, settings, picture size and fit.
+    /// Hex SHA-256 of its inputs: contents of the bags, settings, picture size and fit.
     pub digest: String,
-    /// Size of one camera's picture. A frame is as high, and as many times as wide as there are cameras.
+    /// Size of one camera's picture. Frames have this height, and the width of all cameras together.
     pub size: Size,
-    /// How pictures of another aspect became pictures of this size.
+    /// How pictures of another aspect fit this size.
     #[serde(default, skip_serializing_if = "Fit::is_stretch")]
     pub fit: Fit,
-    /// Sizes of the pictures in the bags; empty if an earlier version prepared the folder.
+    /// Sizes of the pictures in the bags; empty if prepared by an earlier version.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub source_sizes: Vec<SourceSize>,
-    /// Topics of the cameras, without the transport, from the left to the right of a frame.
+    /// Topics of the cameras without transport, left to right.
     pub cameras: Vec<String>,
-    /// Whether there is a mask for each frame.
+    /// Whether each frame has a mask.
     pub has_masks: bool,
-    /// How it was made.
+    /// Settings of the preparation.
     pub settings: Settings,
-    /// How episodes for validation were chosen.
+    /// Rule of the validation split.
     pub split: SplitRule,
-    /// What the actions are.
+    /// Space of the actions.
     pub action_space: ActionSpace,
-    /// The bags that episodes come from.
+    /// The bags of the episodes.
     pub sources: Vec<Source>,
-    /// The episodes, in the order of their frames.
+    /// Episodes by frame.
     pub episodes: Vec<ManifestEpisode>,
-    /// What was left out, and why.
+    /// Excluded data, with reasons.
     pub left_out: Vec<LeftOut>,
 }
 
@@ -51,7 +51,7 @@ pub struct Manifest {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Source {
-    /// The path, as it was given or found.
+    /// Path, as given or found.
     pub bag: PathBuf,
     /// Hex SHA-256 of its files.
     pub digest: String,
@@ -59,13 +59,13 @@ pub struct Source {
     pub held_out: bool,
 }
 
-/// Whether an episode is for training or for validation.
+/// Purpose of an episode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Split {
-    /// A model is fitted to it.
+    /// For fitting.
     Training,
-    /// A model is measured on it.
+    /// For measuring.
     Validation,
 }
 
@@ -73,7 +73,7 @@ pub enum Split {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ManifestEpisode {
-    /// The bag's name, and a number where the bag has several episodes.
+    /// The bag's name, with a number if the bag has several episodes.
     pub name: String,
     /// Index of its bag among the sources.
     pub source: usize,
@@ -83,18 +83,18 @@ pub struct ManifestEpisode {
     pub end_ns: i64,
     /// Number of frames.
     pub frames: usize,
-    /// What it is for.
+    /// Purpose.
     pub split: Split,
     /// The task in words.
     pub instruction: Option<String>,
-    /// Whether the robot did it.
+    /// Whether the task succeeded.
     pub success: Option<bool>,
-    /// What the values of its masks mean.
+    /// Meaning of the mask values.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub labels: BTreeMap<u8, String>,
 }
 
-/// Something that is in no episode.
+/// Data excluded from all episodes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LeftOut {
@@ -102,13 +102,13 @@ pub struct LeftOut {
     pub path: PathBuf,
     /// Stamps of the first and the last frame \[ns\], for a part of a bag.
     pub span_ns: Option<(i64, i64)>,
-    /// How many of what were left out; `None` for a whole folder or bag.
+    /// Number of excluded items; `None` for a whole folder or bag.
     pub count: Option<(u64, Thing)>,
-    /// Why.
+    /// Reason.
     pub reason: String,
 }
 
-/// What was counted.
+/// Kind of excluded items.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Thing {
@@ -147,7 +147,7 @@ impl LeftOut {
 impl fmt::Display for LeftOut {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let path = self.path.display().to_string();
-        // Errors of a bag's reader name its file themselves.
+        // Errors of the bag reader include the path.
         if !self.reason.starts_with(&path) {
             write!(f, "{path}: ")?;
         }
@@ -228,7 +228,7 @@ impl fmt::Display for Manifest {
     }
 }
 
-/// A number of things, in words.
+/// A count with its noun.
 pub(super) fn counted(count: usize, thing: &str) -> String {
     match (count, thing.strip_suffix('y')) {
         (1, _) => format!("1 {thing}"),

@@ -8,15 +8,15 @@ use wm_motion::actions::ActionSpace;
 
 use super::{DatasetError, Size};
 
-/// The topic of actions, unless another one is given.
+/// Default action topic.
 const ACTION: &str = "/wm/action";
-/// Longest time between two frames of an episode, in periods of the model's rate: a frame that is missing is a gap, as for the
-/// nodes, while stamps may jitter.
+/// Longest time between two frames of an episode, in periods of the model's rate: a missing frame is a gap, as in the
+/// nodes, but stamps may jitter.
 const GAP_PERIODS: f64 = 1.75;
-/// Share of the episodes that are kept for validation.
+/// Default share of validation episodes.
 const VALIDATION: f64 = 0.1;
 
-/// What begins a new episode within a recording.
+/// Topic whose change starts a new episode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Cut {
@@ -24,21 +24,21 @@ pub enum Cut {
     Instruction,
 }
 
-/// Which of its times says when a message was made.
+/// The time that dates a message.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StampSource {
     /// The stamp in its header.
     #[default]
     Header,
-    /// When it was recorded.
+    /// The time of recording.
     Log,
-    /// When it was published, as the recorder noted.
+    /// The time of publishing, as recorded.
     Publish,
 }
 
 impl StampSource {
-    /// The time of a message \[ns\].
+    /// Time of a message \[ns\].
     pub(super) fn of(self, stamps: Stamps) -> i64 {
         match self {
             Self::Header => stamps.header_ns,
@@ -57,73 +57,72 @@ const MOST_SHIFT: i64 = 1000;
 
 /// How recordings become episodes: options of the command line, or of a YAML file with the same names.
 ///
-/// An option that is not given is `None` or empty, and has the default that its description names.
+/// An option that is not given is `None` or empty; its description has the default.
 #[derive(Args, Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields, default)]
 pub struct DataOptions {
-    /// YAML file with the options of the data, by the same names without dashes in front. The command line wins
+    /// YAML file with these options, without leading dashes. The command line wins
     #[arg(long, value_name = "FILE")]
     #[serde(skip)]
     pub config: Option<PathBuf>,
-    /// Topic of a camera, raw or compressed (repeatable: pictures of several cameras lie side by side)
-    /// [default: /camera/image_raw, or the only camera]
+    /// Topic of a camera, raw or compressed (repeatable: pictures of several cameras are placed side by side) [default:
+    /// /camera/image_raw, or the only camera]
     #[arg(long = "camera", value_name = "TOPIC")]
     #[serde(rename = "camera", deserialize_with = "one_or_more")]
     pub cameras: Vec<String>,
-    /// Topic of the actions: wm_msgs/Action, or sensor_msgs/JointState whose joints the action space names
-    /// [default: /wm/action]
+    /// Topic of the actions: wm_msgs/Action, or sensor_msgs/JointState with the joints of the action space [default:
+    /// /wm/action]
     #[arg(long, value_name = "TOPIC", visible_alias = "action")]
     pub action_topic: Option<String>,
-    /// Action space: a JSON or YAML file with name, rate in Hz and 1 to 32 dimensions, like "space" in model.json, or the
-    /// action_space.json of a prepared folder [default: that of the bags]
+    /// Action space: a JSON or YAML file with name, rate in Hz and 1 to 32 dimensions, like "space" in model.json, or
+    /// the action_space.json of a prepared folder [default: that of the bags]
     #[arg(long, value_name = "FILE")]
     pub action_space: Option<PathBuf>,
-    /// Time that says when frames were taken and actions made: the stamp in the header, or when the message was recorded or
-    /// published, for drivers that do not stamp [default: header]
+    /// Time that dates frames and actions: the stamp in the header, or the time of recording or publishing, for drivers
+    /// without stamps [default: header]
     #[arg(long, value_enum, value_name = "TIME")]
     pub stamps: Option<StampSource>,
-    /// Move each action N frames later (or earlier, if N is negative): N is the number of frames by which the pictures lag
-    /// the actions, as the audit reports it [default: 0]
+    /// Move each action N frames later (earlier if negative); N is the lag of the pictures in the audit [default: 0]
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     pub shift_actions: Option<i64>,
-    /// Begin a new episode where this changes (repeatable)
+    /// Begin a new episode when this changes (repeatable)
     #[arg(long, value_enum)]
     #[serde(deserialize_with = "one_or_more")]
     pub cut: Vec<Cut>,
-    /// Begin a new episode after each message of this topic, of whatever type (repeatable)
+    /// Begin a new episode after each message of this topic, of any type (repeatable)
     #[arg(long, value_name = "TOPIC")]
     #[serde(deserialize_with = "one_or_more")]
     pub cut_topic: Vec<String>,
     /// Begin a new episode after this many seconds
     #[arg(long, value_name = "SECONDS")]
     pub cut_seconds: Option<f64>,
-    /// Begin a new episode where the camera has no frame for more than this many periods of the action space's rate
+    /// Begin a new episode if the camera has no frame for more than this many periods of the action space's rate
     /// [default: 1.75]
     #[arg(long, value_name = "PERIODS")]
     pub gap_periods: Option<f64>,
-    /// Leave out episodes of fewer seconds [default: 0]
+    /// Exclude episodes of fewer seconds [default: 0]
     #[arg(long, value_name = "SECONDS")]
     pub min_seconds: Option<f64>,
-    /// Bags or prepared folders whose episodes are for validation (repeatable); all others are then for training. Bags in
-    /// the folders to train on may be named here
+    /// Bags or prepared folders with the validation episodes (repeatable); all others are for training. Bags in the
+    /// training folders may be named too
     #[arg(long, value_name = "PATH")]
     #[serde(deserialize_with = "one_or_more")]
     pub held_out: Vec<PathBuf>,
-    /// Share of the episodes that are for validation, from 0 to 1 [default: 0.1]
+    /// Share of the validation episodes, from 0 to 1 [default: 0.1]
     #[arg(long, value_name = "SHARE")]
     pub validation: Option<f64>,
-    /// Seed of the choice of the episodes for validation [default: 0]
+    /// Seed of the choice of validation episodes [default: 0]
     #[arg(long, value_name = "SEED")]
     pub validation_seed: Option<u64>,
-    /// Height and width of a camera's prepared pictures. A training ignores it, since its model says what it takes.
+    /// Height and width of a camera's prepared pictures. Training ignores it: the model specifies its own.
     #[arg(skip)]
     pub size: Option<Size>,
-    /// How prepared pictures of another aspect become pictures of this size. A training ignores it, as the size.
+    /// How pictures of another aspect fit the size. Training ignores it, as the size.
     #[arg(skip)]
     pub fit: Option<Fit>,
 }
 
-/// A list, or one value that stands for a list of it.
+/// A list, or a single value as a list of one.
 fn one_or_more<'de, D: Deserializer<'de>, T: Deserialize<'de>>(
     deserializer: D,
 ) -> Result<Vec<T>, D::Error> {
@@ -139,25 +138,25 @@ fn one_or_more<'de, D: Deserializer<'de>, T: Deserialize<'de>>(
     })
 }
 
-/// The options that decide what is in a prepared folder, with their defaults.
+/// Options that determine the contents of a prepared folder, with defaults.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Settings {
-    /// Topics of the cameras that are asked for; empty for the usual one.
+    /// Requested camera topics; empty for the default.
     pub cameras: Vec<String>,
     /// Topic of the actions.
     pub action_topic: String,
-    /// What the actions are, if not what the bags say.
+    /// Space of the actions, if not that of the bags.
     pub action_space: Option<ActionSpace>,
-    /// Which time of a message counts.
+    /// The time that dates messages.
     #[serde(default, skip_serializing_if = "StampSource::is_default")]
     pub stamps: StampSource,
-    /// Frames by which actions are moved later.
+    /// Frames by which actions move later.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub shift_actions: i64,
-    /// What begins an episode where it changes.
+    /// Topics whose change starts an episode.
     pub cut: Vec<Cut>,
-    /// Topics whose messages begin an episode.
+    /// Topics whose messages start an episode.
     pub cut_topics: Vec<String>,
     /// Longest episode \[s\].
     pub cut_seconds: Option<f64>,
@@ -171,7 +170,7 @@ fn is_zero(number: &i64) -> bool {
     *number == 0
 }
 
-/// Which episodes are for validation.
+/// Choice of the validation episodes.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SplitRule {
@@ -191,17 +190,16 @@ impl Default for SplitRule {
 }
 
 impl DataOptions {
-    /// These options, and those of the file `--config` where these say nothing. A relative path in the file starts at the
-    /// file's folder.
+    /// Adds the options of the `--config` file where these have none. Relative paths in it start at its folder.
     ///
     /// # Errors
-    /// When the file cannot be read, or has an option that does not exist.
+    /// If the file cannot be read, or has an unknown option.
     pub fn with_config(&self) -> Result<Self, DatasetError> {
         let Some(path) = &self.config else {
             return Ok(self.clone());
         };
         let text = std::fs::read_to_string(path).map_err(DatasetError::io(path))?;
-        // An empty file says nothing, and is no error.
+        // An empty file has no options.
         let file: Option<Self> =
             serde_yaml_ng::from_str(&text).map_err(|error| DatasetError::file(path, error))?;
         let mut file = file.unwrap_or_default();
@@ -232,7 +230,7 @@ impl DataOptions {
         })
     }
 
-    /// What they ask for, checked; to be called on what [`Self::with_config`] gives.
+    /// Checked settings; call it after [`Self::with_config`].
     pub(super) fn settings(&self) -> Result<Settings, DatasetError> {
         let positive = |option, value: f64, least: f64| {
             if value.is_finite() && value >= least {
@@ -282,7 +280,7 @@ impl DataOptions {
         })
     }
 
-    /// The action space of `--action-space`. YAML is read, and with it JSON.
+    /// The action space of `--action-space`, in YAML, which includes JSON.
     pub(super) fn space(&self) -> Result<Option<ActionSpace>, DatasetError> {
         let Some(path) = &self.action_space else {
             return Ok(None);
@@ -308,7 +306,7 @@ impl DataOptions {
         })
     }
 
-    /// The first option that is given and says how bags are prepared, which has no effect on what is prepared already.
+    /// The first bag option, which has no effect on prepared data.
     pub(super) fn of_preparation(&self) -> Option<&'static str> {
         let given = [
             (!self.cameras.is_empty(), "--camera"),

@@ -1,5 +1,4 @@
-//! From bags to a prepared folder: a first reading of every bag finds the episodes, a second one decodes their frames
-//! straight into the file.
+//! Prepares bags: a first pass over every bag finds the episodes, a second one decodes their frames into the file.
 
 mod bags;
 mod frames;
@@ -16,18 +15,18 @@ use super::{
     cutting::Draft,
     fingerprint::{fingerprint, hex},
     manifest::{LeftOut, ManifestEpisode, Source, Split, VERSION},
-    recording::Broken,
-    search::Found,
+    recording::BrokenPictures,
+    search::FoundBags,
     source_sizes::source_sizes,
     split::split,
     statistics::DataStatistics,
     store::{Folder, NewFolder},
 };
 use bags::Survey;
-use frames::Decoded;
+use frames::DecodedFrames;
 pub(super) use frames::shrink;
 
-/// What is to be prepared, and how.
+/// Inputs and settings of a prepared folder.
 pub(super) struct Preparation {
     sources: Vec<Source>,
     left_out: Vec<LeftOut>,
@@ -39,27 +38,27 @@ pub(super) struct Preparation {
 }
 
 /// A bag's part in a data set.
-pub(super) struct Planned {
+pub(super) struct BagPlan {
     /// Index of the bag among the sources.
     pub source: usize,
     /// Topics of its pictures: cameras, then masks.
     pub topics: Vec<String>,
     pub episodes: Vec<Draft>,
-    /// What the robot does, for the audit.
+    /// Motion of the robot, for the audit.
     pub actions: ActionTrack,
     /// Index of its findings in the plan.
     pub findings: usize,
 }
 
 impl Preparation {
-    /// Of the bags for training, of which some become validation, and of those that are for validation in any case; the
-    /// pictures of a camera have `size`, and become so by `fit`.
+    /// Plans bags for training (some become validation) and bags for validation; a camera's pictures get `size` by
+    /// `fit`.
     ///
     /// # Errors
-    /// When a file cannot be read, or a bag is given for both.
+    /// If a file cannot be read, or a bag is given for both.
     pub fn new(
-        training: Found,
-        held_out: Found,
+        training: FoundBags,
+        held_out: FoundBags,
         settings: Settings,
         (size, fit): (Size, Fit),
         split: SplitRule,
@@ -88,7 +87,7 @@ impl Preparation {
         }
         let mut hash = Sha256::new();
         hash.update(format!("{VERSION} {size} {fit}\n"));
-        // Settings are numbers, lists and texts, which JSON can always hold.
+        // Settings are numbers, lists and texts: JSON cannot fail.
         hash.update(serde_json::to_vec(&settings).unwrap_or_default());
         for source in &sources {
             let name = source.bag.file_name().unwrap_or_default();
@@ -108,41 +107,41 @@ impl Preparation {
         })
     }
 
-    /// Hex SHA-256 of all that decides frames and actions.
+    /// Hex SHA-256 of all inputs that determine frames and actions.
     pub fn digest(&self) -> &str {
         &self.digest
     }
 
-    /// Prepares the folder `dir`, which appears when all is in it.
+    /// Writes the folder `dir`, which appears when complete.
     ///
     /// # Errors
-    /// When `dir` exists, bags are of different robots, nothing can be used, or a file cannot be read or written.
+    /// If `dir` exists, bags are of different robots, nothing is usable, or a file cannot be read or written.
     pub fn write(self, dir: &Path) -> Result<(), DatasetError> {
         if dir.exists() {
             return Err(DatasetError::Exists(dir.to_owned()));
         }
         let survey = Survey::of(&self.sources, &self.settings)?;
-        let mut broken: Vec<Broken> = vec![Broken::default(); self.sources.len()];
+        let mut broken: Vec<BrokenPictures> = vec![BrokenPictures::default(); self.sources.len()];
         loop {
             let plan = survey.plan(&self.sources, &self.settings, &broken)?;
             let folder = NewFolder::create(dir)?;
             let (mut manifest, actions) = self.manifest(&plan);
             let found = frames::write(&plan.bags, &survey.readers, &manifest, &folder)?;
             manifest.source_sizes = source_sizes(&found.sizes, &manifest.cameras);
-            if found.broken.iter().all(Broken::is_empty) {
+            if found.broken.iter().all(BrokenPictures::is_empty) {
                 folder.write_audit(&audit(&plan, &manifest, &found))?;
                 folder.write_actions(&actions)?;
                 folder.write_statistics(&statistics(&manifest, &actions)?)?;
                 return folder.finish(&manifest);
             }
-            // Now that it is known which pictures cannot be decoded, episodes are cut without them.
+            // Cut episodes again without the undecodable pictures.
             for (broken, found) in broken.iter_mut().zip(found.broken) {
                 broken.extend(found);
             }
         }
     }
 
-    /// What the folder will say of itself, and what the robot does from each frame to the next.
+    /// The manifest, and the motion from each frame to the next.
     fn manifest(&self, plan: &bags::Plan) -> (Manifest, Vec<Vec<f32>>) {
         let mut episodes = Vec::new();
         let mut identities = Vec::new();
@@ -152,6 +151,7 @@ impl Preparation {
                 continue;
             };
             for (number, draft) in bag.episodes.iter().enumerate() {
+                // Bags are paths to files or folders: they have names.
                 let stem = source.bag.file_stem().unwrap_or_default().to_string_lossy();
                 let name = if bag.episodes.len() == 1 {
                     stem.into_owned()
@@ -176,7 +176,7 @@ impl Preparation {
         }
         let has_held_out = self.sources.iter().any(|source| source.held_out);
         let rule = SplitRule {
-            // Those that are given are enough.
+            // Validation bags need no further share.
             validation: if has_held_out {
                 0.0
             } else {
@@ -192,6 +192,7 @@ impl Preparation {
         let mut splits = split(&free, rule).into_iter();
         for (episode, (held_out, _)) in episodes.iter_mut().zip(&identities) {
             if !held_out {
+                // `splits` has one entry per free episode.
                 episode.split = splits.next().unwrap_or(Split::Training);
             }
         }
@@ -216,13 +217,13 @@ impl Preparation {
     }
 }
 
-/// What an episode is, wherever its bag lies and whatever else there is.
+/// Identity of an episode, independent of the bag's location and of other bags.
 pub(super) fn identity(source: &Source, begin_ns: i64) -> String {
     format!("{} {begin_ns}", source.digest)
 }
 
-/// The audit of each bag, and of all episodes together.
-fn audit(plan: &bags::Plan, manifest: &Manifest, decoded: &Decoded) -> Audit {
+/// The audit of each bag and of all episodes.
+fn audit(plan: &bags::Plan, manifest: &Manifest, decoded: &DecodedFrames) -> Audit {
     let space = &plan.space;
     let drafts = plan.bags.iter().flat_map(|bag| &bag.episodes);
     let listed = drafts.zip(&manifest.episodes).zip(&decoded.changes);
@@ -244,7 +245,7 @@ fn audit(plan: &bags::Plan, manifest: &Manifest, decoded: &Decoded) -> Audit {
     for bag in &plan.bags {
         let pictures = decoded.videos.get(bag.source).into_iter().flatten();
         let found = pictures.flat_map(|pictures| bag.actions.check_pictures(pictures));
-        // Missing frames were found by the packets' stamps.
+        // The stamps of the packets already showed missing frames.
         let found = found.filter(|finding| finding.check != "dropped");
         if let Some(of_bag) = findings.get_mut(bag.findings) {
             of_bag.findings.extend(found);

@@ -3,7 +3,7 @@ use std::{
     sync::Arc,
 };
 
-use wm_audit::{ActionTrack, Finding, JOINTS_TOPIC, POSE_TOPICS, Recorded, Stamps, StateLog};
+use wm_audit::{ActionTrack, Finding, JOINTS_TOPIC, POSE_TOPICS, RecordedTopics, Stamps, StateLog};
 use wm_bag::{BagError, BagMessage, BagReader, TopicInfo};
 use wm_camera::transport::base;
 use wm_motion::actions::ActionSpace;
@@ -28,22 +28,22 @@ use super::{
 const INSTRUCTION: &str = "/task/instruction";
 const SUCCESS: &str = "/task/success";
 const LABELS: &str = "/camera/mask/label_info";
-/// A camera whose size changes more often than this, and more often than every tenth picture, is two cameras.
+/// More size changes than this, and than every tenth picture, mean two cameras.
 const MOST_RESIZES: usize = 16;
 
-/// The pictures of a topic, of which only the times are kept.
+/// The times of a topic's pictures.
 #[derive(Debug)]
 pub(super) struct Stream {
     pub topic: String,
-    /// In increasing order of stamps.
+    /// By ascending stamp.
     pub pictures: Vec<Picture>,
-    /// Pictures that were not later than the one before.
+    /// Pictures with a stamp not above the previous one.
     unordered: u64,
     /// Width and height of the last picture \[px\].
     size: Option<(u32, u32)>,
-    /// How often the size changed.
+    /// Number of size changes.
     resizes: usize,
-    /// Pictures of a video before its first keyframe.
+    /// Pictures of a video earlier than its first keyframe.
     before_keyframe: u64,
 }
 
@@ -54,42 +54,42 @@ pub(super) struct Picture {
     pub logged_ns: u64,
 }
 
-/// All of a bag but its pictures. Where something came between pictures, its place is the number of pictures of the first
-/// camera before it: the order of recording is known even where clocks differ.
+/// A bag without its pictures. Positions of other messages are the number of earlier pictures of the first camera: the
+/// recording order is known even if clocks differ.
 #[derive(Debug)]
 pub(super) struct Recording {
-    /// Of each camera, and of the masks where there are any.
+    /// Cameras, and masks if any.
     pub streams: Vec<Stream>,
     pub has_masks: bool,
     pub actions: ActionLog,
     pub action_topic: String,
     pub instructions: Vec<(usize, String)>,
     pub successes: Vec<(usize, bool)>,
-    /// What the masks' values mean.
+    /// Meaning of the mask values.
     pub labels: Vec<(usize, BTreeMap<u8, String>)>,
-    /// Where a message of a `--cut-topic` came.
+    /// Positions of messages of a `--cut-topic`.
     pub cuts: Vec<usize>,
-    /// Whether the bag has one of these topics.
+    /// Whether the bag has such a topic.
     pub has_cut_topic: bool,
-    /// What is wrong with messages: how many, and what with the first.
+    /// Invalid messages: count, kind and the first fault.
     pub complaints: Vec<(u64, Thing, String)>,
     /// Stamps and pictures, for the audit.
-    pub recorded: Recorded,
-    /// The state of the arm, for the audit.
+    pub recorded: RecordedTopics,
+    /// State of the arm, for the audit.
     pub state: StateLog,
 }
 
-/// Why a bag gives nothing.
+/// An unusable bag.
 #[derive(Debug)]
-pub(super) enum Unusable {
-    /// It lacks something, and is left out.
+pub(super) enum UnusableBag {
+    /// It lacks something, and is excluded.
     Lacks(String),
-    /// It is of another robot than it says.
+    /// Its robot differs from its description.
     Differs(String),
 }
 
-impl Unusable {
-    /// The same in other words.
+impl UnusableBag {
+    /// Changes the text.
     fn map(self, words: impl FnOnce(String) -> String) -> Self {
         match self {
             Self::Lacks(what) => Self::Lacks(words(what)),
@@ -98,16 +98,16 @@ impl Unusable {
     }
 }
 
-/// Pictures that cannot be decoded.
+/// Undecodable pictures.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Broken {
+pub(super) struct BrokenPictures {
     /// Topic and stamp \[ns\].
     pictures: BTreeSet<(String, i64)>,
-    /// Why not, for the first picture of each topic.
+    /// Fault of the first picture, by topic.
     reasons: BTreeMap<String, String>,
 }
 
-impl Broken {
+impl BrokenPictures {
     pub fn insert(&mut self, topic: &str, stamp_ns: i64, reason: impl FnOnce() -> String) {
         self.pictures.insert((topic.to_owned(), stamp_ns));
         if !self.reasons.contains_key(topic) {
@@ -123,7 +123,7 @@ impl Broken {
         self.pictures.is_empty()
     }
 
-    /// Takes the pictures of another decoding; reasons that are known stay.
+    /// Adds other pictures; known reasons stay.
     pub fn extend(&mut self, other: Self) {
         self.pictures.extend(other.pictures);
         for (topic, reason) in other.reasons {
@@ -131,7 +131,7 @@ impl Broken {
         }
     }
 
-    /// The reasons, each with its topic.
+    /// The reasons with their topics.
     fn reasons(&self) -> String {
         let reasons = self.reasons.iter();
         let reasons = reasons.map(|(topic, reason)| format!("{topic}: {reason}"));
@@ -140,16 +140,16 @@ impl Broken {
 }
 
 impl Recording {
-    /// Reads a bag once, and keeps none of its pictures; those in `broken` are left out.
+    /// Reads a bag once without keeping its pictures; skips those in `broken`.
     pub fn read(
         reader: &BagReader,
         settings: &Settings,
         space: &ActionSpace,
-        broken: &Broken,
-    ) -> Result<Self, Unusable> {
-        let topics = cameras(reader, &settings.cameras).map_err(Unusable::Lacks)?;
+        broken: &BrokenPictures,
+    ) -> Result<Self, UnusableBag> {
+        let topics = cameras(reader, &settings.cameras).map_err(UnusableBag::Lacks)?;
         let action_topic = settings.action_topic.as_str();
-        check_actions(reader, action_topic).map_err(Unusable::Lacks)?;
+        check_actions(reader, action_topic).map_err(UnusableBag::Lacks)?;
         let mut streams: Vec<Stream> = topics.iter().map(|topic| Stream::new(topic)).collect();
         let has_messages = |name: &str| reader.topic(name).is_some_and(|t| t.message_count > 0);
         let is_masked = |topics: &[String]| matches!(topics, [only] if base(only) == CAMERA);
@@ -158,7 +158,7 @@ impl Recording {
             streams.push(Stream::new(MASK));
         }
         let views = topics.iter().map(String::as_str);
-        let recorded = Recorded::new(views, action_topic);
+        let recorded = RecordedTopics::new(views, action_topic);
         let state_topics = state_topics(reader, action_topic);
         let mut recording = Self {
             recorded,
@@ -174,7 +174,7 @@ impl Recording {
             has_cut_topic: settings.cut_topics.iter().any(|name| has_messages(name)),
             complaints: Vec::new(),
         };
-        // By topic: how many, and what is wrong with the first.
+        // Count and first fault, by topic.
         let mut unreadable: BTreeMap<Option<Arc<str>>, (u64, String)> = BTreeMap::new();
         let mut skipped = 0;
         let mut spans = Spans::of(reader);
@@ -187,7 +187,7 @@ impl Recording {
         for message in messages {
             let topic = message.as_ref().ok().map(|m| Arc::clone(&m.topic));
             let read = message
-                .map_err(|error| Unusable::Lacks(error.to_string()))
+                .map_err(|error| UnusableBag::Lacks(error.to_string()))
                 .and_then(|message| {
                     if spans.begins(message.log_time_ns) {
                         recording.cut();
@@ -204,20 +204,23 @@ impl Recording {
             match read {
                 Ok(true) => {}
                 Ok(false) => skipped += 1,
-                Err(Unusable::Lacks(what)) => {
+                Err(UnusableBag::Lacks(what)) => {
                     unreadable.entry(topic).or_insert((0, what)).0 += 1;
                 }
                 Err(other) => return Err(other),
             }
         }
-        recording.actions.sort(space).map_err(Unusable::Differs)?;
+        recording
+            .actions
+            .sort(space)
+            .map_err(UnusableBag::Differs)?;
         for (count, first) in unreadable.into_values() {
             recording
                 .complaints
                 .push((count, Thing::Message, format!("cannot be read: {first}")));
         }
         if spans.doubled > 0 {
-            let what = "the recorder's clock was set back, so that their true order is unknown";
+            let what = "the recorder's clock was set back, so their order is unknown";
             recording
                 .complaints
                 .push((spans.doubled, Thing::Message, what.to_owned()));
@@ -229,18 +232,18 @@ impl Recording {
         recording.finish(settings)
     }
 
-    /// Begins an episode with the next picture.
+    /// Starts an episode at the next picture.
     fn cut(&mut self) {
         self.cuts.push(self.place());
     }
 
-    /// Number of the next picture of the first camera.
+    /// Index of the first camera's next picture.
     fn place(&self) -> usize {
         self.streams.first().map_or(0, |main| main.pictures.len())
     }
 
-    /// Takes a message with the arm's state, which the audit alone needs.
-    fn take_state(&mut self, message: &BagMessage, settings: &Settings) -> Result<(), Unusable> {
+    /// Adds a message with the arm's state, for the audit.
+    fn take_state(&mut self, message: &BagMessage, settings: &Settings) -> Result<(), UnusableBag> {
         let recorded = &mut self.recorded;
         let at_ns = |header_ns| {
             let stamps = Stamps::of_bag(message, header_ns);
@@ -248,21 +251,21 @@ impl Recording {
             settings.stamps.of(stamps)
         };
         let taken = self.state.take(message, at_ns);
-        taken.map_err(|error| Unusable::Lacks(error.to_string()))
+        taken.map_err(|error| UnusableBag::Lacks(error.to_string()))
     }
 
-    /// Takes a message; `false` for a picture that is known to be broken.
+    /// Adds a message; `false` for a picture known to be broken.
     fn take(
         &mut self,
         message: &BagMessage,
         settings: &Settings,
         space: &ActionSpace,
-        broken: &Broken,
-    ) -> Result<bool, Unusable> {
+        broken: &BrokenPictures,
+    ) -> Result<bool, UnusableBag> {
         let topic = &*message.topic;
         let place = self.place();
         let at = |what: String| format!("{topic} at {} ns: {what}", message.log_time_ns);
-        let lacks = |error: BagError| Unusable::Lacks(at(error.to_string()));
+        let lacks = |error: BagError| UnusableBag::Lacks(at(error.to_string()));
         if settings.cut_topics.iter().any(|name| name == topic) {
             self.cuts.push(place);
         }
@@ -286,24 +289,25 @@ impl Recording {
         if topic == LABELS && *message.type_name == LabelInfo::ros_name() {
             let labels: LabelInfo = message.decode().map_err(lacks)?;
             let classes = labels.class_map.into_iter();
-            // A mask has a byte a pixel.
+            // A mask has one byte per pixel.
             let classes = classes
                 .filter_map(|class| Some((class.class_id.try_into().ok()?, class.class_name)));
             self.labels.push((place, classes.collect()));
         }
         let stream = self.streams.iter_mut().enumerate();
         if let Some((view, stream)) = stream.into_iter().find(|(_, s)| s.topic == topic) {
-            let frame = CameraMessage::of_bag(message).map_err(|what| Unusable::Lacks(at(what)))?;
+            let frame =
+                CameraMessage::of_bag(message).map_err(|what| UnusableBag::Lacks(at(what)))?;
             let stamps = Stamps::of_bag(message, frame.header().stamp.to_nanos());
             let stamp_ns = settings.stamps.of(stamps);
             if broken.contains(topic, stamp_ns) {
                 return Ok(false);
             }
             if stream.pictures.is_empty() {
-                // A format that no picture of the topic escapes is reported before hours of decoding.
+                // Reports unsupported formats now rather than after hours of decoding.
                 frame
                     .check_format()
-                    .map_err(|what| Unusable::Lacks(at(what)))?;
+                    .map_err(|what| UnusableBag::Lacks(at(what)))?;
                 if !frame.begins() {
                     stream.before_keyframe += 1;
                     return Ok(true);
@@ -322,7 +326,7 @@ impl Recording {
         Ok(true)
     }
 
-    fn finish(mut self, settings: &Settings) -> Result<Self, Unusable> {
+    fn finish(mut self, settings: &Settings) -> Result<Self, UnusableBag> {
         if settings.stamps == StampSource::Header {
             self.expect_usable_stamps()?;
         }
@@ -332,7 +336,7 @@ impl Recording {
                     "the size of the pictures on {} changes {} times: expected one camera on this topic",
                     stream.topic, stream.resizes
                 );
-                return Err(Unusable::Lacks(what));
+                return Err(UnusableBag::Lacks(what));
             }
         }
         for stream in &self.streams {
@@ -343,8 +347,8 @@ impl Recording {
                     .find(|(_, _, what)| what.contains(&stream.topic))
                     .or_else(|| why.clone().next());
                 let why = why.map_or(String::new(), |(_, _, what)| format!(" ({what})"));
-                let what = format!("no camera: no frame on {} can be used{why}", stream.topic);
-                return Err(Unusable::Lacks(what));
+                let what = format!("no camera: no usable frame on {}{why}", stream.topic);
+                return Err(UnusableBag::Lacks(what));
             }
             if stream.before_keyframe > 0 {
                 let what = format!("come before the first keyframe on {}", stream.topic);
@@ -362,7 +366,7 @@ impl Recording {
         }
         if let Some((count, first)) = self.actions.implausible() {
             let what = format!(
-                "implausible, left out with the frames around them: {} {first}",
+                "implausible, excluded with the frames around them: {} {first}",
                 self.action_topic
             );
             self.complaints.push((count as u64, Thing::Action, what));
@@ -382,18 +386,18 @@ impl Recording {
             if self.actions.implausible().is_some() {
                 what += "; describe positions, or values in another unit, with --action-space FILE";
             }
-            return Err(Unusable::Lacks(what));
+            return Err(UnusableBag::Lacks(what));
         }
         Ok(self)
     }
 
-    /// Refuses stamps that are all 0, or all the same: they would leave one frame of a recording.
-    fn expect_usable_stamps(&self) -> Result<(), Unusable> {
+    /// Rejects stamps that are all equal: they would leave one frame of a recording.
+    fn expect_usable_stamps(&self) -> Result<(), UnusableBag> {
         let cameras = self.recorded.cameras.iter().map(|camera| &camera.clocks);
         let mut clocks = cameras.chain([&self.recorded.actions]);
         let unusable = clocks.find_map(|clocks| clocks.unusable());
         unusable.map_or(Ok(()), |unusable| {
-            Err(Unusable::Lacks(format!(
+            Err(UnusableBag::Lacks(format!(
                 "{unusable}; choose another time: --stamps log (of recording) or --stamps publish"
             )))
         })
@@ -407,7 +411,7 @@ impl Recording {
         findings
     }
 
-    /// The cameras without their transports.
+    /// Cameras without their transports.
     pub fn cameras(&self) -> Vec<String> {
         let cameras = self.streams.iter().take(self.views());
         cameras.map(|s| base(&s.topic).to_owned()).collect()
@@ -419,7 +423,7 @@ impl Recording {
     }
 }
 
-/// The topics with the arm's state that the bag has, but for that of the actions.
+/// Topics with the arm's state, except the action topic.
 fn state_topics(reader: &BagReader, action_topic: &str) -> Vec<&'static str> {
     let has = |name: &&str| {
         reader.topic(name).is_some_and(|topic| {
@@ -474,9 +478,9 @@ impl Stream {
         }
     }
 
-    /// Whether the next picture has another size than the one before.
+    /// Whether the size differs from the previous picture's.
     fn resize(&mut self, size: Option<(u32, u32)>) -> bool {
-        // A size that is not known is found out by the decoder.
+        // The decoder finds unknown sizes.
         let Some(size) = size else { return false };
         let before = self.size.replace(size);
         let is_other = before.is_some_and(|before| before != size);
@@ -496,7 +500,7 @@ impl Stream {
         }
     }
 
-    /// The picture that is nearest to a moment, at most `most_ns` from it.
+    /// The picture nearest to a time, at most `most_ns` from it.
     pub fn nearest(&self, stamp_ns: i64, most_ns: i64) -> Option<Picture> {
         let after = self.pictures.partition_point(|p| p.stamp_ns < stamp_ns);
         let near = self.pictures.get(after.saturating_sub(1)..)?.iter().take(2);

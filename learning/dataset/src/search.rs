@@ -6,22 +6,20 @@ use std::{
 
 use super::{DatasetError, manifest::LeftOut, store};
 
-/// How deep bags are looked for: folders of folders, and no whole disk.
+/// Greatest depth of the search: nested folders, but not a whole disk.
 const DEPTH: usize = 5;
-const NO_BAG: &str =
-    "no bag in it: expected metadata.yaml, or .mcap or .db3 files, compressed or not";
+const NO_BAG: &str = "no bag: expected metadata.yaml, or .mcap or .db3 files, compressed or not";
 
-/// The bags under some paths, and the folders without any.
+/// Bags under some paths, and folders without bags.
 #[derive(Debug, Default)]
-pub(super) struct Found {
+pub(super) struct FoundBags {
     pub bags: Vec<PathBuf>,
     pub left_out: Vec<LeftOut>,
 }
 
-/// All bags at or under `paths`, in order of their names: folders with `metadata.yaml`, and MCAP or sqlite3 files in other
-/// folders.
-pub(super) fn find(paths: &[PathBuf]) -> Result<Found, DatasetError> {
-    let mut found = Found::default();
+/// All bags at or under `paths`, by name: folders with `metadata.yaml`, and MCAP or sqlite3 files in other folders.
+pub(super) fn find(paths: &[PathBuf]) -> Result<FoundBags, DatasetError> {
+    let mut found = FoundBags::default();
     for path in paths {
         let before = found.bags.len();
         if is_bag(path) {
@@ -48,8 +46,11 @@ pub(super) fn find(paths: &[PathBuf]) -> Result<Found, DatasetError> {
     Ok(found)
 }
 
-/// The bags under `paths` that are not among those under `held_out`.
-pub(super) fn find_others(paths: &[PathBuf], held_out: &[PathBuf]) -> Result<Found, DatasetError> {
+/// The bags under `paths` that are not under `held_out`.
+pub(super) fn find_others(
+    paths: &[PathBuf],
+    held_out: &[PathBuf],
+) -> Result<FoundBags, DatasetError> {
     let mut found = find(paths)?;
     let held: BTreeSet<PathBuf> = find(held_out)?.bags.iter().map(|bag| whole(bag)).collect();
     found.bags.retain(|bag| !held.contains(&whole(bag)));
@@ -61,7 +62,7 @@ pub(super) fn find_others(paths: &[PathBuf], held_out: &[PathBuf]) -> Result<Fou
     Ok(found)
 }
 
-/// A path that is the same however the bag was found.
+/// A canonical path.
 fn whole(bag: &Path) -> PathBuf {
     bag.canonicalize().unwrap_or_else(|_| bag.to_owned())
 }
@@ -74,8 +75,8 @@ fn is_bag(path: &Path) -> bool {
     }
 }
 
-/// Whether there was a bag in it.
-fn search(folder: &Path, depth: usize, found: &mut Found) -> Result<bool, DatasetError> {
+/// Whether the folder has a bag.
+fn search(folder: &Path, depth: usize, found: &mut FoundBags) -> Result<bool, DatasetError> {
     let mut entries = Vec::new();
     for entry in fs::read_dir(folder).map_err(DatasetError::io(folder))? {
         entries.push(entry.map_err(DatasetError::io(folder))?.path());
@@ -99,14 +100,14 @@ fn search(folder: &Path, depth: usize, found: &mut Found) -> Result<bool, Datase
         } else if store::is_prepared(path) {
             "a prepared data set; give its own path to use it".to_owned()
         } else if depth == 0 {
-            format!("bags are looked for {DEPTH} folders deep")
+            format!("the search for bags is limited to {DEPTH} folders")
         } else {
             let before = found.left_out.len();
             if search(path, depth - 1, found)? {
                 has_bags = true;
                 continue;
             }
-            // One name for all folders in it, but for those of which there is more to say.
+            // One entry for all folders in it, except those with another reason.
             let mut inner = found.left_out.split_off(before);
             inner.retain(|left| left.reason != NO_BAG);
             found.left_out.append(&mut inner);

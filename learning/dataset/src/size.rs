@@ -2,7 +2,7 @@ use std::{fmt, str::FromStr};
 
 use serde::{Deserialize, Serialize};
 
-/// Largest side of a picture that is prepared.
+/// Largest side of a prepared picture.
 const MOST: usize = 4096;
 
 /// Height and width of a picture in pixels, written `128x128`.

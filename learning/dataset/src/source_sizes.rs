@@ -1,4 +1,4 @@
-//! The sizes of the pictures in the bags, and whether pictures that are prepared fit what a model takes.
+//! Sizes of the pictures in the bags, and whether prepared pictures suit a model.
 
 use std::{collections::BTreeMap, path::Path};
 
@@ -7,22 +7,22 @@ use wm_model::{Fit, PictureSize};
 
 use crate::{DatasetError, Manifest, Size};
 
-/// How many of a camera's pictures have one size.
+/// Number of a camera's pictures with one size.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SourceSize {
-    /// The camera's topic, without the transport.
+    /// Topic of the camera, without transport.
     pub camera: String,
     /// Size of the pictures in the bags.
     pub size: PictureSize,
-    /// How many pictures have it.
+    /// Number of pictures.
     pub pictures: u64,
 }
 
-/// Pictures by the index of their camera and their size.
+/// Number of pictures by camera index and size.
 pub(crate) type SizeCounts = BTreeMap<(usize, PictureSize), u64>;
 
-/// The sizes, by camera.
+/// Sizes by camera.
 pub(crate) fn source_sizes(counts: &SizeCounts, cameras: &[String]) -> Vec<SourceSize> {
     let named = counts.iter().filter_map(|((view, size), pictures)| {
         Some(SourceSize {
@@ -45,7 +45,7 @@ impl From<Size> for PictureSize {
 }
 
 impl Manifest {
-    /// The size of all pictures in the bags; `None` if there are several, or it was not recorded.
+    /// Size of all pictures in the bags; `None` if it varies, or was not recorded.
     #[must_use]
     pub fn picture_size(&self) -> Option<PictureSize> {
         let first = self.source_sizes.first()?.size;
@@ -53,7 +53,7 @@ impl Manifest {
         self.source_sizes.iter().all(is_first).then_some(first)
     }
 
-    /// Each camera with pictures of several sizes, in words.
+    /// Descriptions of cameras with pictures of several sizes.
     pub(crate) fn mixed_sizes(&self) -> Vec<String> {
         let of_camera = |camera: &String| {
             let own = self.source_sizes.iter().filter(|s| s.camera == *camera);
@@ -61,7 +61,7 @@ impl Manifest {
                 .map(|s| format!("{} ({} pictures)", s.size, s.pictures))
                 .collect();
             let text = format!(
-                "{camera} has pictures of several sizes: {}; each is prepared by itself (fit {}), so that the model sees \
+                "{camera} has pictures of several sizes: {}; each is prepared separately (fit {}), so the model sees \
                  the scene at several scales",
                 own.join(", "),
                 self.fit
@@ -71,11 +71,11 @@ impl Manifest {
         self.cameras.iter().filter_map(of_camera).collect()
     }
 
-    /// Refuses prepared pictures that show another part of the camera's than pictures of `size` with this fit.
+    /// Rejects prepared pictures that show another part of the camera's picture than `fit` at `size`.
     pub(crate) fn expect_fit(&self, dir: &Path, size: Size, fit: Fit) -> Result<(), DatasetError> {
         let (stored, wanted) = (PictureSize::from(self.size), PictureSize::from(size));
         let is_alike = stored.has_aspect_of(wanted);
-        // Then every fit gives the same picture.
+        // Every fit gives the same picture.
         let is_whole = is_alike
             && !self.source_sizes.is_empty()
             && self
@@ -91,7 +91,7 @@ impl Manifest {
         sizes.sort();
         sizes.dedup();
         let from = match sizes.is_empty() {
-            true => "pictures of a size that was not recorded".to_owned(),
+            true => "pictures of an unrecorded size".to_owned(),
             false => format!("pictures of {}", sizes.join(", ")),
         };
         Err(DatasetError::Prepared {

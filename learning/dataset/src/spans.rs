@@ -1,11 +1,11 @@
 use wm_bag::BagReader;
 
-/// The spans of a bag's log times, while its messages are read in order.
+/// Spans of a bag's log times, while its messages are read in order.
 pub(super) struct Spans<'a> {
     reader: &'a BagReader,
-    /// The spans that have begun.
+    /// Number of started spans.
     begun: usize,
-    /// Messages that were recorded at times that the clock passed twice.
+    /// Messages recorded at times that the clock passed twice.
     pub doubled: u64,
 }
 
@@ -19,7 +19,7 @@ impl<'a> Spans<'a> {
         }
     }
 
-    /// Whether a message of this log time is the first of a span that is not the bag's first.
+    /// Whether a message of this log time starts a span other than the first.
     pub fn begins(&mut self, log_time_ns: u64) -> bool {
         let spans = self.reader.unbroken_ns();
         let begun = spans.partition_point(|(start_ns, _)| *start_ns <= log_time_ns);

@@ -2,10 +2,10 @@ use sha2::{Digest as _, Sha256};
 
 use super::{SplitRule, manifest::Split};
 
-/// What each of the episodes with these identities is for.
+/// Assigns episodes to training and validation by identity.
 ///
-/// An identity decides by itself, so that episodes stay where they are when others are added; only where that would leave
-/// either side empty, the episode nearest to it moves.
+/// Each identity decides alone, so adding episodes moves no others. Only if a side would be empty, the nearest episode
+/// moves.
 pub(super) fn split(identities: &[String], rule: SplitRule) -> Vec<Split> {
     let draws: Vec<f64> = identities.iter().map(|id| draw(id, rule.seed)).collect();
     let mut splits: Vec<Split> = draws
@@ -37,20 +37,21 @@ pub(super) fn split(identities: &[String], rule: SplitRule) -> Vec<Split> {
             }
         }
     } else {
-        // One episode alone is there to be learnt.
+        // A single episode is for training.
         splits.fill(Split::Training);
     }
     splits
 }
 
-/// A number in 0..1 that only identity and seed decide.
+/// A number in 0..1 from identity and seed.
 fn draw(identity: &str, seed: u64) -> f64 {
     let hash = Sha256::new()
         .chain_update(seed.to_le_bytes())
         .chain_update(identity)
         .finalize();
+    // SHA-256 has 32 bytes.
     let first = hash.first_chunk::<8>().copied().unwrap_or_default();
-    // The highest 53 bits: exact.
+    // The highest 53 bits are exact.
     (u64::from_le_bytes(first) >> 11) as f64 / (1_u64 << 53) as f64
 }
 
@@ -62,27 +63,33 @@ mod tests {
         (0..count).map(|index| format!("bag {index}")).collect()
     }
 
-    fn chosen(count: usize, validation: f64, seed: u64) -> usize {
+    fn validation_count(count: usize, validation: f64, seed: u64) -> usize {
         let splits = split(&identities(count), SplitRule { validation, seed });
         let is_chosen = |split: &&Split| **split == Split::Validation;
         splits.iter().filter(is_chosen).count()
     }
 
     #[test]
-    fn the_share_is_met_and_neither_side_is_empty() {
-        let count = chosen(2000, 0.1, 0);
+    fn share_is_met_and_no_side_is_empty() {
+        let count = validation_count(2000, 0.1, 0);
         assert!((150..250).contains(&count), "{count}");
         for seed in 0..20 {
             for count in 2..6 {
-                assert!(chosen(count, 0.01, seed) == 1, "{count} {seed}");
-                assert!(chosen(count, 1.0, seed) == count - 1, "{count} {seed}");
+                assert!(validation_count(count, 0.01, seed) == 1, "{count} {seed}");
+                assert!(
+                    validation_count(count, 1.0, seed) == count - 1,
+                    "{count} {seed}"
+                );
             }
         }
-        assert_eq!((chosen(1, 0.9, 0), chosen(50, 0.0, 0)), (0, 0));
+        assert_eq!(
+            (validation_count(1, 0.9, 0), validation_count(50, 0.0, 0)),
+            (0, 0)
+        );
     }
 
     #[test]
-    fn neither_order_nor_others_move_an_episode() {
+    fn assignment_does_not_depend_on_other_episodes() {
         let rule = SplitRule {
             validation: 0.3,
             seed: 7,

@@ -5,13 +5,13 @@ use wm_motion::actions::{ActionError, ActionSpace, Dimension, Kind};
 
 use super::Episode;
 
-/// Greatest magnitude in model units that a fitted dimension keeps: the quantiles lie at 1, and a robot that is a little
-/// faster than nearly always is not yet clipped.
+/// Greatest magnitude of a fitted dimension in model units. The outer quantiles map to 1; a slightly faster robot is
+/// not yet clipped.
 const CLIP: f32 = 1.5;
 
-/// Statistics of some values, each a list with one number a dimension, by the names that LeRobot gives them.
+/// Statistics of values, one number per dimension, with the names of LeRobot.
 ///
-/// Quantiles are those of the values, linear between neighbours, as NumPy's are by default.
+/// Quantiles are interpolated linearly, NumPy's default.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Statistics {
@@ -21,7 +21,7 @@ pub struct Statistics {
     pub max: Vec<f64>,
     /// Mean.
     pub mean: Vec<f64>,
-    /// Standard deviation of the population: divided by n.
+    /// Population standard deviation (divided by n).
     pub std: Vec<f64>,
     /// Quantile 0.01.
     pub q01: Vec<f64>,
@@ -38,7 +38,7 @@ pub struct Statistics {
 }
 
 impl Statistics {
-    /// Of rows of `width` values; without a row, of nothing.
+    /// Statistics of rows of `width` values.
     #[must_use]
     pub fn of_rows<'a>(rows: impl Iterator<Item = &'a [f32]> + Clone, width: usize) -> Self {
         let mut statistics = Self::default();
@@ -73,19 +73,18 @@ impl Statistics {
             (&mut self.q99, 0.99),
         ] {
             let place = share * (n - 1.0);
-            // Not negative, and below n.
+            // Not negative, and below n; the index n is the greatest value.
             let low = sorted.get(place.floor() as usize).copied().unwrap_or(*max);
             let high = sorted.get(place.ceil() as usize).copied().unwrap_or(*max);
             quantiles.push(low + (high - low) * place.fract());
         }
     }
 
-    /// `space` with scales, offsets and clips fitted to these statistics of its actions: the quantiles 0.01 and 0.99 lie
-    /// at the ends of -1..1, or the one that is farther from 0, for a delta or a velocity. A binary gripper is kept, and so is a
-    /// dimension that does not move.
+    /// `space` with scales, offsets and clips fitted to these action statistics: the quantiles 0.01 and 0.99 map to -1
+    /// and 1; for a delta or velocity, the one farther from 0 maps to 1. Binary gripper and constant dimensions stay.
     ///
     /// # Errors
-    /// [`ActionError::Space`] where a range is so narrow that no scale fits it.
+    /// [`ActionError::Space`] if a range is too narrow for any scale.
     pub fn fit(&self, space: &ActionSpace) -> Result<ActionSpace, ActionError> {
         if self.q01.is_empty() {
             return Ok(space.clone());
@@ -98,7 +97,7 @@ impl Statistics {
 }
 
 fn fit(dimension: &Dimension, low: f64, high: f64) -> Dimension {
-    // Single precision is what a model's actions have.
+    // Model actions are f32.
     let fitted = |offset: f64, range: f64| Dimension {
         offset: offset as f32,
         scale: (1.0 / range) as f32,
@@ -119,53 +118,53 @@ fn fit(dimension: &Dimension, low: f64, high: f64) -> Dimension {
     }
 }
 
-/// What a prepared folder says of its values: `statistics.json`.
+/// Statistics of a prepared folder: `statistics.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DataStatistics {
     /// Names of the action's values.
     pub names: Vec<String>,
-    /// Of the actions of the training episodes, over a period each.
+    /// Actions of the training episodes, each over one period.
     pub action: Statistics,
-    /// Of the latents of the training episodes, where they were encoded.
+    /// Latents of the training episodes, if encoded.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub latent: Option<LatentStatistics>,
     /// The action space with scales and clips fitted to the quantiles.
     pub action_space: ActionSpace,
     /// Number of episodes with each instruction.
     pub instructions: BTreeMap<String, usize>,
-    /// Number of episodes that succeeded, that did not, and of which nothing is known.
+    /// Numbers of successful, failed and unknown episodes.
     pub success: SuccessCounts,
 }
 
-/// How many episodes succeeded.
+/// Successes of episodes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SuccessCounts {
-    /// That did what they should.
+    /// Successful episodes.
     pub succeeded: usize,
-    /// That did not.
+    /// Failed episodes.
     pub failed: usize,
-    /// Of which nothing is known.
+    /// Episodes of unknown success.
     pub unknown: usize,
 }
 
-/// Statistics of latents, one number a channel.
+/// Statistics of latents, one number per channel.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LatentStatistics {
-    /// The latent space's name and hash.
+    /// Name and hash of the latent space.
     pub space: String,
     /// Mean.
     pub mean: Vec<f64>,
-    /// Standard deviation of the population.
+    /// Population standard deviation.
     pub std: Vec<f64>,
     /// Number of frames.
     pub count: u64,
 }
 
 impl DataStatistics {
-    /// Of the training episodes of a data set.
+    /// Statistics of training episodes.
     ///
     /// # Errors
     /// Those of [`Statistics::fit`].

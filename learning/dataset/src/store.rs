@@ -1,6 +1,5 @@
-//! A prepared folder: `frames` (height x width x 3 bytes each), `masks` (height x width bytes each, where there are any),
-//! `actions` (single-precision numbers, little-endian), `statistics.json`, `action_space.json`, `audit.json` and
-//! `dataset.json`.
+//! A prepared folder: `frames` (height x width x 3 bytes each), `masks` (height x width bytes each, if any), `actions`
+//! (little-endian f32), `statistics.json`, `action_space.json`, `audit.json` and `dataset.json`.
 
 use std::{
     fs::{self, File},
@@ -26,12 +25,12 @@ use super::{
 const MANIFEST: &str = "dataset.json";
 const AUDIT: &str = "audit.json";
 
-/// Whether a folder is one of `wm dataset`.
+/// Whether a folder was prepared by `wm dataset`.
 pub(super) fn is_prepared(dir: &Path) -> bool {
     dir.join(MANIFEST).is_file()
 }
 
-/// A prepared folder that is open.
+/// An open prepared folder.
 #[derive(Debug)]
 pub(crate) struct Folder {
     dir: PathBuf,
@@ -43,7 +42,7 @@ pub(crate) struct Folder {
 
 impl Folder {
     /// # Errors
-    /// When a file is missing, damaged, or not as long as the manifest says.
+    /// If a file is missing, damaged, or of a length other than in the manifest.
     pub fn open(dir: &Path) -> Result<Self, DatasetError> {
         let manifest = read_manifest(dir)?;
         let total: usize = manifest.episodes.iter().map(|e| e.frames).sum();
@@ -72,7 +71,7 @@ impl Folder {
         })
     }
 
-    /// The episodes of a manifest, from the action of each frame.
+    /// The episodes of a manifest, with the action of each frame.
     pub fn episodes(
         manifest: &Manifest,
         mut actions: impl Iterator<Item = Vec<f32>>,
@@ -102,7 +101,7 @@ impl Folder {
         &self.manifest
     }
 
-    /// Its episodes, with their frames' numbers here.
+    /// Its episodes, with frame indices of this folder.
     pub fn all_episodes(&self) -> &[Episode] {
         &self.episodes
     }
@@ -130,10 +129,10 @@ impl Folder {
         self.masks.as_ref()?.get(index * bytes..(index + 1) * bytes)
     }
 
-    /// The same with smaller pictures, made now or taken from `cache`.
+    /// A folder with smaller pictures, made now or reused from `cache`.
     ///
     /// # Errors
-    /// [`DatasetError::Upscaling`] for larger ones.
+    /// [`DatasetError::Upscaling`] for larger pictures.
     pub fn at_size(self, size: Size, cache: &Path) -> Result<Self, DatasetError> {
         let stored = self.manifest.size;
         if stored == size {
@@ -143,7 +142,7 @@ impl Folder {
             return Err(DatasetError::Upscaling {
                 dir: self.dir,
                 stored: (stored.height, stored.width),
-                asked: (size.height, size.width),
+                requested: (size.height, size.width),
             });
         }
         let hash = Sha256::new().chain_update(format!("{} {size}", self.manifest.digest));
@@ -158,7 +157,7 @@ impl Folder {
             self.resize(&manifest, &folder)?;
             for name in ["actions", "statistics.json", "action_space.json", AUDIT] {
                 let (from, to) = (self.dir.join(name), folder.partial.join(name));
-                // A folder from before the audit has none.
+                // Folders older than the audit have none.
                 if name == AUDIT && !from.exists() {
                     continue;
                 }
@@ -178,7 +177,9 @@ impl Folder {
         (0..self.frame_count())
             .into_par_iter()
             .try_for_each(|index| {
-                let frame = self.frame(index).unwrap_or_default();
+                let frame = self
+                    .frame(index)
+                    .ok_or_else(|| self.damaged(format!("frame {index} is missing")))?;
                 let mut resized = vec![0; frame_bytes];
                 for view in 0..views {
                     let rows = frame.chunks_exact(from.width * 3).skip(view).step_by(views);
@@ -204,7 +205,10 @@ impl Folder {
         (0..self.frame_count())
             .into_par_iter()
             .try_for_each(|index| {
-                let mask = self.mask(index).unwrap_or_default().to_vec();
+                let mask = self
+                    .mask(index)
+                    .ok_or_else(|| self.damaged(format!("mask {index} is missing")))?
+                    .to_vec();
                 let mask = GrayImage::from_raw(from.width as u32, from.height as u32, mask)
                     .ok_or_else(|| self.damaged(format!("mask {index} cannot be resized")))?;
                 let small = shrink(&mask, to);
@@ -228,12 +232,12 @@ fn picture(pixels: Vec<u8>, size: Size) -> Option<RgbImage> {
     RgbImage::from_raw(size.width as u32, size.height as u32, pixels)
 }
 
-/// The folder of a cache for pictures with this digest.
+/// Name of the cache folder for a digest.
 pub(super) fn cache_name(digest: &str) -> String {
     format!("frames-{}", short(digest))
 }
 
-/// Two programs that prepare the same at once: what the first one has written serves both.
+/// If two programs prepare the same data at once, the first result serves both.
 pub(super) fn if_another_was_first(
     dir: &Path,
 ) -> impl FnOnce(DatasetError) -> Result<(), DatasetError> {
@@ -248,7 +252,7 @@ pub(super) fn read_manifest(dir: &Path) -> Result<Manifest, DatasetError> {
         what,
     };
     let damaged = |error: serde_json::Error| prepared(format!("{MANIFEST}: {error}"));
-    // The version first: another one may have other fields.
+    // Check the version first: others may have other fields.
     let value: serde_json::Value = serde_json::from_slice(&text).map_err(damaged)?;
     let version = value.get("version").and_then(serde_json::Value::as_u64);
     if version != Some(u64::from(VERSION)) {
@@ -267,13 +271,13 @@ pub(super) fn read_manifest(dir: &Path) -> Result<Manifest, DatasetError> {
     let most = most.and_then(|most| most.checked_mul(manifest.size.width * 3 * views.max(1)));
     if views == 0 || most.is_none() {
         return Err(prepared(format!(
-            "{MANIFEST}: expected at least one camera, and frames that fit into memory's addresses"
+            "{MANIFEST}: expected at least one camera, and an addressable size of frames"
         )));
     }
     Ok(manifest)
 }
 
-/// The audit of a prepared folder; `None` if it was prepared before there was one.
+/// The audit of a prepared folder; `None` if prepared before audits existed.
 pub(super) fn read_audit(dir: &Path) -> Result<Option<Audit>, DatasetError> {
     let path = dir.join(AUDIT);
     let text = match fs::read(&path) {
@@ -287,7 +291,7 @@ pub(super) fn read_audit(dir: &Path) -> Result<Option<Audit>, DatasetError> {
 
 fn map(path: &Path, expected: usize) -> Result<Mmap, DatasetError> {
     let file = File::open(path).map_err(DatasetError::io(path))?;
-    // SAFETY: a prepared folder is not written again; whoever changes it during a training breaks only their own run.
+    // SAFETY: a prepared folder is never rewritten; changing it during a training breaks only that run.
     let map = unsafe { Mmap::map(&file) }.map_err(DatasetError::io(path))?;
     if map.len() == expected {
         return Ok(map);
@@ -299,8 +303,8 @@ fn map(path: &Path, expected: usize) -> Result<Mmap, DatasetError> {
     Err(DatasetError::file(path, what))
 }
 
-/// A folder that is being written, beside where it will be. It moves there when it is whole, and is removed if it never
-/// is; what a killed program leaves has another name than any data set.
+/// A folder under construction, beside its final place. It moves there when complete, and is removed otherwise; the
+/// remains of a killed program have another name than any data set.
 pub(super) struct NewFolder {
     partial: PathBuf,
     dir: PathBuf,
@@ -309,7 +313,7 @@ pub(super) struct NewFolder {
 impl NewFolder {
     pub fn create(dir: &Path) -> Result<Self, DatasetError> {
         let name = dir.file_name().unwrap_or_default().to_string_lossy();
-        // Two threads may prepare the same, or two machines, whose processes may have the same number.
+        // Two threads or machines may prepare the same data with equal process ids.
         let name = format!("{name}.partial-{:016x}", rand::random::<u64>());
         let partial = dir.with_file_name(name);
         fs::create_dir_all(&partial).map_err(DatasetError::io(&partial))?;
@@ -356,7 +360,7 @@ impl NewFolder {
         self.write_json(MANIFEST, manifest)?;
         for entry in fs::read_dir(&self.partial).map_err(DatasetError::io(&self.partial))? {
             let path = entry.map_err(DatasetError::io(&self.partial))?.path();
-            // Else a power cut might keep the name and lose the contents.
+            // Without the sync, a power cut might keep the name and lose the contents.
             let file = File::open(&path).and_then(|file| file.sync_all());
             file.map_err(DatasetError::io(&path))?;
         }
@@ -369,12 +373,12 @@ impl NewFolder {
 
 impl Drop for NewFolder {
     fn drop(&mut self) {
-        // After the move there is none. If it cannot be removed, its name says what it is.
+        // After the move nothing is left. If removal fails, the name identifies the remains.
         let _ = fs::remove_dir_all(&self.partial);
     }
 }
 
-/// Adds what is known of the latents to the statistics of a prepared folder.
+/// Adds latent statistics to a prepared folder.
 pub(super) fn add_latent_statistics(
     dir: &Path,
     latent: LatentStatistics,
@@ -385,7 +389,7 @@ pub(super) fn add_latent_statistics(
     let mut statistics: DataStatistics = serde_json::from_slice(&text).map_err(damaged)?;
     statistics.latent = Some(latent);
     let text = serde_json::to_vec_pretty(&statistics).map_err(damaged)?;
-    // In one move: the file is whole at any time.
+    // An atomic rename: the file is always complete.
     let partial = path.with_extension("partial");
     fs::write(&partial, text).map_err(DatasetError::io(&partial))?;
     fs::rename(&partial, &path).map_err(DatasetError::io(&path))

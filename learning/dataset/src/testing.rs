@@ -1,4 +1,4 @@
-//! Bags for tests, of this crate and of those that build on it.
+//! Bags for tests of this and dependent crates.
 #![allow(clippy::unwrap_used, reason = "a test that cannot write its bag fails")]
 
 mod recorder;
@@ -17,7 +17,7 @@ use wm_msgs::{
 
 pub use recorder::{CAMERA, MS, Recorder, START_NS};
 
-/// A bag of frames with these amounts of red, at 5 Hz.
+/// A bag of frames with these red values, at 5 Hz.
 pub fn write_reds(bag: &Path, reds: &[u8]) {
     let mut recorder = Recorder::new(bag);
     for (ms, red) in (0..).step_by(200).zip(reds) {
@@ -27,7 +27,7 @@ pub fn write_reds(bag: &Path, reds: &[u8]) {
     recorder.finish();
 }
 
-/// A bag of pictures at 5 Hz, and how far the robot moves along x from each to the next.
+/// A bag of pictures at 5 Hz, with the motion along x from each to the next.
 pub fn write_moves(bag: &Path, frames: impl IntoIterator<Item = (RgbImage, f32)>) {
     let mut recorder = Recorder::new(bag);
     for (ms, (picture, dx)) in (0..).step_by(200).zip(frames) {
@@ -52,7 +52,7 @@ pub(crate) fn header(index: i64) -> Header {
     }
 }
 
-/// A bag of frames with a mask each, whose pixels all have the frame's number, and what the values mean.
+/// A bag of frames, each with a mask filled with the frame's number, and the meaning of mask values.
 pub fn write_masked(bag: &Path, frames: i64) {
     write_bag(bag, frames, &WHOLE);
 }
@@ -103,7 +103,7 @@ pub(crate) fn write_bag(dir: &Path, frames: i64, contents: &Contents) {
                 .write("/camera/mask/compressed", &picture(mask.into()), at)
                 .unwrap();
         }
-        // As some data sets do: no action for the last frame.
+        // Some data sets have no action for the last frame.
         if contents.actions && index + 1 < frames {
             let action = Action {
                 header: header(index),

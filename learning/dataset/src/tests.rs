@@ -19,7 +19,7 @@ use super::*;
 use crate::testing::{Contents, PERIOD_NS, WHOLE, header, png, write_bag};
 
 #[test]
-fn frames_masks_and_actions_keep_their_order_and_come_from_the_cache_again() {
+fn data_keep_their_order_and_come_from_the_cache() {
     let dir = tempfile::tempdir().unwrap();
     let bags = dir.path().join("bags");
     write_bag(&bags.join("episode_000000"), 3, &WHOLE);
@@ -41,9 +41,9 @@ fn frames_masks_and_actions_keep_their_order_and_come_from_the_cache_again() {
         assert_eq!(labels, [(1, "gripper"), (2, "red ball"), (3, "blue box")]);
         assert!(dataset.frame(7).is_none());
     }
-    assert_eq!(caches(), 1, "the second was served from the cache");
+    assert_eq!(caches(), 1, "the second run used the cache");
 
-    // Other contents under the same names and metadata are another dataset.
+    // New contents under the same names are another data set.
     let file = bags.join("episode_000000/episode_000000_0.mcap");
     let mut bytes = std::fs::read(&file).unwrap();
     bytes.push(0);
@@ -53,7 +53,7 @@ fn frames_masks_and_actions_keep_their_order_and_come_from_the_cache_again() {
 }
 
 #[test]
-fn what_is_missing_is_named() {
+fn missing_inputs_are_named() {
     let dir = tempfile::tempdir().unwrap();
     let refusal = |name: &str, contents: &Contents| {
         let bags = dir.path().join(name);
@@ -90,7 +90,7 @@ fn what_is_missing_is_named() {
     assert!(matches!(error, DatasetError::Empty(_)), "{error}");
 }
 
-/// One motion, told by a bag whose camera and actions have another rate; 0.01 m and 0.1 rad a frame of 5 Hz.
+/// One motion recorded at another rate: 0.01 m and 0.1 rad per frame of 5 Hz.
 fn write_at(dir: &Path, hertz: i64, space: Option<&str>) {
     let mut writer = BagWriter::create(dir, WriterOptions::default()).unwrap();
     if let Some(space) = space {
@@ -121,9 +121,8 @@ fn write_at(dir: &Path, hertz: i64, space: Option<&str>) {
     writer.finish().unwrap();
 }
 
-/// A bag at 30 Hz is the same data as one at 5 Hz: its frames are thinned by time, and its deltas summed.
 #[test]
-fn the_rate_of_a_bag_makes_no_difference() {
+fn bag_rate_does_not_matter() {
     let dir = tempfile::tempdir().unwrap();
     let actions_at = |hertz: i64| {
         let bags = dir.path().join(format!("{hertz}"));
@@ -146,7 +145,7 @@ fn the_rate_of_a_bag_makes_no_difference() {
 }
 
 #[test]
-fn a_camera_slower_than_the_model_is_refused() {
+fn camera_slower_than_the_model_is_rejected() {
     let dir = tempfile::tempdir().unwrap();
     let bags = dir.path().join("bags");
     write_at(&bags.join("slow"), 1, None);
@@ -159,7 +158,7 @@ fn a_camera_slower_than_the_model_is_refused() {
 }
 
 #[test]
-fn bags_of_different_robots_are_refused_with_what_differs() {
+fn different_robots_are_rejected_with_the_difference() {
     let dir = tempfile::tempdir().unwrap();
     let bags = dir.path().join("bags");
     write_at(&bags.join("a"), 5, None);
@@ -189,7 +188,7 @@ fn bags_of_different_robots_are_refused_with_what_differs() {
 #[test]
 fn raw_pictures_of_every_encoding_and_step_are_read() {
     let dir = tempfile::tempdir().unwrap();
-    // One pixel of red, green and blue, in the encodings that the nodes read; rows are padded by 5 bytes.
+    // One pixel of red, green and blue in each encoding; rows are padded by 5 bytes.
     let encodings: [(&str, &[u8], [u8; 3]); 6] = [
         ("rgb8", &[10, 20, 30], [10, 20, 30]),
         ("bgr8", &[30, 20, 10], [10, 20, 30]),

@@ -2,12 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Result, bail, ensure};
+use anyhow::{Context as _, Result, ensure};
 use candle_core::Tensor;
 use clap::Args;
 use wm_dataset::{ClipSource, DataOptions, Dataset, FrameValues as _};
 use wm_model::sampler::{Given, Rollout};
-use wm_model::{Decoder, Encoder, WorldModel};
+use wm_model::{Compute, Decoder, Encoder, WorldModel};
 use wm_zoo::calibration::{FILE, Origin, STRENGTH};
 use wm_zoo::folder::DescribedFolder;
 use wm_zoo::{Calibration, ModelFolder};
@@ -133,14 +133,14 @@ impl CalibrateArgs {
         Ok(())
     }
 
-    fn open(&self) -> Result<Box<DescribedFolder>> {
-        match ModelFolder::open(&self.model)? {
-            ModelFolder::Described(folder) => Ok(folder),
-            ModelFolder::Trained(_) => bail!(
-                "{}: it has no model.json, and only models with one are computed in int8",
+    fn open(&self) -> Result<DescribedFolder> {
+        let model = ModelFolder::open(&self.model)?;
+        model.into_described().with_context(|| {
+            format!(
+                "{}: its encoder is an autoencoder, which computes in f32; int8 is for published networks",
                 self.model
-            ),
-        }
+            )
+        })
     }
 
     /// Twice as many frames as asked for, if there are as many, in samples that are spread evenly.
@@ -209,13 +209,14 @@ fn name(bag: &Path) -> String {
 
 impl Parts {
     fn load(folder: &DescribedFolder) -> Result<Self> {
+        let compute = Compute::default();
         Ok(Self {
-            encoder: folder.encoder()?,
+            encoder: folder.encoder(&compute)?,
             world: match folder.has_transition() {
-                true => Some(folder.world_model()?),
+                true => Some(folder.world_model(&compute)?),
                 false => None,
             },
-            decoder: folder.decoder()?,
+            decoder: folder.decoder(&compute)?,
         })
     }
 

@@ -4,7 +4,7 @@ use std::{fs, path::Path};
 
 use anyhow::{Context as _, Result, ensure};
 use sha2::{Digest as _, Sha256};
-use wm_metrics::findings::{CardAbout, ModelFindings, model_card};
+use wm_metrics::findings::{CardDetails, ModelFindings, model_card};
 
 /// The name of the file in a model's folder.
 pub const FILE: &str = "MODEL.md";
@@ -35,7 +35,7 @@ pub fn is_free(path: &Path) -> Result<bool> {
 ///
 /// # Errors
 /// If the file cannot be read or written.
-pub fn write(path: &Path, findings: &ModelFindings, about: &CardAbout) -> Result<Written> {
+pub fn write(path: &Path, findings: &ModelFindings, about: &CardDetails) -> Result<Written> {
     let name = || path.display().to_string();
     if !is_free(path)? {
         return Ok(Written::Kept);
@@ -52,10 +52,10 @@ pub fn write(path: &Path, findings: &ModelFindings, about: &CardAbout) -> Result
 ///
 /// # Errors
 /// If it cannot be read, or says something else.
-pub fn about(path: &Path) -> Result<CardAbout> {
+pub fn about(path: &Path) -> Result<CardDetails> {
     let name = || path.display().to_string();
     let text = fs::read_to_string(path).with_context(name)?;
-    let about: CardAbout = serde_yaml_ng::from_str(&text).with_context(name)?;
+    let about: CardDetails = serde_yaml_ng::from_str(&text).with_context(name)?;
     ensure!(!about.name.is_empty(), "{}: `name` is empty", name());
     Ok(about)
 }

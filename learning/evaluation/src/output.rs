@@ -9,7 +9,7 @@ use std::{
 use anyhow::{Context as _, Result, bail, ensure};
 use clap::Args;
 use wm_metrics::findings::{
-    Better, CardAbout, Comparison, ModelFindings, Verdict, compare_with_first,
+    Better, CardDetails, Comparison, ModelFindings, Verdict, compare_with_first,
 };
 
 use crate::{
@@ -74,9 +74,9 @@ impl OutputArgs {
     fn write_card(&self, path: &Path, findings: &ModelFindings) -> Result<()> {
         let mut about = match &self.about {
             Some(file) => card::about(file)?,
-            None => CardAbout {
+            None => CardDetails {
                 name: findings.header.model.clone(),
-                ..CardAbout::default()
+                ..CardDetails::default()
             },
         };
         if about.commands.is_empty() {

@@ -1,11 +1,10 @@
-//! DROID episodes as they are passed around for world models: `annotation/SPLIT/NAME.json` with the state of each
-//! frame, and an mp4 of each camera, three in a row (`videos/SPLIT/NAME/0.mp4` to `2.mp4`).
+//! DROID episodes in the layout for world models: `annotation/SPLIT/NAME.json` with the state of each frame, and an mp4 of
+//! each of the three cameras (`videos/SPLIT/NAME/0.mp4` to `2.mp4`).
 //!
-//! A state is the pose of the end effector in the base (x y z in m, roll pitch yaw about fixed axes in rad) and the
-//! gripper (0 open to 1 closed, DROID's sense; turned round here). The frames are a part of the 15 Hz at which DROID is
-//! recorded (arXiv 2403.12945, section 3); the videos say at what rate. The commands in some annotations belong to that
-//! rate and not to the frames: an action here is what led from one state to the next, as in Bridge V2, and the last one
-//! stands still.
+//! A state is the pose of the end effector in the base (x y z in m, roll pitch yaw about fixed axes in rad) and the gripper
+//! (DROID: 0 open to 1 closed; inverted here). The frames are a subset of DROID's 15 Hz (arXiv 2403.12945, section 3); the
+//! videos have their rate. Commands in some annotations are at 15 Hz and ignored: as in Bridge V2, an action is the motion
+//! from one state to the next, and the last action is zero.
 
 mod annotation;
 mod source;
@@ -15,24 +14,24 @@ use std::path::Path;
 
 use crate::{
     ActionMapping, ImportError,
-    episode::{Camera, Episode, Found, Recorded, Unread},
+    episode::{Camera, Episode, FoundEpisode, Trajectory, UnreadEpisode},
     video::Video,
 };
 use annotation::Annotation;
-use source::Located;
+use source::AnnotationPath;
 use states::{CAMERAS, joints, of_states};
 
-/// Of a video with a single frame.
+/// Frame period of a video with a single frame.
 const DEFAULT_PERIOD_S: f64 = 0.2;
 
 /// The episodes below `src`.
 pub(crate) fn episodes(
     src: &Path,
     jpeg_quality: u8,
-) -> Result<impl Iterator<Item = Found> + use<>, ImportError> {
+) -> Result<impl Iterator<Item = FoundEpisode> + use<>, ImportError> {
     let found = source::find(src)?;
     Ok(found.into_iter().map(move |located| {
-        let unread: Box<dyn Unread> = Box::new(Annotated {
+        let unread: Box<dyn UnreadEpisode> = Box::new(AnnotatedEpisode {
             located,
             jpeg_quality,
         });
@@ -40,13 +39,13 @@ pub(crate) fn episodes(
     }))
 }
 
-/// An episode with an annotation, not read yet.
-struct Annotated {
-    located: Located,
+/// An annotated episode that has not been read.
+struct AnnotatedEpisode {
+    located: AnnotationPath,
     jpeg_quality: u8,
 }
 
-impl Annotated {
+impl AnnotatedEpisode {
     fn annotation(&self) -> Result<Annotation, ImportError> {
         let annotation = Annotation::read(&self.located.annotation)?;
         if annotation.videos.len() == CAMERAS.len() {
@@ -61,14 +60,14 @@ impl Annotated {
     }
 }
 
-impl Unread for Annotated {
-    fn recorded(&self, mapping: &ActionMapping) -> Result<Recorded, ImportError> {
+impl UnreadEpisode for AnnotatedEpisode {
+    fn recorded(&self, mapping: &ActionMapping) -> Result<Trajectory, ImportError> {
         let annotation = self.annotation()?;
         let frames = annotation.states.len();
         let mut period_s = DEFAULT_PERIOD_S;
         if let Some(first) = annotation.videos.first() {
             let video = Video::open(&self.located.root.join(first))?;
-            period_s = timing(&video, frames)?.period_s;
+            period_s = check_timing(&video, frames)?.period_s;
         }
         Ok(of_states(&annotation.states, mapping, period_s))
     }
@@ -79,10 +78,10 @@ impl Unread for Annotated {
         let (mut cameras, mut notes, mut period_s) = (Vec::new(), Vec::new(), None);
         for (name, path) in CAMERAS.iter().zip(&annotation.videos) {
             let video = Video::open(&self.located.root.join(path))?;
-            let Timing {
+            let VideoTiming {
                 period_s: of_video,
                 note,
-            } = timing(&video, frames)?;
+            } = check_timing(&video, frames)?;
             notes.extend(note);
             let expected = *period_s.get_or_insert(of_video);
             if expected != of_video {
@@ -112,16 +111,16 @@ impl Unread for Annotated {
     }
 }
 
-/// Frames of a video in time.
-struct Timing {
-    /// Seconds from frame to frame.
+/// The frame times of a video.
+struct VideoTiming {
+    /// Frame period.
     period_s: f64,
     /// Peculiarities.
     note: Option<String>,
 }
 
-/// Compares a video with the number of states, and its times with one rate.
-fn timing(video: &Video, frames: usize) -> Result<Timing, ImportError> {
+/// Checks that a video has a frame per state, at a constant rate.
+fn check_timing(video: &Video, frames: usize) -> Result<VideoTiming, ImportError> {
     let corrupt = |reason: String| ImportError::corrupt(video.file(), reason);
     let shown = video.frame_count();
     if shown < frames {
@@ -141,14 +140,14 @@ fn timing(video: &Video, frames: usize) -> Result<Timing, ImportError> {
     }
     for frame in 0..frames {
         let (expected, got) = (frame as f64 * period, video.time_s(frame));
-        // A thousandth of a frame: times are whole ticks of the video's clock.
+        // Tolerance of a thousandth of a frame: times are ticks of the video's clock.
         if got.is_none_or(|got| (got - expected).abs() > period / 1000.0) {
             return Err(corrupt(format!(
                 "frame {frame}: expected it at {expected} s, got {got:?}"
             )));
         }
     }
-    Ok(Timing {
+    Ok(VideoTiming {
         period_s: period,
         note,
     })

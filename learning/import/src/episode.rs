@@ -11,40 +11,40 @@ use wm_msgs::{
 };
 
 use crate::{
-    ActionMapping, ImportError, ValueSource, imported::write_whole, mapping::VALUES, origin,
+    ActionMapping, ImportError, imported::write_whole, mapping::VALUES, origin::origin,
+    remedy::ValueSource,
 };
 
 /// Bridge V2 is controlled and recorded at 5 Hz (BridgeData V2, arXiv 2308.12952, section 3).
 pub(crate) const BRIDGE_PERIOD_NS: u64 = 200_000_000;
-/// REP-105's name for the frame that the robot is mounted in.
+/// The base frame of the robot (REP-105).
 const BASE_FRAME: &str = "base_link";
 
-/// An episode that was found, and not read yet.
-pub(crate) trait Unread {
-    /// Its actions and states, without its pictures.
-    fn recorded(&self, mapping: &ActionMapping) -> Result<Recorded, ImportError>;
-    /// All of it.
+/// An episode that has not been read.
+pub(crate) trait UnreadEpisode {
+    /// Reads actions and states, without pictures.
+    fn recorded(&self, mapping: &ActionMapping) -> Result<Trajectory, ImportError>;
     fn read(&self, mapping: &ActionMapping) -> Result<Episode, ImportError>;
 }
 
-/// An episode, or a part of the data set in which none can be found.
-pub(crate) type Found = Result<Box<dyn Unread>, ImportError>;
+/// An episode, or the fault of a part of the data set.
+pub(crate) type FoundEpisode = Result<Box<dyn UnreadEpisode>, ImportError>;
 
-/// The actions of an episode, and the states beside them.
+/// Actions and states of an episode.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Recorded {
-    /// Time from one frame to the next.
+pub(crate) struct Trajectory {
+    /// Frame period.
     pub period_ns: u64,
-    /// dx dy dz in m, droll dpitch dyaw in rad, gripper 0 closed to 1 open; one a frame.
+    /// By frame: dx dy dz in m, droll dpitch dyaw in rad, gripper 0 closed to 1 open.
     pub actions: Vec<[f32; VALUES]>,
-    /// x y z in m, roll pitch yaw in rad, gripper 0 closed to 1 open; one a frame, or none at all.
+    /// By frame, or empty: x y z in m, roll pitch yaw in rad, gripper 0 closed to 1 open.
     pub states: Vec<[f32; VALUES]>,
-    /// How the actions were made. Of those that were made of the states, a comparison with these says nothing.
+    /// Origin of the actions. Actions that were computed from the states cannot be checked against them.
     pub source: ValueSource,
 }
 
-impl Recorded {
-    /// Adds it to a survey of Bridge V2's kinds.
+impl Trajectory {
+    /// Adds it to a survey of Bridge V2's kinds of values.
     pub fn survey(&self, survey: &mut ActionSurvey) {
         match self.source.is_of_states {
             true => survey.add(&self.actions, &[] as &[[f32; VALUES]]),
@@ -52,7 +52,7 @@ impl Recorded {
         }
     }
 
-    /// A survey of it alone.
+    /// A survey of this episode alone.
     pub fn alone(&self) -> ActionSurvey {
         let mut survey = ActionSurvey::new(ActionSpace::bridge(), self.rate());
         self.survey(&mut survey);
@@ -68,42 +68,40 @@ impl Recorded {
 /// The frames of a camera.
 #[derive(Debug)]
 pub(crate) struct Camera {
-    /// The namespace of its topics.
+    /// Namespace of its topics.
     pub name: String,
     /// JPEG.
     pub frames: Vec<Vec<u8>>,
 }
 
-/// Angles of joints.
 #[derive(Debug)]
 pub(crate) struct Joints {
     pub names: Vec<String>,
-    /// One row a frame, as wide as the names, in rad.
+    /// By frame and name, in rad.
     pub positions: Vec<Vec<f64>>,
 }
 
-/// One episode, decoded.
 #[derive(Debug, Default)]
 pub(crate) struct Episode {
-    /// The file it came from.
+    /// The source file.
     pub source: PathBuf,
-    /// Its number in that file, from 0, where the file holds several.
+    /// Its number in the file, from 0, if the file has several.
     pub record: Option<u64>,
-    pub recorded: Recorded,
-    /// Each with as many frames as there are actions.
+    pub recorded: Trajectory,
+    /// Each has one frame per action.
     pub cameras: Vec<Camera>,
     pub joints: Option<Joints>,
     pub instruction: Option<String>,
-    /// Whether the task was carried out, if that is known.
+    /// Whether the task succeeded, if known.
     pub success: Option<bool>,
-    /// Peculiarities; the same words for each episode of one kind.
+    /// Remarks, with equal texts for equal causes.
     pub notes: Vec<String>,
 }
 
 impl Episode {
-    /// Compares the parts with each other, and the actions with what an arm can do.
+    /// Checks the parts against each other, and the actions against the limits of an arm.
     pub fn check(self) -> Result<Self, ImportError> {
-        let Recorded {
+        let Trajectory {
             actions, states, ..
         } = &self.recorded;
         let frames = actions.len();
@@ -157,13 +155,13 @@ impl Episode {
         Ok(self)
     }
 
-    /// What the bag notes of where it came from, for a dataset at `src`.
+    /// The origin for the bag's notes, for a data set at `src`.
     pub fn origin(&self, src: &Path) -> String {
         let number = self.record.and_then(|record| i64::try_from(record).ok());
         origin(src, Some(&self.source), number)
     }
 
-    /// Writes the episode as a bag, its first frame at `start_ns`; a bag that cannot be written whole is removed.
+    /// Writes the episode as a bag with its first frame at `start_ns`; an incomplete bag is removed.
     pub fn write(&self, bag: &Path, start_ns: u64, origin: &str) -> Result<(), ImportError> {
         write_whole(bag, |bag| self.write_to(bag, start_ns, origin))
     }
@@ -194,7 +192,7 @@ impl Episode {
         let mut stamp_ns = start_ns;
         for (step, action) in self.recorded.actions.iter().enumerate() {
             stamp_ns = start_ns + step as u64 * self.recorded.period_ns;
-            // BagWriter refuses times past i64, and names the topic.
+            // BagWriter rejects times past i64, and names the topic.
             let stamp = Time::from_nanos(i64::try_from(stamp_ns).unwrap_or(i64::MAX));
             for ((topic, frame_id), camera) in cameras.iter().zip(&self.cameras) {
                 let Some(data) = camera.frames.get(step) else {
@@ -262,7 +260,7 @@ impl Episode {
     }
 }
 
-/// Bridge V2's cameras, which have numbers.
+/// Bridge V2's cameras, named by their numbers.
 pub(crate) fn bridge_cameras(cameras: Vec<Vec<Vec<u8>>>) -> Vec<Camera> {
     let named = cameras.into_iter().enumerate().map(|(number, frames)| {
         let name = match number {
@@ -283,7 +281,7 @@ fn optical_frame(camera: &str) -> String {
     format!("{camera}_optical_frame")
 }
 
-/// Roll, pitch and yaw about fixed axes, in rad (REP-103), as a unit quaternion.
+/// Converts roll, pitch and yaw about fixed axes (REP-103), in rad, to a unit quaternion.
 fn orientation(roll_pitch_yaw: [f32; 3]) -> Quaternion {
     let [(sr, cr), (sp, cp), (sy, cy)] =
         roll_pitch_yaw.map(|angle| (f64::from(angle) / 2.0).sin_cos());
@@ -307,7 +305,7 @@ mod tests {
         Episode {
             source: "made.up".into(),
             cameras: bridge_cameras(vec![vec![vec![1, 2, 3]; frames], vec![vec![4]; frames]]),
-            recorded: Recorded {
+            recorded: Trajectory {
                 period_ns: BRIDGE_PERIOD_NS,
                 actions: (0..frames)
                     .map(|step| [step as f32 * 0.01; VALUES])
@@ -326,7 +324,7 @@ mod tests {
     }
 
     #[test]
-    fn the_origin_is_told_from_the_folder_that_was_imported() {
+    fn origin_is_relative_to_the_imported_folder() {
         let origin = |source: &str, record, src: &str| {
             let source = source.into();
             let episode = Episode {
@@ -344,7 +342,7 @@ mod tests {
     }
 
     #[test]
-    fn an_episode_becomes_the_promised_topics() {
+    fn episode_becomes_the_documented_topics() {
         let dir = tempfile::tempdir().unwrap();
         let bag = dir.path().join("episode_000000");
         episode(3)
@@ -407,7 +405,6 @@ mod tests {
             .find(|message| &*message.as_ref().unwrap().topic == "/arm/end_effector_pose");
         let pose: PoseStamped = pose.unwrap().unwrap().decode().unwrap();
         let turn = pose.pose.orientation;
-        // A quarter turn about z.
         assert!(
             (turn.z - 0.5f64.sqrt()).abs() < 1e-6 && (turn.w - 0.5f64.sqrt()).abs() < 1e-6,
             "{turn:?}"
@@ -416,7 +413,7 @@ mod tests {
     }
 
     #[test]
-    fn parts_that_do_not_match_are_named() {
+    fn inconsistent_parts_are_named() {
         let reason = |change: fn(&mut Episode)| {
             let mut changed = episode(3);
             change(&mut changed);

@@ -3,65 +3,43 @@ use std::path::PathBuf;
 use wm_bag::BagError;
 use wm_motion::actions::ActionError;
 
-/// Why episodes cannot be imported. Each text names the file.
+/// A failure of an import. Each text names the file.
+#[expect(missing_docs, reason = "the error texts describe variants and fields")]
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ImportError {
-    /// The path does not hold what is imported.
     #[error("{path} has no episodes: expected {expected}")]
     UnknownLayout {
-        /// The path.
         path: PathBuf,
-        /// The files that were looked for.
         expected: &'static str,
     },
-    /// The layout is there, but no episode.
     #[error("{0} has no episodes")]
     NoEpisodes(PathBuf),
-    /// The actions contradict what their values are.
     #[error(
         "{path}: the actions contradict their kinds in {contradicting} of {episodes} episodes: {reason}"
     )]
     Contradiction {
-        /// The data set.
         path: PathBuf,
-        /// Episodes that were measured.
         episodes: usize,
-        /// Those of them that contradict by themselves.
+        /// Number of episodes that contradict by themselves.
         contradicting: usize,
-        /// What was measured and expected, and the option that maps it.
+        /// Measured and expected values, and the option that maps them.
         reason: String,
     },
-    /// No episode can be imported.
     #[error("none of {count} episodes can be imported; the first: {first}")]
-    NoneImported {
-        /// Episodes.
-        count: usize,
-        /// Why the first cannot.
-        first: Box<Self>,
-    },
-    /// A file that belongs to another is not there.
+    NoneImported { count: usize, first: Box<Self> },
     #[error("{present} is incomplete: {missing} is missing")]
-    Incomplete {
-        /// The file that is there.
-        present: PathBuf,
-        /// The file that belongs to it.
-        missing: PathBuf,
-    },
-    /// A file cannot be read as what it should be.
+    Incomplete { present: PathBuf, missing: PathBuf },
     #[error("{file}: {reason}")]
     Corrupt {
-        /// The file.
         file: PathBuf,
-        /// What was expected and what came.
+        /// The expected and the actual content.
         reason: String,
     },
-    /// The operating system refused.
     #[error("{file}: {reason}")]
     Io {
-        /// The file or directory.
         file: PathBuf,
-        /// What it said. No source, since the message has it.
+        /// The error. Not a `source`, since the text contains it.
         reason: std::io::Error,
     },
     /// The bag cannot be written.

@@ -4,29 +4,29 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// What an import made, and what it could not.
+/// The result of an import.
 #[derive(Debug, Default)]
-pub struct Imported {
+pub struct ImportReport {
     /// The bags, in order.
     pub bags: Vec<PathBuf>,
-    /// Why episodes were left out: each text names the file and the episode.
+    /// Reasons of skipped episodes, with file and episode.
     pub skipped: Vec<String>,
-    /// The measured ranges of the actions, in words; none without actions.
+    /// Measured ranges of the actions, in words; `None` without actions.
     pub ranges: Option<String>,
-    /// Peculiarities of the data.
+    /// Remarks on the data.
     pub notes: Notes,
 }
 
-impl Imported {
-    /// Takes note of an episode that is left out.
+impl ImportReport {
+    /// Records a skipped episode.
     pub fn skip(&mut self, reason: &dyn fmt::Display) {
         let reason = reason.to_string();
-        tracing::debug!(reason, "episode left out");
+        tracing::debug!(reason, "skipping an episode");
         self.skipped.push(reason);
     }
 }
 
-/// Remarks on the data, each with the number of episodes that it is about.
+/// Remarks on the data, with the number of episodes of each.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Notes {
     by_text: BTreeMap<String, usize>,
@@ -34,12 +34,12 @@ pub struct Notes {
 }
 
 impl Notes {
-    /// A remark on an episode: equal ones are counted.
+    /// Adds a remark on an episode; equal ones are counted.
     pub fn of_episode(&mut self, text: impl Into<String>) {
         *self.by_text.entry(text.into()).or_default() += 1;
     }
 
-    /// A remark on the whole data set.
+    /// Adds a remark on the whole data set.
     pub fn of_data(&mut self, text: impl Into<String>) {
         self.whole.push(text.into());
     }
@@ -54,11 +54,11 @@ impl Notes {
     }
 }
 
-/// Makes the bag `bag` whole or not at all: `write` makes it at another path, from which it is moved.
+/// Makes the bag `bag` completely or not at all: `write` makes it at another path, from which it is moved.
 ///
 /// # Errors
-/// Something already exists at `bag`, `write` fails, or the file system does; then nothing is left.
-pub fn write_whole<E: From<wm_bag::BagError>>(
+/// `bag` exists, `write` fails, or the file system fails; then no files remain.
+pub(crate) fn write_whole<E: From<wm_bag::BagError>>(
     bag: &Path,
     write: impl FnOnce(&Path) -> Result<(), E>,
 ) -> Result<(), E> {
@@ -66,6 +66,7 @@ pub fn write_whole<E: From<wm_bag::BagError>>(
         path: path.to_owned(),
         reason,
     };
+    // Callers pass the path of a new folder, which has a name.
     let name = bag.file_name().unwrap_or_default();
     let mut partial = name.to_owned();
     partial.push(format!(".partial-{}", std::process::id()));
@@ -77,7 +78,7 @@ pub fn write_whole<E: From<wm_bag::BagError>>(
     if is_taken {
         return Err(wm_bag::BagError::Exists(bag.to_owned()).into());
     }
-    // A bag's files are named after its folder, so that the folder within has the final name.
+    // A bag's files have its folder's name, so the inner folder has the final name.
     let inner = partial.join(name);
     let made = write(&inner)
         .and_then(|()| std::fs::rename(&inner, bag).map_err(|source| E::from(io(bag, source))));
@@ -98,7 +99,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn failed_bag_leaves_nothing_and_other_files_stay() {
+    fn failed_bag_is_removed_and_other_files_stay() {
         let scratch = tempfile::tempdir().unwrap();
         let bag = scratch.path().join("episode_000003");
         let failing = |path: &Path| {

@@ -1,39 +1,38 @@
-//! Recorded robot episodes as bags: Bridge V2 in the two layouts in which it is passed around, and DROID.
+//! Imports robot episodes as bags: Bridge V2 in its two common layouts, DROID, and LeRobot (feature `lerobot`).
 //!
 //! | layout | found by | cameras | actions | more |
 //! |---|---|---|---|---|
-//! | Bridge video | `NAME.mp4` (h264) beside `NAME.npz` | one | scaled for a model, undone here | instruction, success |
+//! | Bridge video | `NAME.mp4` (h264) with `NAME.npz` | one | scaled for a model, undone here | instruction, success |
 //! | Bridge RLDS | a TFRecord (`*.tfrecord*`) of `tf.train.Example` | several | m, rad, gripper 0..1 | state, instruction, success |
-//! | DROID | `annotation/SPLIT/NAME.json` beside `videos/` | three | from state to state | state, joints, instruction, success |
+//! | DROID | `annotation/SPLIT/NAME.json` with `videos/` | three | from state to state | state, joints, instruction, success |
 //! | DROID RLDS | a TFRecord with `cartesian_position` | three | from state to state | state, joints, instruction, success |
 //!
-//! Each episode becomes one bag, `episode_000000` and on; Bridge V2 at the 5 Hz at which it was recorded, DROID's RLDS at
-//! 15 Hz, its videos at their rate:
+//! Each episode becomes a bag, `episode_000000` and so on: Bridge V2 at its 5 Hz, DROID's RLDS at 15 Hz, DROID's videos at
+//! their rate.
 //!
 //! | topic | type |
 //! |---|---|
 //! | `/camera/image_raw/compressed`, `/camera_1/...` (Bridge); `/exterior_1/...`, `/exterior_2/...`, `/wrist/...` (DROID) | `sensor_msgs/msg/CompressedImage` (JPEG) |
 //! | `/wm/action` | `wm_msgs/msg/Action`: dx dy dz \[m\], droll dpitch dyaw \[rad\], gripper \[0 closed .. 1 open\] |
-//! | `/arm/end_effector_pose`, `/arm/gripper` | `geometry_msgs/msg/PoseStamped`, `std_msgs/msg/Float32`, where there is state |
-//! | `/joint_states` | `sensor_msgs/msg/JointState`, where there are joints |
-//! | `/task/instruction` | `std_msgs/msg/String`, latched, where there is one |
-//! | `/task/success` | `std_msgs/msg/Bool`, latched, where it is known |
+//! | `/arm/end_effector_pose`, `/arm/gripper` | `geometry_msgs/msg/PoseStamped`, `std_msgs/msg/Float32`, if the data have states |
+//! | `/joint_states` | `sensor_msgs/msg/JointState`, if the data have joints |
+//! | `/task/instruction` | `std_msgs/msg/String`, latched, if known |
+//! | `/task/success` | `std_msgs/msg/Bool`, latched, if known |
 //!
 //! ```no_run
 //! use wm_import::{ImportOptions, import_bridge};
 //!
-//! let imported = import_bridge("bridge_v2".as_ref(), "bags".as_ref(), &ImportOptions::default())?;
-//! println!("{} episodes, {} left out", imported.bags.len(), imported.skipped.len());
+//! let report = import_bridge("bridge_v2".as_ref(), "bags".as_ref(), &ImportOptions::default())?;
+//! println!("{} episodes, {} skipped", report.bags.len(), report.skipped.len());
 //! # Ok::<(), wm_import::ImportError>(())
 //! ```
 //!
-//! The bag's metadata note where it came from ([`wm_bag::ORIGIN`], made by [`origin()`]).
+//! The bag's note [`wm_bag::ORIGIN`] has the source.
 //!
-//! An episode is read whole before its bag is begun, and a bag appears when it is whole. An episode that cannot be read, or
-//! whose actions no arm makes, is left out by name ([`Imported::skipped`]); the others are imported.
+//! An episode is read completely before its bag is written, and bags appear only when they are complete. Episodes that
+//! cannot be read, or whose actions are impossible for an arm, are skipped and named ([`ImportReport::skipped`]).
 //!
-//! LeRobot data sets have a module of their own, `lerobot`, behind the feature `lerobot`: parquet and the video codecs
-//! make it heavy.
+//! LeRobot data sets have the module `lerobot`. Its feature is optional, since parquet and video codecs are large.
 
 mod droid;
 mod episode;
@@ -55,28 +54,25 @@ pub mod video;
 
 use std::path::Path;
 
-use episode::Found;
+use episode::FoundEpisode;
 pub use error::ImportError;
-pub use imported::{Imported, Notes, write_whole};
-pub use jpeg::jpeg;
+pub use imported::{ImportReport, Notes};
 pub use mapping::{ActionForm, ActionMapping, GripperRange};
-pub use origin::origin;
-pub use remedy::ValueSource;
 use source::Source;
 pub use wm_bag::Shard;
 
-/// How episodes are imported.
+/// Options of an import.
 #[derive(Clone, Debug)]
 pub struct ImportOptions {
-    /// Import at most this many episodes; none imports all.
+    /// Limit of episodes; `None` imports all.
     pub episodes: Option<usize>,
-    /// Import only the episodes of this shard: several machines share an import. The bags keep their numbers.
+    /// The shard to import, if several machines share an import. The bags keep their numbers.
     pub shard: Shard,
-    /// JPEG quality of frames that are not JPEG already, 1 to 100.
+    /// JPEG quality of frames that are not JPEG yet, 1 to 100.
     pub jpeg_quality: u8,
-    /// Stamp of the first frame of each episode, in ns since the epoch; the data carry no time of their own.
+    /// Stamp of the first frame of each episode, in ns since the epoch; the data have no times.
     pub start_ns: u64,
-    /// How the action values become Bridge V2's.
+    /// Mapping of the action values to Bridge V2's.
     pub actions: ActionMapping,
 }
 
@@ -86,28 +82,27 @@ impl Default for ImportOptions {
             episodes: None,
             shard: Shard::WHOLE,
             jpeg_quality: 95,
-            // Any fixed time serves, so that an import is reproducible; not 0, which ROS reads as "no time".
+            // A fixed time makes imports reproducible; 0 means "no time" in ROS.
             start_ns: 1_700_000_000_000_000_000,
             actions: ActionMapping::default(),
         }
     }
 }
 
-/// Imports Bridge V2 episodes: each becomes a bag `OUT/episode_NNNNNN`. The layout is found by what `src` holds.
+/// Imports Bridge V2 episodes as bags `OUT/episode_NNNNNN`. Detects the layout.
 ///
-/// `src` may be a directory, one `.mp4` or `.npz`, or one TFRecord. Gives the bags, in order, and the episodes that cannot
-/// be imported; a shard may have none.
+/// `src` is a folder, an `.mp4` or `.npz`, or a TFRecord. A shard may have no episodes.
 ///
 /// # Errors
-/// `src` holds neither layout; its actions are not what `options.actions` says; no episode can be imported (the error is
-/// that of the first); or a bag already exists there.
+/// `src` has neither layout, its actions contradict `options.actions`, no episode can be imported (the error of the first),
+/// or a bag exists.
 pub fn import_bridge(
     src: &Path,
     out: &Path,
     options: &ImportOptions,
-) -> Result<Imported, ImportError> {
+) -> Result<ImportReport, ImportError> {
     let quality = options.jpeg_quality;
-    let episodes = || -> Result<Box<dyn Iterator<Item = Found>>, ImportError> {
+    let episodes = || -> Result<Box<dyn Iterator<Item = FoundEpisode>>, ImportError> {
         Ok(match Source::find(src)? {
             Source::Mp4Npz(pairs) => Box::new(mp4_npz::episodes(pairs, quality)),
             Source::Rlds(shards) => Box::new(rlds::episodes(shards, quality)),
@@ -116,19 +111,19 @@ pub fn import_bridge(
     run::import(episodes, src, out, options)
 }
 
-/// Imports DROID episodes: each becomes a bag `OUT/episode_NNNNNN`, in the order of folders, splits and numbers.
+/// Imports DROID episodes as bags `OUT/episode_NNNNNN`, in the order of folders, splits and numbers.
 ///
-/// `src` has `annotation/` and `videos/` in it, or folders that have, or it is a TFRecord, or has TFRecords in it.
+/// `src` has `annotation/` and `videos/`, or subfolders with these, or it is or has TFRecords.
 ///
 /// # Errors
-/// `src` holds no such layout; no episode can be imported (the error is that of the first); or a bag already exists there.
+/// `src` has no such layout, no episode can be imported (the error of the first), or a bag exists.
 pub fn import_droid(
     src: &Path,
     out: &Path,
     options: &ImportOptions,
-) -> Result<Imported, ImportError> {
+) -> Result<ImportReport, ImportError> {
     let quality = options.jpeg_quality;
-    let episodes = || -> Result<Box<dyn Iterator<Item = Found>>, ImportError> {
+    let episodes = || -> Result<Box<dyn Iterator<Item = FoundEpisode>>, ImportError> {
         Ok(match Source::find(src) {
             Ok(Source::Rlds(shards)) => Box::new(rlds::episodes(shards, quality)),
             _ => Box::new(droid::episodes(src, quality)?),

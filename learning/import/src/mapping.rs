@@ -1,13 +1,13 @@
-//! How the action values of a data set become those of Bridge V2.
+//! Mapping of a data set's action values to those of Bridge V2.
 
 use std::str::FromStr;
 
 use wm_motion::{actions::ActionSpace, motion::turn_between};
 
-/// Numbers of an action and of a state: three of position, three of rotation, the gripper.
+/// Number of values of an action and a state: three of position, three of rotation, the gripper.
 pub(crate) const VALUES: usize = 7;
 
-/// The values of a closed and of an open gripper in a data set, `CLOSED:OPEN`.
+/// A data set's values of a closed and an open gripper, `CLOSED:OPEN`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GripperRange {
     closed: f64,
@@ -21,20 +21,20 @@ impl GripperRange {
         open: 0.0,
     };
 
-    /// The opening, 0 closed to 1 open, of a value.
+    /// Converts a value to an opening, 0 closed to 1 open.
     #[must_use]
     pub fn opening(self, value: f64) -> f64 {
         (value - self.closed) / (self.open - self.closed)
     }
 
-    /// The data set's value of an opening.
+    /// Converts an opening to the data set's value.
     pub(crate) fn value(self, opening: f64) -> f64 {
         self.closed + opening * (self.open - self.closed)
     }
 
-    /// The opening of a value of an action, in place.
+    /// Converts a value of an action to an opening, in place.
     pub fn open_to(self, value: &mut f32) {
-        // What the messages carry.
+        // Messages have single precision.
         *value = self.opening(f64::from(*value)) as f32;
     }
 }
@@ -55,28 +55,28 @@ impl FromStr for GripperRange {
     }
 }
 
-/// What the first six values of an action are.
+/// Meaning of the first six values of an action.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ActionForm {
-    /// Changes from one frame to the next.
+    /// Changes between frames.
     #[default]
     Delta,
-    /// Poses of the hand in the base that the action leads to.
+    /// Target poses of the hand in the base.
     Absolute,
     /// Velocities of the hand, per second.
     Velocity,
 }
 
-/// How the action values of a data set become dx dy dz \[m\], droll dpitch dyaw \[rad\], gripper \[0 closed .. 1 open\].
+/// Mapping of a data set's action values to dx dy dz \[m\], droll dpitch dyaw \[rad\], gripper \[0 closed .. 1 open\].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ActionMapping {
-    /// What the first six values are.
+    /// Meaning of the first six values.
     pub form: ActionForm,
-    /// Metres in one of the data set's units of length.
+    /// Metres per unit of length in the data set.
     pub translation_scale: f32,
-    /// Radians in one of the data set's units of angle.
+    /// Radians per unit of angle in the data set.
     pub rotation_scale: f32,
-    /// The gripper's values; 0 closed to 1 open if it is not given.
+    /// The gripper's values; `None`: 0 closed to 1 open.
     pub gripper: Option<GripperRange>,
 }
 
@@ -92,11 +92,11 @@ impl Default for ActionMapping {
 }
 
 impl ActionMapping {
-    /// Maps the actions of an episode, (T, 7), in place. `states` are poses in m, rad and 0 to 1, (T, 7), or none;
-    /// `period_s` is the time from frame to frame.
+    /// Maps the actions of an episode, (T, 7), in place. `states` are poses in m, rad and 0 to 1, (T, 7), or empty; `period_s` is
+    /// the frame period.
     ///
-    /// Of absolute poses, an action is what leads from a frame's state to the next one's, the last being zero; without
-    /// states, from the pose of the action before.
+    /// An absolute pose becomes the motion from a frame's state to the next state; the last one is zero. Without states, it
+    /// becomes the motion from the previous action's pose.
     pub fn apply(&self, actions: &mut [[f32; VALUES]], states: &[[f32; VALUES]], period_s: f64) {
         for action in actions.iter_mut() {
             self.scale(action);
@@ -106,7 +106,7 @@ impl ActionMapping {
             ActionForm::Velocity => {
                 for action in actions.iter_mut() {
                     for value in action.iter_mut().take(VALUES - 1) {
-                        // An action has single precision.
+                        // Actions have single precision.
                         *value = (f64::from(*value) * period_s) as f32;
                     }
                 }
@@ -116,7 +116,7 @@ impl ActionMapping {
                     true => states.to_vec(),
                     false => {
                         let mut poses = actions.to_vec();
-                        // What comes before the first is unknown: it stands still.
+                        // The pose before the first is unknown: no motion.
                         if let Some(first) = actions.first() {
                             poses.insert(0, *first);
                         }
@@ -133,7 +133,7 @@ impl ActionMapping {
         }
     }
 
-    /// Units and the gripper's range of one action.
+    /// Maps units and gripper of one action.
     pub fn scale(&self, action: &mut [f32; VALUES]) {
         let [x, y, z, roll, pitch, yaw, gripper] = action;
         for value in [x, y, z] {
@@ -147,7 +147,7 @@ impl ActionMapping {
         }
     }
 
-    /// Maps the grippers among the values of an action of `space`.
+    /// Maps the grippers of an action of `space`.
     pub fn map_grippers(&self, space: &ActionSpace, action: &mut [f32]) {
         if let Some(range) = self.gripper {
             for (value, dimension) in action.iter_mut().zip(space.dimensions()) {
@@ -159,8 +159,8 @@ impl ActionMapping {
     }
 }
 
-/// What leads from each pose to the next, and the gripper of the next: (T, 7) -> (T, 7), the last standing still. Rotations
-/// are composed: the turn that leads from one orientation to the next, about the fixed axes of the base.
+/// The motions between poses, with the next gripper: (T, 7) -> (T, 7); the last one is zero. Rotations are composed: the
+/// rotation from one orientation to the next, about the fixed axes of the base.
 pub(crate) fn motions(poses: &[[f64; VALUES]]) -> Vec<[f32; VALUES]> {
     let next = poses.iter().skip(1).chain(poses.last());
     let pairs = poses.iter().zip(next);
@@ -170,7 +170,7 @@ pub(crate) fn motions(poses: &[[f64; VALUES]]) -> Vec<[f32; VALUES]> {
             let [nx, ny, nz, nroll, npitch, nyaw, gripper] = *next;
             let turn = turn_between([roll, pitch, yaw], [nroll, npitch, nyaw]);
             let [droll, dpitch, dyaw] = turn;
-            // What the messages carry.
+            // Messages have single precision.
             [nx - x, ny - y, nz - z, droll, dpitch, dyaw, gripper].map(|value| value as f32)
         })
         .collect()
@@ -204,7 +204,7 @@ mod tests {
             ..ActionMapping::default()
         };
         let near = |found: f32, expected: f32| (found - expected).abs() < 1e-5;
-        // Targets, one frame ahead of the states.
+        // Targets are one frame ahead of the states.
         let states = [pose(0.3, 0.0), pose(0.31, 0.1), pose(0.33, 0.1)];
         let targets = [pose(0.31, 0.1), pose(0.33, 0.1), pose(0.34, 0.1)];
         let mut actions = targets;

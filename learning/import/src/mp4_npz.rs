@@ -6,20 +6,21 @@ mod arrays;
 use std::path::PathBuf;
 
 use crate::{
-    ActionMapping, ImportError, ValueSource,
-    episode::{BRIDGE_PERIOD_NS, Episode, Found, Recorded, Unread, bridge_cameras},
+    ActionMapping, ImportError,
+    episode::{BRIDGE_PERIOD_NS, Episode, FoundEpisode, Trajectory, UnreadEpisode, bridge_cameras},
     mapping::VALUES,
+    remedy::ValueSource,
     video::Video,
 };
-use actions::Labelled;
+use actions::LabelledActions;
 
 /// The episodes of these pairs of video and actions.
 pub(crate) fn episodes(
     pairs: Vec<(PathBuf, PathBuf)>,
     jpeg_quality: u8,
-) -> impl Iterator<Item = Found> {
+) -> impl Iterator<Item = FoundEpisode> {
     pairs.into_iter().map(move |(video, arrays)| {
-        let unread: Box<dyn Unread> = Box::new(Pair {
+        let unread: Box<dyn UnreadEpisode> = Box::new(VideoPair {
             video,
             arrays,
             jpeg_quality,
@@ -28,15 +29,15 @@ pub(crate) fn episodes(
     })
 }
 
-/// A video and its arrays, not read yet.
-struct Pair {
+/// A video and its arrays, not yet read.
+struct VideoPair {
     video: PathBuf,
     arrays: PathBuf,
     jpeg_quality: u8,
 }
 
-impl Pair {
-    fn labelled(&self) -> Result<Labelled, ImportError> {
+impl VideoPair {
+    fn labelled_actions(&self) -> Result<LabelledActions, ImportError> {
         for (present, missing) in [(&self.video, &self.arrays), (&self.arrays, &self.video)] {
             if !missing.exists() {
                 return Err(ImportError::Incomplete {
@@ -49,14 +50,14 @@ impl Pair {
     }
 }
 
-impl Unread for Pair {
-    fn recorded(&self, mapping: &ActionMapping) -> Result<Recorded, ImportError> {
-        let labelled = self.labelled()?;
+impl UnreadEpisode for VideoPair {
+    fn recorded(&self, mapping: &ActionMapping) -> Result<Trajectory, ImportError> {
+        let labelled = self.labelled_actions()?;
         Ok(recorded(labelled.actions, mapping))
     }
 
     fn read(&self, mapping: &ActionMapping) -> Result<Episode, ImportError> {
-        let labelled = self.labelled()?;
+        let labelled = self.labelled_actions()?;
         let video = Video::open(&self.video)?;
         let frames = video.jpegs(0..video.frame_count(), self.jpeg_quality)?;
         Episode {
@@ -72,10 +73,10 @@ impl Unread for Pair {
     }
 }
 
-fn recorded(mut actions: Vec<[f32; VALUES]>, mapping: &ActionMapping) -> Recorded {
-    // BRIDGE_PERIOD_NS is a fifth of a second.
+fn recorded(mut actions: Vec<[f32; VALUES]>, mapping: &ActionMapping) -> Trajectory {
+    // Exact: a fifth of a second.
     mapping.apply(&mut actions, &[], BRIDGE_PERIOD_NS as f64 / 1e9);
-    Recorded {
+    Trajectory {
         period_ns: BRIDGE_PERIOD_NS,
         actions,
         states: Vec::new(),

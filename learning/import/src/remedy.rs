@@ -1,29 +1,29 @@
-//! What to do about values that contradict their kinds or look unusual.
+//! Remedies for values that contradict their kinds or look unusual.
 
 use wm_motion::actions::{ActionSurvey, Cause, Contradiction, Hint, Kind, Range};
 
 use crate::GripperRange;
 
-/// How near to its end a gripper reaches it, as a share of its range.
+/// Tolerance at the ends of a gripper's range, as a share of the range.
 const REACH: f32 = 0.1;
 
-/// How the measured values were made of those of the data set.
+/// Origin of the measured values in the data set.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct ValueSource {
-    /// The mapping of the gripper that was applied, if there is one.
+pub(crate) struct ValueSource {
+    /// The applied mapping of the gripper.
     pub gripper: Option<GripperRange>,
     /// Whether an action is the motion between two recorded states.
     pub is_of_states: bool,
 }
 
 impl ValueSource {
-    /// The option that takes these openings for closed and open, and the exchanged one.
+    /// The option that maps these openings to closed and open, and the swapped option.
     fn gripper_options(self, closed: f32, open: f32) -> (String, String) {
         let value = |opening: f32| {
             let opening = f64::from(opening);
             let value = self.gripper.map_or(opening, |range| range.value(opening));
             let rounded = (value * 1e4).round() / 1e4;
-            // No minus before a zero.
+            // Avoids "-0".
             if rounded == 0.0 { 0.0 } else { rounded }
         };
         let (closed, open) = (value(closed), value(open));
@@ -31,23 +31,23 @@ impl ValueSource {
         (option(closed, open), option(open, closed))
     }
 
-    /// A contradiction with the option that maps the values, in words.
+    /// Describes a contradiction and the option that maps the values.
     #[must_use]
     pub fn remedy(self, found: &Contradiction) -> String {
         let is_hand = matches!(found.kind, Kind::TranslationDelta | Kind::RotationDelta);
         let is_angle = found.unit.starts_with("rad");
         let option = match found.cause {
             Cause::Gripper { closed, open } => {
-                // Of values that were mapped already, the round ends say nothing.
+                // Mapped values do not prove the original range.
                 let measured = (found.measured.low, found.measured.high);
                 let (closed, open) = self.gripper.map_or((closed, open), |_| measured);
                 let (option, exchanged) = self.gripper_options(closed, open);
                 format!("map them with {option}, or {exchanged} if it closes the other way")
             }
             Cause::Millimetres if is_hand => "map them with --translation-scale 0.001".to_owned(),
-            Cause::Millimetres => "give the unit mm (or mm/s) in --action-space FILE".to_owned(),
+            Cause::Millimetres => "set the unit mm (or mm/s) in --action-space FILE".to_owned(),
             Cause::Degrees if is_hand => "map them with --rotation-scale 0.0174533".to_owned(),
-            Cause::Degrees => "give the unit deg (or deg/s) in --action-space FILE".to_owned(),
+            Cause::Degrees => "set the unit deg (or deg/s) in --action-space FILE".to_owned(),
             _ if self.is_of_states && is_hand => {
                 "an action is the motion from one recorded state to the next: repair the states, or remove the episode"
                     .to_owned()
@@ -55,20 +55,20 @@ impl ValueSource {
             Cause::Absolute if is_hand => "map them with --actions absolute".to_owned(),
             Cause::Absolute => "describe them as joint_position in --action-space FILE".to_owned(),
             Cause::Normalised if is_hand && is_angle => {
-                "map them with --rotation-scale RAD, the angle of a value of 1, or with --actions velocity".to_owned()
+                "map them with --rotation-scale RAD, the angle for a value of 1, or with --actions velocity".to_owned()
             }
             Cause::Normalised if is_hand => {
-                "map them with --translation-scale METRES, the way of a value of 1, or with --actions velocity".to_owned()
+                "map them with --translation-scale METRES, the distance for a value of 1, or with --actions velocity".to_owned()
             }
             Cause::TooFar if is_hand => return found.to_string(),
             Cause::Normalised | Cause::TooFar => {
-                "give the kind and the unit in --action-space FILE, or repair the data".to_owned()
+                "set the kind and the unit in --action-space FILE, or repair the data".to_owned()
             }
         };
         format!("{found}; {option}")
     }
 
-    /// A hint with the option that maps the values, in words.
+    /// Describes a hint and the option that maps the values.
     #[must_use]
     pub fn advice(self, hint: &Hint) -> String {
         match hint {
@@ -95,7 +95,7 @@ impl ValueSource {
         }
     }
 
-    /// The first contradiction of an episode or a data set with the option that maps the values; none if there is none.
+    /// Describes the first contradiction of an episode or a data set, if any.
     #[must_use]
     pub fn contradiction(self, survey: &ActionSurvey) -> Option<String> {
         let found = survey.contradictions();
@@ -103,10 +103,10 @@ impl ValueSource {
         let is_unit = |found: &Contradiction| {
             self.is_of_states && !matches!(found.cause, Cause::Gripper { .. })
         };
-        // One episode with a jump says nothing of the unit.
+        // A jump in one episode does not prove another unit.
         let unit = match survey.episodes() > 1 && found.first().is_some_and(is_unit) {
             true => {
-                "; if they are not in m and rad, give their unit with --translation-scale or --rotation-scale"
+                "; if they are not in m and rad, set their unit with --translation-scale or --rotation-scale"
             }
             false => "",
         };
@@ -117,7 +117,7 @@ impl ValueSource {
     }
 }
 
-/// The openings that stand for closed and open: 0 and 1 if they are reached, else the measured ones.
+/// The openings of closed and open: 0 and 1 if they are reached, otherwise the measured ones.
 fn ends(measured: Range) -> (f32, f32) {
     match measured.low < REACH && measured.high > 1.0 - REACH {
         true => (0.0, 1.0),
@@ -129,8 +129,8 @@ fn ends(measured: Range) -> (f32, f32) {
 mod tests {
     use super::*;
 
-    /// What an import says of a gripper that goes through these openings in each of two episodes.
-    fn said(source: ValueSource, openings: [f32; 2]) -> String {
+    /// The remark on a gripper with these openings in each of two episodes.
+    fn remark(source: ValueSource, openings: [f32; 2]) -> String {
         let space = wm_motion::actions::ActionSpace::bridge();
         let mut survey = ActionSurvey::new(space, 5.0);
         for _ in 0..2 {
@@ -158,7 +158,7 @@ mod tests {
         for (openings, expected) in [
             (
                 [0.8, 0.0],
-                "measured 0 to 0.8; it never reaches both closed (0) and open (1); if these are its ends, map \
+                "measured 0 to 0.8; never reaches both closed (0) and open (1); if these are its ends, map \
                           them with --gripper-range 0:0.8, or 0.8:0",
             ),
             (
@@ -177,24 +177,24 @@ mod tests {
                 "measured 0 to 100; expected 0 (closed) to 1 (open); map them with --gripper-range 0:100",
             ),
         ] {
-            let found = said(plain, openings).replace("or --gripper-range ", "or ");
+            let found = remark(plain, openings).replace("or --gripper-range ", "or ");
             assert!(found.contains(expected), "{openings:?}: {found}");
         }
-        assert_eq!(said(plain, [1.0, 0.0]), "");
+        assert_eq!(remark(plain, [1.0, 0.0]), "");
     }
 
     #[test]
-    fn the_option_is_in_values_of_the_data_set() {
+    fn option_has_values_of_the_data_set() {
         // 0 open to 0.8 closed, imported as DROID's 0 to 1.
-        let found = said(mapped("1:0"), [1.0, 0.2]);
+        let found = remark(mapped("1:0"), [1.0, 0.2]);
         assert!(found.contains("with --gripper-range 0.8:0"), "{found}");
-        let found = said(mapped("1:0"), [0.0, 1.0]);
+        let found = remark(mapped("1:0"), [0.0, 1.0]);
         assert!(
             found.contains("if so, map it with --gripper-range 0:1"),
             "{found}"
         );
-        // 0 to 100, taken for 0 to 50.
-        let found = said(mapped("0:50"), [2.0, 0.0]);
+        // 0 to 100, mapped as 0 to 50.
+        let found = remark(mapped("0:50"), [2.0, 0.0]);
         assert!(
             found.contains("map them with --gripper-range 0:100"),
             "{found}"
@@ -202,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn jumps_of_states_are_repaired_and_not_mapped() {
+    fn jumps_of_states_need_repair_not_mapping() {
         let source = ValueSource {
             gripper: None,
             is_of_states: true,
@@ -228,7 +228,7 @@ mod tests {
         );
         let all = source.contradiction(&survey(3)).unwrap();
         assert!(
-            all.contains("give their unit with --translation-scale"),
+            all.contains("set their unit with --translation-scale"),
             "{all}"
         );
         let plain = ValueSource::default().contradiction(&survey(1)).unwrap();

@@ -1,9 +1,9 @@
-//! RLDS: TFRecord files of `tf.train.Example`, one example an episode, its steps flattened into lists.
+//! RLDS: TFRecord files of `tf.train.Example`, one example per episode, its steps flattened into lists.
 //!
 //! Features, as TensorFlow Datasets names them: `steps/action` (T x 7 float), `steps/observation/image_N` (T encoded
 //! images), `steps/observation/state` (T x 7 float), `steps/language_instruction` (T texts), `steps/reward` (T float). In
-//! Bridge V2 the state is the pose of the end effector (x y z in m, roll pitch yaw in rad) and the gripper (0 closed to 1
-//! open), whatever the template text in `features.json` says; its differences are the actions.
+//! Bridge V2, the state is the pose of the end effector (x y z in m, roll pitch yaw in rad) and the gripper (0 closed to 1
+//! open), unlike the template text in `features.json`; its differences are the actions.
 //!
 //! An example with `steps/observation/cartesian_position` is DROID's ([`droid`]).
 
@@ -19,9 +19,12 @@ use std::{
 };
 
 use crate::{
-    ActionMapping, ImportError, ValueSource,
-    episode::{BRIDGE_PERIOD_NS, Camera, Episode, Found, Recorded, Unread, bridge_cameras},
+    ActionMapping, ImportError,
+    episode::{
+        BRIDGE_PERIOD_NS, Camera, Episode, FoundEpisode, Trajectory, UnreadEpisode, bridge_cameras,
+    },
     mapping::VALUES,
+    remedy::ValueSource,
 };
 use example::Example;
 use pictures::Pictures;
@@ -33,11 +36,14 @@ const INSTRUCTION: &str = "steps/language_instruction";
 const IMAGE_PREFIX: &str = "steps/observation/image_";
 const REWARD: &str = "steps/reward";
 const IS_LAST: &str = "steps/is_last";
-/// Of SOAR and others, whose episodes are not all demonstrations.
+/// In SOAR and other data sets with failed episodes.
 const SUCCESS: &str = "episode_metadata/success";
 
 /// The episodes of these files.
-pub(crate) fn episodes(files: Vec<PathBuf>, jpeg_quality: u8) -> impl Iterator<Item = Found> {
+pub(crate) fn episodes(
+    files: Vec<PathBuf>,
+    jpeg_quality: u8,
+) -> impl Iterator<Item = FoundEpisode> {
     files.into_iter().flat_map(move |file| {
         let (episodes, error) = match TfRecords::open(&file) {
             Ok(records) => (
@@ -62,12 +68,12 @@ struct Episodes {
     records: TfRecords,
     found: u64,
     jpeg_quality: u8,
-    /// Whether the count was compared.
+    /// Whether the count was checked.
     is_checked: bool,
 }
 
 impl Iterator for Episodes {
-    type Item = Found;
+    type Item = FoundEpisode;
 
     fn next(&mut self) -> Option<Self::Item> {
         let Some(record) = self.records.next() else {
@@ -79,10 +85,10 @@ impl Iterator for Episodes {
         let number = self.found;
         self.found += 1;
         let (file, jpeg_quality) = (Rc::clone(&self.file), self.jpeg_quality);
-        // The records after a damaged length cannot be found, and their number is part of that error.
+        // Records after a damaged length cannot be found; that error covers their number.
         self.is_checked |= record.is_err();
         Some(record.map(|record| {
-            let unread: Box<dyn Unread> = Box::new(InFile {
+            let unread: Box<dyn UnreadEpisode> = Box::new(RldsEpisode {
                 file,
                 number,
                 record,
@@ -94,13 +100,13 @@ impl Iterator for Episodes {
 }
 
 impl Episodes {
-    /// Compares the count with the data set's own description: a file cut between two records looks whole otherwise.
+    /// Checks the count against the data set's description: a file truncated between two records looks complete.
     fn check_count(&self) -> Result<(), ImportError> {
         match split::expected_records(&self.file)? {
             Some(expected) if expected != self.found => Err(ImportError::corrupt(
                 &*self.file,
                 format!(
-                    "expected {expected} episodes, as dataset_info.json says, got {}",
+                    "expected {expected} episodes (dataset_info.json), got {}",
                     self.found
                 ),
             )),
@@ -109,24 +115,24 @@ impl Episodes {
     }
 }
 
-/// An episode of a file, not read yet.
-struct InFile {
+/// An episode of a file, not yet read.
+struct RldsEpisode {
     file: Rc<Path>,
     number: u64,
     record: Record,
     jpeg_quality: u8,
 }
 
-/// What an example has beside its pictures.
+/// The content of an example without its pictures.
 struct Content {
-    recorded: Recorded,
+    recorded: Trajectory,
     joints: Option<Vec<Vec<f64>>>,
 }
 
-impl Unread for InFile {
-    fn recorded(&self, mapping: &ActionMapping) -> Result<Recorded, ImportError> {
+impl UnreadEpisode for RldsEpisode {
+    fn recorded(&self, mapping: &ActionMapping) -> Result<Trajectory, ImportError> {
         let record = self.record.read()?;
-        let content = Example::parse(&record).and_then(|example| content(&example, mapping));
+        let content = Example::parse(&record).and_then(|example| read_content(&example, mapping));
         Ok(content.map_err(|reason| self.corrupt(&reason))?.recorded)
     }
 
@@ -142,17 +148,17 @@ impl Unread for InFile {
     }
 }
 
-impl InFile {
+impl RldsEpisode {
     fn corrupt(&self, reason: &str) -> ImportError {
         ImportError::corrupt(&*self.file, format!("episode {}: {reason}", self.number))
     }
 
     fn episode(&self, example: &Example, mapping: &ActionMapping) -> Result<Episode, String> {
-        let content = content(example, mapping)?;
+        let content = read_content(example, mapping)?;
         let mut notes = Vec::new();
         let cameras = match droid::is_droid(example) {
-            true => droid::cameras(example, self.jpeg_quality, &mut notes)?,
-            false => cameras(example, self.jpeg_quality, &mut notes)?,
+            true => droid::read_cameras(example, self.jpeg_quality, &mut notes)?,
+            false => read_cameras(example, self.jpeg_quality, &mut notes)?,
         };
         Ok(Episode {
             source: self.file.to_path_buf(),
@@ -160,27 +166,26 @@ impl InFile {
             cameras,
             recorded: content.recorded,
             joints: content.joints.map(crate::droid::states::joints),
-            instruction: instruction(example)?,
-            success: success(example)?,
+            instruction: read_instruction(example)?,
+            success: read_success(example)?,
             notes,
         })
     }
 }
 
-/// Actions, states and joints.
-fn content(example: &Example, mapping: &ActionMapping) -> Result<Content, String> {
+fn read_content(example: &Example, mapping: &ActionMapping) -> Result<Content, String> {
     if droid::is_droid(example) {
-        return droid::content(example, mapping);
+        return droid::read_content(example, mapping);
     }
-    let mut actions = rows(example, ACTION)?;
+    let mut actions = read_rows(example, ACTION)?;
     let states = if example.has(STATE) {
-        rows(example, STATE)?
+        read_rows(example, STATE)?
     } else {
         Vec::new()
     };
     mapping.apply(&mut actions, &states, BRIDGE_PERIOD_NS as f64 / 1e9);
     Ok(Content {
-        recorded: Recorded {
+        recorded: Trajectory {
             period_ns: BRIDGE_PERIOD_NS,
             actions,
             states,
@@ -193,8 +198,8 @@ fn content(example: &Example, mapping: &ActionMapping) -> Result<Content, String
     })
 }
 
-/// Bridge V2's cameras, by their numbers. One that was not there has one flat colour: it is left out, and named.
-fn cameras(
+/// Bridge V2's cameras, by number. A missing camera has one flat colour: it is skipped and named.
+fn read_cameras(
     example: &Example,
     jpeg_quality: u8,
     notes: &mut Vec<String>,
@@ -211,13 +216,13 @@ fn cameras(
     Ok(bridge_cameras(cameras))
 }
 
-/// Whether the task was done: what the metadata say, else the reward of the last step, 1 for a demonstration. None if the
-/// example ends before the episode does.
-fn success(example: &Example) -> Result<Option<bool>, String> {
+/// Whether the task succeeded: from the metadata, otherwise from the reward of the last step, 1 for a demonstration. `None`
+/// if the example ends before the episode.
+fn read_success(example: &Example) -> Result<Option<bool>, String> {
     if example.has(SUCCESS) {
-        return Ok(example.truths(SUCCESS)?.last().copied());
+        return Ok(example.booleans(SUCCESS)?.last().copied());
     }
-    let is_cut = example.has(IS_LAST) && example.truths(IS_LAST)?.last() != Some(&true);
+    let is_cut = example.has(IS_LAST) && example.booleans(IS_LAST)?.last() != Some(&true);
     if is_cut || !example.has(REWARD) {
         return Ok(None);
     }
@@ -229,8 +234,8 @@ fn success(example: &Example) -> Result<Option<bool>, String> {
     }
 }
 
-/// A flattened list of floats as rows of seven.
-fn rows(example: &Example, name: &str) -> Result<Vec<[f32; VALUES]>, String> {
+/// Splits a flattened list of floats into rows of seven.
+fn read_rows(example: &Example, name: &str) -> Result<Vec<[f32; VALUES]>, String> {
     let values = example.floats(name)?;
     let (rows, rest) = values.as_chunks::<VALUES>();
     if rest.is_empty() {
@@ -243,8 +248,8 @@ fn rows(example: &Example, name: &str) -> Result<Vec<[f32; VALUES]>, String> {
     }
 }
 
-/// The instruction, which RLDS repeats at each step: the first that is not empty, of DROID's three too.
-fn instruction(example: &Example) -> Result<Option<String>, String> {
+/// The instruction, which RLDS repeats at each step: the first that is not empty, also of DROID's three.
+fn read_instruction(example: &Example) -> Result<Option<String>, String> {
     let others = ["", "_2", "_3"].map(|suffix| format!("{INSTRUCTION}{suffix}"));
     for name in others.iter().filter(|name| example.has(name)) {
         let texts = example.bytes(name)?;

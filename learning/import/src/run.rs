@@ -1,22 +1,22 @@
-//! An import: a survey of the actions, then a bag for each episode.
+//! The import: a survey of the actions, then a bag per episode.
 
 use std::path::Path;
 
 use wm_motion::actions::{ActionSpace, ActionSurvey, Cause};
 
-use crate::{ImportError, ImportOptions, Imported, ValueSource, episode::Found};
+use crate::{ImportError, ImportOptions, ImportReport, episode::FoundEpisode, remedy::ValueSource};
 
-/// Episodes that are measured before the first is imported; the same for each shard.
-const SURVEYED: usize = 256;
+/// Number of episodes in the survey before the import, the same for all shards.
+const SURVEY_EPISODES: usize = 256;
 
-/// Writes each episode of the shard as a bag; the others are not read.
-pub(crate) fn import<I: Iterator<Item = Found>>(
+/// Writes each episode of the shard as a bag; other episodes are not read.
+pub(crate) fn import<I: Iterator<Item = FoundEpisode>>(
     episodes: impl Fn() -> Result<I, ImportError>,
     src: &Path,
     out: &Path,
     options: &ImportOptions,
-) -> Result<Imported, ImportError> {
-    let mut imported = Imported::default();
+) -> Result<ImportReport, ImportError> {
+    let mut imported = ImportReport::default();
     let most = options.episodes.unwrap_or(usize::MAX);
     if let Some((survey, source)) = survey(episodes()?, most, src, options)? {
         imported.ranges = Some(survey.to_string());
@@ -32,7 +32,7 @@ pub(crate) fn import<I: Iterator<Item = Found>>(
         }
         let unread = match found {
             Ok(unread) => unread,
-            // No episode: it takes no number.
+            // A faulty part of the data set takes no number.
             Err(error) => {
                 imported.skip(&error);
                 first_error.get_or_insert(error);
@@ -76,12 +76,12 @@ pub(crate) fn import<I: Iterator<Item = Found>>(
     }
 }
 
-/// Measures the actions of the first episodes, whatever the shard; none without an episode that can be read.
+/// Measures the actions of the first episodes, of all shards; `None` without a readable episode.
 ///
 /// # Errors
-/// Most of them contradict the kinds of Bridge V2's values, or the gripper of one of them does.
+/// Most episodes contradict the kinds of Bridge V2's values, or a gripper does.
 fn survey(
-    episodes: impl Iterator<Item = Found>,
+    episodes: impl Iterator<Item = FoundEpisode>,
     most: usize,
     src: &Path,
     options: &ImportOptions,
@@ -89,8 +89,8 @@ fn survey(
     let mut whole: Option<(ActionSurvey, ValueSource)> = None;
     let mut contradicting = 0;
     let found = episodes.filter_map(Result::ok);
-    for unread in found.take(most.min(SURVEYED)) {
-        // One that cannot be read is named when it is its turn.
+    for unread in found.take(most.min(SURVEY_EPISODES)) {
+        // Unreadable episodes are named during the import.
         let Ok(recorded) = unread.recorded(&options.actions) else {
             continue;
         };

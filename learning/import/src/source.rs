@@ -5,17 +5,17 @@ use std::{
 
 use crate::ImportError;
 
-/// What was found at the path to import from, in the order of names.
+/// The files to import, sorted by name.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Source {
-    /// Videos, each with its actions; one of a pair may be missing.
+    /// Pairs of video and actions; one of a pair may be missing.
     Mp4Npz(Vec<(PathBuf, PathBuf)>),
     /// TFRecord files.
     Rlds(Vec<PathBuf>),
 }
 
 impl Source {
-    /// Looks at a file or directory (not below it).
+    /// Finds the files of a path, without subfolders.
     pub fn find(src: &Path) -> Result<Self, ImportError> {
         let found = fs::metadata(src).map_err(|source| ImportError::io(src, source))?;
         let mut files = Vec::new();
@@ -60,7 +60,7 @@ fn has_extension(file: &Path, extension: &str) -> bool {
         .is_some_and(|found| found.eq_ignore_ascii_case(extension))
 }
 
-/// `NAME.tfrecord`, or `NAME-SPLIT.tfrecord-00000-of-00001` as TensorFlow Datasets writes it.
+/// Whether the name is `NAME.tfrecord`, or `NAME-SPLIT.tfrecord-00000-of-00001` (TensorFlow Datasets).
 fn is_tfrecord(file: &Path) -> bool {
     file.file_name()
         .and_then(|name| name.to_str())
@@ -72,7 +72,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn layouts_are_told_apart() {
+    fn layouts_are_distinguished() {
         let dir = tempfile::tempdir().unwrap();
         let at = |name: &str| dir.path().join(name);
         assert!(matches!(

@@ -8,12 +8,12 @@ use std::{
 
 use wm_bag::Shard;
 
-use crate::{ImportError, ImportOptions, Imported};
+use crate::{ImportError, ImportOptions, ImportReport};
 
-/// Asserts that two shards, three, and more than there are episodes write into one folder what one import writes.
+/// Asserts that two, three, and more shards than episodes write the same files as one import.
 pub(crate) fn assert_shards_join(
     episodes: usize,
-    import: impl Fn(&Path, &ImportOptions) -> Result<Imported, ImportError>,
+    import: impl Fn(&Path, &ImportOptions) -> Result<ImportReport, ImportError>,
 ) {
     let dir = tempfile::tempdir().unwrap();
     let run = |out: &Path, shard| {
@@ -40,7 +40,7 @@ pub(crate) fn shard(index: usize, count: usize) -> Shard {
     format!("{index}/{count}").parse().unwrap()
 }
 
-/// The contents of all files of the bags in `dir`, by their paths below it.
+/// Contents of the bags' files in `dir`, by relative path.
 fn files(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let entries = |dir: &Path| {
         fs::read_dir(dir)

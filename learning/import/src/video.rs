@@ -1,8 +1,8 @@
-//! The frames of an mp4 video, with the times at which they are shown.
+//! Frames of an mp4 video and their presentation times.
 //!
-//! h264 is decoded, and AV1 if the crate is built with the feature `av1`. Colours are by the tags of the stream, then by
-//! those of the file; without tags they are BT.601 in the limited range. So does ffmpeg. Not here: sound, fragmented files,
-//! more than 8 bits a channel, chroma other than 4:2:0.
+//! Decodes h264, and AV1 with the feature `av1`. As in ffmpeg, colours follow the tags of the stream, then of the file; the
+//! default is BT.601 in the limited range. Not supported: sound, fragmented files, more than 8 bits per channel, chroma
+//! other than 4:2:0.
 
 #[cfg(feature = "av1")]
 mod av1;
@@ -19,32 +19,32 @@ use std::{
 use image::RgbImage;
 use wm_camera::video::ColourTags;
 
-use crate::{ImportError, jpeg};
+use crate::{ImportError, jpeg::encode_jpeg};
 use mp4::{Codec, Sample};
 
-/// A file is read whole; LeRobot begins a new one at 200 MB (500 MB in its first versions of v3.0).
+/// Limit of a file, which is read at once; LeRobot starts a new one at 200 MB (500 MB in early versions of v3.0).
 const MAX_BYTES: u64 = 2 << 30;
 
-/// A video that has been opened: its frames are indexed, and not yet decoded.
+/// An open video: its frames are indexed, not yet decoded.
 #[derive(Debug)]
 pub struct Video {
     file: PathBuf,
     bytes: Vec<u8>,
     codec: Codec,
     colours: ColourTags,
-    /// Ticks a second.
+    /// Ticks per second.
     timescale: u64,
-    /// Coded frames, in decoding order.
+    /// Encoded frames, in decoding order.
     samples: Vec<Sample>,
-    /// Numbers of the samples that are shown, in the order of their times.
+    /// Indices of the presented samples, in presentation order.
     shown: Vec<usize>,
 }
 
-/// A decoder takes samples in decoding order and gives frames in the order in which they are shown.
+/// Decodes samples in decoding order; returns frames in presentation order.
 trait Decoder {
-    /// Takes a sample; gives the frames that are ready then.
+    /// Decodes a sample; returns the frames that are ready.
     fn feed(&mut self, sample: &[u8]) -> Result<Vec<RgbImage>, String>;
-    /// Gives the frames that are left.
+    /// Returns the remaining frames.
     fn finish(&mut self) -> Result<Vec<RgbImage>, String>;
 }
 
@@ -52,8 +52,8 @@ impl Video {
     /// Opens an mp4 file and finds its frames.
     ///
     /// # Errors
-    /// The file cannot be read, is no mp4 video or cut short, or its codec is not decoded here (named, with the command
-    /// that converts it).
+    /// The file cannot be read, is not a complete mp4 video, or its codec is not supported (with the command that converts
+    /// it).
     pub fn open(file: &Path) -> Result<Self, ImportError> {
         let found = fs::metadata(file).map_err(|source| ImportError::io(file, source))?;
         if found.len() > MAX_BYTES {
@@ -68,7 +68,7 @@ impl Video {
         let bytes = fs::read(file).map_err(|source| ImportError::io(file, source))?;
         let track = mp4::read(&bytes, file).map_err(|reason| ImportError::corrupt(file, reason))?;
         let mut shown: Vec<usize> = (0..track.samples.len()).collect();
-        // What comes before the edit list's start is decoded and not shown.
+        // Samples before the edit list's start are decoded and not presented.
         shown.retain(|number| time(&track.samples, *number) >= 0);
         shown.sort_by_key(|number| time(&track.samples, *number));
         Ok(Self {
@@ -82,19 +82,19 @@ impl Video {
         })
     }
 
-    /// The file.
+    /// The path.
     #[must_use]
     pub fn file(&self) -> &Path {
         &self.file
     }
 
-    /// Frames that are shown.
+    /// Number of presented frames.
     #[must_use]
     pub fn frame_count(&self) -> usize {
         self.shown.len()
     }
 
-    /// When a frame is shown, in s since the video's start; none past the last.
+    /// Presentation time of a frame, in s since the video's start; `None` past the last.
     #[must_use]
     pub fn time_s(&self, frame: usize) -> Option<f64> {
         let number = self.shown.get(frame)?;
@@ -102,7 +102,7 @@ impl Video {
         Some(time(&self.samples, *number) as f64 / self.timescale as f64)
     }
 
-    /// The frame whose time is nearest, and that time in s; none in a video without frames.
+    /// The frame with the nearest time, and its time in s; `None` without frames.
     #[must_use]
     pub fn nearest(&self, time_s: f64) -> Option<(usize, f64)> {
         let after = self.shown.partition_point(|number| {
@@ -115,7 +115,7 @@ impl Video {
             .min_by(|(_, a), (_, b)| (a - time_s).abs().total_cmp(&(b - time_s).abs()))
     }
 
-    /// Decodes a range of frames and hands each over, in order.
+    /// Decodes a range of frames and passes each to `each`, in order.
     ///
     /// # Errors
     /// The range is past the end; a frame cannot be decoded; frames are missing in the stream; or `each` fails.
@@ -144,7 +144,7 @@ impl Video {
         let (Some(first), Some(last)) = (wanted.iter().min(), wanted.iter().max()) else {
             return Ok(());
         };
-        // The decoder begins at a frame that needs no other, at or before the first that is wanted.
+        // Decoding starts at a keyframe, at or before the first wanted frame.
         let begin = (0..=*first)
             .rev()
             .find(|number| {
@@ -157,7 +157,7 @@ impl Video {
             })
             .unwrap_or(0);
         let fed = begin..last + 1;
-        // In the order in which the decoder gives them.
+        // In presentation order.
         let mut times: Vec<i64> = fed.clone().map(|n| time(&self.samples, n)).collect();
         times.sort_unstable();
         let wanted_times: Vec<i64> = wanted.iter().map(|n| time(&self.samples, *n)).collect();
@@ -189,14 +189,11 @@ impl Video {
         Ok(())
     }
 
-    /// All frames as JPEG of this quality, 1 to 100.
-    ///
-    /// # Errors
-    /// See [`decode`](Self::decode).
+    /// Decodes frames and encodes them as JPEG of this quality, 1 to 100.
     pub fn jpegs(&self, frames: Range<usize>, quality: u8) -> Result<Vec<Vec<u8>>, ImportError> {
         let mut jpegs = Vec::with_capacity(frames.len());
         self.decode(frames, |frame| {
-            jpegs.push(jpeg(&frame, quality).map_err(|error| error.to_string())?);
+            jpegs.push(encode_jpeg(&frame, quality).map_err(|error| error.to_string())?);
             Ok(())
         })?;
         Ok(jpegs)
@@ -217,7 +214,7 @@ impl Video {
     }
 }
 
-/// When a sample is shown, in ticks; those that are not there come last.
+/// Presentation time of a sample, in ticks; missing samples come last.
 fn time(samples: &[Sample], number: usize) -> i64 {
     samples.get(number).map_or(i64::MAX, |sample| sample.time)
 }

@@ -1,8 +1,7 @@
-//! The audit of real data sets reports no fault. They are read from the directory that the environment variable
-//! WM_SHARED_DATA names (with `bridge_v2/`, `bridge_rlds/`, `droid/` and `g1_bottle/` in it), and are not part of the
-//! repository.
+//! Real data sets have no audit faults. They are in the folder of the environment variable WM_SHARED_DATA (`bridge_v2/`,
+//! `bridge_rlds/`, `droid/`, `g1_bottle/`), outside the repository.
 
-#![allow(clippy::unwrap_used)] // the helpers of tests too, not only what is marked #[test]
+#![allow(clippy::unwrap_used)] // the lint exempts #[test] functions, not their helpers
 
 #[path = "../../import/tests/shared_data/folder.rs"]
 mod folder;
@@ -18,7 +17,7 @@ use wm_bag::BagReader;
 
 use folder::shared;
 
-/// Imports a data set with the program, and examines each bag.
+/// Imports a data set with the program, and audits each bag.
 fn expect_no_fault(format: &str, source: &Path, options: &[&str]) {
     let out = TempDir::new().unwrap();
     let mut import = Command::new(env!("CARGO_BIN_EXE_wm-datasets"));
@@ -65,7 +64,7 @@ fn droid_has_no_fault() {
 }
 
 #[test]
-fn a_humanoid_that_follows_its_targets_has_no_fault() {
+fn humanoid_with_targets_has_no_fault() {
     let Some(source) = shared("g1_bottle") else {
         return;
     };
@@ -73,7 +72,7 @@ fn a_humanoid_that_follows_its_targets_has_no_fault() {
     let info: serde_json::Value = serde_json::from_slice(&text).unwrap();
     let names = info.pointer("/features/action/names").unwrap();
     let names = names.as_array().unwrap();
-    // As its authors wrote it: a list in a list.
+    // Its authors wrote a nested list.
     let names = names
         .first()
         .and_then(|inner| inner.as_array())

@@ -1,6 +1,6 @@
-//! What `wm-datasets` prints, and how it ends.
+//! Output and exit codes of `wm-datasets`.
 
-#![allow(clippy::unwrap_used)] // the helpers of tests too, not only what is marked #[test]
+#![allow(clippy::unwrap_used)] // the lint exempts #[test] functions, not their helpers
 
 use std::{fs, path::Path, process::Command};
 
@@ -26,12 +26,12 @@ fn run(args: &[&str]) -> (i32, String, String) {
     )
 }
 
-/// A bag of four frames whose gripper is `gripper` in the last.
+/// Writes a bag with four frames; the last has this gripper value.
 fn bag(path: &Path, gripper: f32) {
     bag_at(path, gripper, [0, 200, 400, 600]);
 }
 
-/// The same with frames at these times \[ms\].
+/// As [`bag`], with frames at these times \[ms\].
 fn bag_at(path: &Path, gripper: f32, times_ms: [u64; 4]) {
     let mut writer = BagWriter::create(path, WriterOptions::default()).unwrap();
     writer
@@ -63,7 +63,7 @@ fn bag_at(path: &Path, gripper: f32, times_ms: [u64; 4]) {
 }
 
 #[test]
-fn exit_code_says_whether_all_episodes_are_there() {
+fn exit_code_shows_whether_all_episodes_are_imported() {
     let scratch = TempDir::new().unwrap();
     let at = |name: &str| scratch.path().join(name).to_str().unwrap().to_owned();
     let bags = ["a", "b"].map(|name| scratch.path().join(name));
@@ -82,7 +82,7 @@ fn exit_code_says_whether_all_episodes_are_there() {
         "{errors}"
     );
 
-    // The rows of the second episode claim a frame that is not there.
+    // The second episode has a row without a frame.
     let meta = Path::new(&dataset).join("meta/info.json");
     let info = fs::read_to_string(&meta).unwrap();
     let wrong = info.replace(
@@ -124,8 +124,8 @@ fn export_without_a_part_of_a_bag_ends_with_3() {
     assert_eq!(code, 3, "{errors}");
     assert!(printed.contains("1 episodes, 2 frames"), "{printed}");
     assert!(errors.contains("a: split into 3 recordings"), "{errors}");
-    let left_out = "left out: ";
-    assert_eq!(errors.matches(left_out).count(), 2, "{errors}");
+    let skipped = "skipped: ";
+    assert_eq!(errors.matches(skipped).count(), 2, "{errors}");
     assert!(
         errors.contains("a: 1 action(s) and 1 picture(s)"),
         "{errors}"
@@ -136,14 +136,14 @@ fn export_without_a_part_of_a_bag_ends_with_3() {
 }
 
 #[test]
-fn left_out_episodes_are_named_and_end_with_3() {
+fn skipped_episodes_are_named_and_end_with_3() {
     let scratch = TempDir::new().unwrap();
     let at = |name: &str| scratch.path().join(name);
     let bags = ["a", "b", "c"].map(at);
     for path in &bags {
         bag(path, 0.0);
     }
-    // A video of each episode's own, the second one cut.
+    // A video per episode; the second one is truncated.
     let options = wm_import::lerobot::ExportOptions {
         video_file_bytes: 1,
         ..wm_import::lerobot::ExportOptions::default()
@@ -162,11 +162,11 @@ fn left_out_episodes_are_named_and_end_with_3() {
         format!("{out}/episode_000000\n{out}/episode_000002\n")
     );
     assert!(
-        errors.contains("left out: episode 1: ") && errors.contains("file-001.mp4"),
+        errors.contains("skipped: episode 1: ") && errors.contains("file-001.mp4"),
         "{errors}"
     );
     assert!(
-        errors.contains("2 episodes imported, 1 left out"),
+        errors.contains("2 episodes imported, 1 skipped"),
         "{errors}"
     );
 }

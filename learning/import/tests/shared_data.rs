@@ -1,7 +1,7 @@
 //! Real Bridge V2 and DROID episodes, from the directory that the environment variable WM_SHARED_DATA names (with
 //! `bridge_v2/`, `bridge_rlds/` and `droid/` in it). They are not part of the repository.
 
-#![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
+#![allow(clippy::unwrap_used, clippy::expect_used)] // the lint exempts #[test] functions, not their helpers
 
 #[path = "shared_data/folder.rs"]
 mod folder;
@@ -74,7 +74,7 @@ fn bridge_videos_become_bags() {
         }
         assert!(
             actions[0].values[6] == 1.0,
-            "every episode begins with an open gripper"
+            "every episode starts with an open gripper"
         );
     }
     assert_eq!(lengths, [40, 41, 32, 23, 31, 41, 27]);
@@ -108,7 +108,7 @@ fn bridge_rlds_becomes_bags() {
         assert_eq!(
             topics.len(),
             3 + 4,
-            "the fourth camera was not there: {topics:?}"
+            "the fourth camera is missing: {topics:?}"
         );
         let instruction: Text = of_topic(&reader, "/task/instruction")[0].decode().unwrap();
         assert!(instruction.data.contains(' '), "{instruction:?}");
@@ -129,10 +129,7 @@ fn bridge_rlds_becomes_bags() {
         let gripper: Float32 = of_topic(&reader, "/arm/gripper")[0].decode().unwrap();
         assert!((-0.1..1.1).contains(&gripper.data), "{gripper:?}");
     }
-    assert!(
-        covariance > 0.0,
-        "the pose follows the actions: that is what the state means"
-    );
+    assert!(covariance > 0.0, "the pose follows the actions");
 }
 
 #[test]
@@ -169,7 +166,7 @@ fn droid_becomes_bags() {
             .iter()
             .map(|message| message.decode().unwrap())
             .collect();
-        // The actions lead from the first pose to the last.
+        // The sum of the actions is the motion from the first pose to the last.
         let (first, last) = (
             &poses[0].pose.position,
             &poses[poses.len() - 1].pose.position,

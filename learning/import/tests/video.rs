@@ -1,6 +1,6 @@
-//! Video topics of bags: `wm-datasets convert` makes pictures of them, `wm-datasets audit` examines them.
+//! Video topics of bags in `wm-datasets convert` and `wm-datasets audit`.
 
-#![allow(clippy::unwrap_used)] // the helpers of tests too, not only what is marked #[test]
+#![allow(clippy::unwrap_used)] // the lint exempts #[test] functions, not their helpers
 
 use std::{path::Path, process::Command};
 
@@ -27,7 +27,7 @@ fn run(command: &str, args: &[&str]) -> (i32, String) {
     (output.status.code().unwrap(), text)
 }
 
-/// A bag with a video of `frames` frames, of which the first `skipped` are missing, and frame `k` shows `shown(k)`.
+/// Writes a bag with a video of `frames` frames without the first `skipped`; frame `k` has the level `shown(k)`.
 fn write(bag: &Path, (frames, skipped): (u8, u8), shown: fn(u8) -> u8) {
     let mut encoder = Encoder::new().unwrap();
     let mut writer = BagWriter::create(bag, WriterOptions::default()).unwrap();
@@ -61,7 +61,7 @@ fn write(bag: &Path, (frames, skipped): (u8, u8), shown: fn(u8) -> u8) {
 }
 
 #[test]
-fn exit_code_says_whether_each_packet_has_a_picture() {
+fn exit_code_shows_whether_each_packet_has_a_picture() {
     let scratch = TempDir::new().unwrap();
     for (name, skipped, code, pictures) in [("whole", 0, 0, 10), ("cut", 2, 3, 5)] {
         let (old, new) = (
@@ -75,7 +75,7 @@ fn exit_code_says_whether_each_packet_has_a_picture() {
         assert_eq!(found, code, "{text}");
         let line = format!("converted {TOPIC} to /camera/image_raw/compressed");
         assert!(text.contains(&line), "{text}");
-        let omitted = "3 message(s) are left out: they come before the first keyframe";
+        let omitted = "3 message(s) are skipped: they come before the first keyframe";
         assert_eq!(text.contains(omitted), code == 3, "{text}");
         let reader = BagReader::open(&new).unwrap();
         let messages = reader.messages().map(Result::unwrap);
@@ -84,13 +84,13 @@ fn exit_code_says_whether_each_packet_has_a_picture() {
             .map(|frame| frame.decode().unwrap().dimensions())
             .collect();
         assert_eq!(sizes, vec![(64, 48); pictures]);
-        // Nothing is overwritten.
+        // Existing output is not overwritten.
         assert_eq!(run("convert", &args).0, 1);
     }
 }
 
 #[test]
-fn pictures_of_a_video_are_judged() {
+fn pictures_of_a_video_are_audited() {
     let scratch = TempDir::new().unwrap();
     for (name, shown) in [
         ("whole", (|frame| frame) as fn(u8) -> u8),

@@ -1,11 +1,14 @@
-//! The command line of a program, told to another program as data.
+//! Transfers the definition of a program's command line to another program.
 //!
-//! `wm` runs `wm-training` and others for some of its commands, and does not link them: it cannot know their flags, but
-//! its completions and man pages need them. A program whose `main` begins with [`tell_if_asked`] tells its definition as
-//! JSON, and [`ask`] makes a [`Command`] of it again.
+//! `wm` starts `wm-training` and others for some of its commands without linking them, but its completions and man pages
+//! need their flags. A program whose `main` begins with [`describe_if_requested`] prints its definition as JSON, and
+//! [`query`] converts it to a [`Command`].
 //!
-//! What is told is what people read and shells complete: names, help, values, and how many of them. Not told: which
-//! arguments exclude one another, and what parses values, so that such a command is for documentation only.
+//! clap_complete's dynamic completion is not used: it is an unstable feature, starts a program at each press of Tab, and gives
+//! no man pages, which need the definition anyway.
+//!
+//! The definition has what people read and shells complete: names, help, values and their numbers. It lacks conflicts of
+//! arguments and value parsers, so the command serves only for documentation.
 
 mod argument;
 mod description;
@@ -19,73 +22,73 @@ use std::{
 use clap::{Command, CommandFactory};
 use description::Description;
 
-/// The argument, alone, that asks a program.
-const QUESTION: &str = "--describe-command-line";
+/// The only argument of a request.
+const REQUEST: &str = "--describe-command-line";
 
-/// Why a program does not tell.
+/// A program without a description.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// It cannot be run.
+    /// It cannot be started.
     #[error("{program}: {reason}", program = .program.display())]
-    NotRun {
+    Spawn {
         /// The program.
         program: PathBuf,
-        /// Why not. No source, since the message has it.
+        /// The error. Not a `source`, since the text contains it.
         reason: std::io::Error,
     },
-    /// It answers otherwise, as a program of another version.
-    #[error("{program} does not describe its command line, as that of this version of wm would: {reason}", program = .program.display())]
-    NoAnswer {
+    /// Its output is not a description, for example of another version.
+    #[error("{program} does not describe its command line like this version of wm: {reason}", program = .program.display())]
+    InvalidDescription {
         /// The program.
         program: PathBuf,
-        /// What came instead.
+        /// The fault of its output.
         reason: String,
     },
 }
 
-/// Tells the definition of `C` on standard output if this process was started by [`ask`], which then has nothing else to do:
-/// returns whether it was.
-pub fn tell_if_asked<C: CommandFactory>() -> bool {
+/// Prints the definition of `C` on standard output if [`query`] started this process; returns whether it did. The program
+/// then ends.
+pub fn describe_if_requested<C: CommandFactory>() -> bool {
     let mut arguments = std::env::args_os().skip(1);
-    let is_asked = arguments.next().is_some_and(|first| first == QUESTION);
-    if !is_asked || arguments.next().is_some() {
+    let is_requested = arguments.next().is_some_and(|first| first == REQUEST);
+    if !is_requested || arguments.next().is_some() {
         return false;
     }
-    let text = told(&C::command());
-    // That nobody reads it is the reader's concern.
+    let text = serialize(&C::command());
+    // Without a reader, a failure does not matter.
     writeln!(std::io::stdout(), "{text}").ok();
     true
 }
 
-/// The command line of a program that tells it.
+/// The command line of a program with a description.
 ///
 /// # Errors
-/// If it cannot be run, or does not tell.
-pub fn ask(program: &Path) -> Result<Command, Error> {
+/// The program cannot be started, or does not describe itself.
+pub fn query(program: &Path) -> Result<Command, Error> {
     let output = process::Command::new(program)
-        .arg(QUESTION)
+        .arg(REQUEST)
         .stdin(process::Stdio::null())
         .output();
-    let output = output.map_err(|reason| Error::NotRun {
+    let output = output.map_err(|reason| Error::Spawn {
         program: program.to_owned(),
         reason,
     })?;
-    let no_answer = |reason: String| Error::NoAnswer {
+    let invalid = |reason: String| Error::InvalidDescription {
         program: program.to_owned(),
         reason,
     };
     if !output.status.success() {
-        return Err(no_answer(output.status.to_string()));
+        return Err(invalid(output.status.to_string()));
     }
-    heard(&output.stdout).map_err(|error| no_answer(error.to_string()))
+    parse(&output.stdout).map_err(|error| invalid(error.to_string()))
 }
 
-fn told(command: &Command) -> String {
+fn serialize(command: &Command) -> String {
     serde_json::json!(Description::of(command)).to_string()
 }
 
-fn heard(text: &[u8]) -> serde_json::Result<Command> {
+fn parse(text: &[u8]) -> serde_json::Result<Command> {
     Ok(serde_json::from_slice::<Description>(text)?.into_command())
 }
 

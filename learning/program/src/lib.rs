@@ -1,5 +1,5 @@
-//! What a program of wm needs before and around its work: allocator and threads, progress on a terminal or in a log, and its
-//! command line for the completions and man pages of `wm`.
+//! Services of wm's programs: allocator and threads, progress on a terminal or in a log, and the description of the command
+//! line for the completions and man pages of `wm`.
 
 pub mod command_line;
 pub mod process;

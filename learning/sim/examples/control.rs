@@ -1,9 +1,8 @@
-//! Says how well the oracle controls the arm, how long that takes, and what a picture costs.
+//! Measures the oracle's control, its duration, and the cost of a picture.
 //!
 //! `cargo run --release -p wm_sim --example control -- [FIRST_SEED [SEEDS [SHEET.png]]]`
 //!
-//! The sheet has a row for each kind of goal and seed, of the first seeds: the start, three subgoals and the
-//! goal.
+//! The sheet has a row for each kind of goal and each of the first seeds: start, three subgoals, goal.
 
 use std::num::NonZeroUsize;
 use std::time::Instant;
@@ -11,7 +10,7 @@ use std::time::Instant;
 use image::{RgbImage, imageops};
 use wm_sim::{Environment, GoalKind, Variety};
 
-/// The oracle has this many actions: 16 s.
+/// Limit of the oracle's actions: 16 s.
 const ACTIONS: usize = 80;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -48,7 +47,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 .target
                 .distance_m(&environment.goal().world);
         }
-        // Counts of seeds and actions are far below 2^53.
+        // Exact: counts are far below 2^53.
         let each = 1.0 / seeds as f64;
         println!(
             "{kind}: {solved} of {seeds} solved after {:.1} actions; longest solution {longest}, \
@@ -65,7 +64,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Pictures of the start, of three subgoals and of the goal.
+/// Pictures of the start, three subgoals and the goal.
 fn row(environment: &mut Environment) -> Vec<RgbImage> {
     let every = NonZeroUsize::new(environment.solution().len() / 4).unwrap_or(NonZeroUsize::MIN);
     let mut pictures = vec![environment.picture()];

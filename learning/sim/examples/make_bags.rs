@@ -1,4 +1,4 @@
-//! `wm sim` on its own, without the rest of the suite's binary.
+//! `wm sim` as a separate binary.
 //!
 //! `cargo run --release -p wm_sim --example make_bags -- --episodes 8 --seed 0 --masks --out DIR`
 

@@ -1,4 +1,4 @@
-//! Says what the hand does over many episodes: how much it turns and how often the gripper changes.
+//! Measures turns of the hand and changes of the gripper over many episodes.
 //!
 //! `cargo run --release -p wm_sim --example motion -- [FIRST_SEED [EPISODES]]`
 

@@ -1,4 +1,4 @@
-//! Writes a contact sheet: one row an episode, its frames spread over its length.
+//! Writes a contact sheet: one row per episode, with frames spread over its length.
 //!
 //! `cargo run --release -p wm_sim --example sheet -- OUT.png [FIRST_SEED [ROWS [COLUMNS [FRAMES [FAILURES]]]]]` (FAILURES in percent)
 
@@ -13,7 +13,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let out = PathBuf::from(
         arguments
             .next()
-            .ok_or("give the path of the picture to write")?,
+            .ok_or("expected the path of the picture to write")?,
     );
     let mut number = |default: u64| arguments.next().map_or(Ok(default), |text| text.parse());
     let (first, rows, columns, frames) = (number(0)?, number(6)?, number(7)?, number(50)?);

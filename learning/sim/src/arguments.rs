@@ -1,4 +1,4 @@
-//! `wm sim`: the command line.
+//! The command line of `wm sim`.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -8,30 +8,30 @@ use wm_bag::Shard;
 use wm_program::progress::Progress;
 
 use crate::dataset::generate_bags;
-use crate::episode::EpisodeOptions;
+use crate::episode_options::EpisodeOptions;
 
-/// Make Bridge-style bags with a simulated arm on a tabletop, one bag per episode.
+/// Make Bridge-style bags of a simulated arm on a tabletop, one bag per episode.
 #[derive(Clone, Debug, clap::Args)]
 pub struct SimArgs {
     /// Number of episodes
     #[arg(long, default_value_t = 1)]
     pub episodes: u64,
-    /// Seed of the first episode; each later episode adds 1. The same seed gives the same bag
+    /// Seed of the first episode; each later episode adds 1. The same seed makes the same bag
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
     /// Frames per episode, at 5 Hz
     #[arg(long, default_value_t = 50)]
     pub frames: usize,
-    /// Also write masks of the gripper and the objects, on /camera/mask/compressed, with the objects' names on
+    /// Also write masks of the gripper and the objects on /camera/mask/compressed, and the objects' names on
     /// /camera/mask/label_info
     #[arg(long)]
     pub masks: bool,
-    /// Share of the episodes that fail, 0 to 1: a missed grasp, a dropped object, the wrong place, the wrong
-    /// object, or stopping halfway. If it is not 0, every episode has one task
+    /// Share of failed episodes, 0 to 1: a missed grasp, a dropped object, the wrong place, the wrong object, or a stop
+    /// halfway. If it is not 0, every episode has one task
     #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
     pub failures: f64,
-    /// Make every Nth of the episodes, from the Ith on, counted from 0: several machines share one command, each with
-    /// another I
+    /// Make every Nth episode, from the Ith (counted from 0): run the command on several machines, each with a
+    /// different I
     #[arg(long, value_name = "I/N", default_value = "0/1")]
     pub shard: Shard,
     /// Directory for the bags; created if it does not exist
@@ -40,10 +40,10 @@ pub struct SimArgs {
 }
 
 impl SimArgs {
-    /// Makes the bags, with its progress.
+    /// Makes the bags and reports progress.
     ///
     /// # Errors
-    /// If an option is out of its range or a bag cannot be written.
+    /// An option is out of range, or a bag cannot be written.
     pub fn run(&self) -> anyhow::Result<()> {
         std::fs::create_dir_all(&self.out)
             .with_context(|| format!("cannot make the directory {}", self.out.display()))?;

@@ -1,12 +1,12 @@
 //! Kinematics of a WidowX-250-like arm with six joints.
 //!
-//! Lengths are those of Interbotix's `wx250s` description (its URDF): the shoulder 0.11025 m above
-//! the table, the upper arm 0.25 m up and 0.04975 m forward, the forearm 0.25 m, and 0.1587 m from
-//! the wrist to the point between the fingertips. Joint zero is the upper arm upright and the forearm
-//! level, pointing along +x. The three wrist axes meet in one point, so the inverse is closed-form.
+//! Lengths are from Interbotix's `wx250s` description (URDF): the shoulder 0.11025 m above the table, the upper arm 0.25 m
+//! up and 0.04975 m forward, the forearm 0.25 m, and 0.1587 m from the wrist to the point between the fingertips.
+//! At zero, the upper arm is upright and the forearm level, pointing along +x. The three wrist axes meet in one point, so
+//! the inverse is closed-form.
 //!
-//! The base frame has x forward, y to the robot's left, z up, its origin on the table under the waist.
-//! No joint limits are modelled, only reach.
+//! The base frame has x forward, y to the robot's left, z up; its origin is on the table under the waist.
+//! Joints have no limits except reach.
 
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
@@ -14,18 +14,18 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vect
 pub const SHOULDER_HEIGHT_M: f64 = 0.11025;
 /// Upper arm, along its own length, metres.
 pub const UPPER_ARM_M: f64 = 0.25;
-/// How far the elbow axis stands in front of the upper arm, metres.
+/// Distance of the elbow axis in front of the upper arm, metres.
 pub const ELBOW_OFFSET_M: f64 = 0.04975;
-/// From the elbow axis to the wrist, metres (0.175 to the forearm's roll joint and 0.075 beyond).
+/// Distance from the elbow axis to the wrist, metres (0.175 to the forearm's roll joint, and 0.075).
 pub const FOREARM_M: f64 = 0.25;
-/// From the wrist to the point between the fingertips, metres.
+/// Distance from the wrist to the point between the fingertips, metres.
 pub const HAND_M: f64 = 0.0652 + 0.0935;
 
 /// Joint angles in radians: waist, shoulder, elbow, forearm roll, wrist angle, wrist rotate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Joints(pub [f64; 6]);
 
-/// Where each link's frame is, in the base frame.
+/// The frames of the links in the base frame.
 #[derive(Clone, Copy, Debug)]
 pub struct Links {
     /// Turned by the waist, at shoulder height.
@@ -42,8 +42,8 @@ pub struct Links {
     pub tool: Isometry3<f64>,
 }
 
-/// The tool's place as Bridge-style actions change it: position in metres, and roll, pitch and yaw in
-/// radians about the fixed axes x, y and z, zero for a hand that points straight down.
+/// The pose of the tool as Bridge-style actions change it: position in metres; roll, pitch and yaw in radians about the
+/// fixed axes x, y and z, zero for a hand that points straight down.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ToolPose {
     /// Position of the point between the fingertips in the base frame, metres.
@@ -55,7 +55,7 @@ pub struct ToolPose {
 impl ToolPose {
     /// The frame of the tool: x ahead of the hand (down at zero angles), y to the robot's left, z forward.
     pub fn frame(&self) -> Isometry3<f64> {
-        // Columns: the hand's x looks down, its y stays y, its z becomes the base's x.
+        // Columns: the hand's x points down, its y stays y, its z becomes the base's x.
         let down = Rotation3::from_matrix_unchecked(Matrix3::new(
             0.0, 0.0, 1.0, //
             0.0, 1.0, 0.0, //
@@ -98,8 +98,8 @@ pub fn forward(joints: &Joints) -> Links {
     }
 }
 
-/// Inverse kinematics: the joints that bring the tool to `tool`, elbow up, or `None` when it is out of
-/// reach. Of the wrist's two solutions the one with the smaller forearm roll is taken.
+/// Inverse kinematics, elbow up; `None` out of reach. Of the wrist's two solutions, takes the one with the smaller forearm
+/// roll.
 pub fn inverse(tool: &Isometry3<f64>) -> Option<Joints> {
     let wrist = tool.translation.vector - tool.rotation * Vector3::x() * HAND_M;
     let waist = wrist.y.atan2(wrist.x);
@@ -116,12 +116,12 @@ pub fn inverse(tool: &Isometry3<f64>) -> Option<Joints> {
     let forearm_elevation = (up - upper * elevation.sin()).atan2(ahead - upper * elevation.cos());
     let elbow = -forearm_elevation - shoulder;
     let forearm = forward(&Joints([waist, shoulder, elbow, 0.0, 0.0, 0.0])).forearm;
-    // What remains is Rx(roll) Ry(wrist) Rx(rotate).
+    // The remaining rotation is Rx(roll) Ry(wrist) Rx(rotate).
     let rest = (forearm.rotation.inverse() * tool.rotation).to_rotation_matrix();
     let m = rest.matrix();
     let wrist_angle = m.m21.hypot(m.m31).atan2(m.m11);
     let (roll, rotate) = if wrist_angle.sin().abs() < 1e-9 {
-        // Roll and rotate share an axis here: give all of the turn to the last joint.
+        // Roll and rotate share an axis here: the last joint takes all of the turn.
         (0.0, m.m32.atan2(m.m33))
     } else {
         (m.m21.atan2(-m.m31), m.m12.atan2(m.m13))
@@ -158,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn a_point_beyond_reach_has_no_solution() {
+    fn point_beyond_reach_has_no_solution() {
         let pose = ToolPose {
             position: Vector3::new(0.9, 0.0, 0.1),
             rpy: Vector3::zeros(),

@@ -1,23 +1,23 @@
-//! What an operator does in an episode, and how it ends.
+//! An operator's attempt at an episode.
 
 use rand::seq::IndexedRandom;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::episode::EpisodeOptions;
+use crate::episode_options::EpisodeOptions;
 use crate::render::Camera;
 use crate::teleop::{Assignment, Failure, Operator};
 use crate::world::World;
 
 /// Share of the demonstrations that are free motion.
 const EXPLORATION_SHARE: f64 = 0.2;
-/// How often an episode is tried until it ends as it should.
+/// Limit of attempts until an episode ends as planned.
 const ATTEMPTS: u64 = 12;
 
-/// What an operator made of a world, before anyone takes pictures of it.
+/// The result of an operator's actions on a world, without pictures.
 #[derive(Default)]
 pub struct Attempt {
-    /// The world at each frame, and the action taken then.
+    /// The world at each frame, and the action taken there.
     pub steps: Vec<(World, [f32; 7])>,
     pub instruction: String,
     pub success: bool,
@@ -25,13 +25,12 @@ pub struct Attempt {
 }
 
 impl Attempt {
-    /// The attempt that becomes the episode of `seed`, in `world` as `camera` sees it.
+    /// The attempt for the episode of `seed`, in `world` as `camera` shows it.
     ///
-    /// What an operator means to do does not always come about. Then there is another attempt, of which
-    /// nobody sees anything.
+    /// The result may differ from the operator's intention; then the attempt is discarded, and another is made.
     pub fn of(seed: u64, options: &EpisodeOptions, camera: &Camera, world: World) -> Self {
         let viewer = camera.viewer_axes().map(|axis| axis.cast());
-        // Attempts have streams of their own, so that all are different.
+        // Each attempt has its own random stream.
         let rng = |stream| {
             let mut rng = ChaCha8Rng::seed_from_u64(seed);
             rng.set_stream(stream);
@@ -89,12 +88,12 @@ mod tests {
 
     fn outcome(seed: u64, options: &EpisodeOptions) -> Attempt {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let world = layout::world(&options.variety, &mut rng);
+        let world = layout::lay_table(&options.variety, &mut rng);
         Attempt::of(seed, options, &Camera::beside_the_arm(), world)
     }
 
     #[test]
-    fn failures_have_the_share_that_was_asked_for_and_every_kind_occurs() {
+    fn failures_have_the_requested_share_and_every_kind() {
         let options = EpisodeOptions {
             failures: 0.667,
             ..EpisodeOptions::default()
@@ -114,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn without_failures_nearly_all_succeed() {
+    fn without_failures_nearly_all_attempts_succeed() {
         let options = EpisodeOptions::default();
         let failed = (0..60)
             .filter(|seed| !outcome(*seed, &options).success)

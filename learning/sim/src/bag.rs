@@ -1,4 +1,4 @@
-//! An episode as a bag.
+//! Writes an episode as a bag.
 
 use std::path::Path;
 
@@ -25,19 +25,19 @@ use crate::urdf::{link_frames, urdf};
 
 /// The camera's pictures (sensor_msgs/CompressedImage, JPEG).
 pub const CAMERA_TOPIC: &str = "/camera/image_raw/compressed";
-/// How the camera sees, with each picture (sensor_msgs/CameraInfo).
+/// The calibration, with each picture (sensor_msgs/CameraInfo).
 pub const CAMERA_INFO_TOPIC: &str = "/camera/camera_info";
 /// The masks, on request (sensor_msgs/CompressedImage, PNG of one channel).
 pub const MASK_TOPIC: &str = "/camera/mask/compressed";
-/// What the masks' values mean: objects by the names that instructions use (vision_msgs/LabelInfo, latched).
+/// Names of the mask values: objects as in instructions (vision_msgs/LabelInfo, latched).
 pub const LABELS_TOPIC: &str = "/camera/mask/label_info";
 /// The action taken at each frame (wm_msgs/Action).
 pub const ACTION_TOPIC: &str = "/wm/action";
 /// The tool's pose (geometry_msgs/PoseStamped).
 pub const POSE_TOPIC: &str = "/arm/end_effector_pose";
-/// How far the gripper is open, 0 to 1 (std_msgs/Float32).
+/// Opening of the gripper, 0 to 1 (std_msgs/Float32).
 pub const GRIPPER_TOPIC: &str = "/arm/gripper";
-/// The arm's links, each in the one that it hangs on (tf2_msgs/TFMessage).
+/// The arm's links, each in its parent's frame (tf2_msgs/TFMessage).
 pub const TRANSFORMS_TOPIC: &str = "/tf";
 /// The camera's optical frame (tf2_msgs/TFMessage, latched).
 pub const STATIC_TRANSFORMS_TOPIC: &str = "/tf_static";
@@ -45,21 +45,21 @@ pub const STATIC_TRANSFORMS_TOPIC: &str = "/tf_static";
 pub const DESCRIPTION_TOPIC: &str = "/robot_description";
 /// The instruction (std_msgs/String, latched).
 pub const INSTRUCTION_TOPIC: &str = "/task/instruction";
-/// Whether it was carried out, known at the end (std_msgs/Bool, latched).
+/// Whether the task succeeded, known at the end (std_msgs/Bool, latched).
 pub const SUCCESS_TOPIC: &str = "/task/success";
 
-/// Stamp of the first frame of every episode: fixed, so that the same seed gives the same bytes.
+/// Stamp of the first frame: fixed, so that the same seed gives the same bytes.
 pub const START_NS: u64 = 1_700_000_000_000_000_000;
-/// Time between frames: 5 Hz.
+/// Frame period: 5 Hz.
 pub const FRAME_PERIOD_NS: u64 = 200_000_000;
-/// JPEG quality of the pictures: no visible blocks, about 20 KB a frame.
+/// JPEG quality: no visible blocks, about 20 KB per frame.
 const JPEG_QUALITY: u8 = 95;
 /// The frame of the pictures.
 pub const CAMERA_FRAME: &str = "camera_optical_frame";
 /// The frame of the tool's pose and of actions.
 pub const BASE_FRAME: &str = "base_link";
 
-/// Writes an episode as a bag into the directory `dir`, which must not exist yet or be empty.
+/// Writes an episode as a bag to `dir`, which must be missing or empty.
 ///
 /// # Errors
 /// [`Error::Bag`] if the bag cannot be written, [`Error::Picture`] if a picture cannot be encoded.
@@ -98,7 +98,7 @@ pub fn write_bag(episode: &Episode, dir: &Path) -> Result<BagSummary, Error> {
     bag.write(INSTRUCTION_TOPIC, &instruction, START_NS)?;
     let mut stamp_ns = START_NS;
     for (index, frame) in episode.frames.iter().enumerate() {
-        // At most FRAMES frames, so the product is far from overflow.
+        // No overflow: at most FRAMES frames.
         stamp_ns = START_NS + index as u64 * FRAME_PERIOD_NS;
         write_frame(&mut bag, frame, stamp_ns)?;
         let info = message::camera_info(&episode.camera, header(stamp_ns, CAMERA_FRAME));
@@ -116,13 +116,13 @@ pub fn write_bag(episode: &Episode, dir: &Path) -> Result<BagSummary, Error> {
 
 fn header(stamp_ns: u64, frame_id: &str) -> Header {
     Header {
-        // The stamps are of this century, far below the limit of i64.
+        // Fits: stamps are of this century.
         stamp: Time::from_nanos(stamp_ns as i64),
         frame_id: frame_id.to_owned(),
     }
 }
 
-/// Where the links are; none where the tool is out of the arm's reach.
+/// The transforms of the links; `None` if the tool is out of reach.
 fn transforms(frame: &Frame, stamp_ns: u64) -> Option<TFMessage> {
     let positions = joint_positions(&frame.tool, frame.opening)?;
     let links = link_frames(BASE_FRAME, &positions).into_iter();
@@ -147,7 +147,7 @@ fn labels(objects: &[String]) -> LabelInfo {
                 class_name,
             })
             .collect(),
-        // The simulator knows.
+        // The simulator's masks are exact.
         threshold: 1.0,
     }
 }
@@ -162,7 +162,7 @@ fn write_frame(bag: &mut BagWriter, frame: &Frame, stamp_ns: u64) -> Result<(), 
     if let Some(transforms) = transforms(frame, stamp_ns) {
         bag.write(TRANSFORMS_TOPIC, &transforms, stamp_ns)?;
     }
-    // Single precision is what the message carries.
+    // The message has single precision.
     bag.write(
         GRIPPER_TOPIC,
         &Float32 {
@@ -217,7 +217,7 @@ fn png(mask: &GrayImage) -> Result<Vec<u8>, Error> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::episode::EpisodeOptions;
+    use crate::episode_options::EpisodeOptions;
     use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
     use wm_bag::BagReader;
     use wm_msgs::geometry_msgs::{Transform, TransformStamped};
@@ -232,7 +232,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bag_holds_the_episode() {
+    fn bag_has_the_episode() {
         let scratch = tempfile::tempdir().expect("a temporary directory");
         let options = EpisodeOptions {
             frames: 3,
@@ -325,7 +325,7 @@ mod tests {
         }
         assert_eq!((actions.len(), pictures, masks), (3, 3, 3));
         assert!(labelled);
-        // By the links the tool is where its pose says.
+        // The links put the tool at its pose.
         assert_eq!((infos.len(), tools.len()), (3, 3));
         for (tool, frame) in tools.iter().zip(&episode.frames) {
             let apart = tool.translation.vector - frame.tool.position;

@@ -1,4 +1,4 @@
-//! Many episodes at once.
+//! Makes many episodes.
 
 use std::path::{Path, PathBuf};
 
@@ -7,16 +7,17 @@ use rayon::prelude::*;
 use wm_bag::Shard;
 
 use crate::bag::write_bag;
-use crate::episode::{Episode, EpisodeOptions};
+use crate::episode::Episode;
+use crate::episode_options::EpisodeOptions;
 use crate::error::Error;
 
-/// Makes those of a shard of `episodes` episodes with the seeds from `first_seed` on, each a bag `episode_000012` (its number
-/// is its seed) in the directory `out`, on all of rayon's threads. Calls `finished` after each. Returns
-/// the bags' directories in the order of their seeds.
+/// Makes a shard of `episodes` episodes with seeds from `first_seed`, each as a bag `episode_000012` (the number is the
+/// seed) in `out`, on all of rayon's threads. Calls `finished` after each. Returns the bags' folders in the order of their
+/// seeds.
 ///
 /// # Errors
 /// The first error of any episode; see [`Episode::generate`] and [`write_bag`].
-/// [`Error::Seeds`] if the seeds run past the largest number.
+/// [`Error::Seeds`] if a seed exceeds the largest number.
 pub fn generate_bags(
     out: &Path,
     (episodes, shard): (u64, Shard),
@@ -50,7 +51,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_same_seeds_give_the_same_files() {
+    fn same_seeds_give_the_same_files() {
         let scratch = tempfile::tempdir().expect("a temporary directory");
         let options = EpisodeOptions {
             frames: 2,
@@ -88,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn seeds_past_the_end_are_an_error() {
+    fn seeds_past_the_largest_are_an_error() {
         let options = EpisodeOptions::default();
         let result = generate_bags(
             Path::new("unused"),

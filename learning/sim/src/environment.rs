@@ -1,9 +1,8 @@
-//! The simulated tabletop step by step, for closed-loop control: a goal, pictures, actions, and whether the
-//! goal is attained.
+//! The simulated tabletop for closed-loop control: a goal, pictures, actions, and whether the goal is attained.
 //!
-//! The room, the camera and the objects are drawn as those of a recorded [`Episode`](crate::Episode), the
-//! goal from the same seed. A goal is only set if a controller that sees the true state, the oracle, attains
-//! it without moving any other object, and if the camera sees the object that is to move, before and after.
+//! Room, camera and objects are those of the recorded [`Episode`](crate::Episode) of the same seed; the goal is drawn from
+//! that seed too. A goal is accepted only if the oracle, a controller with the true state, attains it without moving other
+//! objects, and if the camera sees the object to move, before and after.
 
 mod choice;
 mod goal;
@@ -11,7 +10,7 @@ mod oracle;
 mod sight;
 mod solution;
 
-pub use goal::{Goal, GoalKind, PLACE_TOLERANCE_M, REACH_TOLERANCE_M, Target};
+pub use goal::{Goal, GoalKind, REACH_TOLERANCE_M, Target};
 
 use image::RgbImage;
 use rand::SeedableRng;
@@ -31,17 +30,15 @@ use crate::world::{EndEffectorAction, STEP_S, World};
 use sight::share_in_sight;
 use solution::Solution;
 
-/// How many tables are laid for a seed until one allows a goal, and how many goals are tried on each.
+/// Limit of tables per seed until one allows a goal, and of goals tried on each.
 const TABLES: usize = 40;
 const GOALS_PER_TABLE: usize = 40;
-/// Share of the object to move that the camera sees at the start and at the goal at least: else the pictures
-/// would not say what to do.
+/// Minimum visible share of the object to move, at the start and at the goal: otherwise the pictures do not show the task.
 const LEAST_IN_SIGHT: f64 = 0.3;
-/// Goals have a stream of their own for each kind, from this one on: operators have the first ones.
+/// First random stream of goals, one per kind; operators use the earlier ones.
 const FIRST_STREAM: u64 = 64;
 
-/// The arm's joints and fingers by the names of Interbotix's `wx250s`, in the order of
-/// [`Environment::joint_positions`].
+/// Names of the arm's joints and fingers (Interbotix's `wx250s`), in the order of [`Environment::joint_positions`].
 pub const JOINT_NAMES: [&str; 8] = [
     "waist",
     "shoulder",
@@ -53,18 +50,17 @@ pub const JOINT_NAMES: [&str; 8] = [
     "right_finger",
 ];
 
-/// Where the joints are, in the order of [`JOINT_NAMES`], for a tool and an opening; see
-/// [`Environment::joint_positions`].
+/// Joint positions in the order of [`JOINT_NAMES`], for a tool and an opening; see [`Environment::joint_positions`].
 pub(crate) fn joint_positions(tool: &ToolPose, opening: f64) -> Option<[f64; 8]> {
     let [waist, shoulder, elbow, roll, wrist, rotate] = arm::inverse(&tool.frame())?.0;
     let finger = opening * HALF_OPENING_M;
     Some([waist, shoulder, elbow, roll, wrist, rotate, finger, -finger])
 }
 
-/// A state that is, was or would be, and what the camera sees of it.
+/// A real or simulated state, and its picture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Snapshot {
-    /// How many actions lead to it.
+    /// Number of actions up to it.
     pub step: usize,
     /// The state.
     pub world: World,
@@ -104,23 +100,22 @@ pub struct Environment {
 }
 
 impl Environment {
-    /// The environment of a seed: the same kind, seed and variety give the same one. Its room and camera, and
-    /// its table where that allows a goal of this kind, are those of the recorded episode of this seed; a
-    /// model is tested on seeds that it was not trained on.
+    /// The environment of a seed; the same kind, seed and variety give the same one. Room and camera, and the table if it
+    /// allows a goal of this kind, are those of the recorded episode of this seed: test models on seeds that were not in their
+    /// training data.
     ///
     /// # Errors
-    /// [`Error::Unsolvable`] if no goal of this kind can be attained on any of 40 tables. With the default
-    /// variety that has not been seen.
+    /// [`Error::Unsolvable`] if none of 40 tables allows a goal of this kind.
     pub fn new(kind: GoalKind, seed: u64, variety: &Variety) -> Result<Self, Error> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let surroundings = room::surroundings(variety, &mut rng);
-        let camera = room::camera(variety, &mut rng);
+        let surroundings = room::draw_surroundings(variety, &mut rng);
+        let camera = room::draw_camera(variety, &mut rng);
         let viewer = camera.viewer_axes().map(|axis| axis.cast());
         let mut goals = ChaCha8Rng::seed_from_u64(seed);
         goals.set_stream(FIRST_STREAM + kind as u64);
         let mut renderer = Renderer::new(&surroundings, camera.clone());
         let found = (0..TABLES).find_map(|_| {
-            let world = layout::world(variety, &mut rng);
+            let world = layout::lay_table(variety, &mut rng);
             let scene = Scene::new(&world);
             let (target, task, solution) = (0..GOALS_PER_TABLE).find_map(|_| {
                 let (target, task) = choice::draw(kind, &world, viewer, &mut goals)?;
@@ -135,7 +130,7 @@ impl Environment {
             Some((world, scene, target, task, solution))
         });
         let (world, scene, target, task, solution) = found.ok_or(Error::Unsolvable {
-            kind,
+            kind: kind.name(),
             seed,
             tables: TABLES,
         })?;
@@ -161,17 +156,17 @@ impl Environment {
         })
     }
 
-    /// What kind of goal it sets.
+    /// The kind of goal.
     pub fn kind(&self) -> GoalKind {
         self.kind
     }
 
-    /// The seed that it came from.
+    /// The seed.
     pub fn seed(&self) -> u64 {
         self.seed
     }
 
-    /// What is to come about.
+    /// The goal.
     pub fn goal(&self) -> &Goal {
         &self.goal
     }
@@ -181,24 +176,24 @@ impl Environment {
         &self.goal.instruction
     }
 
-    /// The present state: the tool's pose, the gripper's opening, the objects. A clone of it is cheap, and
-    /// [`World::step`] on the clone tells what an action would do where no picture is needed.
+    /// The present state: tool pose, gripper opening, objects. A clone is cheap: [`World::step`] on it predicts an action
+    /// without a picture.
     pub fn world(&self) -> &World {
         &self.world
     }
 
-    /// How many actions have been taken.
+    /// Number of actions so far.
     pub fn steps(&self) -> usize {
         self.steps
     }
 
     /// Time since the start, seconds.
     pub fn time_s(&self) -> f64 {
-        // Numbers of actions are far below 2^53.
+        // Exact: far below 2^53.
         self.steps as f64 * STEP_S
     }
 
-    /// What is still missing, metres; see [`Target::distance_m`].
+    /// Remaining distance to the goal, metres; see [`Target::distance_m`].
     pub fn distance_m(&self) -> f64 {
         self.goal.target.distance_m(&self.world)
     }
@@ -208,65 +203,65 @@ impl Environment {
         self.goal.target.met_by(&self.world)
     }
 
-    /// Whether things stand now as the instruction asks; see [`Task::succeeded`]. Words ask for less than the goal:
-    /// they name no exact place.
+    /// Whether the instruction is fulfilled now; see [`Task::succeeded`]. Words demand less than the goal: they name no exact
+    /// place.
     pub fn instruction_followed(&self) -> bool {
         self.task.succeeded(&self.world)
     }
 
-    /// The angles of the six joints, radians, and how far the two fingers are from the hand's middle, metres,
-    /// the right one's negative as in `wx250s`, in the order of [`JOINT_NAMES`]. `None` if the tool is out of
-    /// the arm's reach, where no action brings it.
+    /// Angles of the six joints, radians, and distances of the two fingers from the hand's middle, metres (the right one
+    /// negative, as in `wx250s`), in the order of [`JOINT_NAMES`]. `None` out of reach, which no action causes.
+    ///
     pub fn joint_positions(&self) -> Option<[f64; 8]> {
         joint_positions(self.world.tool(), self.world.opening())
     }
 
-    /// Takes an action and returns what was possible of it: exactly the motion of the tool. What goes beyond
-    /// [`LARGEST_STEP_M`] along an axis, [`LARGEST_TURN_RAD`] about one or a gripper from 0 to 1 is cut off
-    /// before, and the workspace, the arm's reach and contacts take their part.
+    /// Executes an action and returns the exact motion of the tool. Limits the action to [`LARGEST_STEP_M`] along an axis,
+    /// [`LARGEST_TURN_RAD`] about one and a gripper from 0 to 1; workspace, reach and contacts limit it further.
+    ///
     ///
     /// # Errors
-    /// [`Error::Action`] if a value is not finite; nothing moves then.
+    /// [`Error::Action`] if a value is not finite; the state does not change.
     pub fn step(&mut self, action: &EndEffectorAction) -> Result<EndEffectorAction, Error> {
-        let command = bounded(action)?;
+        let command = limit_action(action)?;
         self.steps += 1;
         Ok(self.world.step(&command))
     }
 
-    /// Back to the start.
+    /// Returns to the start.
     pub fn reset(&mut self) {
         self.world = self.solution.start().clone();
         self.steps = 0;
     }
 
-    /// What the camera sees now, 256 by 256.
+    /// The camera's present picture, 256 by 256.
     pub fn picture(&mut self) -> RgbImage {
         let parts = self.scene.parts(&self.world);
         self.renderer.render(&parts, false).rgb
     }
 
-    /// What the camera would see of a state of this table, 256 by 256.
+    /// The camera's picture of another state of this table, 256 by 256.
     pub fn picture_of(&mut self, world: &World) -> RgbImage {
         self.renderer.render(&self.scene.parts(world), false).rgb
     }
 
-    /// The camera that the pictures are of.
+    /// The camera.
     pub fn camera(&self) -> &Camera {
         &self.camera
     }
 
-    /// What draws this room as another camera sees it, for [`Environment::picture_by`].
+    /// A renderer of this room for another camera, for [`Environment::picture_by`].
     pub fn renderer(&self, camera: Camera) -> Renderer {
         Renderer::new(&self.surroundings, camera)
     }
 
-    /// What another camera sees now, 256 by 256.
+    /// Another camera's present picture, 256 by 256.
     pub fn picture_by(&self, renderer: &mut Renderer) -> RgbImage {
         renderer.render(&self.scene.parts(&self.world), false).rgb
     }
 
-    /// What would come of `actions` from now on, taken as [`Environment::step`] takes them: the state and the
-    /// picture after each. The environment stays as it is.
+    /// Predicts `actions` from the present state, with the limits of [`Environment::step`]: state and picture after each. The
+    /// environment does not change.
     ///
     /// # Errors
     /// [`Error::Action`] if a value is not finite.
@@ -276,7 +271,7 @@ impl Environment {
         (first..)
             .zip(actions)
             .map(|(step, action)| {
-                world.step(&bounded(action)?);
+                world.step(&limit_action(action)?);
                 Ok(Snapshot {
                     step,
                     world: world.clone(),
@@ -286,20 +281,19 @@ impl Environment {
             .collect()
     }
 
-    /// What the oracle does now: the next action towards the goal by the true state, without noise, from
-    /// wherever things are. It moves 0.04 m an action at most. Once there is nothing more to do, it holds
-    /// still.
+    /// The oracle's next action towards the goal, by the true state and without noise, from any state. It moves at most 0.04 m
+    /// per action, and holds still when it is done.
+    ///
     pub fn oracle(&self) -> EndEffectorAction {
         self.oracle_for(&self.goal.target)
     }
 
-    /// What the oracle would do now if `target` were the goal: a controller that is right about everything but
-    /// what it is to do.
+    /// The oracle's next action for another target: a perfect controller with the wrong task.
     pub fn oracle_for(&self, target: &Target) -> EndEffectorAction {
         oracle::command(target, &self.world).unwrap_or_else(|| oracle::at_rest(&self.world))
     }
 
-    /// The oracle's actions from the start to the goal; [`Environment::step`] repeats them exactly.
+    /// The oracle's actions from the start to the goal; [`Environment::step`] reproduces them exactly.
     pub fn solution(&self) -> &[EndEffectorAction] {
         self.solution.actions()
     }
@@ -322,8 +316,7 @@ impl Environment {
     }
 }
 
-/// The action within what one action can be.
-fn bounded(action: &EndEffectorAction) -> Result<EndEffectorAction, Error> {
+fn limit_action(action: &EndEffectorAction) -> Result<EndEffectorAction, Error> {
     let values = action.translation.iter().chain(action.rotation.iter());
     if !values
         .chain([&action.gripper])

@@ -1,4 +1,4 @@
-//! One episode, from one seed.
+//! An episode, made from a seed.
 
 use image::{GrayImage, RgbImage};
 use nalgebra::Vector3;
@@ -7,6 +7,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::arm::ToolPose;
 use crate::attempt::Attempt;
+use crate::episode_options::EpisodeOptions;
 use crate::error::Error;
 use crate::layout;
 use crate::object::Object;
@@ -14,36 +15,11 @@ use crate::render::{Camera, Renderer};
 use crate::room;
 use crate::scene::Scene;
 use crate::teleop::Failure;
-use crate::variety::Variety;
 
 /// Fewest and most frames of an episode: two make an action visible, and the upper bound is 20 minutes.
 pub const FRAMES: std::ops::RangeInclusive<usize> = 2..=6000;
 
-/// What kind of episode to make.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct EpisodeOptions {
-    /// How many frames, at 5 Hz.
-    pub frames: usize,
-    /// Whether to render object and gripper masks.
-    pub masks: bool,
-    /// Share of the episodes that are to fail, 0 to 1. If it is not 0, every episode has one task.
-    pub failures: f64,
-    /// How much episodes differ.
-    pub variety: Variety,
-}
-
-impl Default for EpisodeOptions {
-    fn default() -> Self {
-        Self {
-            frames: 50,
-            masks: false,
-            failures: 0.0,
-            variety: Variety::default(),
-        }
-    }
-}
-
-/// What is observed at one time, and the action taken then.
+/// An observation, and the action taken there.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Frame {
     /// The camera's picture, 256 by 256.
@@ -52,7 +28,7 @@ pub struct Frame {
     pub mask: Option<GrayImage>,
     /// The tool's pose.
     pub tool: ToolPose,
-    /// How far the gripper is open, 0 to 1.
+    /// Opening of the gripper, 0 to 1.
     pub opening: f64,
     /// The action that leads from this frame to the next: dx dy dz (m), droll dpitch dyaw (rad), gripper
     /// (0 closed to 1 open).
@@ -61,20 +37,20 @@ pub struct Frame {
     pub objects: Vec<Vector3<f64>>,
 }
 
-/// An episode: frames 0.2 s apart, and what was asked for.
+/// An episode: frames 0.2 s apart, and its task.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Episode {
-    /// The seed that it came from.
+    /// The seed.
     pub seed: u64,
     /// The instruction in English.
     pub instruction: String,
-    /// Whether what was asked for came about, as the world was in the end.
+    /// Whether the task succeeded, by the world at the end.
     pub success: bool,
-    /// What was made to go wrong; the episode may succeed all the same, though rarely.
+    /// The planned failure; rarely, the episode succeeds all the same.
     pub failure: Option<Failure>,
-    /// The objects by the names that instructions use, in the order of their mask values.
+    /// Names of the objects, as in instructions, in the order of their mask values.
     pub objects: Vec<String>,
-    /// The camera, which stands still.
+    /// The camera, which does not move.
     pub camera: Camera,
     /// The frames.
     pub frames: Vec<Frame>,
@@ -99,9 +75,9 @@ impl Episode {
             });
         }
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let surroundings = room::surroundings(&options.variety, &mut rng);
-        let camera = room::camera(&options.variety, &mut rng);
-        let world = layout::world(&options.variety, &mut rng);
+        let surroundings = room::draw_surroundings(&options.variety, &mut rng);
+        let camera = room::draw_camera(&options.variety, &mut rng);
+        let world = layout::lay_table(&options.variety, &mut rng);
         let scene = Scene::new(&world);
         let objects = world.objects().iter().map(Object::name).collect();
         let attempt = Attempt::of(seed, options, &camera, world);
@@ -137,7 +113,7 @@ impl Episode {
 mod tests {
     use super::*;
     use crate::scene::{FIRST_OBJECT_MASK, GRIPPER_MASK};
-    use crate::variety::Span;
+    use crate::variety::{Span, Variety};
     use nalgebra::Point3;
 
     fn short(frames: usize) -> EpisodeOptions {
@@ -149,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_seed_gives_the_same_episode() {
+    fn same_seed_gives_the_same_episode() {
         let first = Episode::generate(5, &short(6)).expect("valid options");
         let second = Episode::generate(5, &short(6)).expect("valid options");
         assert!(first == second);
@@ -178,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn masks_are_where_the_gripper_and_the_objects_are() {
+    fn masks_cover_the_gripper_and_the_objects() {
         let camera = Camera::beside_the_arm();
         let options = EpisodeOptions {
             variety: Variety {
@@ -193,7 +169,7 @@ mod tests {
         for seed in 0..6 {
             let episode = Episode::generate(seed, &options).expect("valid options");
             let frame = &episode.frames[0];
-            let mask = frame.mask.as_ref().expect("asked for");
+            let mask = frame.mask.as_ref().expect("requested");
             assert!(
                 mask.pixels().any(|pixel| pixel.0 == [GRIPPER_MASK]),
                 "seed {seed}"

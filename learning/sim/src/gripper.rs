@@ -1,8 +1,8 @@
 //! The gripper's geometry: two parallel fingers on a palm.
 //!
-//! Larger than the real one, so that its turn and its opening show in a small picture. It is also
-//! mounted a quarter turn from the real one: at zero yaw its fingers open across the camera's view, not
-//! along it, where one finger would hide the other.
+//! Larger than the real one, so that turn and opening show in a small picture. It is also mounted a quarter turn from the
+//! real one: at zero yaw, its fingers open across the camera's view; along it, one
+//! finger would hide the other.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 
@@ -14,7 +14,7 @@ pub const FINGER_LENGTH_M: f64 = 0.078;
 pub const FINGER_THICKNESS_M: f64 = 0.019;
 /// Width of a finger across the opening, metres.
 pub const FINGER_WIDTH_M: f64 = 0.036;
-/// Radius of the spheres that stand for a finger in contacts, metres: half of its thickness.
+/// Radius of the spheres that model a finger in contacts, metres: half of its thickness.
 pub const CONTACT_RADIUS_M: f64 = FINGER_THICKNESS_M / 2.0;
 
 /// Sides of the two fingers along the hand's y axis.
@@ -26,7 +26,7 @@ pub fn hand(tool: &Isometry3<f64>) -> Isometry3<f64> {
     tool * Isometry3::rotation(Vector3::x() * std::f64::consts::FRAC_PI_2)
 }
 
-/// The centres of the spheres that stand for the two fingers, in the base frame (metres), with the
+/// The centres of the spheres that model the two fingers, in the base frame (metres), with the
 /// hand opened to `opening` (0 closed to 1 open) and the tool at `tool`.
 pub fn contact_spheres(tool: &Isometry3<f64>, opening: f64) -> Vec<Point3<f64>> {
     let hand = hand(tool);

@@ -1,4 +1,4 @@
-//! What is on the table at the start of an episode, and where the hand is.
+//! The table and the hand at the start of an episode.
 
 use nalgebra::Vector3;
 use rand::Rng;
@@ -10,13 +10,13 @@ use crate::object::{COLOURS, Colour, Object, Shape};
 use crate::variety::{Span, Variety};
 use crate::world::{WORKSPACE_M, World};
 
-/// Where objects start: x and y, metres. All of it is in view and within reach.
+/// Start positions of objects: x and y, metres, all in view and within reach.
 const PLACES_M: [Span; 2] = [Span::new(0.20, 0.34), Span::new(-0.085, 0.115)];
-/// Objects start at least this far apart, metres.
+/// Minimum gap between objects, metres.
 const GAP_M: f64 = 0.02;
 
-/// Objects and mats of different colours that do not touch, and a hand over them.
-pub fn world(variety: &Variety, rng: &mut ChaCha8Rng) -> World {
+/// Draws objects and mats of different colours that do not touch, and a hand over them.
+pub fn lay_table(variety: &Variety, rng: &mut ChaCha8Rng) -> World {
     let mats = if rng.random_bool(variety.mat_share) {
         1 + usize::from(rng.random_bool(variety.second_mat_share))
     } else {
@@ -33,17 +33,17 @@ pub fn world(variety: &Variety, rng: &mut ChaCha8Rng) -> World {
                     .iter()
                     .any(|object| matches!(object.shape, Shape::Bowl { .. }));
             let size = variety.object_size.pick(rng);
-            shape(rng, bowl_allowed, size)
+            draw_shape(rng, bowl_allowed, size)
         } else {
             Shape::Mat {
                 radius: rng.random_range(0.034..0.042),
             }
         };
-        let colour = tinted(colour, variety, rng);
-        // A scene that is too full gets one thing fewer.
+        let colour = tint(colour, variety, rng);
+        // A full table gets one object fewer.
         for _ in 0..60 {
             let [x, y] = PLACES_M.map(|span| span.pick(rng));
-            // A box's long sides run away from the viewer: across the way in which the hand opens.
+            // A box's long sides run away from the viewer, across the hand's opening.
             let yaw = std::f64::consts::FRAC_PI_2 + rng.random_range(-1.1..1.1);
             let object = Object::standing(shape, colour, x, y, yaw);
             let free = objects.iter().all(|other| {
@@ -57,11 +57,11 @@ pub fn world(variety: &Variety, rng: &mut ChaCha8Rng) -> World {
         }
     }
     let opening = if rng.random_bool(0.75) { 1.0 } else { 0.0 };
-    World::new(objects, tool(rng), opening)
+    World::new(objects, draw_tool(rng), opening)
 }
 
-/// A hand anywhere above all objects and their neighbours.
-fn tool(rng: &mut ChaCha8Rng) -> ToolPose {
+/// Draws a hand above all objects and mats.
+fn draw_tool(rng: &mut ChaCha8Rng) -> ToolPose {
     let [low, high] = WORKSPACE_M;
     loop {
         let mut position = Vector3::from_fn(|axis, _| rng.random_range(low[axis]..high[axis]));
@@ -78,16 +78,15 @@ fn tool(rng: &mut ChaCha8Rng) -> ToolPose {
     }
 }
 
-fn tinted(colour: Colour, variety: &Variety, rng: &mut ChaCha8Rng) -> Colour {
+fn tint(colour: Colour, variety: &Variety, rng: &mut ChaCha8Rng) -> Colour {
     let srgb = colour
         .srgb
         .map(|v| (v + variety.object_tint.pick_f32(rng)).clamp(0.0, 1.0));
     Colour { srgb, ..colour }
 }
 
-/// A shape whose lengths are `size` times the usual ones; all fit between the open fingers, but for the
-/// bowl.
-fn shape(rng: &mut ChaCha8Rng, bowl_allowed: bool, size: f64) -> Shape {
+/// Draws a shape with lengths `size` times the usual ones; all except the bowl fit between the open fingers.
+fn draw_shape(rng: &mut ChaCha8Rng, bowl_allowed: bool, size: f64) -> Shape {
     let kind = rng.random_range(0.0..1.0);
     if kind < 0.13 && bowl_allowed {
         Shape::Bowl {

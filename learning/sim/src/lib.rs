@@ -1,9 +1,9 @@
-//! A small simulated tabletop with a WidowX-250-like arm, in place of the real arm: it makes
-//! Bridge-style bags to train and test world models with.
+//! A small simulated tabletop with a WidowX-250-like arm in place of a real one: it makes Bridge-style bags for training and
+//! testing world models.
 //!
-//! An [`Episode`] is made from one seed: a table with one to four objects and up to two mats, a scripted
-//! teleoperator who pushes, grasps, lifts and places things or moves freely, and a 256 by 256 picture every
-//! 0.2 s, with the 7-d end-effector action taken then. The same seed and options give the same bytes.
+//! An [`Episode`] is made from a seed: a table with one to four objects and up to two mats, a scripted teleoperator who
+//! pushes, grasps, lifts and places objects or moves freely, and every 0.2 s a 256 by 256 picture with the 7-d end-effector
+//! action taken there. The same seed and options give the same bytes.
 //!
 //! ```
 //! use wm_sim::{Episode, EpisodeOptions};
@@ -15,33 +15,33 @@
 //! # }
 //! ```
 //!
-//! An [`Environment`] is such a table for closed-loop control: a goal to reach, to push to or to pick and place,
-//! its picture and words, one action at a time, and whether the goal is attained.
+//! An [`Environment`] is such a table for closed-loop control: a goal (reach, push, or pick and place) as a picture and
+//! words, one action at a time, and whether the goal is attained.
 //!
-//! # What holds
-//! - The motion from one frame to the next is exactly the recorded action: the operator's lag, tremor
-//!   and pauses are in the action, and what the limits or a contact took away from the command is taken
-//!   away from the record.
-//! - The arm's link lengths and kinematics are those of the WidowX-250 with six joints ([`arm`]).
+//! # Invariants
+//! - The motion between frames is exactly the recorded action: it includes the operator's lag, tremor and pauses, and the
+//!   reductions by limits and contacts.
+//! - The arm's link lengths and kinematics are those of the WidowX-250 with six joints.
 //!
-//! # What it is not
-//! A physics engine: contact is quasi-static (no inertia, no bouncing, objects right themselves as they
-//! drop), and joints have no limits but reach. The camera is free of noise and still within an episode, and
-//! episodes differ only as much as [`Variety`] says, so that a small model can learn them.
+//! # Limits
+//! It is not a physics engine: contact is quasi-static (no inertia, no bouncing; falling objects right themselves), and
+//! joints have no limits except reach. The camera has no noise and does not move within an episode, and episodes differ
+//! only as much as [`Variety`] specifies, so that a small model can learn them.
 
 mod arguments;
-pub mod arm;
+mod arm;
 mod attempt;
 mod bag;
 mod dataset;
 mod environment;
 mod episode;
+mod episode_options;
 mod error;
 mod gripper;
 mod layout;
 mod links;
 pub mod message;
-pub mod object;
+mod object;
 pub mod render;
 mod room;
 mod scene;
@@ -51,19 +51,18 @@ mod variety;
 mod world;
 
 pub use arguments::SimArgs;
+pub use arm::ToolPose;
 pub use bag::{
-    ACTION_TOPIC, BASE_FRAME, CAMERA_FRAME, CAMERA_TOPIC, FRAME_PERIOD_NS, GRIPPER_TOPIC,
-    INSTRUCTION_TOPIC, LABELS_TOPIC, MASK_TOPIC, POSE_TOPIC, START_NS, SUCCESS_TOPIC, write_bag,
+    BASE_FRAME, CAMERA_FRAME, FRAME_PERIOD_NS, INSTRUCTION_TOPIC, START_NS, SUCCESS_TOPIC,
 };
 pub use dataset::generate_bags;
 pub use environment::{
-    Environment, Goal, GoalKind, JOINT_NAMES, PLACE_TOLERANCE_M, REACH_TOLERANCE_M, Snapshot,
-    Target,
+    Environment, Goal, GoalKind, JOINT_NAMES, REACH_TOLERANCE_M, Snapshot, Target,
 };
-pub use episode::{Episode, EpisodeOptions, FRAMES, Frame};
+pub use episode::{Episode, Frame};
+pub use episode_options::EpisodeOptions;
 pub use error::Error;
-pub use scene::{FIRST_OBJECT_MASK, GRIPPER_MASK, Scene};
-pub use teleop::{Failure, LARGEST_STEP_M, LARGEST_TURN_RAD, Relation, Task};
+pub use teleop::{LARGEST_STEP_M, LARGEST_TURN_RAD};
 pub use urdf::{LinkFrame, link_frames, urdf};
-pub use variety::{Span, Variety};
-pub use world::{EndEffectorAction, LARGEST_RPY, STEP_S, WORKSPACE_M, World};
+pub use variety::Variety;
+pub use world::{EndEffectorAction, STEP_S, WORKSPACE_M, World};

@@ -1,9 +1,8 @@
-//! The look of the arm and of the gripper.
+//! The shapes and colours of the arm and the gripper.
 //!
-//! The gripper is made to be read in a picture of 128 pixels: fingers of different colours with light
-//! inner faces (which of them is where, and how far apart), dark tips (which end is down), and a palm
-//! that is light on one side, striped on the other and carries a fin there, so that no turn looks like
-//! another or like a shift.
+//! The gripper is readable in a picture of 128 pixels: fingers of different colours with light inner faces (position and
+//! opening), dark tips (which end is down), and a palm that is light on one side and striped, with a fin, on the other, so
+//! that no turn looks like another or like a shift.
 
 use std::sync::Arc;
 
@@ -11,7 +10,7 @@ use crate::arm::{ELBOW_OFFSET_M, FOREARM_M, HAND_M, SHOULDER_HEIGHT_M, UPPER_ARM
 use crate::gripper::{FINGER_LENGTH_M, FINGER_THICKNESS_M, FINGER_WIDTH_M};
 use crate::render::Mesh;
 
-/// What a part moves with.
+/// The link to which a part is fixed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Link {
     Base,
@@ -43,7 +42,7 @@ pub enum Form {
     Cylinder {
         axis: Axis,
         radius: f32,
-        /// Where it begins on the axis.
+        /// Start on the axis.
         from: f32,
         length: f32,
     },
@@ -61,9 +60,9 @@ impl Form {
             } => {
                 let upright = Mesh::cylinder(radius, length);
                 match axis {
-                    Axis::X => upright.lying_along_x().shifted(from, 0.0, 0.0),
-                    Axis::Y => upright.lying_along_y().shifted(0.0, from, 0.0),
-                    Axis::Z => upright.shifted(0.0, 0.0, from),
+                    Axis::X => upright.along_x().shift(from, 0.0, 0.0),
+                    Axis::Y => upright.along_y().shift(0.0, from, 0.0),
+                    Axis::Z => upright.shift(0.0, 0.0, from),
                 }
             }
         }
@@ -104,12 +103,12 @@ const JOINT: [f32; 3] = [0.34, 0.36, 0.41];
 const LIGHT: [f32; 3] = [0.90, 0.91, 0.93];
 const BLACK: [f32; 3] = [0.07, 0.07, 0.09];
 const FIN: [f32; 3] = [0.98, 0.94, 0.25];
-/// The two fingers differ from each other and from every object, so that half a turn can be told.
+/// Different for the two fingers and from all objects, so that half a turn is visible.
 const FINGERS: [[f32; 3]; 2] = [[0.05, 0.72, 0.82], [0.94, 0.28, 0.62]];
-/// Their inner faces: brighter, so that the gap between them shows.
+/// Their inner faces: brighter, so that the opening is visible.
 const INNER: [[f32; 3]; 2] = [[0.80, 1.0, 1.0], [1.0, 0.86, 0.95]];
 
-/// Proportions of links that carry no kinematics are chosen by eye after the real arm; metres.
+/// The parts of the arm. Proportions without effect on kinematics are estimates of the real arm; metres.
 pub fn arm_parts() -> Vec<LinkPart> {
     let [upper, offset, forearm] =
         [UPPER_ARM_M, ELBOW_OFFSET_M, FOREARM_M].map(|length| length as f32);
@@ -182,10 +181,10 @@ pub fn arm_parts() -> Vec<LinkPart> {
     parts
 }
 
-/// The palm in the hand's frame: light where y is negative; striped, with a fin, where it is positive.
+/// The palm in the hand's frame: light at negative y; striped, with a fin, at positive y.
 fn palm_parts() -> Vec<LinkPart> {
     let hand = HAND_M as f32;
-    // The side of the palm that the fingers slide on, and its side towards the wrist.
+    // The side on which the fingers slide, and the side of the wrist.
     let (near, far) = (-FINGER_LENGTH_M as f32, -FINGER_LENGTH_M as f32 - PALM_M);
     let part = |form, srgb, gloss| LinkPart::new(Link::Hand, form, srgb, gloss);
     let mut parts = vec![
@@ -234,14 +233,15 @@ fn finger_parts(side: usize) -> Vec<LinkPart> {
     );
     let inner_thick = 0.4 * thick;
     let sign = if side == 0 { -1.0 } else { 1.0 };
-    // Between two distances from the inner face.
+    // A cuboid between two distances from the inner face.
     let slab = |from_x: f32, to_x: f32, from: f32, to: f32| {
         let (low, high) = if sign < 0.0 { (-to, -from) } else { (from, to) };
         cuboid([from_x, low, -wide], [to_x, high, wide])
     };
+    // In range: `side` is 0 or 1.
     let pick = |colours: &[[f32; 3]; 2]| colours.get(side).copied().unwrap_or(LIGHT);
     let part = |form, srgb| LinkPart::new(Link::Finger(side), form, srgb, 0.15);
-    // What it slides on goes around the palm, so that the opening shows from above as well.
+    // Its slide goes around the palm, so that the opening is visible from above too.
     let (inside, outside) = if sign < 0.0 {
         (-thick, 0.0)
     } else {
@@ -254,7 +254,7 @@ fn finger_parts(side: usize) -> Vec<LinkPart> {
         ),
         pick(&FINGERS),
     );
-    // The tip's dark band, longer on one finger than on the other.
+    // The tip's dark band, longer on one finger.
     let band = if side == 0 { 0.012 } else { 0.022 };
     vec![
         part(slab(-length, -band, inner_thick, thick), pick(&FINGERS)),

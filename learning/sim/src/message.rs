@@ -1,4 +1,4 @@
-//! Cameras and frames as messages, in bags and live.
+//! Messages of cameras and frames, for bags and live topics.
 
 use nalgebra::Isometry3;
 use wm_msgs::{
@@ -12,7 +12,7 @@ use crate::render::{Camera, IMAGE_SIZE};
 /// A pinhole camera without distortion.
 pub fn camera_info(camera: &Camera, header: Header) -> CameraInfo {
     let focal = camera.focal_px();
-    // ROS has 0 in the middle of the first pixel, the simulator at its edge.
+    // In ROS, 0 is the middle of the first pixel; in the simulator, its edge.
     let middle = f64::from(IMAGE_SIZE) / 2.0 - 0.5;
     CameraInfo {
         header,
@@ -29,7 +29,7 @@ pub fn camera_info(camera: &Camera, header: Header) -> CameraInfo {
     }
 }
 
-/// A frame as a pose.
+/// The pose of a frame.
 pub fn pose(frame: &Isometry3<f64>) -> Pose {
     let (at, turn) = (frame.translation.vector, frame.rotation);
     Pose {
@@ -47,7 +47,7 @@ pub fn pose(frame: &Isometry3<f64>) -> Pose {
     }
 }
 
-/// A frame of the name `child` in that of the header.
+/// The frame `child` in the header's frame.
 pub fn transform(frame: &Isometry3<f64>, header: Header, child: &str) -> TransformStamped {
     let Pose {
         position: Point { x, y, z },

@@ -1,11 +1,11 @@
-//! The things on the table: their shapes, colours and contact geometry.
+//! Objects on the table: shapes, colours and contact geometry.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector2, Vector3};
 
 /// Thickness of a bowl's floor, metres.
 pub const BOWL_FLOOR_M: f64 = 0.006;
 
-/// Thickness of a mat, metres: below what counts as touching, so that hands and things pass over it.
+/// Thickness of a mat, metres: below the contact tolerance, so that hands and objects pass over it.
 pub const MAT_HEIGHT_M: f64 = 0.002;
 
 /// A shape that stands on the table; all lengths in metres.
@@ -17,49 +17,35 @@ pub enum Shape {
         half_x: f64,
         /// Half length along y.
         half_y: f64,
-        /// Height.
         height: f64,
     },
     /// An upright cylinder.
-    Cylinder {
-        /// Radius.
-        radius: f64,
-        /// Height.
-        height: f64,
-    },
+    Cylinder { radius: f64, height: f64 },
     /// A ball.
-    Ball {
-        /// Radius.
-        radius: f64,
-    },
-    /// An upright cone with a cut tip.
+    Ball { radius: f64 },
+    /// An upright truncated cone.
     Cone {
         /// Radius at the foot.
         radius: f64,
-        /// Height.
         height: f64,
     },
-    /// A thin round mat: a place to put things on, which nothing pushes or grasps.
-    Mat {
-        /// Radius.
-        radius: f64,
-    },
-    /// An open bowl, wider than the fingers open.
+    /// A thin round mat: a place for objects, which cannot be pushed or grasped.
+    Mat { radius: f64 },
+    /// An open bowl, wider than the open fingers.
     Bowl {
         /// Radius of the rim.
         radius: f64,
-        /// Height.
         height: f64,
     },
 }
 
-/// A cone is cut where its radius has fallen to this share of the foot's.
+/// Radius of a cone's tip, as a share of its foot's.
 pub(crate) const CONE_TIP: f64 = 0.3;
-/// The foot of a bowl against its rim.
+/// Radius of a bowl's foot, as a share of its rim's.
 pub(crate) const BOWL_FOOT: f64 = 0.6;
 
 impl Shape {
-    /// What an instruction calls it.
+    /// Its name in instructions.
     pub fn noun(&self) -> &'static str {
         match self {
             Self::Box { .. } => "box",
@@ -71,7 +57,7 @@ impl Shape {
         }
     }
 
-    /// Height over what it stands on, metres.
+    /// Height, metres.
     pub fn height(&self) -> f64 {
         match *self {
             Self::Box { height, .. }
@@ -95,7 +81,7 @@ impl Shape {
         }
     }
 
-    /// Radius of the disc that stands for it when objects touch each other, metres.
+    /// Radius of the disc that models it in contacts between objects, metres.
     pub fn contact_radius(&self) -> f64 {
         match *self {
             // Between the inscribed and the circumscribed circle.
@@ -127,7 +113,7 @@ impl Shape {
         match *self {
             Self::Box { .. } | Self::Cylinder { .. } | Self::Mat { .. } => self.bounding_radius(),
             Self::Ball { radius } => {
-                // Never thinner than this, so that fingertips near the foot still meet it.
+                // At least this, so that fingertips near the foot still touch it.
                 let below = (level - radius).clamp(-0.8 * radius, 0.8 * radius);
                 (radius * radius - below * below).sqrt()
             }
@@ -136,9 +122,9 @@ impl Shape {
         }
     }
 
-    /// How a point at `point` (in the object's own frame, horizontal, metres) with `reach` metres of its
-    /// own radius overlaps the shape at `level`: the depth, and the direction in which the *object* has
-    /// to give way. `None` where they do not touch.
+    /// Overlap of the shape at `level` with a disc of radius `reach` at `point` (in the object's frame, horizontal, metres): the
+    /// depth, and the direction in which the *object* gives way. `None` without contact.
+    ///
     pub fn overlap(
         &self,
         point: Vector2<f64>,
@@ -177,13 +163,13 @@ impl Shape {
 /// A named colour.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Colour {
-    /// What an instruction calls it.
+    /// Its name in instructions.
     pub name: &'static str,
     /// sRGB, 0 to 1.
     pub srgb: [f32; 3],
 }
 
-/// The colours that objects have. They keep clear of the colours of the two fingers.
+/// The colours of objects, different from the two fingers'.
 pub const COLOURS: [Colour; 8] = [
     Colour {
         name: "red",
@@ -246,7 +232,7 @@ impl Object {
         }
     }
 
-    /// What an instruction calls it, as in `red box`.
+    /// Its name in instructions, such as `red box`.
     pub fn name(&self) -> String {
         format!("{} {}", self.colour.name, self.shape.noun())
     }
@@ -273,12 +259,12 @@ impl Object {
             return (self.pose * nalgebra::Point3::new(0.0, 0.0, radius)).z - radius;
         }
         let r = self.shape.bounding_radius();
-        // A tilted foot's lowest edge: the middle less the radius times the sine of the tilt.
+        // The lowest edge of a tilted foot: the middle minus the radius times the sine of the tilt.
         let up = self.pose.rotation * Vector3::z();
         self.position().z - r * up.xy().norm()
     }
 
-    /// Takes a horizontal direction or offset into the object's own frame.
+    /// Converts a horizontal direction or offset to the object's frame.
     pub(crate) fn base_to_own(&self, horizontal: Vector2<f64>) -> Vector2<f64> {
         let (sin, cos) = self.yaw().sin_cos();
         Vector2::new(
@@ -287,7 +273,7 @@ impl Object {
         )
     }
 
-    /// Takes a horizontal direction out of the object's own frame.
+    /// Converts a horizontal direction from the object's frame.
     pub(crate) fn own_to_base(&self, own: Vector2<f64>) -> Vector2<f64> {
         let (sin, cos) = self.yaw().sin_cos();
         Vector2::new(cos * own.x - sin * own.y, sin * own.x + cos * own.y)

@@ -1,5 +1,5 @@
-//! A software renderer: z-buffer with 2x2 supersampling, one key light with a soft shadow, soft ambient
-//! light. It knows nothing of robots: it draws [`Part`]s over a table.
+//! A software renderer: z-buffer with 2x2 supersampling, one key light with a soft shadow, soft ambient light. It draws
+//! [`Part`]s over a table.
 
 mod camera;
 mod mesh;
@@ -15,7 +15,7 @@ pub use shading::{Picture, Renderer, Surroundings};
 use nalgebra::Isometry3;
 use std::sync::Arc;
 
-/// A mesh with a place, a colour and a mask value.
+/// A mesh with a pose, a colour and a mask value.
 #[derive(Clone, Debug)]
 pub struct Part {
     /// Its shape.
@@ -30,7 +30,7 @@ pub struct Part {
     pub mask: u8,
 }
 
-/// Takes a colour from sRGB (0 to 1) to linear light.
+/// Converts a colour from sRGB (0 to 1) to linear light.
 pub fn linear(srgb: [f32; 3]) -> [f32; 3] {
     srgb.map(|v| v.powf(2.2))
 }

@@ -6,7 +6,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::render::{Camera, Pattern, PatternKind, Surroundings};
 use crate::variety::Variety;
 
-/// Colours of tables, sRGB: wood, laminate, cloth. None is as strong as an object's.
+/// Colours of tables, sRGB: wood, laminate, cloth; less saturated than objects.
 const TABLES: [[f32; 3]; 7] = [
     [0.74, 0.66, 0.55],
     [0.68, 0.70, 0.70],
@@ -16,7 +16,7 @@ const TABLES: [[f32; 3]; 7] = [
     [0.56, 0.60, 0.68],
     [0.80, 0.79, 0.76],
 ];
-/// Colours of what is behind the table.
+/// Colours of the floor behind the table.
 const FLOORS: [[f32; 3]; 4] = [
     [0.30, 0.33, 0.38],
     [0.42, 0.40, 0.37],
@@ -24,13 +24,14 @@ const FLOORS: [[f32; 3]; 4] = [
     [0.50, 0.51, 0.53],
 ];
 
-/// Table, floor and light of an episode.
-pub fn surroundings(variety: &Variety, rng: &mut ChaCha8Rng) -> Surroundings {
+/// Draws table, floor and light of an episode.
+pub fn draw_surroundings(variety: &Variety, rng: &mut ChaCha8Rng) -> Surroundings {
     let brightness = variety.room_brightness.pick_f32(rng);
     let mut tinted = |colours: &[[f32; 3]]| {
         let colour = colours
             .get(rng.random_range(0..colours.len()))
             .copied()
+            // The list of colours is not empty.
             .unwrap_or([0.6; 3]);
         colour.map(|v| (v * brightness + variety.room_tint.pick_f32(rng)).clamp(0.0, 1.0))
     };
@@ -40,7 +41,7 @@ pub fn surroundings(variety: &Variety, rng: &mut ChaCha8Rng) -> Surroundings {
     Surroundings {
         table_srgb,
         floor_srgb,
-        pattern: pattern(variety, rng),
+        pattern: draw_pattern(variety, rng),
         light: [1.0, 1.0 - warmth, 1.0 - 2.0 * warmth].map(|v| v * strength),
         light_direction: [
             variety.light_x.pick_f32(rng),
@@ -51,7 +52,7 @@ pub fn surroundings(variety: &Variety, rng: &mut ChaCha8Rng) -> Surroundings {
     }
 }
 
-fn pattern(variety: &Variety, rng: &mut ChaCha8Rng) -> Pattern {
+fn draw_pattern(variety: &Variety, rng: &mut ChaCha8Rng) -> Pattern {
     let kind = if rng.random_bool(variety.plain_share) {
         PatternKind::Plain
     } else {
@@ -70,8 +71,8 @@ fn pattern(variety: &Variety, rng: &mut ChaCha8Rng) -> Pattern {
     }
 }
 
-/// The camera of an episode: about where it usually is.
-pub fn camera(variety: &Variety, rng: &mut ChaCha8Rng) -> Camera {
+/// Draws the camera of an episode, near its usual pose.
+pub fn draw_camera(variety: &Variety, rng: &mut ChaCha8Rng) -> Camera {
     Camera::beside_the_arm().moved(
         Variety::vector(variety.camera_shift_m, rng),
         Variety::vector(variety.camera_aim_m, rng),

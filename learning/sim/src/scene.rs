@@ -1,4 +1,4 @@
-//! From the world's state to parts to draw: the arm, the gripper and the objects.
+//! Converts a world's state to parts to draw: arm, gripper and objects.
 
 use nalgebra::{Isometry3, Translation3};
 use std::sync::Arc;
@@ -72,7 +72,7 @@ impl Scene {
                 pose: object.pose.cast(),
                 albedo: linear(object.colour.srgb),
                 gloss: 0.12,
-                // A scene has at most four objects and two mats.
+                // Fits: a scene has at most four objects and two mats.
                 mask: FIRST_OBJECT_MASK + index as u8,
             });
         }
@@ -81,7 +81,7 @@ impl Scene {
 }
 
 fn object_mesh(shape: &Shape) -> Mesh {
-    // Single precision is ample for a picture.
+    // Single precision suffices for a picture.
     match *shape {
         Shape::Box {
             half_x,
@@ -95,7 +95,7 @@ fn object_mesh(shape: &Shape) -> Mesh {
         Shape::Ball { radius } => Mesh::ball(radius as f32),
         Shape::Cone { radius, height } => {
             let (radius, height) = (radius as f32, height as f32);
-            Mesh::turned(&[
+            Mesh::revolve_profile(&[
                 (0.0, 0.0),
                 (radius, 0.0),
                 (radius * CONE_TIP as f32, height),
@@ -103,16 +103,16 @@ fn object_mesh(shape: &Shape) -> Mesh {
             ])
         }
         Shape::Mat { radius } => Mesh::cylinder(radius as f32, MAT_HEIGHT_M as f32),
-        Shape::Bowl { radius, height } => bowl(radius as f32, height as f32),
+        Shape::Bowl { radius, height } => bowl_mesh(radius as f32, height as f32),
     }
 }
 
-/// A bowl: up along the outside, over the rim, down along the inside.
-fn bowl(radius: f32, height: f32) -> Mesh {
+/// A bowl: up the outside, over the rim, down the inside.
+fn bowl_mesh(radius: f32, height: f32) -> Mesh {
     const BANDS: usize = 6;
     let wall = 0.1 * radius;
     let floor = BOWL_FLOOR_M as f32;
-    // The radius grows with the square root of the height: a rounded wall.
+    // A rounded wall: the radius grows with the square root of the height.
     let outer = |share: f32| {
         (
             radius * (BOWL_FOOT as f32 + (1.0 - BOWL_FOOT as f32) * share.sqrt()),
@@ -131,7 +131,7 @@ fn bowl(radius: f32, height: f32) -> Mesh {
     inner.reverse();
     profile.extend(inner);
     profile.push((0.0, floor));
-    Mesh::turned(&profile)
+    Mesh::revolve_profile(&profile)
 }
 
 #[cfg(test)]

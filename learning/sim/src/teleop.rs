@@ -1,6 +1,6 @@
-//! A scripted teleoperator: picks tasks, moves towards sub-goals with a human's lag, pauses and tremor.
+//! A scripted teleoperator: chooses tasks and moves to sub-goals with a human's lag, pauses and tremor.
 //!
-//! The noise is part of the command, and the command is carried out, so that actions explain motion.
+//! The noise is part of the executed command, so that actions explain motion.
 
 mod failure;
 mod gesture;
@@ -8,7 +8,7 @@ mod plan;
 mod task;
 
 pub use failure::Failure;
-pub(crate) use plan::{DIRECTIONS, burdened, grasp_level, graspable, inside};
+pub(crate) use plan::{DIRECTIONS, grasp_level, is_burdened, is_graspable, is_inside};
 pub(crate) use task::LEVEL_M;
 pub use task::{Relation, Task};
 
@@ -22,43 +22,42 @@ use crate::world::{EndEffectorAction, LARGEST_RPY, WORKSPACE_M, World};
 use gesture::Gesture;
 use plan::{Aim, Move};
 
-/// Largest change along one axis in one action, metres: what Bridge's usual scaling (35 a metre, clipped
-/// at 1.74) can express.
+/// Largest change along one axis in one action, metres: the limit of Bridge's usual scaling (35 per metre, clipped at 1.74).
 pub const LARGEST_STEP_M: f64 = 1.74 / 35.0;
 /// Largest change of roll, pitch or yaw in one action, radians: 1.39 / 5.6, from the same scaling.
 pub const LARGEST_TURN_RAD: f64 = 1.39 / 5.6;
-/// A sub-goal is given up after this many actions.
+/// Actions after which a sub-goal is abandoned.
 const PATIENCE: usize = 14;
-/// After the last task the hand stays above this, clear of everything, metres.
+/// Minimum height of the hand after the last task, clear of all objects, metres.
 pub(crate) const CLEAR_M: f64 = 0.095;
-/// Nearer to a sub-goal than this the hand makes no gestures, metres.
+/// Distance from a sub-goal within which the hand makes no gestures, metres.
 const GESTURE_DISTANCE_M: f64 = 0.035;
-/// Tasks end when fewer frames than this are left, and the operator only drifts.
+/// Number of remaining frames below which no task starts and the operator drifts.
 const LEAST_FRAMES_FOR_A_TASK: usize = 16;
 
-/// What an operator is to do in an episode.
+/// An operator's work in an episode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Assignment {
     /// Free motion.
     Exploration,
     /// One task after another.
     Tasks,
-    /// One task, that goes wrong in the given way, if any.
+    /// One task, with a failure if one is given.
     OneTask(Option<Failure>),
 }
 
 /// One operator over one episode.
 pub struct Operator {
     rng: ChaCha8Rng,
-    /// To the viewer's right, and away from the viewer, over the table.
+    /// Horizontal unit vectors to the viewer's right and away from the viewer.
     viewer: [Vector3<f64>; 2],
     moves: VecDeque<Move>,
     tasks: Vec<Task>,
     /// Whether each finished task succeeded.
     outcomes: Vec<bool>,
-    /// Top speed, metres an action.
+    /// Top speed, metres per action.
     speed: f64,
-    /// Standard deviations of the tremor: metres and radians an action.
+    /// Standard deviations of the tremor: metres and radians per action.
     tremor: [f64; 2],
     velocity: Vector3<f64>,
     turning: Vector3<f64>,
@@ -68,12 +67,12 @@ pub struct Operator {
     gripper: f64,
     drift: Drift,
     gesture: Gesture,
-    /// The whole episode is free motion.
+    /// Whether the whole episode is free motion.
     explores: bool,
     assignment: Assignment,
-    /// The operator has stopped for good.
+    /// Whether the operator has stopped for good.
     halted: bool,
-    /// Free motion stays below this height, metres: low enough in many episodes to touch things.
+    /// Maximum height of free motion, metres: low enough in many episodes to touch objects.
     ceiling_m: f64,
 }
 
@@ -85,7 +84,7 @@ struct Drift {
 }
 
 impl Operator {
-    /// An operator who sees the table along `viewer` (unit vectors to the right and ahead).
+    /// An operator whose view of the table is along `viewer` (unit vectors to the right and ahead).
     pub fn new(
         mut rng: ChaCha8Rng,
         viewer: [Vector3<f64>; 2],
@@ -130,7 +129,7 @@ impl Operator {
         operator
     }
 
-    /// The next command, with `left` frames to come in the episode.
+    /// The next command, with `left` frames left in the episode.
     pub fn command(&mut self, world: &World, left: usize) -> EndEffectorAction {
         if self.moves.is_empty() {
             self.next_task(world, left);
@@ -139,8 +138,8 @@ impl Operator {
             self.pause = self.rng.random_range(1..=3);
         }
         let (wanted, wanted_turn) = match self.moves.front().cloned() {
-            None => self.drifting(world),
-            Some(Move::Drift { .. }) => self.drifting(world),
+            None => self.drift(world),
+            Some(Move::Drift { .. }) => self.drift(world),
             Some(Move::Grip { to, .. }) => {
                 self.gripper = to;
                 (Vector3::zeros(), Vector3::zeros())
@@ -148,7 +147,7 @@ impl Operator {
             Some(Move::Linger { .. }) => {
                 let rpy = world.tool().rpy * 0.8;
                 let gripper = if world.held().is_some() { 0.0 } else { 1.0 };
-                let turn = self.gestured(world, rpy, gripper);
+                let turn = self.add_gesture(world, rpy, gripper);
                 (Vector3::zeros(), turn)
             }
             Some(Move::Go {
@@ -161,11 +160,12 @@ impl Operator {
                 let offset = aim.point(world) - world.tool().position;
                 let speed = self.speed.min(offset.norm());
                 let turn = if loose && offset.norm() > GESTURE_DISTANCE_M {
-                    self.gestured(world, rpy, gripper)
+                    self.add_gesture(world, rpy, gripper)
                 } else {
                     self.gripper = gripper;
                     turn_towards(rpy, world)
                 };
+                // Without a distance there is no direction, and no motion.
                 (offset.try_normalize(1e-9).unwrap_or_default() * speed, turn)
             }
         };
@@ -175,16 +175,16 @@ impl Operator {
             self.velocity *= 0.2;
             self.turning *= 0.2;
         } else {
-            // A hand follows its intention with a lag of about one action.
+            // The hand lags its intention by about one action.
             self.velocity = self.velocity * 0.35 + wanted * 0.65;
             self.turning = self.turning * 0.35 + wanted_turn * 0.65;
         }
         self.advance(world);
-        self.with_tremor()
+        self.add_tremor()
     }
 
-    /// What was asked for and whether all of it came about: of several tasks each as the world was when
-    /// it was finished, the last one as the world is at the end.
+    /// The instruction, and whether all of it succeeded: each task by the world at its end, the last one by the world at the
+    /// end of the episode.
     pub fn conclude(mut self, world: &World) -> (String, bool) {
         if let Some(task) = self.tasks.last() {
             self.outcomes.truncate(self.tasks.len() - 1);
@@ -215,7 +215,7 @@ impl Operator {
         if (left < LEAST_FRAMES_FOR_A_TASK || one_task)
             && let Some(task) = self.tasks.last()
         {
-            // What is held stays held while the hand drifts, so that a lift ends as one.
+            // A held object stays held while the hand drifts, so that a lift counts.
             let stays = self.halted || matches!(task, Task::Reach { .. });
             self.moves.push_back(if stays {
                 Move::Linger { frames: left }
@@ -238,7 +238,7 @@ impl Operator {
     fn plan(&mut self, world: &World) -> (Task, Vec<Move>) {
         let first = self.tasks.is_empty();
         if let Assignment::OneTask(Some(failure)) = self.assignment {
-            // Not every task can fail in every way.
+            // Not every task allows every failure.
             for _ in 0..30 {
                 let (task, moves) = plan::next(&mut self.rng, world, self.viewer, first);
                 if let Some(plan) = failure.spoil(&mut self.rng, world, task, moves) {
@@ -250,11 +250,11 @@ impl Operator {
         plan::next(&mut self.rng, world, self.viewer, first)
     }
 
-    /// The turn towards `rpy` with what the hand does on the way besides; sets the gripper.
-    fn gestured(&mut self, world: &World, rpy: Vector3<f64>, gripper: f64) -> Vector3<f64> {
+    /// The turn towards `rpy` with a gesture; sets the gripper.
+    fn add_gesture(&mut self, world: &World, rpy: Vector3<f64>, gripper: f64) -> Vector3<f64> {
         let free = world.held().is_none();
         self.gesture.advance(&mut self.rng);
-        self.gripper = if free && self.gesture.gripper_turned() {
+        self.gripper = if free && self.gesture.inverts_gripper() {
             1.0 - gripper
         } else {
             gripper
@@ -262,7 +262,7 @@ impl Operator {
         turn_towards(rpy + self.gesture.turn(), world)
     }
 
-    /// Drops the present move once it is done or has taken too long.
+    /// Ends the present move when it is done or has taken too long.
     fn advance(&mut self, world: &World) {
         self.spent += 1;
         let done = match self.moves.front() {
@@ -287,8 +287,8 @@ impl Operator {
         }
     }
 
-    /// Free motion: a velocity and a turn kept for a few frames, away from the limits.
-    fn drifting(&mut self, world: &World) -> (Vector3<f64>, Vector3<f64>) {
+    /// Free motion: velocity and turn last for a few frames, away from the limits.
+    fn drift(&mut self, world: &World) -> (Vector3<f64>, Vector3<f64>) {
         if self.drift.frames == 0 {
             self.drift.frames = self.rng.random_range(2..=6);
             let direction: [f64; 3] = UnitSphere.sample(&mut self.rng);
@@ -315,7 +315,7 @@ impl Operator {
         if self.explores {
             high[2] = self.ceiling_m;
         } else {
-            // What is done stays done.
+            // Finished tasks must not be undone.
             low[2] = CLEAR_M;
         }
         for axis in 0..3 {
@@ -333,9 +333,9 @@ impl Operator {
         (self.drift.velocity, self.drift.turning)
     }
 
-    fn with_tremor(&mut self) -> EndEffectorAction {
+    fn add_tremor(&mut self) -> EndEffectorAction {
         for (shake, deviation) in self.shake.iter_mut().zip(self.tremor) {
-            // The deviations are positive and finite, so the distribution exists.
+            // The distribution exists: deviations are positive and finite.
             if let Ok(normal) = Normal::new(0.0, deviation) {
                 *shake = *shake * 0.5 + Vector3::from_fn(|_, _| normal.sample(&mut self.rng));
             }

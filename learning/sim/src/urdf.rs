@@ -1,7 +1,6 @@
-//! The arm as a URDF, for whatever shows or plans with one: the kinematics of [`arm`](crate::arm), and the forms that the
-//! pictures show.
+//! The arm as a URDF: the kinematics of [`arm`](crate::arm), and the shapes in the pictures.
 //!
-//! Names are those of Interbotix's `wx250s`. Joints have no limits, as in the simulator; links have no mass.
+//! Names are those of Interbotix's `wx250s`. As in the simulator, joints have no limits; links have no mass.
 
 use std::fmt::Write as _;
 
@@ -12,18 +11,17 @@ use crate::arm::{ELBOW_OFFSET_M, FOREARM_M, HAND_M, SHOULDER_HEIGHT_M, UPPER_ARM
 use crate::gripper::HALF_OPENING_M;
 use crate::links::{Axis, Form, Link, LinkPart, arm_parts};
 
-/// How a joint moves.
+/// The motion of a joint.
 #[derive(Clone, Copy)]
 enum Movement {
     Fixed,
-    /// Turns about an axis.
+    /// A rotation about an axis.
     Turns(Axis),
-    /// Slides along y, between two places \[m\].
+    /// A translation along y, between two limits \[m\].
     Slides([f64; 2]),
 }
 
-/// A joint: its name, the links that it joins, where it is in the first one \[m\], the turn about x there \[rad\], and how
-/// it moves.
+/// A joint: name, parent and child link, origin in the parent \[m\], rotation about x there \[rad\], and motion.
 struct Joint<'a> {
     name: &'static str,
     parent: &'a str,
@@ -33,8 +31,7 @@ struct Joint<'a> {
     movement: Movement,
 }
 
-/// Fingers slide at the speed at which the simulator moves them \[m/s\]; URDF asks for an effort too \[N\], of which the
-/// simulator knows nothing.
+/// Speed of the fingers in the simulator \[m/s\]; URDF requires an effort too \[N\], which the simulator does not model.
 const FINGER_SPEED: f64 = 0.12;
 const FINGER_EFFORT: f64 = 1.0;
 
@@ -81,7 +78,7 @@ fn joints(base: &str) -> [Joint<'_>; 10] {
             hand,
             Movement::Fixed,
         ),
-        // See `gripper::hand`.
+        // The frame of `gripper::hand`.
         Joint {
             roll: std::f64::consts::FRAC_PI_2,
             ..joint(
@@ -103,8 +100,7 @@ fn joints(base: &str) -> [Joint<'_>; 10] {
     ]
 }
 
-/// The link's name.
-fn name_of(link: Link, base: &str) -> &str {
+fn link_name(link: Link, base: &str) -> &str {
     match link {
         Link::Base => base,
         Link::Waist => "shoulder_link",
@@ -118,16 +114,16 @@ fn name_of(link: Link, base: &str) -> &str {
     }
 }
 
-/// The arm as a URDF. Its joints are those of [`JOINT_NAMES`](crate::JOINT_NAMES), its root is the link `base`, and its
-/// `ee_gripper_link` is the tool's frame.
+/// The arm as a URDF with the joints [`JOINT_NAMES`](crate::JOINT_NAMES), the root link `base`, and the tool's frame
+/// `ee_gripper_link`.
 pub fn urdf(base: &str) -> String {
-    let base = escaped(base);
+    let base = escape(base);
     let (joints, parts) = (joints(&base), arm_parts());
     let mut text = String::from("<?xml version=\"1.0\"?>\n<robot name=\"wx250s\">\n");
     for link in std::iter::once(&*base).chain(joints.iter().map(|joint| joint.child)) {
         let parts = parts
             .iter()
-            .filter(|part| name_of(part.link, &base) == link);
+            .filter(|part| link_name(part.link, &base) == link);
         let visuals: String = parts.map(visual).collect();
         let line = match visuals.as_str() {
             "" => format!("  <link name=\"{link}\"/>\n"),
@@ -135,24 +131,24 @@ pub fn urdf(base: &str) -> String {
         };
         text.push_str(&line);
     }
-    text.extend(joints.iter().map(element));
+    text.extend(joints.iter().map(joint_element));
     text.push_str("</robot>\n");
     text
 }
 
-/// A link in the one that it hangs on.
+/// The frame of a link in its parent.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LinkFrame {
-    /// That one's name in the [`urdf`].
+    /// The parent's name in the [`urdf`].
     pub parent: String,
-    /// Its own.
+    /// The link's name.
     pub link: &'static str,
-    /// Its frame in that one's.
+    /// The link's frame in the parent's.
     pub frame: Isometry3<f64>,
 }
 
-/// Where the links of the [`urdf`] with the root `base` are, for joints that are at `positions` \[rad or m\], in the order
-/// of [`JOINT_NAMES`].
+/// The frames of the links of the [`urdf`] with the root `base`, for joints at `positions` \[rad or m\] in the order of
+/// [`JOINT_NAMES`].
 pub fn link_frames(base: &str, positions: &[f64; 8]) -> Vec<LinkFrame> {
     let position = |name: &str| {
         let mut all = JOINT_NAMES.iter().zip(positions);
@@ -179,14 +175,13 @@ pub fn link_frames(base: &str, positions: &[f64; 8]) -> Vec<LinkFrame> {
     joints(base).iter().map(of).collect()
 }
 
-/// As an attribute of XML.
-fn escaped(text: &str) -> String {
+fn escape(text: &str) -> String {
     text.replace('&', "&amp;")
         .replace('<', "&lt;")
         .replace('"', "&quot;")
 }
 
-fn element(joint: &Joint) -> String {
+fn joint_element(joint: &Joint) -> String {
     let Joint {
         name,
         parent,
@@ -225,7 +220,7 @@ fn unit(axis: Axis) -> [f64; 3] {
     }
 }
 
-/// A part as a visual. URDF has boxes and cylinders (along z) by their middles.
+/// A part as a visual element. URDF has boxes and cylinders (along z), placed by their centres.
 fn visual(part: &LinkPart) -> String {
     let quarter = std::f64::consts::FRAC_PI_2;
     let (middle, [roll, pitch], geometry) = match part.form {
@@ -267,9 +262,9 @@ fn visual(part: &LinkPart) -> String {
     text
 }
 
-/// A material's name says its colour: one name never means two.
+/// The name of a material, unique for its colour.
 fn material(srgb: [f32; 3]) -> String {
-    // From 0 to 1, so a byte holds it.
+    // Fits: colours are from 0 to 1.
     let [red, green, blue] = srgb.map(|value| (value * 255.0).round() as u8);
     format!("colour_{red:02x}{green:02x}{blue:02x}")
 }
@@ -284,7 +279,7 @@ mod tests {
     use crate::arm::{self, Joints};
     use crate::gripper;
 
-    /// Where each link is, by what the text says.
+    /// The frames of the links in a URDF text.
     fn frames(text: &str, positions: &BTreeMap<&str, f64>) -> BTreeMap<String, Isometry3<f64>> {
         let value = |line: &str, key: &str| {
             let rest = line.split_once(&format!("{key}=\""))?.1;
@@ -325,7 +320,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn its_links_are_where_the_simulator_has_them(
+        fn urdf_links_match_the_simulator(
             angles in prop::array::uniform6(-1.5..1.5_f64),
             opening in 0.0..1.0_f64,
         ) {
@@ -365,7 +360,7 @@ mod tests {
     }
 
     #[test]
-    fn every_part_is_shown_and_every_joint_is_told() {
+    fn urdf_has_every_part_and_joint() {
         let text = urdf("a<b");
         assert!(
             text.contains("<link name=\"a&lt;b\">") && text.contains("<parent link=\"a&lt;b\"/>")
@@ -374,7 +369,7 @@ mod tests {
         for name in JOINT_NAMES {
             assert!(text.contains(&format!("<joint name=\"{name}\"")), "{name}");
         }
-        // As many links as joints lead to, and the root.
+        // A link for each joint, and the root.
         assert_eq!(
             text.matches("<link name").count(),
             text.matches("<joint ").count() + 1
@@ -382,7 +377,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cylinder_lies_where_its_mesh_does() {
+    fn cylinder_matches_its_mesh() {
         for part in arm_parts() {
             let text = visual(&part);
             let origin = text.split_once("xyz=\"").expect("a place").1;

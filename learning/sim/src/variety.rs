@@ -1,10 +1,10 @@
-//! How much one episode differs from the next.
+//! Variation between episodes.
 
 use nalgebra::Vector3;
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 
-/// An interval to choose from, evenly.
+/// An interval with a uniform distribution.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Span {
     /// Lowest value.
@@ -23,7 +23,7 @@ impl Span {
         }
     }
 
-    /// The interval of `largest` to both sides of zero.
+    /// The interval from `-largest` to `largest`.
     pub const fn around_zero(largest: f64) -> Self {
         Self::new(-largest, largest)
     }
@@ -33,54 +33,52 @@ impl Span {
     }
 
     pub(crate) fn pick_f32(self, rng: &mut ChaCha8Rng) -> f32 {
-        // Colours, angles and lengths: single precision is ample.
+        // Single precision suffices for colours, angles and lengths.
         self.pick(rng) as f32
     }
 }
 
-/// What varies between episodes, and how much. An episode draws each value from its seed.
+/// The variation between episodes. Each episode draws its values from its seed.
 ///
-/// The default is moderate: enough that a model cannot take the room for granted, and so little that one
-/// with a few million parameters learns it.
+/// The default is moderate: a model cannot ignore the room, but one with a few million parameters can learn it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Variety {
-    /// How far the camera is from its usual place along each axis, metres.
+    /// Offset of the camera from its usual place along each axis, metres.
     pub camera_shift_m: Span,
-    /// How far the point that it looks at is from the usual one, metres: 1 cm turns it by about a degree.
+    /// Offset of the camera's target point, metres: 1 cm turns the camera by about a degree.
     pub camera_aim_m: Span,
     /// Turn of the camera about its view axis, radians.
     pub camera_roll_rad: Span,
-    /// Where the light comes from: horizontal parts of its direction, whose upward part is 1. Usually from
-    /// the viewer's side, which the middle of these intervals says.
+    /// Horizontal x of the direction towards the light, whose upward part is 1. The middle of the intervals is on the viewer's
+    /// side.
     pub light_x: Span,
-    /// See `light_x`.
+    /// Horizontal y, see `light_x`.
     pub light_y: Span,
-    /// Strength of the light, 1 as usual.
+    /// Strength of the light, usually 1.
     pub light_strength: Span,
-    /// How warm it is: its green and, to twice the extent, its blue fall short by this share.
+    /// Warmth of the light: reduction of green by this share, and of blue by twice as much.
     pub light_warmth: Span,
-    /// Strength of the light from all around, 1 as usual.
+    /// Strength of the ambient light, usually 1.
     pub ambient: Span,
-    /// Brightness of the table's and the floor's colours, 1 as listed.
+    /// Brightness factor of the table's and the floor's colours.
     pub room_brightness: Span,
     /// Change of each channel of the table's and the floor's colours, sRGB 0 to 1.
     pub room_tint: Span,
-    /// Contrast of the table's pattern, as a share of its brightness; patterns are plain, boards, squares
-    /// and clouds.
+    /// Contrast of the table's pattern, as a share of its brightness.
     pub pattern_contrast: Span,
     /// Size of the pattern, metres.
     pub pattern_size_m: Span,
-    /// Share of the tables without a pattern.
+    /// Share of tables without a pattern.
     pub plain_share: f64,
-    /// Change of each channel of an object's named colour, sRGB 0 to 1: it still deserves its name.
+    /// Change of each channel of an object's named colour, sRGB 0 to 1: small enough for its name.
     pub object_tint: Span,
-    /// Size of an object, 1 as usual for its shape.
+    /// Size factor of an object, usually 1.
     pub object_size: Span,
-    /// Shares of the episodes with one, two, three and four objects; they add up to 1.
+    /// Shares of episodes with one, two, three and four objects; their sum is 1.
     pub object_counts: [f64; 4],
-    /// Share of the episodes with a mat, a flat place of a colour of its own, to put things on.
+    /// Share of episodes with a mat, a flat coloured place for objects.
     pub mat_share: f64,
-    /// Share of the episodes with a mat that have a second one.
+    /// Share of these with a second mat.
     pub second_mat_share: f64,
 }
 
@@ -114,7 +112,7 @@ impl Variety {
         Vector3::from_fn(|_, _| span.pick_f32(rng))
     }
 
-    /// How many objects to put on the table.
+    /// Draws the number of objects.
     pub(crate) fn object_count(&self, rng: &mut ChaCha8Rng) -> usize {
         let mut left = rng.random_range(0.0..1.0);
         for (index, share) in self.object_counts.into_iter().enumerate() {

@@ -1,11 +1,10 @@
 //! The tabletop's physics: quasi-static contact, exact motion of the hand.
 //!
-//! The hand does what the action says, up to the limits below, and the action that was really carried
-//! out is returned, so that a recorded action always explains the motion. Objects follow: a finger
-//! pushes an object along the contact normal (and turns it, sharing the motion between shift and turn
-//! as friction on the table would), fingers that close on an object hold it rigidly, and an object that
-//! is let go falls onto the table or onto what is below it. A rigid-body engine would add inertia and
-//! bouncing, which hardly show at 5 Hz, and would let the arm be deflected from its action.
+//! The hand executes the action within the limits below, and the executed action is returned, so that a recorded action
+//! always explains the motion. Objects follow: a finger pushes an object along the contact normal (and turns it: friction
+//! with the table divides the motion between shift and turn), closing fingers hold an object rigidly, and a released
+//! object falls onto the table or the object below. A rigid-body engine would add inertia and bouncing, which are hardly
+//! visible at 5 Hz, and would let contacts deflect the arm from its action.
 
 mod contact;
 
@@ -18,34 +17,34 @@ use contact::floor_under;
 
 /// Time of one action, seconds: actions come at 5 Hz.
 pub const STEP_S: f64 = 0.2;
-/// How many contact steps make one action.
+/// Contact steps per action.
 const SUBSTEPS: usize = 10;
-/// How much of its travel the gripper makes in one action.
+/// Share of its travel that the gripper covers in one action.
 const GRIPPER_TRAVEL: f64 = 0.6;
-/// Heights that differ by less count as touching, metres.
+/// Difference of heights that counts as contact, metres.
 const TOUCH_M: f64 = 0.003;
-/// Fingertips keep this far from the table, metres.
+/// Minimum height of the fingertips over the table, metres.
 const TABLE_GAP_M: f64 = 0.003;
 
-/// Corners of the box in which the point between the fingertips stays, metres.
+/// Corners of the workspace of the point between the fingertips, metres.
 pub const WORKSPACE_M: [[f64; 3]; 2] = [[0.19, -0.11, 0.008], [0.35, 0.125, 0.145]];
 /// Largest roll, pitch and yaw, radians.
 pub const LARGEST_RPY: [f64; 3] = [0.6, 0.6, 1.3];
 
-/// A 7-d end-effector action: dx dy dz in metres, roll pitch yaw changes in radians, and the gripper
-/// to aim for, 0 closed to 1 open.
+/// A 7-d end-effector action: dx dy dz in metres, changes of roll pitch yaw in radians, and the gripper's target, 0 closed
+/// to 1 open.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EndEffectorAction {
     /// Change of position, metres.
     pub translation: Vector3<f64>,
     /// Change of roll, pitch and yaw, radians.
     pub rotation: Vector3<f64>,
-    /// Where the gripper should go, 0 closed to 1 open.
+    /// Target of the gripper, 0 closed to 1 open.
     pub gripper: f64,
 }
 
 impl EndEffectorAction {
-    /// No motion, and the gripper as given, 0 closed to 1 open.
+    /// No motion, with this gripper target, 0 closed to 1 open.
     pub fn still(gripper: f64) -> Self {
         Self {
             translation: Vector3::zeros(),
@@ -54,7 +53,7 @@ impl EndEffectorAction {
         }
     }
 
-    /// The action of seven values in Bridge order.
+    /// Converts seven values in Bridge order.
     pub fn from_values(values: [f32; 7]) -> Self {
         let [x, y, z, roll, pitch, yaw, gripper] = values.map(f64::from);
         Self {
@@ -67,7 +66,7 @@ impl EndEffectorAction {
     /// The seven values in Bridge order.
     pub fn values(&self) -> [f32; 7] {
         let (t, r) = (self.translation, self.rotation);
-        // Single precision is what the messages carry.
+        // Messages have single precision.
         [t.x, t.y, t.z, r.x, r.y, r.z, self.gripper].map(|v| v as f32)
     }
 }
@@ -103,22 +102,22 @@ impl World {
         &self.objects
     }
 
-    /// Where the tool is.
+    /// The pose of the tool.
     pub fn tool(&self) -> &ToolPose {
         &self.tool
     }
 
-    /// How far the gripper is open, 0 to 1.
+    /// Opening of the gripper, 0 to 1.
     pub fn opening(&self) -> f64 {
         self.opening
     }
 
-    /// Index of the object that the fingers hold.
+    /// Index of the held object.
     pub fn held(&self) -> Option<usize> {
         self.grasp.as_ref().map(|grasp| grasp.object)
     }
 
-    /// Carries out `command` and returns the action that was possible within the limits.
+    /// Executes `command` within the limits and returns the executed action.
     pub fn step(&mut self, command: &EndEffectorAction) -> EndEffectorAction {
         let start = self.tool;
         for _ in 0..SUBSTEPS {
@@ -171,8 +170,8 @@ impl World {
         }
     }
 
-    /// How far the tool at `next` has to be raised so that neither the fingers nor what they hold go
-    /// into the table or down into the top of an object.
+    /// Height by which the tool at `next` must be raised so that neither the fingers nor a held object enter the table or the
+    /// top of an object.
     fn lift_needed(&self, next: &ToolPose) -> f64 {
         let (old_frame, frame) = (self.tool.frame(), next.frame());
         let mut lift = (TABLE_GAP_M - gripper::lowest(&frame, self.opening)).max(0.0);
@@ -229,8 +228,7 @@ impl World {
         lift
     }
 
-    /// Moves the fingers one substep towards `target`; true when they close. Lets go of what they hold
-    /// as they open.
+    /// Moves the fingers one substep towards `target`; true if they close. Opening fingers release the held object.
     fn move_fingers(&mut self, target: f64) -> bool {
         let target = target.clamp(0.0, 1.0);
         let travel = GRIPPER_TRAVEL / SUBSTEPS as f64;
@@ -249,7 +247,7 @@ impl World {
         if let Some(grasp) = self.grasp.take()
             && let Some(object) = self.objects.get_mut(grasp.object)
         {
-            // It rights itself as it drops: tilts are small, and it lands within one frame.
+            // It rights itself: tilts are small, and it lands within one frame.
             let (yaw, lowest) = (object.yaw(), object.lowest());
             if let Shape::Ball { radius } = object.shape {
                 let centre = object.pose * nalgebra::Point3::new(0.0, 0.0, radius);
@@ -263,7 +261,7 @@ impl World {
         }
     }
 
-    /// Grasps the object between the fingers once they touch it from both sides.
+    /// Grasps the object that both fingers touch.
     fn try_grasp(&mut self) {
         let frame = self.tool.frame();
         let hand = gripper::hand(&frame);
@@ -281,7 +279,7 @@ impl World {
             let in_hand = hand.inverse() * middle;
             let opening_axis = (hand.rotation * Vector3::y()).xy();
             let own_axis = object.base_to_own(opening_axis.normalize());
-            // Fingers touch a little above the tips.
+            // Contact is a little above the tips.
             let half_width = object.shape.half_width(level.max(0.0) + 0.008, own_axis);
             let across = in_hand.z.abs();
             let reaches = across < 0.6 * object.shape.contact_radius().min(0.022);

@@ -110,7 +110,7 @@ impl<'a> AdapterTask<'a> {
             } else {
                 1.0
             },
-            device: compute.device().clone(),
+            device: compute.device()?.clone(),
             workers: Workers::new(run.threads()?)?,
             written: None,
         })

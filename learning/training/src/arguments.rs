@@ -7,10 +7,10 @@ use clap::Args;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 
-use candle_core::{DType, Device};
+use candle_core::Device;
 use wm_dataset::{Data, DataOptions, DatasetError, Latents};
-use wm_model::{Encoder, Framing, Weights};
-use wm_zoo::{Compute, DeviceName, Engine, ModelFolder, Precision};
+use wm_model::{Compute, Encoder, Framing, Kernels, NumberFormat, Weights};
+use wm_zoo::ModelFolder;
 
 use crate::{
     fresh_weights::FreshWeights,
@@ -59,12 +59,12 @@ pub struct RunArgs {
     #[arg(long)]
     pub threads: Option<usize>,
     /// Where to compute: cpu, cuda or cuda:N. A GPU needs the cargo feature `cuda`.
-    #[arg(long, default_value_t)]
-    pub device: DeviceName,
+    #[arg(long, default_value = "cpu")]
+    pub device: Compute,
     /// Number format of the weights while they are multiplied: f32 or bf16, for the transition model and its distillation
     /// on a GPU. The optimiser keeps them in f32.
     #[arg(long, default_value = "f32", value_parser = dtype)]
-    pub dtype: DType,
+    pub dtype: NumberFormat,
 }
 
 /// Data with their latents.
@@ -124,7 +124,7 @@ impl RunArgs {
             None => FreshWeights::new(seed),
             Some(old) => FreshWeights::tuning_weights(seed, &old)?,
         };
-        Ok(fresh.on(&self.compute_f32()?))
+        Ok(fresh.on(&self.compute_f32()?)?)
     }
 
     /// Where and in which number format to compute.
@@ -132,12 +132,10 @@ impl RunArgs {
     /// # Errors
     /// If there is no such device.
     pub fn compute(&self) -> Result<Compute> {
-        let device = self.device.open()?;
-        let precision = match self.dtype {
-            DType::BF16 => Precision::Bf16,
-            _ => Precision::F32,
-        };
-        Ok(Compute::new(Engine::Candle, device, precision)?)
+        let compute = self.device.clone().with_kernels(Kernels::Candle)?;
+        let compute = compute.with_format(self.dtype)?;
+        compute.device()?;
+        Ok(compute)
     }
 
     /// The same, for a training that knows f32 only.
@@ -146,7 +144,7 @@ impl RunArgs {
     /// If there is no such device, or another number format is asked for.
     pub fn compute_f32(&self) -> Result<Compute> {
         ensure!(
-            self.dtype == DType::F32,
+            self.dtype == NumberFormat::F32,
             "--dtype bf16 is for the transition model and its distillation; this training takes f32"
         );
         self.compute()
@@ -157,7 +155,7 @@ impl RunArgs {
     /// # Errors
     /// If there is no such device.
     pub fn device(&self) -> Result<Device> {
-        Ok(self.device.open()?)
+        Ok(self.device.device()?.clone())
     }
 
     /// The configuration of the network to fine-tune, under `key` of its metadata; `None` without one.
@@ -188,8 +186,8 @@ impl RunArgs {
             origin.insert("from".into(), json!(from));
             origin.insert("old_rate".into(), json!(self.old_rate));
         }
-        if self.dtype != DType::F32 {
-            origin.insert("dtype".into(), json!(self.dtype.as_str()));
+        if self.dtype != NumberFormat::F32 {
+            origin.insert("dtype".into(), json!(self.dtype));
         }
         match origin.is_empty() {
             true => Value::Null,
@@ -279,10 +277,10 @@ impl RunArgs {
     /// # Errors
     /// If the system does not tell how many there are.
     pub fn threads(&self) -> Result<usize> {
-        match (self.threads, self.device) {
+        match (self.threads, self.device.is_cpu()) {
             (Some(threads), _) => Ok(threads),
-            (None, DeviceName::Cuda(_)) => Ok(1),
-            (None, DeviceName::Cpu) => Ok(std::thread::available_parallelism()
+            (None, false) => Ok(1),
+            (None, true) => Ok(std::thread::available_parallelism()
                 .context("how many threads there are")?
                 .get()),
         }
@@ -297,10 +295,10 @@ impl RunArgs {
     }
 }
 
-fn dtype(name: &str) -> Result<DType, String> {
+fn dtype(name: &str) -> Result<NumberFormat, String> {
     match name {
-        "f32" => Ok(DType::F32),
-        "bf16" => Ok(DType::BF16),
+        "f32" => Ok(NumberFormat::F32),
+        "bf16" => Ok(NumberFormat::Bf16),
         _ => Err("expected f32 or bf16".to_owned()),
     }
 }
@@ -333,12 +331,12 @@ pub(crate) mod tests {
             from: None,
             old_rate: 0.3,
             threads: Some(2),
-            device: DeviceName::Cpu,
-            dtype: DType::F32,
+            device: Compute::default(),
+            dtype: NumberFormat::F32,
         }
     }
 
     pub(crate) fn on_cpu() -> Compute {
-        Compute::on_cpu(Engine::Candle, Precision::F32).unwrap()
+        Compute::on_cpu(Kernels::Candle)
     }
 }

@@ -21,14 +21,12 @@ use rand::Rng as _;
 use rand_chacha::ChaCha8Rng;
 use wm_dataset::{ClipSource, Dataset};
 use wm_evaluation::{Figure, on_clips};
-use wm_model::{Encoder, PictureSize};
+use wm_model::{Compute, Encoder, Kernels, PictureSize};
 use wm_motion::actions::ActionEncoding;
 use wm_zoo::{
-    Engine, Loader,
+    Dropout, Loader, WebDinoConfig,
     folder::{self, DescribedFolder},
     idm::{IdmNetwork, IdmNetworkConfig},
-    layers::Dropout,
-    vit::WebDinoConfig,
 };
 
 use crate::{
@@ -177,7 +175,7 @@ impl Task for EncoderTask<'_> {
     fn assign(&mut self, weights: &mut dyn Iterator<Item = Trained<'_>>) -> Result<()> {
         self.variables.assign(weights)?;
         // Loaded again, since the patch embedding holds its filters in another order than the variable.
-        let loader = Loader::supplied(&self.variables, Engine::Candle);
+        let loader = Loader::supplied(&self.variables, Kernels::Candle);
         self.network = Network::load(&self.encoder, &self.head, &loader)?;
         Ok(())
     }
@@ -201,10 +199,10 @@ impl Task for EncoderTask<'_> {
         {
             variables.add(name, &Tensor::from_slice(values, shape, &Device::Cpu)?)?;
         }
-        let loader = Loader::supplied(&variables, Engine::Cpu);
+        let loader = Loader::supplied(&variables, Kernels::Cpu);
         self.written = Some(Written {
             // Of exactly what was written.
-            encoder: DescribedFolder::open(folder)?.encoder()?,
+            encoder: DescribedFolder::open(folder)?.encoder(&Compute::default())?,
             head: network::load_head(&self.head, &loader)?,
         });
         Ok(())

@@ -7,10 +7,10 @@ use std::{
 
 use candle_core::{DType, Device, Tensor};
 use wm_model::{
-    Weights,
+    Compute, Kernels, Weights,
     transition::{Initialisation, Parameter},
 };
-use wm_zoo::{Compute, Engine, Loader, Supply};
+use wm_zoo::{Loader, Supply};
 
 use crate::optimiser::Variables;
 
@@ -66,14 +66,16 @@ impl FreshWeights {
         ))
     }
 
-    /// The same, where `compute` computes, and in its number format.
-    #[must_use]
-    pub fn on(self, compute: &Compute) -> Self {
-        Self {
-            device: compute.device().clone(),
+    /// The same, on the device and in the number format of `compute`.
+    ///
+    /// # Errors
+    /// If the device cannot be opened.
+    pub fn on(self, compute: &Compute) -> wm_model::Result<Self> {
+        Ok(Self {
+            device: compute.device()?.clone(),
             dtype: compute.dtype(),
             ..self
-        }
+        })
     }
 
     /// The values that a parameter begins with where nothing else is asked for.
@@ -127,7 +129,7 @@ impl FreshWeights {
 
     /// Gives the weights to a network, by operations that propagate gradients.
     pub fn loader(&self) -> Loader<'_> {
-        Loader::supplied(self, Engine::Candle)
+        Loader::supplied(self, Kernels::Candle)
     }
 
     /// All that was given, and which of it was taken from another model.

@@ -14,9 +14,8 @@ use wm_evaluation::{Figure, on_real};
 use wm_model::Weights;
 use wm_motion::actions::ActionEncoding;
 use wm_zoo::{
-    IDM_FILE as FILE,
+    Dropout, IDM_FILE as FILE,
     idm::{IDM_KEY, IdmNetwork, IdmNetworkConfig, TrainedIdm},
-    layers::Dropout,
 };
 
 use crate::{

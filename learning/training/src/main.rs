@@ -200,7 +200,7 @@ fn with_task(arguments: impl Iterator<Item = OsString>) -> Vec<OsString> {
 }
 
 fn main() -> ExitCode {
-    if wm_program::command_line::tell_if_asked::<Command>() {
+    if wm_program::command_line::describe_if_requested::<Command>() {
         return ExitCode::SUCCESS;
     }
     wm_program::process::prepare();

@@ -4,11 +4,10 @@
 use std::path::PathBuf;
 
 use anyhow::Result;
-use candle_core::DType;
 use clap::Args;
 use wm_dataset::{Data, DataOptions};
-use wm_model::Fit;
-use wm_zoo::{DeviceName, IDM_FILE, ModelFolder, PROBE_FILE};
+use wm_model::{Compute, Fit, NumberFormat};
+use wm_zoo::{IDM_FILE, ModelFolder, PROBE_FILE};
 
 use crate::{
     arguments::{RunArgs, fraction},
@@ -64,8 +63,8 @@ pub struct TrainModelArgs {
     #[arg(long)]
     pub threads: Option<usize>,
     /// Where to compute: cpu, cuda or cuda:N. The autoencoder trains on the CPU in any case.
-    #[arg(long, default_value_t)]
-    pub device: DeviceName,
+    #[arg(long, default_value = "cpu")]
+    pub device: Compute,
 }
 
 /// The parts, in the order in which they are trained.
@@ -151,7 +150,7 @@ impl TrainModelArgs {
         };
         probe.recipe()?;
         Data::require(&self.data, &self.options)?;
-        self.device.open()?;
+        self.device.device()?;
         for part in self.parts() {
             if !checkpoint(&self.out, part).is_file() {
                 let weights = format!("{part}.safetensors");
@@ -192,10 +191,10 @@ impl TrainModelArgs {
             old_rate: self.old_rate,
             threads: self.threads,
             device: match part {
-                "autoencoder" => DeviceName::Cpu,
-                _ => self.device,
+                "autoencoder" => Compute::default(),
+                _ => self.device.clone(),
             },
-            dtype: DType::F32,
+            dtype: NumberFormat::F32,
         })
     }
 }

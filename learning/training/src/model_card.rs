@@ -10,7 +10,7 @@ use wm_evaluation::{
     policy::{PolicyArgs, Setup},
     records, run,
 };
-use wm_metrics::findings::{CardAbout, Header, ModelFindings, Suite};
+use wm_metrics::findings::{CardDetails, Header, ModelFindings, Suite};
 use wm_zoo::ModelFolder;
 
 use crate::arguments::RunArgs;
@@ -85,7 +85,7 @@ fn unmeasured(run: &RunArgs, folder: &ModelFolder) -> Result<ModelFindings> {
     })
 }
 
-fn about(run: &RunArgs, training: &Dataset, validation: Option<&Dataset>) -> CardAbout {
+fn about(run: &RunArgs, training: &Dataset, validation: Option<&Dataset>) -> CardDetails {
     let paths = run.data.iter().map(|path| path.display().to_string());
     let count = |dataset: &Dataset| dataset.episodes().len();
     let mut data: Vec<String> = paths.collect();
@@ -103,7 +103,7 @@ fn about(run: &RunArgs, training: &Dataset, validation: Option<&Dataset>) -> Car
     if let Some(from) = &run.from {
         recipe.push(("fine-tuned from".to_owned(), from.clone()));
     }
-    CardAbout {
+    CardDetails {
         name: run.model_name(),
         data,
         recipe,

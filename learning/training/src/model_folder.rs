@@ -5,83 +5,74 @@ use std::path::Path;
 use anyhow::{Context as _, Result, bail};
 use serde_json::{Value, json};
 use wm_model::{
-    Autoencoder, LatentSpace,
-    trained_folder::{EMBEDDED, TrainedFolder},
+    Autoencoder,
+    trained_folder::{AutoencoderFiles, TrainedFolder},
     weights::Precision,
 };
 use wm_zoo::{ModelFolder, folder};
 
-const AUTOENCODER: &str = "autoencoder.safetensors";
-
 /// Makes `out` a model that encodes as the model `encoder` does, so that what is trained on its latents can be used from
-/// there, unless it is one already: what encodes is copied, or, as it may be large, named by a `model.json` where `encoder`
-/// has one.
+/// there, unless it is one already. An autoencoder is copied; published networks may be large: the `model.json`
+/// names their files.
 ///
 /// # Errors
 /// If `out` holds another encoder, or a file cannot be read or written.
 pub fn carry_encoder(encoder: &str, out: &Path) -> Result<()> {
     let source = ModelFolder::open(encoder)?;
-    let trained = match &source {
-        ModelFolder::Trained(trained) => trained,
-        ModelFolder::Described(_) if is_same(Path::new(encoder), out) => return Ok(()),
-        ModelFolder::Described(_) => return describe(encoder, &source.space()?, out),
-    };
-    std::fs::create_dir_all(out).with_context(|| out.display().to_string())?;
-    let own = trained.autoencoder()?;
-    let there = out.join(AUTOENCODER);
-    if there.is_file() || is_taef2(out) {
-        let found = Autoencoder::open(out)?;
-        if found.space() != own.space() {
-            bail!(
-                "{} holds the latent space {}, expected {} of --encoder {encoder}; use another --out",
-                out.display(),
-                found.space(),
-                own.space()
-            );
-        }
+    let trained = source.trained();
+    if trained.is_none() && is_same(Path::new(encoder), out) {
         return Ok(());
     }
-    let TrainedFolder::Folder(folder) = trained else {
-        debug_assert_eq!(encoder, EMBEDDED);
-        return Ok(own.save(&there, Precision::F16)?);
-    };
-    let names: &[&str] = if is_taef2(folder) {
-        &TAEF2
-    } else {
-        &[AUTOENCODER]
-    };
-    for name in names {
-        // A file may be given in place of its folder.
-        let from = if folder.is_dir() {
-            folder.join(name)
-        } else {
-            folder.clone()
-        };
-        let copied = std::fs::copy(&from, out.join(name));
-        copied.with_context(|| format!("copying {}", from.display()))?;
-    }
-    Ok(())
-}
-
-/// Writes the `model.json` of `encoder`, a folder with latents of `space`, into `out`: without the transition model, and
-/// with its files where they are.
-fn describe(encoder: &str, space: &LatentSpace, out: &Path) -> Result<()> {
-    let path = out.join(folder::FILE);
-    if path.is_file() {
+    let space = source.space()?;
+    if has_encoder(out) {
         let found = ModelFolder::open(&out.display().to_string())?.space()?;
-        if found != *space {
+        if found != space {
             bail!(
                 "{} holds the latent space {found}, expected {space} of --encoder {encoder}; use another --out",
                 out.display()
             );
         }
-        return Ok(());
+    } else if let Some(trained) = trained {
+        copy_autoencoder(trained, out)?;
+    } else {
+        let mut description = description_of(Path::new(encoder))?;
+        if let Some(parts) = description.as_object_mut() {
+            parts.remove("transition");
+        }
+        write_description(out, &description)?;
     }
-    let mut description = description_of(Path::new(encoder))?;
-    if let Some(parts) = description.as_object_mut() {
-        parts.remove("transition");
+    if trained.is_some() {
+        folder::describe_autoencoder(out)?;
     }
-    write_description(out, &description)
+    Ok(())
+}
+
+/// Copies the autoencoder of `trained` into `out`, under the usual names of its files.
+fn copy_autoencoder(trained: &TrainedFolder, out: &Path) -> Result<()> {
+    std::fs::create_dir_all(out).with_context(|| out.display().to_string())?;
+    let whole = out.join(Autoencoder::FILE);
+    let TrainedFolder::Folder { autoencoder, .. } = trained else {
+        return Ok(trained.autoencoder()?.save(whole, Precision::F16)?);
+    };
+    let halves = Autoencoder::TAEF2_FILES;
+    let files = match autoencoder {
+        AutoencoderFiles::Whole(path) if is_taef2(path) => halves
+            .map(|name| (path.join(name), out.join(name)))
+            .to_vec(),
+        AutoencoderFiles::Whole(path) if path.is_dir() => {
+            vec![(path.join(Autoencoder::FILE), whole)]
+        }
+        // A file may be given in place of its folder.
+        AutoencoderFiles::Whole(path) => vec![(path.clone(), whole)],
+        AutoencoderFiles::Taef2 { halves: from, .. } => {
+            let to = halves.map(|name| out.join(name));
+            from.iter().cloned().zip(to).collect()
+        }
+    };
+    for (from, to) in files {
+        std::fs::copy(&from, to).with_context(|| format!("copying {}", from.display()))?;
+    }
+    Ok(())
 }
 
 /// The `model.json` of a folder, with absolute paths.
@@ -123,10 +114,15 @@ pub fn write_description(folder: &Path, description: &Value) -> Result<()> {
         .with_context(|| path.display().to_string())
 }
 
-const TAEF2: [&str; 2] = ["taef2_encoder.safetensors", "taef2_decoder.safetensors"];
+/// Whether the model in `out` has an encoder already.
+fn has_encoder(out: &Path) -> bool {
+    let has = |name| out.join(name).is_file();
+    has(folder::FILE) || has(Autoencoder::FILE) || is_taef2(out)
+}
 
 fn is_taef2(folder: &Path) -> bool {
-    TAEF2.iter().all(|name| folder.join(name).is_file())
+    let has = |name| folder.join(name).is_file();
+    !has(Autoencoder::FILE) && Autoencoder::TAEF2_FILES.into_iter().all(has)
 }
 
 fn is_same(a: &Path, b: &Path) -> bool {
@@ -136,6 +132,8 @@ fn is_same(a: &Path, b: &Path) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use wm_model::trained_folder::EMBEDDED;
+
     use super::*;
 
     #[test]
@@ -145,21 +143,24 @@ mod tests {
         carry_encoder(EMBEDDED, &out).unwrap();
         let tiny = TrainedFolder::Embedded.autoencoder().unwrap();
         assert_eq!(Autoencoder::open(&out).unwrap().space(), tiny.space());
+        assert!(out.join(folder::FILE).is_file());
         carry_encoder(EMBEDDED, &out).unwrap();
 
         let other = dir.path().join("other");
         std::fs::create_dir(&other).unwrap();
         let random = Autoencoder::random(tiny.config().clone(), 3).unwrap();
         random
-            .save(other.join(AUTOENCODER), Precision::F16)
+            .save(other.join(Autoencoder::FILE), Precision::F16)
             .unwrap();
         let error = carry_encoder(other.to_str().unwrap(), &out).unwrap_err();
         assert!(error.to_string().contains("use another --out"), "{error}");
         // By its file, too.
         let copy = dir.path().join("copy");
-        let file = other.join(AUTOENCODER);
+        let file = other.join(Autoencoder::FILE);
         carry_encoder(file.to_str().unwrap(), &copy).unwrap();
-        let read = |folder: &Path| std::fs::read(folder.join(AUTOENCODER)).unwrap();
+        let read = |folder: &Path| std::fs::read(folder.join(Autoencoder::FILE)).unwrap();
         assert!(read(&copy) == read(&other));
+        let space = |name: &Path| ModelFolder::open(name.to_str().unwrap()).unwrap().space();
+        assert_eq!(space(&copy).unwrap(), space(&other).unwrap());
     }
 }

@@ -23,10 +23,9 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use wm_dataset::Latents;
 use wm_evaluation::{Accuracy, Figure};
-use wm_model::{Weights, weights::WeightsBuilder};
+use wm_model::{Kernels, Weights, weights::WeightsBuilder};
 use wm_zoo::{
-    Engine, Loader, PROBE_FILE as FILE,
-    layers::Dropout,
+    Dropout, Loader, PROBE_FILE as FILE,
     loader::OfWeights,
     success_probe::{PROBE_KEY, ProbeNetwork, ProbeNetworkConfig, Reader, Reading, WordsConfig},
 };
@@ -263,7 +262,7 @@ fn accuracy(
     read: impl Fn(&str) -> Result<Option<Reading>>,
 ) -> Result<Accuracy> {
     let supply = OfWeights(weights);
-    let loader = Loader::supplied(&supply, Engine::Cpu);
+    let loader = Loader::supplied(&supply, Kernels::Cpu);
     let probe = ProbeNetwork::load(&weights.json(PROBE_KEY)?, &loader)?;
     let samples: Vec<Sample> = episodes.all(most).collect::<Result<_>>()?;
     // Each is read once: a text tower takes a second.

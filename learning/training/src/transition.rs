@@ -99,7 +99,7 @@ pub(crate) fn train_on(
         Some(from) => tuned(from, train)?,
     };
     let old = from.map(|from| from.tensors).unwrap_or_default();
-    let fresh = FreshWeights::tuning(recipe.seed, old).on(&run.compute()?);
+    let fresh = FreshWeights::tuning(recipe.seed, old).on(&run.compute()?)?;
     let mut task = TransitionTask::new(recipe, (&encoding, config), fresh, train, held_out, run)?;
     let samples = task.clips.len();
     let data = [

@@ -402,7 +402,7 @@ fn what_a_later_part_cannot_take_is_named_before_the_first_begins() {
 #[test]
 fn the_program_tells_its_command_line() {
     let program = Path::new(env!("CARGO_BIN_EXE_wm-training"));
-    let told = wm_program::command_line::ask(program).unwrap();
+    let told = wm_program::command_line::query(program).unwrap();
     told.clone().debug_assert();
     let model = ["train", "model"]
         .iter()

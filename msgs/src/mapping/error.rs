@@ -1,13 +1,13 @@
 use crate::DescriptionError;
 
-/// Why messages of one definition cannot become messages of another.
+/// Two definitions whose messages cannot be converted.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum MappingError {
-    /// A definition that cannot be understood.
+    /// An invalid definition.
     #[error(transparent)]
     Definition(#[from] DescriptionError),
-    /// A field of both, whose types do not fit.
+    /// A common field whose types do not fit.
     #[error("field {field} has the type {theirs}, which does not fit into {ours}")]
     FieldType {
         /// The field's path.
@@ -17,7 +17,7 @@ pub enum MappingError {
         /// Its type in the target.
         ours: String,
     },
-    /// A field of both, of two message types.
+    /// A common field of two different message types.
     #[error("field {field} has the type {theirs}, expected {ours}")]
     Nested {
         /// The field's path.
@@ -43,7 +43,7 @@ pub enum MappingError {
         /// The field's type.
         found: String,
     },
-    /// Types within types, without an end.
+    /// Types that are nested too deeply.
     #[error("{0} contains itself, or too many types within types")]
     TooDeep(String),
 }
@@ -55,7 +55,7 @@ fn at(field: &str) -> String {
     }
 }
 
-/// Why bytes are not a message of a definition, or do not fit another.
+/// Bytes that are not a message of a definition, or do not fit another definition.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ConvertError {
@@ -70,19 +70,19 @@ pub enum ConvertError {
         "expected {expected} bytes at byte {at}, got {left}: the message does not fit its definition"
     )]
     TooShort {
-        /// Where, counted from the header's end.
+        /// Position after the header.
         at: usize,
-        /// Bytes that are needed there.
+        /// Bytes that the definition needs.
         expected: u64,
-        /// Bytes that are there.
+        /// Bytes that are left.
         left: usize,
     },
-    /// Bytes are left that padding does not explain.
+    /// More bytes follow than padding has.
     #[error(
         "expected the message to end after {used} bytes, got {length}: it does not fit its definition"
     )]
     Trailing {
-        /// Bytes that the definition explains, without the header.
+        /// Bytes that the definition needs, without the header.
         used: usize,
         /// Bytes, without the header.
         length: usize,
@@ -90,7 +90,7 @@ pub enum ConvertError {
     /// A string without its zero byte.
     #[error("expected a string that ends with a zero byte at byte {at}")]
     Text {
-        /// Where, counted from the header's end.
+        /// Position after the header.
         at: usize,
     },
     /// More elements, or a longer string, than the target allows.
@@ -103,13 +103,13 @@ pub enum ConvertError {
         /// Elements, or bytes, of the message.
         found: u64,
     },
-    /// The converted message would be larger than any message.
+    /// The converted message would be too large.
     #[error("the converted message has more than {limit} bytes")]
     TooLarge {
         /// The limit.
         limit: usize,
     },
-    /// Values within values, without an end.
+    /// Values that are nested too deeply.
     #[error("types are nested too deeply")]
     TooDeep,
 }

@@ -41,17 +41,17 @@ impl<'a> Input<'a> {
         })
     }
 
-    /// Where the next field begins, before its alignment.
+    /// Position of the next field, without its alignment.
     pub fn place(&self) -> usize {
         self.at
     }
 
-    /// Goes on at a [`place`](Self::place).
+    /// Continues at a [`place`](Self::place).
     pub fn go_to(&mut self, place: usize) {
         self.at = place;
     }
 
-    /// That only padding is left.
+    /// Checks that only padding is left.
     pub fn end(&self) -> Result<(), ConvertError> {
         let length = self.body.len();
         if length.saturating_sub(self.at) > MOST_PADDING {
@@ -64,13 +64,14 @@ impl<'a> Input<'a> {
     /// The next bytes, aligned.
     fn bytes(&mut self, alignment: usize, length: u64) -> Result<&'a [u8], ConvertError> {
         let at = match length {
-            // An empty sequence of numbers has no padding behind its length.
+            // An empty sequence of numbers has no padding after its length.
             0 => self.at,
             _ => self
                 .at
                 .next_multiple_of(alignment.min(self.largest_alignment)),
         };
-        let left = self.body.get(at..).unwrap_or_default();
+        // Alignment may lead past the end, where no byte is left.
+        let left = self.body.get(at..).unwrap_or(&[]);
         let taken = usize::try_from(length)
             .ok()
             .and_then(|length| left.get(..length));

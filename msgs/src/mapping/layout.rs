@@ -8,7 +8,7 @@ use std::collections::HashMap;
 pub(super) enum Element {
     Scalar(Scalar),
     Text,
-    /// Number of the struct.
+    /// Index of the struct.
     Struct(usize),
 }
 
@@ -37,10 +37,10 @@ pub(super) struct Structure {
     pub members: Vec<Member>,
 }
 
-/// Where the fields of a type are in CDR.
+/// The positions of a type's fields in CDR.
 #[derive(Clone, Debug)]
 pub struct Layout {
-    /// The first is the type itself.
+    /// The first structure is the type itself.
     structures: Vec<Structure>,
 }
 
@@ -74,8 +74,7 @@ impl Layout {
         })
     }
 
-    /// That these bytes, CDR with its header, are one message of this type: no byte more or less, except for up to three of
-    /// padding.
+    /// Checks that these bytes, CDR with its header, are one message of this type, with at most three bytes of padding.
     ///
     /// # Errors
     /// [`ConvertError`] names the difference.

@@ -3,7 +3,7 @@ use super::{
     scalar::{Number, Scalar},
 };
 
-/// Far more than any message of this suite. Without it, a hostile bag could make a small message as large as it likes.
+/// Limit of a message \[byte\], far above any message of this suite: a hostile bag could enlarge a small message without end.
 const LARGEST: usize = 512 << 20;
 /// Little-endian plain CDR of version 1.
 const HEADER: [u8; 4] = [0, 1, 0, 0];
@@ -36,7 +36,7 @@ impl Output {
         Ok(())
     }
 
-    /// The number of a sequence's elements, which is at most the input's length.
+    /// The number of a sequence's elements, at most the length of the input.
     pub fn count(&mut self, count: u64) -> Result<(), ConvertError> {
         let count = u32::try_from(count).map_err(|_| ConvertError::TooLarge { limit: LARGEST })?;
         self.bytes(4, &count.to_le_bytes())
@@ -44,7 +44,7 @@ impl Output {
 
     /// A number of zero.
     pub fn zero(&mut self, size: usize) -> Result<(), ConvertError> {
-        self.bytes(size, [0; 8].get(..size).unwrap_or_default())
+        self.bytes(size, first_bytes(&[0; 8], size))
     }
 
     /// A string, given without its zero byte, of at most `limit` bytes.
@@ -80,6 +80,12 @@ impl Output {
             (Number::Signed(value), _) => value as u64,
             (Number::Unsigned(value), _) => value,
         };
-        self.bytes(size, bits.to_le_bytes().get(..size).unwrap_or_default())
+        self.bytes(size, first_bytes(&bits.to_le_bytes(), size))
     }
+}
+
+/// The low bytes of a number of this size, which is at most 8.
+fn first_bytes(bytes: &[u8; 8], size: usize) -> &[u8] {
+    debug_assert!(size <= bytes.len(), "a number of {size} bytes");
+    bytes.get(..size).unwrap_or(bytes)
 }

@@ -9,7 +9,7 @@ pub(super) enum Scalar {
 }
 
 impl Scalar {
-    /// Its size, which is its alignment too, in bytes.
+    /// Size and alignment \[byte\].
     pub fn size(self) -> usize {
         match self {
             Self::Bool | Self::Byte => 1,
@@ -17,7 +17,7 @@ impl Scalar {
         }
     }
 
-    /// Whether each of its values is one of `wider`.
+    /// Whether `wider` has each of its values.
     pub fn fits(self, wider: Self) -> bool {
         match (self, wider) {
             (Self::Signed(from), Self::Signed(to))
@@ -32,7 +32,7 @@ impl Scalar {
     }
 }
 
-/// A number as it came.
+/// A number of the input.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Number {
     Signed(i64),

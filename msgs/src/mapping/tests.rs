@@ -63,7 +63,7 @@ fn number(name: &str, value: u8) -> Vec<u8> {
     }
 }
 
-/// Encodes as the standard says, in one pass.
+/// Encodes by the standard, in one pass.
 struct Writer {
     body: Vec<u8>,
     is_little: bool,
@@ -112,7 +112,7 @@ fn encode(fields: &[Named], representation: u8) -> Vec<u8> {
     [vec![0, representation, 0, 0], writer.body].concat()
 }
 
-/// The `.msg` texts: the first is that of the message.
+/// The `.msg` texts; the first text is the message itself.
 fn texts(fields: &[Named], name: &str, texts: &mut Vec<(String, String)>) {
     let place = texts.len();
     texts.push((format!("p/msg/{name}"), String::new()));
@@ -147,7 +147,7 @@ fn description(fields: &[Named]) -> TypeDescription {
     TypeDescription::message("p/msg/T", &all[0].1, dependencies).unwrap()
 }
 
-/// The field as a message has it that was written without it.
+/// The field of a message that was written without it.
 fn default(field: &Named) -> Named {
     let count = match field.shape {
         Shape::One => 1,
@@ -287,7 +287,7 @@ proptest! {
         }
     }
 
-    /// A message or an error, never a panic, whatever definition and bytes.
+    /// Any definitions and bytes give a message or an error, never a panic.
     #[test]
     fn any_bytes_give_a_message_or_an_error(
         theirs in fields(), ours in fields(), mut bytes in prop::collection::vec(any::<u8>(), 0..120), valid in any::<bool>(),
@@ -315,7 +315,7 @@ fn of_action(text: &str) -> Result<Mapping, MappingError> {
 }
 
 #[test]
-fn a_field_before_the_values_shifts_nothing() {
+fn extra_field_before_values_is_dropped() {
     let mapping = of_action("std_msgs/Header header\nuint32 mode\nfloat32[] values\n").unwrap();
     assert_eq!(
         (mapping.missing(), mapping.dropped()),
@@ -371,7 +371,7 @@ fn numbers_become_wider_and_never_narrower() {
 }
 
 #[test]
-fn what_does_not_fit_is_named() {
+fn errors_name_fields_that_do_not_fit() {
     let error = |text: &str| of_action(text).unwrap_err().to_string();
     assert!(
         error("std_msgs/Header header\nfloat64[] values\n")
@@ -410,7 +410,7 @@ fn what_does_not_fit_is_named() {
 }
 
 #[test]
-fn a_hostile_definition_or_length_ends() {
+fn hostile_definitions_and_lengths_are_refused() {
     let text = TypeDescription::of::<std_msgs::String>().unwrap();
     let theirs = of_text("std_msgs/msg/String", "string data\np/Loop extra\n");
     let mapping = Mapping::new(&theirs, &text).unwrap();

@@ -1,12 +1,21 @@
 //! The text of `.msg`, `.srv` and `.action` files: <https://docs.ros.org/en/rolling/Concepts/Basic/About-Interfaces.html>.
+//! The build script uses this file too.
 
 use super::{
-    DescriptionError, IndividualType,
-    field::{Field, FieldType, is_identifier},
+    error::DescriptionError,
+    field::{Field, FieldType, IndividualType, is_identifier},
 };
 
-/// Reads the text of one message type; constants and default values are passed over.
-pub(super) fn parse(name: &str, text: &str) -> Result<IndividualType, DescriptionError> {
+/// A field or a constant.
+pub(crate) struct Declaration<'a> {
+    pub type_name: &'a str,
+    pub name: &'a str,
+    /// `= VALUE` of a constant; of a field, its default value or nothing.
+    pub value: &'a str,
+}
+
+/// Reads the text of one message type. Constants and default values are no part of it.
+pub(crate) fn parse(name: &str, text: &str) -> Result<IndividualType, DescriptionError> {
     let parts: Vec<&str> = name.split('/').collect();
     let [package, "msg" | "srv" | "action", type_name] = parts[..] else {
         return Err(DescriptionError::Name(name.to_owned()));
@@ -16,10 +25,22 @@ pub(super) fn parse(name: &str, text: &str) -> Result<IndividualType, Descriptio
     }
     let mut fields = Vec::new();
     for line in text.lines() {
-        let code = line.split('#').next().unwrap_or_default().trim();
-        if !code.is_empty() {
-            fields.extend(field(name, package, code)?);
+        let code = line.split_once('#').map_or(line, |(code, _)| code).trim();
+        if code.is_empty() {
+            continue;
         }
+        let declaration = declaration(name, code)?;
+        if declaration.value.starts_with('=') {
+            continue;
+        }
+        let field_type = FieldType::parse(package, declaration.type_name);
+        fields.push(Field {
+            name: declaration.name.to_owned(),
+            field_type: field_type.ok_or_else(|| DescriptionError::FieldType {
+                name: name.to_owned(),
+                found: declaration.type_name.to_owned(),
+            })?,
+        });
     }
     if fields.is_empty() {
         fields.push(Field::placeholder());
@@ -30,8 +51,8 @@ pub(super) fn parse(name: &str, text: &str) -> Result<IndividualType, Descriptio
     })
 }
 
-/// The parts of a service or an action: what stands between the lines `---`.
-pub(super) fn split_parts(text: &str) -> Vec<String> {
+/// The parts of a service or an action, which lines `---` separate.
+pub(crate) fn split_parts(text: &str) -> Vec<String> {
     let mut parts = vec![String::new()];
     for line in text.split_inclusive('\n') {
         match parts.last_mut() {
@@ -42,33 +63,25 @@ pub(super) fn split_parts(text: &str) -> Vec<String> {
     parts
 }
 
-/// The field of a line; none where the line is a constant, `type NAME = value`.
-fn field(name: &str, package: &str, code: &str) -> Result<Option<Field>, DescriptionError> {
-    let not_a_field = || DescriptionError::Line {
+/// Reads a line, given without its comment. `name` is the type that it belongs to.
+pub(crate) fn declaration<'a>(
+    name: &str,
+    code: &'a str,
+) -> Result<Declaration<'a>, DescriptionError> {
+    let invalid = || DescriptionError::Line {
         name: name.to_owned(),
         line: code.to_owned(),
     };
-    let (field_type, rest) = code
-        .split_once(char::is_whitespace)
-        .ok_or_else(not_a_field)?;
+    let (type_name, rest) = code.split_once(char::is_whitespace).ok_or_else(invalid)?;
     let rest = rest.trim_start();
-    let end = rest
-        .find(|c: char| c == '=' || c.is_whitespace())
-        .unwrap_or(rest.len());
-    let (field_name, after) = rest.split_at_checked(end).ok_or_else(not_a_field)?;
+    let end = rest.find(|c: char| c == '=' || c.is_whitespace());
+    let (field_name, value) = rest.split_at(end.unwrap_or(rest.len()));
     if !is_identifier(field_name) {
-        return Err(not_a_field());
+        return Err(invalid());
     }
-    if after.trim_start().starts_with('=') {
-        return Ok(None);
-    }
-    let parsed =
-        FieldType::parse(package, field_type).ok_or_else(|| DescriptionError::FieldType {
-            name: name.to_owned(),
-            found: field_type.to_owned(),
-        })?;
-    Ok(Some(Field {
-        name: field_name.to_owned(),
-        field_type: parsed,
-    }))
+    Ok(Declaration {
+        type_name,
+        name: field_name,
+        value: value.trim_start(),
+    })
 }

@@ -1,8 +1,8 @@
-/// Why a definition gives no description.
+/// An invalid definition.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum DescriptionError {
-    /// A type name that is none.
+    /// An invalid name of a type.
     #[error("expected a type name such as package/msg/Type, got `{0}`")]
     Name(String),
     /// A line that is neither field nor constant.
@@ -18,18 +18,18 @@ pub enum DescriptionError {
     FieldType {
         /// The type with the field.
         name: String,
-        /// What stands where the field's type should.
+        /// The unknown type.
         found: String,
     },
     /// Text that is not the IDL of a message.
     #[error("IDL: expected {expected}, got `{found}`")]
     Idl {
-        /// What belongs there.
+        /// The expected token.
         expected: String,
-        /// What stands there.
+        /// The token that was found.
         found: String,
     },
-    /// A type that is named but not defined.
+    /// A missing dependency.
     #[error("expected the definition of {name}, which {by} names, got none")]
     Missing {
         /// The type that is missing.
@@ -37,7 +37,7 @@ pub enum DescriptionError {
         /// The type that names it.
         by: String,
     },
-    /// More types than any message has.
+    /// Too many types in one message.
     #[error("{name}: expected at most {limit} types in one message, got more")]
     TooMany {
         /// The type that was requested.
@@ -45,18 +45,18 @@ pub enum DescriptionError {
         /// The limit.
         limit: usize,
     },
-    /// A service whose text is that of a message.
+    /// A service without a response.
     #[error("{name}: expected a line `---` between request and response, got none")]
     NoResponse {
         /// The service.
         name: String,
     },
-    /// An action whose text does not have three parts.
+    /// An action without three parts.
     #[error("{name}: expected two lines `---` between goal, result and feedback, got {found}")]
     NoParts {
         /// The action.
         name: String,
-        /// Lines `---` that there are.
+        /// Number of lines `---`.
         found: usize,
     },
 }

@@ -4,14 +4,14 @@ use std::fmt;
 const NESTED: u8 = 1;
 const UINT8: u8 = 3;
 const WSTRING: u8 = 18;
-/// What bounded strings add to their number: 17 to 21, 18 to 22.
+/// The offset of a bounded string's number: 17 to 21, 18 to 22.
 const BOUNDED_STRING: u8 = 4;
-/// What arrays, bounded and unbounded sequences add to the number of their element.
+/// Offsets from an element's number to an array, a bounded and an unbounded sequence of it.
 const ARRAY: u8 = 48;
 const BOUNDED_SEQUENCE: u8 = 96;
 const UNBOUNDED_SEQUENCE: u8 = 144;
 
-/// Types without parts by their name in `.msg` text. `char` is what rosidl makes of it: an unsigned byte.
+/// Types without parts by their name in `.msg` text. rosidl makes `char` an unsigned byte.
 const PRIMITIVES: [(&str, u8); 15] = [
     ("int8", 2),
     ("uint8", UINT8),
@@ -29,6 +29,16 @@ const PRIMITIVES: [(&str, u8); 15] = [
     ("string", 17),
     ("wstring", WSTRING),
 ];
+
+/// One type, without the types of its fields.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct IndividualType {
+    /// `package/msg/Type`; of a service `package/srv/Type`, and with `_Request`, `_Response`, `_Event` its parts; of an
+    /// action `package/action/Type`, and its parts in the same way.
+    pub name: String,
+    /// In order.
+    pub fields: Vec<Field>,
+}
 
 /// One field of a type.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -48,13 +58,13 @@ pub struct FieldType {
     pub capacity: u64,
     /// Limit of a bounded string \[byte\], else 0.
     pub string_capacity: u64,
-    /// The message type that it is made of, `package/msg/Type`.
+    /// The message type of the element, `package/msg/Type`; `None` for other types.
     pub nested: Option<String>,
 }
 
 impl Field {
     /// A field of a nested type.
-    pub(super) fn nested(name: &str, type_name: &str) -> Self {
+    pub(crate) fn nested(name: &str, type_name: &str) -> Self {
         Self {
             name: name.to_owned(),
             field_type: FieldType {
@@ -66,15 +76,15 @@ impl Field {
         }
     }
 
-    /// A sequence of at most `capacity` such.
-    pub(super) fn at_most(mut self, capacity: u64) -> Self {
+    /// The field as a sequence of at most `capacity` elements.
+    pub(crate) fn at_most(mut self, capacity: u64) -> Self {
         self.field_type.type_id += BOUNDED_SEQUENCE;
         self.field_type.capacity = capacity;
         self
     }
 
-    /// What rosidl gives a type without fields, since IDL has no empty structs.
-    pub(super) fn placeholder() -> Self {
+    /// The field that rosidl gives a type without fields: IDL has no empty structs.
+    pub(crate) fn placeholder() -> Self {
         Self {
             name: "structure_needs_at_least_one_member".to_owned(),
             field_type: FieldType {
@@ -88,9 +98,9 @@ impl Field {
 }
 
 impl FieldType {
-    /// Reads a type as `.msg` text has it, `string<=9[<=3]` for example; a message type without a package is of
-    /// `package`. None for what is no type.
-    pub(super) fn parse(package: &str, text: &str) -> Option<Self> {
+    /// Reads a type of `.msg` text, `string<=9[<=3]` for example; a message type without a package is of `package`.
+    /// `None`: not a type.
+    pub(crate) fn parse(package: &str, text: &str) -> Option<Self> {
         let (element, offset, capacity) = match text.strip_suffix(']') {
             None => (text, 0, 0),
             Some(text) => {
@@ -161,7 +171,7 @@ fn nested_name(package: &str, text: &str) -> Option<String> {
 }
 
 /// Whether `text` may be the name of a package, type or field: it stands in the JSON without escapes.
-pub(super) fn is_identifier(text: &str) -> bool {
+pub(crate) fn is_identifier(text: &str) -> bool {
     text.starts_with(|c: char| c.is_ascii_alphabetic())
         && text.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
 }

@@ -2,19 +2,13 @@ use super::{Field, IndividualType, TypeDescription};
 use sha2::{Digest as _, Sha256};
 use std::fmt;
 
-/// The hash of a type, version 1 (REP-2016): equal where the types are made of the same fields.
+/// The hash of a type, version 1 (REP-2016). Types with the same names and fields have equal hashes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct TypeHash([u8; 32]);
 
 impl TypeHash {
     pub(super) fn of(description: &TypeDescription) -> Self {
         Self(Sha256::digest(json(description)).into())
-    }
-
-    /// The 32 bytes of the SHA-256.
-    #[must_use]
-    pub const fn as_bytes(&self) -> &[u8; 32] {
-        &self.0
     }
 }
 
@@ -26,8 +20,8 @@ impl fmt::Display for TypeHash {
     }
 }
 
-/// The canonical JSON: keys in this order, `", "` and `": "` between, as `json.dumps` of `rosidl_generator_type_description`
-/// has it. Names are plain identifiers, so nothing is escaped.
+/// The canonical JSON, as `json.dumps` of `rosidl_generator_type_description` writes it: keys in this order, separated by
+/// `", "` and `": "`. Names are plain identifiers and need no escapes.
 fn json(description: &TypeDescription) -> String {
     format!(
         "{{\"type_description\": {}, \"referenced_type_descriptions\": [{}]}}",
@@ -53,7 +47,7 @@ fn field(field: &Field) -> String {
         field_type.type_id,
         field_type.capacity,
         field_type.string_capacity,
-        field_type.nested.as_deref().unwrap_or_default()
+        field_type.nested.as_deref().unwrap_or("")
     )
 }
 

@@ -1,17 +1,17 @@
-//! The part of OMG IDL that rosidl makes of `.msg` files: modules, structs, typedefs, sequences and strings.
+//! The part of OMG IDL that rosidl generates of `.msg` files: modules, structs, typedefs, sequences and strings.
 //! <https://design.ros2.org/articles/idl_interface_definition.html>
 
 use super::DescriptionError;
 use std::collections::BTreeMap;
 
-/// Typedefs of typedefs, of which rosidl makes none, and modules within modules, of which it makes two.
+/// Limit of nested typedefs, of which rosidl writes none, and of nested modules, of which it writes two.
 const DEPTH_LIMIT: usize = 16;
 
-/// Reads IDL text with one struct or more; gives name (`package/msg/Type`) and `.msg` text of each. Annotations, constants,
-/// comments and lines of the preprocessor are skipped.
+/// Reads IDL text with one or more structs; returns name (`package/msg/Type`) and `.msg` text of each. Annotations,
+/// constants, comments and preprocessor lines are skipped.
 ///
 /// # Errors
-/// Text that is no IDL, or a type that `.msg` text cannot express (unions, maps, arrays of arrays).
+/// Text that is not IDL, or a type that `.msg` text cannot express (unions, maps, arrays of arrays).
 pub fn idl_definitions(text: &str) -> Result<Vec<(String, String)>, DescriptionError> {
     let mut parser = Parser {
         tokens: tokens(text),
@@ -26,7 +26,7 @@ pub fn idl_definitions(text: &str) -> Result<Vec<(String, String)>, DescriptionE
     Ok(parser.structs)
 }
 
-/// Words, and all other characters one by one. A text in quotes becomes one token: only annotations and constants have any.
+/// Words, and all other characters one by one. A quoted text becomes one token: only annotations and constants have any.
 fn tokens(text: &str) -> Vec<String> {
     let mut tokens = Vec::new();
     let mut rest = text;
@@ -55,12 +55,13 @@ fn tokens(text: &str) -> Vec<String> {
             first.len_utf8()
         };
         is_line_start = first == '\n' || (is_line_start && first.is_whitespace());
-        rest = rest.get(length.max(1)..).unwrap_or_default();
+        // A token ends at a character of the text; each is at least one character long.
+        rest = rest.get(length..).unwrap_or("");
     }
     tokens
 }
 
-/// Length of a text in quotes, with these.
+/// Length of a quoted text, with its quotes.
 fn quoted(rest: &str, quote: char) -> usize {
     let mut is_escaped = false;
     for (at, c) in rest.char_indices().skip(1) {
@@ -76,9 +77,9 @@ fn quoted(rest: &str, quote: char) -> usize {
 struct Parser {
     tokens: Vec<String>,
     at: usize,
-    /// The modules around.
+    /// The enclosing modules.
     scope: Vec<String>,
-    /// `.msg` type of each typedef, by its name with the modules around it.
+    /// `.msg` type of each typedef, by its name with the enclosing modules.
     typedefs: BTreeMap<String, String>,
     structs: Vec<(String, String)>,
 }
@@ -139,7 +140,7 @@ impl Parser {
         }
     }
 
-    /// The name of an annotation, and what is in its brackets.
+    /// The name of an annotation, and its arguments.
     fn annotation(&mut self) -> Result<(), DescriptionError> {
         self.next()?;
         let mut depth = 0_usize;
@@ -182,7 +183,7 @@ impl Parser {
         Ok(())
     }
 
-    /// The length of an array behind a name; empty if there is none.
+    /// The length of an array after a name; empty for other types.
     fn array(&mut self) -> Result<String, DescriptionError> {
         if self.peek() != Some("[") {
             return Ok(String::new());
@@ -193,13 +194,13 @@ impl Parser {
         Ok(format!("[{length}]"))
     }
 
-    /// A type as `.msg` text has it.
+    /// A type in the syntax of `.msg` text.
     fn field_type(&mut self) -> Result<String, DescriptionError> {
         let word = self.next()?;
         let text = match word.as_str() {
             "sequence" => {
                 self.expect("<")?;
-                // Not by recursion: a hostile bag may nest them without end.
+                // Without recursion: a hostile bag may nest sequences without end.
                 if self.peek() == Some("sequence") {
                     return Err(wrong("an array of one dimension", "sequence<sequence>"));
                 }
@@ -247,7 +248,7 @@ impl Parser {
         Ok(format!("{sign}int{bits}"))
     }
 
-    /// The bound of a sequence, as in `.msg` text.
+    /// The bound of a sequence, in the syntax of `.msg` text.
     fn limit(&mut self) -> Result<String, DescriptionError> {
         match self.next()?.as_str() {
             ">" => Ok(String::new()),
@@ -277,7 +278,7 @@ impl Parser {
     }
 }
 
-/// A name with the modules around it.
+/// A name with its enclosing modules.
 fn scoped(scope: &[String], name: &str) -> String {
     let parts = scope.iter().map(String::as_str).chain([name]);
     parts.collect::<Vec<_>>().join("::")
@@ -307,7 +308,7 @@ mod tests {
     use crate::{TypeDescription, sensor_msgs::CameraInfo, std_msgs};
     use proptest::prelude::*;
 
-    /// As rosidl_adapter writes it, and rosbag2 stores it.
+    /// In the form that rosidl_adapter writes and rosbag2 stores.
     const INFO: &str = r#"
 ================================================================================
 IDL: sensor_msgs/msg/RegionOfInterest
@@ -356,7 +357,7 @@ module sensor_msgs {
 "#;
 
     #[test]
-    fn idl_of_rosidl_describes_what_its_msg_does() {
+    fn idl_describes_the_same_type_as_its_msg() {
         let definitions = idl_definitions(INFO).unwrap();
         let (name, text) = definitions.last().unwrap();
         let header = <std_msgs::Header as crate::Message>::dependencies();
@@ -390,9 +391,9 @@ module sensor_msgs {
         }
     }
 
-    /// They once overflowed the stack, or took hours.
+    /// These texts once overflowed the stack, or took hours.
     #[test]
-    fn types_and_modules_nested_without_end_are_refused() {
+    fn deeply_nested_types_and_modules_are_refused() {
         let sequences = format!("struct T {{ {}octet x; }};", "sequence<".repeat(200_000));
         let modules = "module a { ".repeat(200_000);
         for text in [sequences, modules] {
@@ -401,7 +402,7 @@ module sensor_msgs {
     }
 
     proptest! {
-        /// Definitions or an error, never a panic, whatever the text.
+        /// Any text gives definitions or an error, never a panic.
         #[test]
         fn any_text_gives_definitions_or_an_error(
             text in "(module |struct |typedef |[a-z]{1,3} |[{};<>,:@()\\[\\]\"'#/*\n ]|1 |\u{e4}){0,40}",

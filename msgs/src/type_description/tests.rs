@@ -16,7 +16,7 @@ fn types(text: &str) -> Vec<(u8, u64, u64, Option<String>)> {
     parsed.fields.into_iter().map(numbers).collect()
 }
 
-/// The numbers are those of `type_description_interfaces/msg/FieldType`.
+/// The numbers come from `type_description_interfaces/msg/FieldType`.
 #[test]
 fn every_form_of_a_field_has_its_number() {
     let text = "# Comment\nuint8 LIMIT=3\nstring<=5 NAME = \"a # b\"\n\nbool b true # on\nbyte[] octets\nchar[16] gid\n\
@@ -41,7 +41,7 @@ fn every_form_of_a_field_has_its_number() {
 }
 
 #[test]
-fn what_is_wrong_is_named() {
+fn errors_name_the_fault() {
     let error = |text: &str| {
         TypeDescription::message("pkg/msg/Type", text, [])
             .unwrap_err()
@@ -70,7 +70,7 @@ fn what_is_wrong_is_named() {
 }
 
 #[test]
-fn a_service_is_its_request_its_response_and_the_event_of_both() {
+fn services_have_request_response_and_event() {
     let description = TypeDescription::of_service::<lifecycle_msgs::GetState>().unwrap();
     let names: Vec<_> = description
         .referenced
@@ -91,7 +91,7 @@ fn a_service_is_its_request_its_response_and_the_event_of_both() {
 }
 
 #[test]
-fn an_action_is_its_parts_two_services_and_a_message() {
+fn actions_have_parts_two_services_and_a_message() {
     let description = TypeDescription::of_action::<action::Plan>().unwrap();
     let own =
         |part: &IndividualType| Some(part.name.strip_prefix("wm_msgs/action/Plan_")?.to_owned());
@@ -115,9 +115,8 @@ fn an_action_is_its_parts_two_services_and_a_message() {
     );
 }
 
-/// A type that rosidl makes of an action is described with what it names, and with no more.
 #[test]
-fn a_part_of_an_action_is_a_type_of_its_own() {
+fn part_of_action_names_only_its_own_types() {
     let text = "int32 order\n---\nint32[] sequence\n---\nstd_msgs/Header header\n";
     let described = |name: &str, given: &[(&'static str, &'static str)]| {
         let described = TypeDescription::action(name, text, given.iter().copied());
@@ -142,18 +141,17 @@ fn a_part_of_an_action_is_a_type_of_its_own() {
     );
 }
 
-/// Names that circle, as no ROS type's do, come to an end.
 #[test]
-fn types_that_name_each_other_come_to_an_end() {
+fn circular_types_are_described() {
     let given = [("p/msg/B", "A a\n"), ("p/A", "B b\n")];
     let description = TypeDescription::message("p/A", "B b\n", given).unwrap();
     assert_eq!(description.referenced.len(), 2);
 }
 
 proptest! {
-    /// A description or an error, never a panic, whatever the text.
+    /// Any text gives a description or an error, never a panic.
     #[test]
-    fn any_text_is_answered(text in "([a-zA-Z0-9_/<=\\[\\]# \"-]{0,12}\n?|---\n){0,6}") {
+    fn any_text_gives_a_description_or_an_error(text in "([a-zA-Z0-9_/<=\\[\\]# \"-]{0,12}\n?|---\n){0,6}") {
         TypeDescription::message("p/msg/T", &text, []).ok();
         TypeDescription::service("p/srv/T", &text, []).ok();
         TypeDescription::action("p/action/T", &text, []).ok();

@@ -1,12 +1,12 @@
-//! Asks a type's `Deserialize` what it is made of: a deserializer that answers every question with a plain value
-//! and notes the question. Sequences get one element, so that their type is asked for too.
+//! Finds the fields of a type through its `Deserialize`: a deserializer that records each request, and returns a plain
+//! value. Sequences get one element, so that the type of their elements is recorded too.
 
 use serde::de::{
     self, DeserializeOwned, DeserializeSeed, Deserializer, SeqAccess, Visitor,
     value::Error as ValueError,
 };
 
-/// What a type is made of, in the names of `.msg` files.
+/// The structure of a type, in the names of `.msg` files.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Shape {
     Primitive(String),
@@ -125,10 +125,10 @@ impl<'de> Deserializer<'de> for Recorder<'_> {
     }
 }
 
-/// As many as the longest array has.
+/// As many as the longest array has elements.
 const ELEMENTS: [&str; 16] = [""; 16];
 
-/// The parts still to be asked for, and what was answered for those before.
+/// Names of all parts, and the shapes of the parts so far.
 struct Parts {
     names: &'static [&'static str],
     shapes: Vec<(String, Shape)>,
@@ -146,29 +146,8 @@ impl<'de> SeqAccess<'de> for &mut Parts {
         };
         let mut shape = None;
         let value = seed.deserialize(Recorder(&mut shape))?;
-        let shape = shape.ok_or_else(|| de::Error::custom("a field asked for nothing"))?;
+        let shape = shape.ok_or_else(|| de::Error::custom("a field requested nothing"))?;
         self.shapes.push(((*name).to_owned(), shape));
         Ok(Some(value))
-    }
-}
-
-/// The elements still to be asked for, and what was answered for the last one.
-struct Elements {
-    left: usize,
-    shape: Option<Shape>,
-}
-
-impl<'de> SeqAccess<'de> for &mut Elements {
-    type Error = ValueError;
-
-    fn next_element_seed<S: DeserializeSeed<'de>>(
-        &mut self,
-        seed: S,
-    ) -> Result<Option<S::Value>, ValueError> {
-        if self.left == 0 {
-            return Ok(None);
-        }
-        self.left -= 1;
-        seed.deserialize(Recorder(&mut self.shape)).map(Some)
     }
 }

@@ -1,4 +1,4 @@
-//! A ROS installation: that of `AMENT_PREFIX_PATH`, or the one that `tests/setup_ros2` made.
+//! The ROS installation of `AMENT_PREFIX_PATH`, else of `tests/setup_ros2`.
 
 use std::path::{Path, PathBuf};
 
@@ -7,7 +7,7 @@ pub struct Installation {
 }
 
 impl Installation {
-    /// None, with a plain message, where there is none.
+    /// The installation; `None`, with a message, if none is found.
     pub fn find() -> Option<Self> {
         let made = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.venv/ros2"));
         let prefixes: Vec<PathBuf> = match std::env::var_os("AMENT_PREFIX_PATH") {
@@ -22,12 +22,12 @@ impl Installation {
         );
         assert!(
             std::env::var_os("CI").is_none(),
-            "what is held against a ROS 2 may not be skipped in CI"
+            "comparisons with ROS 2 may not be skipped in CI"
         );
         None
     }
 
-    /// The file of a type, `package/msg/Type` for example; none, with a plain message, where there is none.
+    /// The file of a type, `package/msg/Type` for example; `None`, with a message, if it is missing.
     pub fn read(&self, ros_name: &str, extension: &str) -> Option<String> {
         let file = format!("share/{ros_name}.{extension}");
         let found = self

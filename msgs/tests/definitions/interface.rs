@@ -34,7 +34,7 @@ pub fn parse(package: &str, text: &str) -> Interface {
         constants: Vec::new(),
     };
     for line in text.lines() {
-        let line = line.split('#').next().unwrap_or_default().trim();
+        let line = line.split('#').next().unwrap().trim();
         let Some((type_name, rest)) = line.split_once(char::is_whitespace) else {
             assert!(line.is_empty(), "expected `type name`, got `{line}`");
             continue;
@@ -47,7 +47,9 @@ pub fn parse(package: &str, text: &str) -> Interface {
         }
         let (type_name, number) = match type_name.trim_end_matches(']').split_once('[') {
             None => (type_name, Number::One),
-            Some((element, "")) => (element, Number::Sequence),
+            Some((element, limit)) if limit.is_empty() || limit.starts_with("<=") => {
+                (element, Number::Sequence)
+            }
             Some((element, length)) => (element, Number::Array(length.parse().unwrap())),
         };
         let type_name = match type_name {
@@ -59,7 +61,7 @@ pub fn parse(package: &str, text: &str) -> Interface {
                 _ => panic!("expected a type name, got `{other}`"),
             },
         };
-        // What follows the name is a default value, which serde's view of a type does not have.
+        // A default value may follow the name; serde's view of a type has none.
         let name = rest.split_whitespace().next().unwrap().to_owned();
         interface.fields.push(Field {
             type_name,

@@ -1,10 +1,9 @@
-//! Holds every Rust type against its ROS definition: the names, order and types of the fields, and the constants.
+//! Compares the generated Rust types with their ROS definitions, which a second parser reads: names, order and types of the
+//! fields, and constants.
 
 #![allow(clippy::unwrap_used, reason = "a test's helpers may fail the test")]
 
 mod describe;
-#[macro_use]
-mod every;
 mod hashes;
 mod installation;
 mod interface;
@@ -15,12 +14,20 @@ use interface::{Interface, Number, parse};
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
 use wm_msgs::{
-    Action, Message, Service, action_msgs, diagnostic_msgs, visualization_msgs::Marker,
-    wm_msgs as wm,
+    Action, Message, Service,
+    action_msgs::GoalStatus,
+    diagnostic_msgs::DiagnosticStatus,
+    geometry_msgs::Quaternion,
+    rcl_interfaces::ListParametersRequest,
+    visualization_msgs::Marker,
+    wm_msgs::{EnvStepRequest, Latent},
 };
 
+// `every_message!`, `every_service!` and `every_action!` call a generic function for each type of the crate.
+include!(concat!(env!("OUT_DIR"), "/every.rs"));
+
 /// Compares a Rust type with the fields of a definition, following nested messages through `definitions`.
-fn hold(shape: &Shape, package: &str, text: &str, definitions: &BTreeMap<String, String>) {
+fn compare(shape: &Shape, package: &str, text: &str, definitions: &BTreeMap<String, String>) {
     let Shape::Struct { name, fields } = shape else {
         panic!("expected a struct, got {shape:?}")
     };
@@ -65,14 +72,14 @@ fn hold(shape: &Shape, package: &str, text: &str, definitions: &BTreeMap<String,
                 let text = definitions.get(&expected.type_name).unwrap_or_else(|| {
                     panic!("{name} does not list its dependency {}", expected.type_name)
                 });
-                hold(element, package, text, definitions);
+                compare(element, package, text, definitions);
             }
             other => panic!("{name}.{field}: unexpected {other:?}"),
         }
     }
 }
 
-fn hold_message<M: Message>() {
+fn compare_message<M: Message>() {
     let definitions: BTreeMap<_, _> = M::dependencies()
         .into_iter()
         .map(|(name, text)| (name.to_owned(), text.to_owned()))
@@ -89,44 +96,16 @@ fn hold_message<M: Message>() {
         "{shape:?} is named {}",
         M::NAME
     );
-    hold(&shape, M::PACKAGE, M::DEFINITION, &definitions);
+    compare(&shape, M::PACKAGE, M::DEFINITION, &definitions);
 }
 
 #[test]
 fn every_message_has_the_fields_of_its_definition() {
-    every_message!(hold_message);
+    every_message!(compare_message);
 }
 
-/// The `.msg` files of the package, each of which must have a Rust type, so that none is forgotten.
-#[test]
-fn every_msg_file_has_a_rust_type() {
-    let mut files: Vec<_> = std::fs::read_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/msg"))
-        .unwrap()
-        .map(|entry| {
-            entry
-                .unwrap()
-                .path()
-                .file_stem()
-                .unwrap()
-                .to_str()
-                .unwrap()
-                .to_owned()
-        })
-        .collect();
-    files.sort();
-    let mut types = Vec::new();
-    fn note<M: Message>(types: &mut Vec<String>) {
-        if M::PACKAGE == "wm_msgs" {
-            types.push(M::NAME.to_owned());
-        }
-    }
-    every_message!(note, &mut types);
-    types.sort();
-    assert_eq!(types, files);
-}
-
-/// Holds a type that is given by a part of a definition.
-fn hold_part<T: DeserializeOwned>(
+/// Compares a type with a part of a definition.
+fn compare_part<T: DeserializeOwned>(
     package: &str,
     text: &str,
     dependencies: Vec<(&'static str, &'static str)>,
@@ -135,7 +114,7 @@ fn hold_part<T: DeserializeOwned>(
     let Shape::Struct { fields, .. } = &shape else {
         panic!("expected a struct, got {shape:?}")
     };
-    // what rosidl gives a part without fields
+    // rosidl gives this field to a part without fields
     if let [(name, Shape::Primitive(primitive))] = &fields[..]
         && name == "structure_needs_at_least_one_member"
     {
@@ -144,117 +123,46 @@ fn hold_part<T: DeserializeOwned>(
     }
     let owned = |(name, text): (&str, &str)| (name.to_owned(), text.to_owned());
     let definitions = dependencies.into_iter().map(owned).collect();
-    hold(&shape, package, text, &definitions);
+    compare(&shape, package, text, &definitions);
 }
 
 #[test]
 fn every_service_has_the_fields_of_its_definition() {
-    fn hold_service<S: Service>() {
+    fn compare_service<S: Service>() {
         let (request, response) = S::DEFINITION.split_once("---\n").unwrap();
-        hold_part::<S::Request>(S::PACKAGE, request, S::dependencies());
-        hold_part::<S::Response>(S::PACKAGE, response, S::dependencies());
+        compare_part::<S::Request>(S::PACKAGE, request, S::dependencies());
+        compare_part::<S::Response>(S::PACKAGE, response, S::dependencies());
     }
-    every_service!(hold_service);
+    every_service!(compare_service);
 }
 
 #[test]
 fn every_action_has_the_fields_of_its_definition() {
-    fn hold_action<A: Action>() {
+    fn compare_action<A: Action>() {
         let parts: Vec<&str> = A::DEFINITION.split("---\n").collect();
         let [goal, result, feedback] = parts[..] else {
             panic!("{} has {} parts", A::NAME, parts.len())
         };
-        hold_part::<A::Goal>(A::PACKAGE, goal, A::dependencies());
-        hold_part::<A::Result>(A::PACKAGE, result, A::dependencies());
-        hold_part::<A::Feedback>(A::PACKAGE, feedback, A::dependencies());
+        compare_part::<A::Goal>(A::PACKAGE, goal, A::dependencies());
+        compare_part::<A::Result>(A::PACKAGE, result, A::dependencies());
+        compare_part::<A::Feedback>(A::PACKAGE, feedback, A::dependencies());
     }
-    every_action!(hold_action);
+    every_action!(compare_action);
 }
 
 #[test]
-fn constants_are_those_of_the_definitions() {
-    let constants = |package, text| parse(package, text).constants;
-    let latent = constants("wm_msgs", wm::Latent::DEFINITION);
-    assert_eq!(
-        latent,
-        [
-            ("F32", wm::Latent::F32),
-            ("F16", wm::Latent::F16),
-            ("BF16", wm::Latent::BF16)
-        ]
-        .map(|(name, value)| (name.to_owned(), value.to_string()))
-    );
-    assert_eq!(
-        constants("wm_msgs", wm::ExecutorStatus::DEFINITION),
-        [
-            ("DRY_RUN", wm::ExecutorStatus::DRY_RUN),
-            ("IDLE", wm::ExecutorStatus::IDLE),
-            ("EXECUTING", wm::ExecutorStatus::EXECUTING),
-            ("STOPPING", wm::ExecutorStatus::STOPPING),
-            ("STOPPED", wm::ExecutorStatus::STOPPED)
-        ]
-        .map(|(name, value)| (name.to_owned(), value.to_string()))
-    );
-    use action_msgs::GoalStatus;
-    assert_eq!(
-        constants("action_msgs", GoalStatus::DEFINITION),
-        [
-            ("STATUS_UNKNOWN", GoalStatus::STATUS_UNKNOWN),
-            ("STATUS_ACCEPTED", GoalStatus::STATUS_ACCEPTED),
-            ("STATUS_EXECUTING", GoalStatus::STATUS_EXECUTING),
-            ("STATUS_CANCELING", GoalStatus::STATUS_CANCELING),
-            ("STATUS_SUCCEEDED", GoalStatus::STATUS_SUCCEEDED),
-            ("STATUS_CANCELED", GoalStatus::STATUS_CANCELED),
-            ("STATUS_ABORTED", GoalStatus::STATUS_ABORTED)
-        ]
-        .map(|(name, value)| (name.to_owned(), value.to_string()))
-    );
-    use action_msgs::CancelGoalResponse as Cancelled;
-    let (_, response) = action_msgs::CancelGoal::DEFINITION
-        .split_once("---\n")
-        .unwrap();
-    assert_eq!(
-        constants("action_msgs", response),
-        [
-            ("ERROR_NONE", Cancelled::ERROR_NONE),
-            ("ERROR_REJECTED", Cancelled::ERROR_REJECTED),
-            ("ERROR_UNKNOWN_GOAL_ID", Cancelled::ERROR_UNKNOWN_GOAL_ID),
-            ("ERROR_GOAL_TERMINATED", Cancelled::ERROR_GOAL_TERMINATED)
-        ]
-        .map(|(name, value)| (name.to_owned(), value.to_string()))
-    );
-    use diagnostic_msgs::DiagnosticStatus as Status;
-    assert_eq!(
-        constants("diagnostic_msgs", Status::DEFINITION),
-        [
-            ("OK", Status::OK),
-            ("WARN", Status::WARN),
-            ("ERROR", Status::ERROR),
-            ("STALE", Status::STALE)
-        ]
-        .map(|(name, value)| (name.to_owned(), value.to_string()))
-    );
+fn constants_and_defaults_are_those_of_the_definitions() {
+    assert_eq!([Latent::F32, Latent::F16, Latent::BF16], [0, 1, 2]);
+    assert_eq!(EnvStepRequest::FAILURE, 2);
+    assert_eq!(GoalStatus::STATUS_ABORTED, 6_i8);
+    assert_eq!(DiagnosticStatus::STALE, 3_u8);
+    assert_eq!((Marker::SPHERE_LIST, Marker::DELETE), (7, 2));
+    assert_eq!(ListParametersRequest::DEPTH_RECURSIVE, 0_u64);
+    assert_eq!(Quaternion::default().w, 1.0);
+    assert_eq!(Latent::default().height, 0);
 }
 
-/// Of many constants only those that the suite uses have a name in Rust.
-#[test]
-fn constants_of_markers_are_those_of_the_definition() {
-    let constants = parse("visualization_msgs", Marker::DEFINITION).constants;
-    for (name, value) in [
-        ("CUBE", Marker::CUBE),
-        ("SPHERE", Marker::SPHERE),
-        ("LINE_STRIP", Marker::LINE_STRIP),
-        ("LINE_LIST", Marker::LINE_LIST),
-        ("SPHERE_LIST", Marker::SPHERE_LIST),
-        ("ADD", Marker::ADD),
-        ("DELETE", Marker::DELETE),
-    ] {
-        let constant = (name.to_owned(), value.to_string());
-        assert!(constants.contains(&constant), "{constant:?}");
-    }
-}
-
-/// With a ROS installation at hand, our short definitions are held against its `.msg` files.
+/// If a ROS installation is found, our definitions are compared with its `.msg` files.
 #[test]
 fn definitions_are_those_of_the_ros_installation() {
     let Some(installation) = Installation::find() else {

@@ -1,39 +1,36 @@
-//! What a bridge announces about its side as liveliness tokens, in the ros2dds bridge's spelling:
-//! `@/<zenoh id>/@ros2_lv/MP/<key>/<type>/<qos>` for a publisher, `MS` for a subscriber, and
-//! `@/<zenoh id>/@ros2_lv/SS/<key>/<type>` for a service's server, `SC` for a client; slashes within a part are `§`.
+//! Announcements of a bridge's endpoints as liveliness tokens, in the format of the ros2dds bridge: `@/<zenoh
+//! id>/@ros2_lv/MP/<key>/<type>/<qos>` for a publisher, `MS` for a subscriber; `@/<zenoh id>/@ros2_lv/SS/<key>/<type>`
+//! for a service's server, `SC` for a client. `§` replaces slashes within a part.
 //!
-//! The QoS is `<K where the topic has keys>:<reliability>:<durability>:<history>,<depth>`, each as Cyclone DDS numbers
-//! it and empty for the default; a fifth part, the type's hash, may follow.
+//! The QoS is `<K if the topic has keys>:<reliability>:<durability>:<history>,<depth>`, numbered as in Cyclone DDS and
+//! empty for defaults. A fifth part, the type's hash, may follow.
 
 use wm_ros::{Durability, Qos, Reliability};
 use zenoh::key_expr::OwnedKeyExpr;
 
 const SLASH: &str = "§";
 
-/// The deepest history that another's word is taken for, so that it cannot make the bridge keep more.
-pub const MAX_DEPTH: usize = 100;
-/// The depth where the announcement has none: DDS' default.
+/// The deepest history that is accepted from others, so that they cannot make the bridge keep more.
+pub(crate) const MAX_DEPTH: usize = 100;
+/// DDS' default depth, if the announcement has none.
 const DEFAULT_DEPTH: usize = 1;
 
-/// What is announced.
+/// The endpoint of an announcement.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Subject {
-    /// A topic that is published there, with what is offered.
+pub(crate) enum Subject {
+    /// A publisher, with its offered QoS.
     Publisher(Qos),
-    /// A topic that is subscribed to there, with what is requested.
+    /// A subscriber, with its requested QoS.
     Subscriber(Qos),
-    /// A service that is served there.
     Server,
-    /// A service that is called there.
     Client,
 }
 
 /// A topic or service of one side of a bridge.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Announcement {
+pub(crate) struct Announcement {
     /// The bridge's Zenoh id.
     pub bridge: String,
-    /// What is announced.
     pub subject: Subject,
     /// Its key on Zenoh, for example `wm/latent`.
     pub key: String,
@@ -41,20 +38,19 @@ pub struct Announcement {
     pub type_name: String,
 }
 
-/// A token that is no announcement of a topic or service.
+/// Why a token is not an announcement of a topic or service.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 #[error("`{token}` announces no topic or service: expected {expected}")]
-pub struct TokenError {
+pub(crate) struct TokenError {
     token: String,
     expected: &'static str,
 }
 
 impl Announcement {
-    /// Every announcement of every bridge.
-    pub const ALL: &str = "@/*/@ros2_lv/**";
+    /// The key expression of all announcements.
+    pub(crate) const ALL: &str = "@/*/@ros2_lv/**";
 
-    /// The liveliness token's key.
-    pub fn token(&self) -> Result<OwnedKeyExpr, zenoh::Error> {
+    pub(crate) fn token(&self) -> Result<OwnedKeyExpr, zenoh::Error> {
         let escape = |text: &str| text.replace('/', SLASH);
         let (kind, qos) = match &self.subject {
             Subject::Publisher(qos) => ("MP", Some(qos)),
@@ -71,11 +67,11 @@ impl Announcement {
         ))
     }
 
-    /// Reads a token. Tokens of actions (`AS`, `AC`) are none of a topic or service.
+    /// Parses a token. Tokens of actions (`AS`, `AC`) are errors.
     ///
     /// # Errors
-    /// The token has a different form.
-    pub fn parse(token: &str) -> Result<Self, TokenError> {
+    /// The token has another form.
+    pub(crate) fn parse(token: &str) -> Result<Self, TokenError> {
         let refused = |expected| TokenError {
             token: token.to_owned(),
             expected,
@@ -125,7 +121,7 @@ fn parse_qos(text: &str) -> Option<Qos> {
     let mut parts = text.split(':');
     let (keys, reliability, durability, history) =
         (parts.next()?, parts.next()?, parts.next()?, parts.next()?);
-    // ROS 2 has no topics with keys.
+    // ROS 2 has no topics with keys
     if !keys.is_empty() {
         return None;
     }
@@ -159,7 +155,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn the_spelling_is_the_real_bridges() {
+    fn tokens_match_the_real_bridges() {
         let announcement = Announcement {
             bridge: "a1b2".into(),
             subject: Subject::Publisher(Qos::latched(3)),
@@ -182,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_real_bridge_may_write_is_read() {
+    fn tokens_of_the_real_bridge_are_parsed() {
         let qos = |part: &str| {
             let token = format!("@/a1/@ros2_lv/MS/chatter/std_msgs§msg§String/{part}");
             Announcement::parse(&token).map(|announcement| announcement.subject)

@@ -37,21 +37,17 @@ struct Cli {
     queries_timeout: Option<f32>,
 }
 
-/// What the bridge is to do.
-pub struct Arguments {
-    /// The Zenoh session's configuration.
+pub(crate) struct Arguments {
     pub config: zenoh::Config,
-    /// What is carried, and how.
     pub settings: Settings,
-    /// The ROS arguments.
     pub node: NodeArgs,
 }
 
-/// Reads the command line; on wrong usage, or where help was asked for, says so and ends the process.
+/// Parses the command line. Prints help or an error on wrong usage, and ends the process.
 ///
 /// # Errors
-/// The ROS arguments, the configuration file or what it says make no sense.
-pub fn parse() -> Result<Arguments> {
+/// The ROS arguments or the configuration file are invalid.
+pub(crate) fn parse() -> Result<Arguments> {
     let node = NodeArgs::parse(std::env::args().skip(1))?;
     let words = std::iter::once("wm bridge").chain(node.rest().iter().map(String::as_str));
     let cli = Cli::parse_from(words);
@@ -72,7 +68,7 @@ pub fn parse() -> Result<Arguments> {
     })
 }
 
-/// What the configuration file says of what is carried.
+/// The bridge's section of the configuration file.
 fn section(config: &zenoh::Config) -> Result<Section> {
     match serde_json::to_value(config)?.pointer("/plugins/ros2dds") {
         None | Some(Value::Null) => Ok(Section::default()),
@@ -81,8 +77,8 @@ fn section(config: &zenoh::Config) -> Result<Section> {
     }
 }
 
-/// Whether what the user gave is wrong, as opposed to what then failed.
-pub fn is_usage(error: &anyhow::Error) -> bool {
+/// Whether the user's input is at fault.
+pub(crate) fn is_usage(error: &anyhow::Error) -> bool {
     error.is::<ArgsError>()
         || error.is::<SettingsError>()
         || error.downcast_ref().is_some_and(wm_ros::Error::is_usage)
@@ -94,12 +90,12 @@ mod tests {
     use clap::CommandFactory as _;
 
     #[test]
-    fn the_command_line_is_consistent() {
+    fn command_line_is_consistent() {
         Cli::command().debug_assert();
     }
 
     #[test]
-    fn the_section_of_the_configuration_is_found_and_a_wrong_one_named() {
+    fn configuration_section_is_found_and_errors_name_it() {
         let config = |text: &str| zenoh::Config::from_json5(text).unwrap();
         let sound = config(r#"{ plugins: { ros2dds: { namespace: "/robot1" } } }"#);
         let settings = Settings::new(section(&sound).unwrap(), Options::default()).unwrap();

@@ -11,25 +11,25 @@ use anyhow::{Context as _, Result};
 use std::{collections::BTreeMap, sync::Arc, time::Duration};
 use wm_ros::{Level, Node, RemoteEndpoint};
 
-/// The graph changes in bursts, of which one look is enough.
+/// The graph changes in bursts; one update per burst suffices.
 const SETTLE: Duration = Duration::from_millis(20);
-/// How long what runs on threads of its own may take to end.
+/// How long threads may take to end.
 const GRACE: Duration = Duration::from_millis(200);
 const THREADS: usize = 2;
-/// When both sides are known, as a rule: a pattern that has matched nothing by then is told of.
+/// When both sides are usually discovered: a pattern without a match until then is reported.
 const KNOWN: Duration = Duration::from_secs(10);
 
 /// Runs the bridge until a signal.
 ///
 /// # Errors
-/// One of the sides cannot be joined.
-pub fn run(arguments: Arguments) -> Result<()> {
+/// A side cannot be joined.
+pub(crate) fn run(arguments: Arguments) -> Result<()> {
     let Arguments {
         config,
         settings,
         node: args,
     } = arguments;
-    // Zenoh's calls wait within, which a runtime of one thread, such as a node's, does not allow.
+    // some Zenoh calls block, which needs a runtime with several threads
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(THREADS)
         .enable_all()
@@ -78,7 +78,7 @@ async fn carry(node: Node, config: zenoh::Config, settings: Settings) -> Result<
         }
         if others.refused() > 0 {
             let diagnostics = ends.node.diagnostics();
-            diagnostics.set_value("announcements not heeded [total]", others.refused());
+            diagnostics.set_value("announcements rejected [total]", others.refused());
         }
         tokio::select! {
             biased;
@@ -100,8 +100,8 @@ async fn carry(node: Node, config: zenoh::Config, settings: Settings) -> Result<
     Ok(())
 }
 
-/// The bridge that carries in this one's place: two that join one DDS domain to one Zenoh network would carry
-/// everything twice, and what one brings in, the other would carry out again. The lower id goes first.
+/// The bridge with precedence, if any. Two active bridges between one DDS domain and one Zenoh network would carry
+/// everything twice, and back again. The lower id has precedence.
 fn rival(own_id: &str, others: &[Presence], endpoints: &[RemoteEndpoint]) -> Option<String> {
     let is_here = |presence: &&Presence| {
         let mut participants = endpoints.iter().map(|endpoint| endpoint.participant);
@@ -144,7 +144,7 @@ mod tests {
     use wm_ros::{Qos, Role};
 
     #[test]
-    fn of_two_bridges_in_one_domain_the_lower_id_carries() {
+    fn bridge_with_the_lower_id_has_precedence() {
         let presence = |bridge: &str, byte| Presence {
             bridge: bridge.into(),
             participant: [byte; 12],

@@ -1,20 +1,20 @@
-//! Names of ROS topics and services as Zenoh key expressions, as the ros2dds bridge spells them: `/wm/latent` is
-//! `wm/latent`, and with the namespace `/robot1` it is `robot1/wm/latent`.
+//! Converts ROS names to Zenoh key expressions in the format of the ros2dds bridge: `/wm/latent` becomes `wm/latent`,
+//! and with the namespace `/robot1` `robot1/wm/latent`.
 
 use std::str::FromStr;
 use zenoh::key_expr::OwnedKeyExpr;
 
-/// The namespace that the bridge puts in front of its side's names on Zenoh.
+/// The prefix of this side's names on Zenoh.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Namespace {
-    /// Without slashes at its ends; empty for none.
+pub(crate) struct Namespace {
+    /// Without slashes at its ends; may be empty.
     prefix: String,
 }
 
-/// A text that is no namespace.
+/// Why a text is not a namespace.
 #[derive(Debug, thiserror::Error)]
 #[error("`{0}` is not a namespace: expected / or /name/name, of letters, digits and _")]
-pub struct NamespaceError(String);
+pub(crate) struct NamespaceError(String);
 
 impl FromStr for Namespace {
     type Err = NamespaceError;
@@ -35,8 +35,8 @@ impl FromStr for Namespace {
 }
 
 impl Namespace {
-    /// The key expression of an absolute ROS name; `None` where it cannot be one.
-    pub fn key_of(&self, name: &str) -> Option<OwnedKeyExpr> {
+    /// The key expression of an absolute ROS name; `None` if impossible.
+    pub(crate) fn key_of(&self, name: &str) -> Option<OwnedKeyExpr> {
         let relative = name.strip_prefix('/')?;
         if relative.contains(['*', '$']) {
             return None;
@@ -48,8 +48,8 @@ impl Namespace {
         OwnedKeyExpr::new(key).ok()
     }
 
-    /// The ROS name of a key: without the namespace where it is under it, else whole.
-    pub fn name_of(&self, key: &str) -> String {
+    /// The ROS name of a key, without the namespace if the key has it.
+    pub(crate) fn name_of(&self, key: &str) -> String {
         let under = key
             .strip_prefix(self.prefix.as_str())
             .filter(|rest| !self.prefix.is_empty() && rest.starts_with('/'));
@@ -67,7 +67,7 @@ mod tests {
     }
 
     #[test]
-    fn names_lose_their_slash_and_gain_the_namespace() {
+    fn keys_have_the_namespace_and_no_leading_slash() {
         let key = |space: &str, name: &str| namespace(space).key_of(name).map(String::from);
         assert_eq!(key("/", "/wm/latent").as_deref(), Some("wm/latent"));
         assert_eq!(
@@ -88,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_namespace_is_refused() {
+    fn invalid_namespaces_are_refused() {
         for text in ["", "robot", "/a//b", "/a/", "/a*", "/ä"] {
             assert!(text.parse::<Namespace>().is_err(), "{text}");
         }

@@ -2,26 +2,26 @@
 
 use std::time::Duration;
 
-/// Admits at most this many samples per second: in any `t` seconds at most `t` x frequency + 2, and for a stream that
-/// is faster, as many as its frequency in the long run.
+/// Admits at most this many samples per second: in any `t` seconds at most `t` x frequency + 2. A faster stream is
+/// reduced to exactly its frequency in the long run.
 #[derive(Debug)]
-pub struct Limiter {
+pub(crate) struct Limiter {
     period: Duration,
-    /// When the next sample is due. It moves on by whole periods, so that the jitter of a camera costs no frames.
+    /// When the next sample is due. It advances by whole periods, so that the jitter of a camera costs no frames.
     due: Duration,
 }
 
 impl Limiter {
-    /// At most one sample in a `period`.
-    pub fn new(period: Duration) -> Self {
+    /// Admits one sample per `period`.
+    pub(crate) fn new(period: Duration) -> Self {
         Self {
             period,
             due: Duration::ZERO,
         }
     }
 
-    /// Whether a sample that arrives at `now` is sent. `now` counts from any fixed time.
-    pub fn admits(&mut self, now: Duration) -> bool {
+    /// Whether to send a sample that arrives at `now`, counted from any fixed time.
+    pub(crate) fn admits(&mut self, now: Duration) -> bool {
         if now < self.due {
             return false;
         }
@@ -49,8 +49,8 @@ mod tests {
     }
 
     #[test]
-    fn a_faster_stream_keeps_the_frequency_and_a_slower_one_everything() {
-        // 30 Hz with jitter, limited to 10 Hz: a hundred in ten seconds.
+    fn fast_stream_is_limited_and_slow_stream_is_unchanged() {
+        // 30 Hz with jitter, limited to 10 Hz: a hundred in ten seconds
         let jittery = (0..300).map(|frame| 1000 + frame * 100 / 3 + frame * 7919 % 11);
         assert_eq!(admitted(100, jittery).len(), 100);
         let slow: Vec<u64> = (0..50).map(|frame| frame * 200).collect();
@@ -59,7 +59,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_window_has_more_than_its_share(period in 1u64..200, mut times in prop::collection::vec(0u64..5000, 0..300)) {
+        fn no_time_window_exceeds_the_limit(period in 1u64..200, mut times in prop::collection::vec(0u64..5000, 0..300)) {
             times.sort_unstable();
             let passed = admitted(period, times);
             for (first, &start) in passed.iter().enumerate() {

@@ -1,12 +1,12 @@
-//! `wm-bridge`: carries topics and services between the nodes of a DDS domain and a Zenoh network, in the format of
-//! zenoh-bridge-ros2dds, so that either end may be that program.
+//! `wm-bridge`: carries topics and services between a DDS domain and a Zenoh network, in the format of
+//! zenoh-bridge-ros2dds, so that the other end may be that program.
 //!
-//! - A topic that nodes of this side publish is published on Zenoh while it has subscribers there. A topic that they
-//!   subscribe to is subscribed to on Zenoh. Payloads are the unchanged CDR bytes.
+//! - A topic with publishers on this side is published on Zenoh while it has subscribers there. A topic with
+//!   subscriptions on this side is subscribed to on Zenoh. Payloads are unchanged CDR bytes.
 //! - A service of this side is a queryable on Zenoh. A service that another bridge announces is served here.
-//! - Latched topics are kept, on both sides, for late joiners.
-//! - The bridge does not carry back what it brought in. Of two bridges that connect the same domain to the same Zenoh
-//!   network, one is the standby.
+//! - Latched topics are kept for late subscribers on both sides.
+//! - The bridge does not send back what it received. Of two bridges between the same domain and the same Zenoh network,
+//!   one is the standby.
 //!
 //! Not carried: actions, and samples that are not little-endian CDR.
 

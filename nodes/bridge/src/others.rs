@@ -1,4 +1,4 @@
-//! What the other bridges on the Zenoh network announce.
+//! Announcements of the other bridges on the Zenoh network.
 
 use crate::announcement::Announcement;
 use anyhow::{Result, anyhow};
@@ -18,26 +18,24 @@ use zenoh::{
     sample::{Sample, SampleKind},
 };
 
-/// Announcements that are heeded at once; bounds what a stranger can make this side open.
+/// The most announcements; limits what a stranger can make this side open.
 const MOST: usize = 4096;
-/// The longest announcement that is heeded \[byte\]: far beyond the names of ROS, each of which has at most 255.
+/// The longest announcement \[byte\]: far longer than ROS names, which have at most 255.
 const LONGEST: usize = 1024;
 
-/// Where bridges of this kind say which DDS participant is theirs: `@/<zenoh id>/@wm_bridge/<GUID prefix>`.
+/// Where bridges of this kind announce their DDS participant: `@/<zenoh id>/@wm_bridge/<GUID prefix>`.
 const PRESENCES: &str = "@/*/@wm_bridge/*";
 
 /// Another bridge of this kind.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Presence {
-    /// Its Zenoh id.
+pub(crate) struct Presence {
     pub bridge: String,
     /// The GUID prefix of its DDS participant.
     pub participant: [u8; 12],
 }
 
 impl Presence {
-    /// The liveliness token's key.
-    pub fn token(&self) -> Result<OwnedKeyExpr, zenoh::Error> {
+    pub(crate) fn token(&self) -> Result<OwnedKeyExpr, zenoh::Error> {
         let participant: String = self
             .participant
             .iter()
@@ -69,13 +67,13 @@ impl Presence {
 #[derive(Default)]
 struct Tokens {
     alive: Mutex<BTreeSet<String>>,
-    /// How many were too many or too long.
+    /// Announcements that were too many or too long.
     refused: AtomicU64,
     changed: Notify,
 }
 
 impl Tokens {
-    /// A set has no invariant that a panic elsewhere could break.
+    /// a set has no invariant that a panic could break
     fn alive(&self) -> MutexGuard<'_, BTreeSet<String>> {
         self.alive.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -104,8 +102,8 @@ impl Tokens {
     }
 }
 
-/// The other bridges, as they come and go.
-pub struct Others {
+/// The other bridges.
+pub(crate) struct Others {
     tokens: Arc<Tokens>,
     own_id: String,
     _subscribers: [Subscriber<()>; 2],
@@ -113,11 +111,11 @@ pub struct Others {
 }
 
 impl Others {
-    /// Joins them: says which participant is this bridge's, and listens from now on.
+    /// Announces this bridge's participant, and follows the other bridges from now on.
     ///
     /// # Errors
     /// The session is closed.
-    pub async fn join(session: &Session, participant: [u8; 12]) -> Result<Self> {
+    pub(crate) async fn join(session: &Session, participant: [u8; 12]) -> Result<Self> {
         let failed = |error| anyhow!("cannot follow the other bridges: {error}");
         let tokens = Arc::new(Tokens::default());
         let subscribe = async |keys: &'static str| {
@@ -153,18 +151,18 @@ impl Others {
         })
     }
 
-    /// Waits until they announce something else. Cancel safe.
-    pub async fn changed(&self) {
+    /// Waits for changed announcements. Cancel safe.
+    pub(crate) async fn changed(&self) {
         self.tokens.changed.notified().await;
     }
 
-    /// Announcements that were not heeded so far.
-    pub fn refused(&self) -> u64 {
+    /// How many announcements were rejected.
+    pub(crate) fn refused(&self) -> u64 {
         self.tokens.refused.load(Ordering::Relaxed)
     }
 
-    /// What they announce of topics and services.
-    pub fn announcements(&self) -> Vec<Announcement> {
+    /// Their topics and services.
+    pub(crate) fn announcements(&self) -> Vec<Announcement> {
         let alive = self.tokens.alive();
         let announcements = alive
             .iter()
@@ -181,7 +179,7 @@ impl Others {
     }
 
     /// The bridges of this kind.
-    pub fn presences(&self) -> Vec<Presence> {
+    pub(crate) fn presences(&self) -> Vec<Presence> {
         let alive = self.tokens.alive();
         let presences = alive.iter().filter_map(|token| Presence::parse(token));
         presences

@@ -1,4 +1,4 @@
-//! Which routes are needed: a pure function of what this side's nodes do, and what the other bridges announce.
+//! Plans the routes: a pure function of this side's endpoints and the other bridges' announcements.
 
 use crate::{
     announcement::{Announcement, MAX_DEPTH, Subject},
@@ -7,48 +7,47 @@ use crate::{
 use std::collections::BTreeMap;
 use wm_ros::{Durability, Qos, Reliability, RemoteEndpoint, Role};
 
-/// What a route carries, and which way.
+/// The kind and direction of a route.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Direction {
-    /// A topic of this side's publishers to Zenoh.
+pub(crate) enum Direction {
+    /// A topic from publishers of this side to Zenoh.
     Outgoing,
-    /// A topic from Zenoh to this side's subscriptions.
+    /// A topic from Zenoh to subscriptions of this side.
     Incoming,
-    /// A service of this side to callers on Zenoh.
+    /// A service of this side for callers on Zenoh.
     Served,
-    /// A service on Zenoh to this side's clients.
+    /// A service on Zenoh for clients of this side.
     Called,
 }
 
-/// Minimum number of samples of a latched topic from Zenoh that are kept for late joiners: several publishers may share the
-/// topic. It is also the assumed depth of subscriptions whose DDS does not announce one. So a subscription that joins or
-/// leaves does not change the route, whose new writer would send every subscription its samples again.
+/// The least number of samples of a latched topic from Zenoh that are kept for late subscribers, since several
+/// publishers may share the topic. It is also the assumed depth of subscriptions whose DDS announces none. So a
+/// subscription that joins or leaves does not change the route; a new writer would repeat its samples to all
+/// subscriptions.
 const LEAST_LATCHED: usize = 10;
 
-/// Names a route.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct RouteId {
-    /// The way.
+pub(crate) struct RouteId {
     pub direction: Direction,
     /// The topic's or service's name on this side.
     pub name: String,
 }
 
-/// A route that is to be.
+/// A planned route.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Route {
+pub(crate) struct Route {
     /// `package/msg/Type` or `package/srv/Type`.
     pub type_name: String,
-    /// Of the bridge's own reader or writer on this side; of no meaning for a service.
+    /// Of the bridge's own reader or writer on this side; unused for services.
     pub qos: Qos,
-    /// Whether nodes of this side take part, whom the bridge then announces on Zenoh. Their QoS.
+    /// The QoS of this side's endpoints, if there are any. The bridge then announces them on Zenoh.
     pub local: Option<Qos>,
     /// Whether another bridge has announced the other end.
     pub is_remote: bool,
 }
 
-/// The routes for these endpoints of this side and these announcements of other bridges.
-pub fn plan(
+/// Plans routes for the endpoints of this side and the announcements of other bridges.
+pub(crate) fn plan(
     endpoints: &[RemoteEndpoint],
     announcements: &[Announcement],
     settings: &Settings,
@@ -75,11 +74,11 @@ pub fn plan(
         }
     }
     for announcement in announcements {
-        // The role that this side's nodes would have.
+        // the role of this side's nodes
         let (direction, role, qos) = match announcement.subject {
             Subject::Publisher(qos) => (Direction::Incoming, Role::Subscription, qos),
             Subject::Server => (Direction::Called, Role::Client, Qos::reliable(1)),
-            // A route for a subscriber or client of theirs begins with a publisher or server of ours.
+            // a route for a remote subscriber or client begins with an own publisher or server
             Subject::Subscriber(_) | Subject::Client => continue,
         };
         let name = settings.namespace.name_of(&announcement.key);
@@ -93,7 +92,7 @@ pub fn plan(
             join(&mut routes, direction, &name, announced);
         }
     }
-    // Where this side serves a service itself, its clients are to get one answer, not two.
+    // if this side serves a service itself, its clients must get one response, not two
     let served: Vec<String> = routes
         .keys()
         .filter(|id| id.direction == Direction::Served)
@@ -107,7 +106,7 @@ pub fn plan(
     }
     for (id, route) in &mut routes {
         if id.direction == Direction::Incoming {
-            // A reliable writer matches every reader, as the real bridge has it.
+            // as in the real bridge: a reliable writer matches every reader
             route.qos.reliability = Reliability::Reliable;
             if route.qos.durability == Durability::TransientLocal {
                 route.qos.depth = route.qos.depth.max(LEAST_LATCHED);
@@ -117,7 +116,7 @@ pub fn plan(
     routes
 }
 
-/// Adds an end to its route. Of two types under one name the first stays; ROS connects no two types either.
+/// Adds an endpoint to its route. If types differ, the first one stays; ROS does not connect them either.
 fn join(routes: &mut BTreeMap<RouteId, Route>, direction: Direction, name: &str, other: Route) {
     let id = RouteId {
         direction,
@@ -134,22 +133,22 @@ fn join(routes: &mut BTreeMap<RouteId, Route>, direction: Direction, name: &str,
     let local = [route.local, other.local].into_iter().flatten();
     route.local = local.reduce(|one, other| merged(one, other, Demand::Least));
     let demand = match direction {
-        // A reader hears all writers where it requests what the weakest offers,
+        // a reader matches all writers if it requests the weakest offer
         Direction::Outgoing => Demand::Least,
-        // a writer is heard by all readers where it offers what the strongest requests.
+        // a writer matches all readers if it offers the strongest request
         _ => Demand::Most,
     };
     route.qos = merged(route.qos, other.qos, demand);
 }
 
-/// Which of two levels of service is taken.
+/// Which of two levels of service to use.
 #[derive(Clone, Copy)]
 enum Demand {
     Least,
     Most,
 }
 
-/// One QoS for two endpoints; its history is the deeper of theirs.
+/// Merges two QoS, with the deeper history.
 fn merged(one: Qos, other: Qos, demand: Demand) -> Qos {
     let either = |one: bool, other: bool| match demand {
         Demand::Least => one && other,
@@ -215,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn the_reader_of_a_topic_hears_every_publisher_and_the_writer_reaches_every_subscription() {
+    fn route_qos_matches_every_publisher_and_subscription() {
         let endpoints = [
             endpoint(Role::Publisher, "/a", Qos::latched(1)),
             endpoint(Role::Publisher, "/a", Qos::best_effort(i32::MAX as usize)),
@@ -236,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn what_others_publish_and_serve_appears_here_under_its_name() {
+    fn remote_topics_and_services_appear_under_their_names() {
         let announcements = [
             announced(Subject::Publisher(Qos::latched(3)), "robot1/a"),
             announced(Subject::Server, "robot1/reset"),
@@ -261,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn a_subscription_that_comes_or_goes_does_not_make_a_latched_route_another() {
+    fn subscriptions_do_not_change_a_latched_route() {
         let announcements = [announced(Subject::Publisher(Qos::latched(1)), "a")];
         let subscription = endpoint(Role::Subscription, "/a", Qos::latched(10));
         let qos = |endpoints: &[RemoteEndpoint]| {
@@ -273,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn a_service_of_this_side_is_not_fetched_from_the_other() {
+    fn own_service_is_not_fetched_from_the_other_side() {
         let endpoints = [
             endpoint(Role::Server, "/reset", Qos::reliable(10)),
             endpoint(Role::Client, "/reset", Qos::reliable(10)),

@@ -1,24 +1,22 @@
-//! The attachment that names a service call on Zenoh, in the ros2dds bridge's form: `rqh`, the client's id (8 bytes),
-//! the call's number (8 bytes), and 1 where both are little-endian. The real bridge keeps its open calls by it, so it
-//! must differ for every call on the network.
+//! The attachment that identifies a service call on Zenoh, in the format of the ros2dds bridge: `rqh`, the client's id
+//! (8 bytes), the call's number (8 bytes), and 1 if both are little-endian. The real bridge identifies open calls by
+//! it, so it must be unique in the network.
 
 const KEY: [u8; 3] = *b"rqh";
 /// Key, header, endianness.
-pub const LEN: usize = 3 + 16 + 1;
+pub(crate) const LEN: usize = 3 + 16 + 1;
 
-/// Who calls, and which call it is.
+/// The client and the number of a call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct RequestHeader {
-    /// The client.
+pub(crate) struct RequestHeader {
     pub client: u64,
-    /// The number of the call.
     pub sequence: u64,
 }
 
 impl RequestHeader {
-    /// The header of a DDS call. A GUID has 16 bytes and the header room for 8: both halves are folded, so that
-    /// neither clients of one participant (the last half differs) nor of two (the first does) are taken for another.
-    pub fn of_call((client, sequence): ([u8; 16], i64)) -> Self {
+    /// The header of a DDS call. A GUID has 16 bytes, the header only 8. Both halves are combined: clients of one
+    /// participant differ in the last half, clients of two in the first.
+    pub(crate) fn of_call((client, sequence): ([u8; 16], i64)) -> Self {
         let guid = u128::from_le_bytes(client);
         // the halves of the GUID, and the two's complement of a number that is never negative
         let (low, high, sequence) = (guid as u64, (guid >> 64) as u64, sequence as u64);
@@ -28,8 +26,7 @@ impl RequestHeader {
         }
     }
 
-    /// The attachment's bytes.
-    pub fn to_bytes(self) -> [u8; LEN] {
+    pub(crate) fn to_bytes(self) -> [u8; LEN] {
         let mut bytes = [0; LEN];
         let fields = KEY
             .into_iter()
@@ -48,7 +45,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// As the real bridge reads it: any length but this one, or another key, and it makes up a header of its own.
+    /// Parses like the real bridge: for any other length or key, that bridge makes up a header of its own.
     fn read(bytes: &[u8]) -> Option<RequestHeader> {
         let (key, rest) = bytes.split_first_chunk::<3>()?;
         let rest: [u8; 17] = rest.try_into().ok()?;
@@ -60,7 +57,7 @@ mod tests {
     }
 
     #[test]
-    fn the_bytes_are_the_real_bridges() {
+    fn bytes_match_the_real_bridges() {
         let header = RequestHeader {
             client: 0x0807_0605_0403_0201,
             sequence: 9,

@@ -11,30 +11,29 @@ use crate::{
     settings::Settings,
 };
 use anyhow::{Context as _, Result, anyhow};
-use called::Called;
-use incoming::Incoming;
-use outgoing::Outgoing;
-use served::Served;
+use called::RemoteService;
+use incoming::IncomingTopic;
+use outgoing::OutgoingTopic;
+use served::LocalService;
 use std::{collections::BTreeMap, sync::Arc, time::Duration};
 use tokio::task::AbortHandle;
 use wm_ros::Node;
 use zenoh::{Session, key_expr::OwnedKeyExpr, liveliness::LivelinessToken};
 
-/// Calls of one service that may be under way at once.
+/// The most open calls per service.
 const OPEN_CALLS: usize = 64;
 
-/// From when a way to the other side is known until it holds. Zenoh's routers tell each other at once of what is beyond a new
-/// neighbour, and compute their routes 100 ms later (TREES_COMPUTATION_DELAY_MS): what is sent meanwhile may end at the
-/// neighbour, samples and queries alike.
+/// Time from the discovery of a remote endpoint until data reaches it. Zenoh's routers announce endpoints behind a new
+/// neighbour at once, but compute routes 100 ms later (TREES_COMPUTATION_DELAY_MS). Samples and queries in between may
+/// get lost.
 const ROUTING: Duration = Duration::from_millis(300);
 
-/// Both sides, and what is carried between them.
-pub struct Ends {
-    /// On the DDS side.
+/// Both sides, and the bridge's settings.
+pub(crate) struct Ends {
+    /// The DDS side.
     pub node: Node,
-    /// On the Zenoh side.
+    /// The Zenoh side.
     pub session: Session,
-    /// What is carried, and how.
     pub settings: Settings,
 }
 
@@ -45,7 +44,7 @@ impl Ends {
         key.with_context(|| format!("{name} has no key expression"))
     }
 
-    /// Tells the other bridges of a topic or service for as long as the token is held.
+    /// Announces a topic or service to the other bridges while the token exists.
     async fn announce(
         &self,
         subject: Subject,
@@ -80,37 +79,35 @@ impl Drop for Task {
     }
 }
 
-/// What carries a route; dropping it ends it.
+/// The endpoints of a route; dropping it ends the route.
 enum Carrier {
-    Outgoing(#[expect(dead_code, reason = "held for as long as it carries")] Outgoing),
-    Incoming(Incoming),
-    Served(#[expect(dead_code, reason = "held for as long as it carries")] Served),
-    Called(Called),
+    Outgoing(#[expect(dead_code, reason = "held while the route exists")] OutgoingTopic),
+    Incoming(IncomingTopic),
+    Served(#[expect(dead_code, reason = "held while the route exists")] LocalService),
+    Called(RemoteService),
 }
 
 struct Running {
     route: Route,
-    /// `None` where it could not be begun; it is tried again when the route is another.
+    /// `None` if it could not start; retried when the route changes.
     carrier: Option<Carrier>,
 }
 
-/// All routes.
-pub struct Routes {
+pub(crate) struct Routes {
     ends: Arc<Ends>,
     running: BTreeMap<RouteId, Running>,
 }
 
 impl Routes {
-    /// None yet.
-    pub fn new(ends: Arc<Ends>) -> Self {
+    pub(crate) fn new(ends: Arc<Ends>) -> Self {
         Self {
             ends,
             running: BTreeMap::new(),
         }
     }
 
-    /// Ends, begins and changes routes until they are those that are wanted.
-    pub async fn follow(&mut self, wanted: BTreeMap<RouteId, Route>) {
+    /// Starts, ends and changes routes until they match `wanted`.
+    pub(crate) async fn follow(&mut self, wanted: BTreeMap<RouteId, Route>) {
         self.running.retain(|id, running| {
             let stays = wanted
                 .get(id)
@@ -153,16 +150,20 @@ impl Routes {
         let ends = Arc::clone(&self.ends);
         let name = id.name.as_str();
         Ok(match id.direction {
-            Direction::Outgoing => Carrier::Outgoing(Outgoing::begin(ends, name, route).await?),
-            Direction::Incoming => Carrier::Incoming(Incoming::begin(ends, name, route).await?),
-            Direction::Served => Carrier::Served(Served::begin(ends, name, route).await?),
-            Direction::Called => Carrier::Called(Called::begin(ends, name, route).await?),
+            Direction::Outgoing => {
+                Carrier::Outgoing(OutgoingTopic::begin(ends, name, route).await?)
+            }
+            Direction::Incoming => {
+                Carrier::Incoming(IncomingTopic::begin(ends, name, route).await?)
+            }
+            Direction::Served => Carrier::Served(LocalService::begin(ends, name, route).await?),
+            Direction::Called => Carrier::Called(RemoteService::begin(ends, name, route).await?),
         })
     }
 
     async fn change(&self, carrier: &mut Carrier, route: &Route) -> Result<()> {
         match carrier {
-            // Whether another bridge has the other end makes no difference to these.
+            // these do not depend on the other end
             Carrier::Outgoing(_) | Carrier::Served(_) => Ok(()),
             Carrier::Incoming(incoming) => incoming.change(route).await,
             Carrier::Called(called) => called.change(route).await,
@@ -170,7 +171,7 @@ impl Routes {
     }
 }
 
-/// Whether a route can become another without being begun anew.
+/// Whether a route can change without a restart.
 fn is_same_end(direction: Direction, one: &Route, other: &Route) -> bool {
     match direction {
         Direction::Served | Direction::Called => one.type_name == other.type_name,

@@ -1,5 +1,5 @@
-//! What is carried, and how: the options of the command line, and the section `plugins: { ros2dds: { ... } }` of a Zenoh
-//! configuration file, with the keys of the ros2dds bridge, so that one file serves both programs.
+//! The bridge's settings: the options of the command line, and the section `plugins: { ros2dds: { ... } }` of a Zenoh
+//! configuration file. The keys are those of the ros2dds bridge, so one file configures both programs.
 
 use crate::key::{Namespace, NamespaceError};
 use regex::Regex;
@@ -12,15 +12,16 @@ use std::{
 use wm_ros::Role;
 use zenoh::qos::Priority;
 
-/// How long an answer from the other side is waited for: the real bridge's default.
+/// The real bridge's default.
 const QUERIES_TIMEOUT_S: f32 = 5.0;
-/// Samples kept for late subscribers per sample of the publisher's depth, since several publishers may share a topic.
+/// Samples kept for late subscribers, as a multiple of the publisher's depth, since several publishers may share a
+/// topic.
 const CACHE_MULTIPLIER: usize = 10;
 
-/// The section as it is written.
+/// The section as written.
 #[derive(Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct Section {
+pub(crate) struct Section {
     namespace: Option<String>,
     allow: Option<Interfaces>,
     deny: Option<Interfaces>,
@@ -29,14 +30,14 @@ pub struct Section {
     queries_timeout: Option<QueriesTimeout>,
     reliable_routes_blocking: Option<bool>,
     transient_local_cache_multiplier: Option<usize>,
-    /// Which library the real bridge's plugin is loaded from: nothing to us.
+    /// The library of the real bridge's plugin; ignored.
     #[serde(rename = "__path__")]
     _path: Option<serde::de::IgnoredAny>,
     #[serde(rename = "__required__")]
     _required: Option<serde::de::IgnoredAny>,
 }
 
-/// Regular expressions of names, by what the nodes of this side do with them.
+/// Regular expressions of names, by the role of this side's nodes.
 #[derive(Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 struct Interfaces {
@@ -44,7 +45,7 @@ struct Interfaces {
     subscribers: Names,
     service_servers: Names,
     service_clients: Names,
-    /// Actions are not carried.
+    /// actions are not carried
     #[serde(rename = "action_servers")]
     _action_servers: Names,
     #[serde(rename = "action_clients")]
@@ -71,55 +72,42 @@ struct QueriesTimeout {
 
 /// The options of the command line, which add to the section or replace its values.
 #[derive(Debug, Default)]
-pub struct Options {
-    /// `--namespace`
+pub(crate) struct Options {
     pub namespace: Option<String>,
-    /// `--allow`
     pub allow: Vec<String>,
-    /// `--deny`
     pub deny: Vec<String>,
-    /// `--max-frequency`
     pub max_frequencies: Vec<String>,
-    /// `--priority`
     pub priorities: Vec<String>,
-    /// `--queries-timeout` \[s\]
+    /// In seconds.
     pub queries_timeout: Option<f32>,
 }
 
-/// What is wrong with them.
 #[derive(Debug, thiserror::Error)]
-pub enum SettingsError {
-    /// The section is not of its form.
+pub(crate) enum SettingsError {
+    /// The section is malformed.
     #[error("plugins/ros2dds: {0}")]
     Section(#[from] serde_json::Error),
-    /// The namespace.
     #[error(transparent)]
     Namespace(#[from] NamespaceError),
-    /// A regular expression.
+    /// Invalid regular expression.
     #[error("`{pattern}`: {source}")]
     Pattern {
-        /// The expression.
         pattern: String,
-        /// What is wrong with it.
         source: Box<regex::Error>,
     },
-    /// A `REGEX=VALUE`.
+    /// Invalid `REGEX=VALUE`.
     #[error("`{rule}`: expected {expected}")]
     Rule {
-        /// As it was given.
         rule: String,
-        /// What it should be.
         expected: &'static str,
     },
-    /// A time.
     #[error("queries_timeout is {0}: expected seconds, above 0 and at most 3600")]
     Timeout(f32),
 }
 
-/// An expression for whole names, and whether there was such a name.
+/// An expression for whole names, and whether a name has matched.
 #[derive(Debug)]
 struct Pattern {
-    /// As it was given.
     text: String,
     whole: Regex,
     has_matched: AtomicBool,
@@ -133,7 +121,7 @@ impl Pattern {
     }
 }
 
-/// Names that are carried, for one role.
+/// The carried names of one role.
 #[derive(Debug, Default)]
 struct Filter {
     /// `None`: every name.
@@ -143,7 +131,7 @@ struct Filter {
 
 impl Filter {
     fn admits(&self, name: &str) -> bool {
-        // Each is asked, also where one has decided: it may be the only name that it matches.
+        // match every pattern, even after a decision: a name may be the only match of a pattern
         let any = |patterns: &[Pattern]| {
             let matches = patterns.iter().filter(|pattern| pattern.is_match(name));
             matches.count() > 0
@@ -157,26 +145,25 @@ impl Filter {
     }
 }
 
-/// Priority of a topic's samples on the way, and whether each goes at once instead of with others.
+/// Priority of a topic's samples, and whether each is sent at once.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Precedence {
+pub(crate) struct Precedence {
     /// Zenoh's priority.
     pub priority: Priority,
-    /// Whether samples are not held back to be sent together.
+    /// Whether samples are sent without batching.
     pub is_express: bool,
 }
 
-/// What is carried, and how.
 #[derive(Debug)]
-pub struct Settings {
-    /// In front of this side's names.
+pub(crate) struct Settings {
+    /// The prefix of this side's names.
     pub namespace: Namespace,
-    /// Whether a reliable publisher's topic waits for a slow network (and its own queue overflows then) instead of
-    /// losing samples in it.
+    /// Whether the topic of a reliable publisher waits for a slow network (so that its own queue overflows) instead of
+    /// losing samples in the network.
     pub reliable_routes_blocking: bool,
     /// See [`CACHE_MULTIPLIER`].
     pub cache_multiplier: usize,
-    /// How long an answer, or a latched topic's history, is waited for.
+    /// The timeout for responses and for a latched topic's history.
     pub queries_timeout: Duration,
     publishers: Filter,
     subscribers: Filter,
@@ -187,11 +174,11 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// Reads the section, and adds the options.
+    /// Combines the section and the options.
     ///
     /// # Errors
-    /// Names what is not of its form.
-    pub fn new(section: Section, options: Options) -> Result<Self, SettingsError> {
+    /// Names the malformed setting.
+    pub(crate) fn new(section: Section, options: Options) -> Result<Self, SettingsError> {
         let namespace = options.namespace.or(section.namespace);
         let timeout = options
             .queries_timeout
@@ -222,7 +209,7 @@ impl Settings {
             subscribers: filter(|names| &names.subscribers)?,
             servers: filter(|names| &names.service_servers)?,
             clients: filter(|names| &names.service_clients)?,
-            // the first that matches holds: what the user typed comes before the file
+            // the first match counts: options come before the file
             periods: frequencies
                 .chain(&section.pub_max_frequencies)
                 .map(|rule| period(rule))
@@ -234,8 +221,8 @@ impl Settings {
         })
     }
 
-    /// Whether the topic or service is carried for the nodes of this side that have this role in it. Actions are not.
-    pub fn admits(&self, role: Role, name: &str) -> bool {
+    /// Whether the topic or service is carried for nodes of this side in this role. Actions are not.
+    pub(crate) fn admits(&self, role: Role, name: &str) -> bool {
         let filter = match role {
             Role::Publisher => &self.publishers,
             Role::Subscription => &self.subscribers,
@@ -245,8 +232,8 @@ impl Settings {
         !name.contains("/_action/") && filter.admits(name)
     }
 
-    /// The expressions of `allow` and `deny` that have matched no name so far, in no role: mistakes, most often.
-    pub fn unmatched(&self) -> BTreeSet<&str> {
+    /// The patterns of `allow` and `deny` without a match in any role: most often mistakes.
+    pub(crate) fn unmatched(&self) -> BTreeSet<&str> {
         let filters = [
             &self.publishers,
             &self.subscribers,
@@ -264,13 +251,12 @@ impl Settings {
         of(false).filter(|text| !matched.contains(text)).collect()
     }
 
-    /// The shortest time between two samples of a topic that go out.
-    pub fn period(&self, name: &str) -> Option<Duration> {
+    /// The shortest time between outgoing samples of a topic.
+    pub(crate) fn period(&self, name: &str) -> Option<Duration> {
         first_match(&self.periods, name)
     }
 
-    /// How a topic's samples go out.
-    pub fn precedence(&self, name: &str) -> Precedence {
+    pub(crate) fn precedence(&self, name: &str) -> Precedence {
         first_match(&self.precedences, name).unwrap_or_default()
     }
 }
@@ -304,7 +290,7 @@ fn pattern(pattern: &str) -> Result<Regex, SettingsError> {
     })
 }
 
-/// `REGEX=HZ`; the expression may match a part of the name, as the real bridge has it.
+/// `REGEX=HZ`; the expression may match a part of the name, as in the real bridge.
 fn period(rule: &str) -> Result<(Regex, Duration), SettingsError> {
     let refused = || SettingsError::Rule {
         rule: rule.to_owned(),
@@ -353,7 +339,7 @@ mod tests {
     }
 
     #[test]
-    fn without_rules_everything_but_actions_is_carried() {
+    fn everything_but_actions_is_carried_by_default() {
         let settings = settings("{}", Options::default()).unwrap();
         assert!(settings.admits(Role::Publisher, "/wm/latent"));
         assert!(settings.admits(Role::Client, "/wm/planner/reset"));
@@ -363,7 +349,7 @@ mod tests {
     }
 
     #[test]
-    fn a_list_of_a_file_holds_for_its_role_and_whole_names() {
+    fn lists_in_the_file_apply_to_role_and_whole_names() {
         let section =
             r#"{"allow": {"publishers": ["/wm/.*", "/tf"], "service_servers": ".*reset"}}"#;
         let settings = settings(section, Options::default()).unwrap();
@@ -374,9 +360,9 @@ mod tests {
         assert!(!settings.admits(Role::Client, "/wm/planner/reset"));
     }
 
-    /// `image` is found in many names and is the whole of none.
+    /// Many names contain `image`, but none equals it.
     #[test]
-    fn a_pattern_that_matches_no_whole_name_is_known() {
+    fn pattern_without_a_whole_match_is_reported() {
         let options = Options {
             deny: words(&["image", ".*/image.*", "/camera/.*"]),
             ..Options::default()
@@ -393,7 +379,7 @@ mod tests {
     }
 
     #[test]
-    fn the_command_line_holds_for_every_role_and_denies_what_is_allowed() {
+    fn command_line_applies_to_all_roles_and_deny_wins() {
         let options = Options {
             allow: words(&["/wm/.*", "/tf|/clock"]),
             deny: words(&[".*/image.*"]),
@@ -415,7 +401,7 @@ mod tests {
     }
 
     #[test]
-    fn rates_and_priorities_are_those_of_the_first_rule_that_matches() {
+    fn first_matching_rule_sets_rate_and_priority() {
         let section = r#"{"pub_max_frequencies": ["/image=1", ".*=10"], "pub_priorities": ["/wm/plan=2:express"],
             "queries_timeout": {"default": 2.5}, "__path__": "/lib"}"#;
         let options = Options {
@@ -436,7 +422,7 @@ mod tests {
     }
 
     #[test]
-    fn what_makes_no_sense_is_refused_by_name() {
+    fn invalid_settings_are_refused_by_name() {
         let reason = |section: &str| {
             settings(section, Options::default())
                 .unwrap_err()

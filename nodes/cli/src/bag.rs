@@ -17,7 +17,7 @@ use std::process::ExitCode;
 
 /// Bags.
 #[derive(Debug, Subcommand)]
-pub enum BagCommand {
+pub(crate) enum BagCommand {
     /// Publish the messages of a bag with their recorded timing
     Play(play::PlayCommand),
     /// Record topics into a new bag
@@ -40,12 +40,11 @@ pub enum BagCommand {
 
 impl BagCommand {
     /// Whether `--ros-args` may follow.
-    pub fn takes_ros_args(&self) -> bool {
+    pub(crate) fn takes_ros_args(&self) -> bool {
         matches!(self, Self::Play(_) | Self::Record(_))
     }
 
-    /// Runs it.
-    pub fn run(self, ros_args: Vec<String>) -> Result<ExitCode> {
+    pub(crate) fn run(self, ros_args: Vec<String>) -> Result<ExitCode> {
         match self {
             Self::Play(command) => command.run(ros_args),
             Self::Record(command) => command.run(ros_args),

@@ -8,7 +8,7 @@ use wm_doctor::{DoctorError, SetupError};
 use wm_launch::LaunchError;
 use wm_ros::ArgsError;
 
-/// Where the arguments for ROS begin.
+/// The arguments for ROS follow it.
 const ROS_ARGS: &str = "--ros-args";
 
 /// ROS 2 nodes that predict what a camera will see next, given a robot's actions, and that plan actions.
@@ -28,9 +28,9 @@ struct Cli {
 enum Subcommands {
     /// Start the nodes of a ROS 2 YAML launch file and stop them together
     Launch(launch::LaunchCommand),
-    /// Say whether machine, network, cameras, actions and model are as they should be, and what to do where not
+    /// Check machine, network, cameras, actions and model, and suggest fixes
     Doctor(doctor::DoctorCommand),
-    /// Write a launch file and parameter files for the camera and the arm that are heard
+    /// Write a launch file and parameter files for the camera and the arm that are found
     Init(init::InitCommand),
     /// Play, record, inspect, recover, cut, import and export bags
     #[command(subcommand)]
@@ -52,7 +52,7 @@ enum Subcommands {
     Model(model::ModelCommand),
     /// Score a recorded bag: compare its predictions with its frames
     Report(report::ReportCommand),
-    /// Serve a live page of what the robot sees, what the model expects and what a plan would do, or of a bag (node)
+    /// Serve a live page of camera, predictions and plans, or of a bag (node)
     View(Box<view::ViewCommand>),
     /// Carry topics and services to other machines over Zenoh (runs wm-bridge)
     #[command(disable_help_flag = true, disable_version_flag = true)]
@@ -69,20 +69,20 @@ enum Subcommands {
 }
 
 /// The command line, for completions and man pages.
-pub fn definition() -> clap::Command {
+pub(crate) fn definition() -> clap::Command {
     Cli::command()
 }
 
-/// A command with the arguments for ROS that came with it.
-pub struct Command {
+/// A command with its arguments for ROS.
+pub(crate) struct Command {
     command: Subcommands,
     ros_args: Vec<String>,
 }
 
-/// Reads the command line; on wrong usage says so and ends the process with exit code 2.
+/// Parses the command line. On wrong usage, prints an error and ends the process with exit code 2.
 ///
-/// A program that is called by a node's name, as by a link `lib/wm_nodes/encoder`, is that node.
-pub fn parse() -> Command {
+/// A program that is called by a node's name, for example by a link `lib/wm_nodes/encoder`, is that node.
+pub(crate) fn parse() -> Command {
     let mut arguments: Vec<String> = std::env::args_os()
         .map(|argument| argument.to_string_lossy().into_owned())
         .collect();
@@ -111,7 +111,7 @@ pub fn parse() -> Command {
     Command { command, ros_args }
 }
 
-/// `wm sim --live` is the node `sim_arm`: it needs no other program.
+/// `wm sim --live` is the node `sim_arm`, which needs no other program.
 fn live(mut arguments: Vec<String>) -> Vec<String> {
     const LIVE: &str = "--live";
     let is_sim = arguments.get(1).is_some_and(|command| command == "sim");
@@ -137,11 +137,11 @@ impl Subcommands {
 }
 
 impl Command {
-    /// Runs it.
+    /// Runs the command.
     ///
     /// # Errors
-    /// What failed, in words for the user.
-    pub fn run(self) -> anyhow::Result<ExitCode> {
+    /// The failure, for the user.
+    pub(crate) fn run(self) -> anyhow::Result<ExitCode> {
         match self.command {
             Subcommands::Launch(command) => command.run(),
             Subcommands::Doctor(command) => command.run(),
@@ -167,8 +167,8 @@ fn done(result: anyhow::Result<()>) -> anyhow::Result<ExitCode> {
     result.map(|()| ExitCode::SUCCESS)
 }
 
-/// 2 where the user's arguments are wrong, a node's parameters among them, else 1.
-pub fn failure_code(error: &anyhow::Error) -> ExitCode {
+/// 2 if the user's arguments are wrong, a node's parameters included; otherwise 1.
+pub(crate) fn failure_code(error: &anyhow::Error) -> ExitCode {
     let is_usage = error.is::<ArgsError>()
         || error.downcast_ref().is_some_and(wm_ros::Error::is_usage)
         || error.downcast_ref().is_some_and(DoctorError::is_usage)
@@ -182,12 +182,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_command_line_is_consistent() {
+    fn command_line_is_consistent() {
         Cli::command().debug_assert();
     }
 
     #[test]
-    fn a_live_simulation_is_a_node() {
+    fn live_simulation_is_a_node() {
         let words = |text: &str| text.split(' ').map(str::to_owned).collect::<Vec<_>>();
         assert_eq!(live(words("wm sim --live")), words("wm sim_arm"));
         for other in ["wm sim --out DIR", "wm", "wm nodes --live"] {
@@ -195,7 +195,7 @@ mod tests {
         }
     }
 
-    /// A parameter that is new is a flag without a further line; a bag to play is named without one.
+    /// New parameters become flags automatically; the bag to play is a positional argument.
     #[test]
     fn every_parameter_of_player_and_recorder_is_a_flag() {
         for (command, node) in [("play", "player"), ("record", "recorder")] {

@@ -9,9 +9,9 @@ use anyhow::Result;
 use clap::{Args, ValueEnum};
 use clap_complete::{Shell, generate};
 
-/// Shells that have completion scripts.
+/// Shells with completion scripts.
 #[derive(Clone, Copy, Debug, ValueEnum)]
-enum Known {
+enum ShellName {
     Bash,
     Zsh,
     Fish,
@@ -23,15 +23,14 @@ enum Known {
     wm completions bash > ~/.local/share/bash-completion/completions/wm\n  \
     wm completions zsh > ~/.zfunc/_wm          # with fpath+=~/.zfunc before compinit in ~/.zshrc\n  \
     wm completions fish > ~/.config/fish/completions/wm.fish")]
-pub struct CompletionsCommand {
+pub(crate) struct CompletionsCommand {
     /// The shell
     #[arg(value_enum)]
-    shell: Known,
+    shell: ShellName,
 }
 
 impl CompletionsCommand {
-    /// Runs it.
-    pub fn run(self) -> Result<()> {
+    pub(crate) fn run(self) -> Result<()> {
         let Described { command, left_out } = external::described(cli::definition())?;
         for left in left_out {
             eprintln!("wm: without its commands: {left}; run this again then");
@@ -41,9 +40,9 @@ impl CompletionsCommand {
 
     fn script(&self, mut command: clap::Command) -> String {
         let shell = match self.shell {
-            Known::Bash => Shell::Bash,
-            Known::Zsh => Shell::Zsh,
-            Known::Fish => Shell::Fish,
+            ShellName::Bash => Shell::Bash,
+            ShellName::Zsh => Shell::Zsh,
+            ShellName::Fish => Shell::Fish,
         };
         let mut script = Vec::new();
         generate(shell, &mut command, "wm", &mut script);
@@ -57,18 +56,18 @@ mod tests {
     use std::io::Write as _;
     use std::process::{Command, Stdio};
 
-    fn script(shell: Known) -> String {
+    fn script(shell: ShellName) -> String {
         CompletionsCommand { shell }.script(cli::definition())
     }
 
-    /// What bash offers for `wm WORDS` with the cursor at its end.
+    /// The completions of bash for `wm WORDS` with the cursor at its end.
     fn offered(words: &[&str]) -> Vec<String> {
         let line = words.iter().map(|word| format!("'{word}'"));
         let line = line.collect::<Vec<_>>().join(" ");
         let test = format!(
             "{}\nCOMP_WORDS=(wm {line}); COMP_CWORD={}; _wm wm \"${{COMP_WORDS[COMP_CWORD]}}\" \
              \"${{COMP_WORDS[COMP_CWORD-1]}}\"; printf '%s\\n' \"${{COMPREPLY[@]}}\"",
-            script(Known::Bash),
+            script(ShellName::Bash),
             words.len()
         );
         let mut bash = Command::new("bash")
@@ -98,7 +97,7 @@ mod tests {
 
     #[test]
     fn every_shell_has_every_node() {
-        for shell in [Known::Bash, Known::Zsh, Known::Fish] {
+        for shell in [ShellName::Bash, ShellName::Zsh, ShellName::Fish] {
             let script = script(shell);
             for node in crate::node::definitions() {
                 assert!(script.contains(node.name), "{shell:?}: {}", node.name);

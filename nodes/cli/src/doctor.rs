@@ -6,18 +6,18 @@ use clap::Args;
 use std::convert::Infallible;
 use std::process::ExitCode;
 use std::time::Duration;
-use wm_doctor::{DoctorError, Heard, Level, Machine, ModelFacts, Report};
+use wm_doctor::{DoctorError, Level, Machine, ModelFacts, Report, Survey};
 use wm_program::progress::Progress;
 use wm_ros::{Environment, NodeArgs};
 
 /// Examines machine, network, cameras, actions and model.
 #[derive(Args, Debug)]
 #[command(
-    after_help = "It looks at processor, memory, ROS domain and interfaces, receive buffers and clock; hears cameras and actions,\n\
-    their rates, stamps and pictures; and tries whether the model fits them. Each finding says what to do.\n\n\
+    after_help = "It checks processor, memory, ROS domain and interfaces, receive buffers and clock; cameras and actions with\n\
+    their rates, stamps and pictures; and whether the model fits them. Each finding suggests a fix.\n\n\
     Exit codes: 0 no error was found, 1 an error was found, 2 wrong usage."
 )]
-pub struct DoctorCommand {
+pub(crate) struct DoctorCommand {
     #[command(flatten)]
     pub listening: Listening,
     /// Print JSON
@@ -25,9 +25,9 @@ pub struct DoctorCommand {
     json: bool,
 }
 
-/// What is listened to, and with which model.
+/// Options of the commands that listen to the graph.
 #[derive(Args, Debug)]
-pub struct Listening {
+pub(crate) struct Listening {
     /// Image topic of the camera; without it, the default or the first that sends pictures
     #[arg(long, value_name = "TOPIC", value_parser = parse_camera)]
     pub camera: Option<String>,
@@ -45,12 +45,12 @@ pub struct Listening {
     interface: Option<String>,
 }
 
-/// A camera is its image topic and the sibling `/compressed`, by whichever of the two it was named.
+/// A camera has an image topic and its sibling `/compressed`; either name is accepted.
 fn parse_camera(text: &str) -> Result<String, Infallible> {
     Ok(text.strip_suffix("/compressed").unwrap_or(text).to_owned())
 }
 
-/// Long enough to discover others, and short enough to remember what came.
+/// Long enough for discovery; short enough for bounded memory.
 fn parse_seconds(text: &str) -> Result<f64, String> {
     match text.parse() {
         Ok(seconds) if (1.0..=600.0).contains(&seconds) => Ok(seconds),
@@ -60,7 +60,7 @@ fn parse_seconds(text: &str) -> Result<f64, String> {
 
 impl Listening {
     /// The topics that the user named.
-    pub fn topics(&self) -> (Option<&str>, Option<&str>) {
+    pub(crate) fn topics(&self) -> (Option<&str>, Option<&str>) {
         (self.camera.as_deref(), self.action.as_deref())
     }
 
@@ -72,21 +72,21 @@ impl Listening {
         Ok(NodeArgs::parse(interface)?)
     }
 
-    /// The machine, and what is heard there.
-    pub fn hear(&self) -> Result<(Machine, Heard)> {
+    /// Reads the machine's facts, and listens to the graph.
+    pub(crate) fn listen(&self) -> Result<(Machine, Survey)> {
         let args = self.args()?;
         let environment = Environment::from_env(&args).map_err(DoctorError::from)?;
         let machine = Machine::look(&environment)?;
         let domain = environment.domain_id;
         eprintln!("wm: listening for {} s in domain {domain}", self.seconds);
-        let heard = wm_doctor::listen(&args, Duration::from_secs_f64(self.seconds))?;
-        Ok((machine, heard))
+        let survey = wm_doctor::listen(&args, Duration::from_secs_f64(self.seconds))?;
+        Ok((machine, survey))
     }
 
-    /// The model, tried on the camera's pictures.
-    pub fn examine_model(&self, heard: &Heard) -> Result<ModelFacts, DoctorError> {
-        let _progress = Progress::open_ended("trying the model", "parts");
-        let camera = heard.camera(self.camera.as_deref());
+    /// Runs the model on the camera's pictures.
+    pub(crate) fn examine_model(&self, survey: &Survey) -> Result<ModelFacts, DoctorError> {
+        let _progress = Progress::open_ended("running the model", "parts");
+        let camera = survey.camera(self.camera.as_deref());
         let pictures = camera
             .into_iter()
             .flat_map(|(_, camera)| camera.pictures.iter().flatten());
@@ -95,16 +95,15 @@ impl Listening {
 }
 
 impl DoctorCommand {
-    /// Runs it.
-    pub fn run(self) -> Result<ExitCode> {
-        let (machine, heard) = self.listening.hear()?;
-        let model = self.listening.examine_model(&heard);
-        // The chain of causes, as an error of this program is said.
+    pub(crate) fn run(self) -> Result<ExitCode> {
+        let (machine, survey) = self.listening.listen()?;
+        let model = self.listening.examine_model(&survey);
+        // the chain of causes, as for other errors of this program
         let model = model.map_err(|error| format!("{:#}", anyhow::Error::from(error)));
         let model = model.as_ref().map_err(Clone::clone);
-        let report = Report::of(&machine, &heard, Some(model), self.listening.topics());
+        let report = Report::of(&machine, &survey, Some(model), self.listening.topics());
         match self.json {
-            true => print(format_args!("{:#}\n", report.json(&heard)))?,
+            true => print(format_args!("{:#}\n", report.json(&survey)))?,
             false => print(&report)?,
         }
         Ok(ExitCode::from(u8::from(report.worst() == Level::Error)))

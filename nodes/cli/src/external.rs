@@ -1,5 +1,6 @@
-//! Commands that are separate programs, because what they link would make the build of `wm` long: `wm bridge` runs the
-//! program `wm-bridge`, as git and cargo do. Completions and man pages ask those programs that tell what they take.
+//! Commands that are separate programs, since their dependencies would slow the build of `wm`. `wm bridge` runs the
+//! program `wm-bridge`, as in git and cargo. Completions and man pages query those programs that describe their
+//! arguments.
 
 use anyhow::{Context as _, Result, bail};
 use clap::Args;
@@ -10,20 +11,20 @@ use std::{
     process::{Command, ExitCode},
 };
 
-/// What a program of its own takes, unread.
+/// Arguments that are passed on unread.
 #[derive(Args, Debug)]
-pub struct Arguments {
+pub(crate) struct Arguments {
     /// Arguments of the program; its `--help` lists them once it is built
     #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
     own: Vec<OsString>,
 }
 
 impl Arguments {
-    /// Becomes the program, with these arguments between words `before` and `after` them.
+    /// Replaces this process by the program. The words `before` and `after` surround the arguments.
     ///
     /// # Errors
-    /// It is not there (the error says how to build it), or cannot be started.
-    pub fn exec<const N: usize>(
+    /// The program is missing (the error contains the build command), or cannot be started.
+    pub(crate) fn exec<const N: usize>(
         self,
         program: &str,
         before: [&str; N],
@@ -35,41 +36,44 @@ impl Arguments {
     }
 }
 
-/// A command that a program tells of.
-struct Told {
+/// A command that a program describes.
+struct DescribedCommand {
     program: &'static str,
     /// The words after `wm`, and after the program's name.
     words: &'static [&'static str],
 }
 
-const fn told(program: &'static str, words: &'static [&'static str]) -> Told {
-    Told { program, words }
+const fn described_command(
+    program: &'static str,
+    words: &'static [&'static str],
+) -> DescribedCommand {
+    DescribedCommand { program, words }
 }
 
-/// The commands whose programs tell of them.
-const TOLD: [Told; 5] = [
-    told("wm-training", &["sim"]),
-    told("wm-training", &["dataset"]),
-    told("wm-training", &["train"]),
-    told("wm-training", &["eval"]),
-    told("wm-training", &["model", "calibrate"]),
+/// The commands with self-describing programs.
+const DESCRIBED_COMMANDS: [DescribedCommand; 5] = [
+    described_command("wm-training", &["sim"]),
+    described_command("wm-training", &["dataset"]),
+    described_command("wm-training", &["train"]),
+    described_command("wm-training", &["eval"]),
+    described_command("wm-training", &["model", "calibrate"]),
 ];
 
-/// A command line, and what could not be put into it.
-pub struct Described {
-    /// With what the programs tell that are there.
+/// A command line, and the programs missing from it.
+pub(crate) struct Described {
+    /// With the arguments of the available programs.
     pub command: clap::Command,
-    /// The programs that are not, or that do not tell, each with what to do.
+    /// Programs that are missing or failed, each with a remedy.
     pub left_out: Vec<String>,
 }
 
-/// Puts what separate programs take into a definition of `wm`. They are looked for where they would be run.
+/// Adds the arguments of separate programs to a definition of `wm`. They are searched where they would be run.
 ///
 /// # Errors
 /// The folder of this program is unknown.
-pub fn described(command: clap::Command) -> Result<Described> {
+pub(crate) fn described(command: clap::Command) -> Result<Described> {
     let beside = std::env::current_exe()?;
-    let asked = |program: &Path| wm_program::command_line::ask(program);
+    let asked = |program: &Path| wm_program::command_line::query(program);
     Ok(described_by(command, &beside, &folders(&beside), asked))
 }
 
@@ -80,18 +84,23 @@ fn described_by(
     asked: impl Fn(&Path) -> Result<clap::Command, wm_program::command_line::Error>,
 ) -> Described {
     let mut left_out = Vec::new();
-    let mut programs: Vec<&str> = TOLD.iter().map(|told| told.program).collect();
+    let mut programs: Vec<&str> = DESCRIBED_COMMANDS
+        .iter()
+        .map(|command| command.program)
+        .collect();
     programs.dedup();
     for program in programs {
         let Some(found) = find(program, folders) else {
             let way = way_to(program, beside);
-            left_out.push(format!("{program} is not there ({way})"));
+            left_out.push(format!("{program} is missing ({way})"));
             continue;
         };
         match asked(&found) {
             Ok(own) => {
-                let of_it = TOLD.iter().filter(|told| told.program == program);
-                for Told { words, .. } in of_it {
+                let of_it = DESCRIBED_COMMANDS
+                    .iter()
+                    .filter(|command| command.program == program);
+                for DescribedCommand { words, .. } in of_it {
                     if let Some(own) = at(&own, words) {
                         command = replaced(command, words, own);
                     }
@@ -103,13 +112,13 @@ fn described_by(
     Described { command, left_out }
 }
 
-/// The command of these words in a definition.
+/// The subcommand with these words.
 fn at<'a>(command: &'a clap::Command, words: &[&str]) -> Option<&'a clap::Command> {
     let mut words = words.iter();
     words.try_fold(command, |command, word| command.find_subcommand(word))
 }
 
-/// A definition whose command of these words is `own`, under the words that `wm` has for it: they name the program.
+/// The definition with `own` in place of the subcommand with these words, which stay.
 fn replaced(command: clap::Command, words: &[&str], own: &clap::Command) -> clap::Command {
     match words.split_first() {
         None => match command.get_about() {
@@ -122,27 +131,27 @@ fn replaced(command: clap::Command, words: &[&str], own: &clap::Command) -> clap
     }
 }
 
-/// Where a program is, if it is beside this one or on the PATH.
+/// The path of a program next to this one or on the PATH.
 ///
 /// # Errors
 /// The folder of this program is unknown.
-pub fn program(name: &str) -> Result<Option<PathBuf>> {
+pub(crate) fn program(name: &str) -> Result<Option<PathBuf>> {
     let beside = std::env::current_exe()?;
     Ok(find(name, &folders(&beside)))
 }
 
-/// Where programs are looked for: beside this one, and then on the PATH.
+/// The folders with programs: this program's, then the PATH.
 fn folders(beside: &Path) -> Vec<PathBuf> {
     let path = std::env::var_os("PATH").unwrap_or_default();
     let own = beside.parent().map(Path::to_path_buf).into_iter();
     own.chain(std::env::split_paths(&path)).collect()
 }
 
-/// Becomes the program, which is looked for beside this one and then on the PATH.
+/// Replaces this process by the program, from the folder of this one or the PATH.
 ///
 /// # Errors
-/// It is not there (the error says how to build it), or cannot be started.
-pub fn exec(program: &str, args: impl IntoIterator<Item = OsString>) -> Result<ExitCode> {
+/// It is missing (the error contains the build command), or cannot be started.
+pub(crate) fn exec(program: &str, args: impl IntoIterator<Item = OsString>) -> Result<ExitCode> {
     let beside = std::env::current_exe()?;
     let Some(found) = find(program, &folders(&beside)) else {
         bail!(
@@ -152,10 +161,10 @@ pub fn exec(program: &str, args: impl IntoIterator<Item = OsString>) -> Result<E
         );
     };
     let error = Command::new(&found).args(args).exec();
-    Err(error).with_context(|| format!("starting {}", found.display()))
+    Err(error).with_context(|| format!("start {}", found.display()))
 }
 
-/// The command that puts the program beside this one: where cargo builds, or where it installs.
+/// The command that puts the program next to this one, by cargo build or cargo install.
 fn way_to(program: &str, beside: &Path) -> String {
     if beside.iter().any(|part| part == "target") {
         return format!("cargo build --release -p {}", program.replace('-', "_"));
@@ -179,7 +188,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_first_folder_that_has_it_holds() {
+    fn first_folder_with_the_program_counts() {
         let folders: Vec<_> = (0..3).map(|_| tempfile::tempdir().unwrap()).collect();
         let paths: Vec<_> = folders
             .iter()
@@ -193,23 +202,23 @@ mod tests {
     }
 
     #[test]
-    fn a_program_beside_an_installed_one_is_installed() {
+    fn program_next_to_an_installed_one_is_installed() {
         let way = |program| way_to(program, Path::new("/home/me/.cargo/bin/wm"));
         assert_eq!(way("wm-datasets"), "cargo install --path learning/import");
         assert_eq!(way("wm-bridge"), "cargo install --path nodes/bridge");
     }
 
     #[test]
-    fn what_is_missing_is_said_with_how_to_build_it() {
+    fn missing_program_is_reported_with_its_build_command() {
         let error = exec("wm-is-not-there", []).unwrap_err().to_string();
         assert!(
             error.contains("cargo build --release -p wm_is_not_there"),
             "{error}"
         );
     }
-    /// A program that tells of a command `eval` alone: what it says stands in for the whole, and the rest stays.
+    /// A program that describes only the command `eval`.
     #[test]
-    fn a_program_that_tells_is_described_by_itself() {
+    fn self_describing_program_replaces_its_commands() {
         let beside = Path::new("/repository/target/release/wm");
         let wm = || crate::cli::definition();
         let folder = tempfile::tempdir().unwrap();
@@ -221,24 +230,24 @@ mod tests {
             Ok(clap::Command::new("wm-training").subcommand(eval))
         };
         let none = described_by(wm(), beside, &folders, tells);
-        let way = "wm-training is not there (cargo build --release -p wm_training)";
+        let way = "wm-training is missing (cargo build --release -p wm_training)";
         assert_eq!(none.left_out, [way]);
         assert!(at(&none.command, &["eval", "all"]).is_none());
 
         std::fs::write(&program, "").unwrap();
-        let told = described_by(wm(), beside, &folders, tells);
-        assert_eq!(told.left_out, Vec::<String>::new());
-        assert!(at(&told.command, &["eval", "all"]).is_some());
+        let described = described_by(wm(), beside, &folders, tells);
+        assert_eq!(described.left_out, Vec::<String>::new());
+        assert!(at(&described.command, &["eval", "all"]).is_some());
         let about = |words| {
-            let command = at(&told.command, words).unwrap();
+            let command = at(&described.command, words).unwrap();
             command.get_about().unwrap().to_string()
         };
         assert!(about(&["eval"]).contains("runs wm-training"));
         assert!(about(&["train"]).contains("runs wm-training"));
 
-        // Of another version.
+        // of another version
         let left_out = described_by(wm(), beside, &folders, |program| {
-            Err(wm_program::command_line::Error::NoAnswer {
+            Err(wm_program::command_line::Error::InvalidDescription {
                 program: program.to_owned(),
                 reason: "exit status: 2".to_owned(),
             })
@@ -247,11 +256,11 @@ mod tests {
         assert!(at(&left_out.command, &["eval", "all"]).is_none());
     }
 
-    /// Else they would never be put in.
+    /// other commands would never be added
     #[test]
-    fn every_command_that_is_told_is_one_of_wm() {
-        for told in TOLD {
-            assert!(at(&crate::cli::definition(), told.words).is_some());
+    fn every_described_command_exists_in_wm() {
+        for command in DESCRIBED_COMMANDS {
+            assert!(at(&crate::cli::definition(), command.words).is_some());
         }
     }
 }

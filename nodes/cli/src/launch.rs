@@ -6,11 +6,7 @@ use clap::Args;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use wm_launch::{
-    LaunchError, Plan, System,
-    plan::{Process, Program},
-    runner,
-};
+use wm_launch::{LaunchError, Plan, Process, Program, System};
 use wm_model::trained_folder::EMBEDDED;
 use wm_model_nodes::{decoder, encoder};
 use wm_robot_nodes::player;
@@ -22,7 +18,7 @@ const CAMERA: &str = "/camera/image_raw";
 
 /// Starts the nodes of a launch file.
 #[derive(Args, Debug)]
-pub struct LaunchCommand {
+pub(crate) struct LaunchCommand {
     /// Launch file in ROS 2's YAML launch format
     file: PathBuf,
     /// Launch arguments
@@ -44,8 +40,7 @@ fn parse_argument(text: &str) -> Result<(String, String), String> {
 }
 
 impl LaunchCommand {
-    /// Runs it.
-    pub fn run(self) -> Result<ExitCode> {
+    pub(crate) fn run(self) -> Result<ExitCode> {
         let file = wm_launch::read(&self.file, &System)?;
         if self.show_args {
             print(wm_launch::describe_arguments(&file))?;
@@ -64,17 +59,18 @@ impl LaunchCommand {
         }
         check_nodes(&plan)?;
         check_bags(&plan)?;
-        // one thread: the kernel ties the processes' fate to the thread that started them
+        // one thread: the kernel binds the processes to the thread that started them
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .build()?;
-        let outcome = runtime.block_on(runner::run(plan)).context("the launch")?;
+        let outcome = runtime
+            .block_on(wm_launch::run(plan))
+            .context("the launch")?;
         Ok(ExitCode::from(outcome.exit_code()))
     }
 }
 
-/// That the players of a plan find their bags is known before anything starts. One that is started again may wait for its
-/// bag.
+/// Checks that players find their bags before anything starts. A restarted player may wait for its bag.
 fn check_bags(plan: &Plan) -> Result<()> {
     let is_own = |process: &&Process| process.program == Program::Own && process.respawn.is_none();
     for process in plan.processes.iter().filter(is_own) {
@@ -89,8 +85,7 @@ fn check_bags(plan: &Plan) -> Result<()> {
     Ok(())
 }
 
-/// Whether the models, cameras and ports of a plan's nodes can be used is known before anything starts: a node that is started
-/// again and again would only repeat that its model is not there.
+/// Checks models, cameras and ports of the nodes before anything starts: a restarted node would only repeat its error.
 fn check_nodes(plan: &Plan) -> Result<()> {
     let is_own = |process: &&Process| process.program == Program::Own;
     for process in plan.processes.iter().filter(is_own) {
@@ -113,7 +108,7 @@ fn check_nodes(plan: &Plan) -> Result<()> {
     Ok(())
 }
 
-/// Nodes take a camera's topic, and its sibling `/compressed` with it.
+/// Nodes take a camera's topic, without `/compressed`.
 fn check_camera(node: &str, args: &NodeArgs) -> Result<()> {
     let given: Option<String> = args.given(node, NAMESPACE, "camera_topic")?;
     for topic in given.as_deref().into_iter().chain([CAMERA]) {
@@ -122,7 +117,7 @@ fn check_camera(node: &str, args: &NodeArgs) -> Result<()> {
     Ok(())
 }
 
-/// A model is there, and with all that the node needs of it.
+/// Checks that a model exists and has the parts that the node needs.
 fn check_model(node: &str, args: &NodeArgs, folder: Option<&Path>) -> Result<()> {
     if !wm_model_nodes::NODES.iter().any(|known| known.name == node) {
         return Ok(());
@@ -134,14 +129,14 @@ fn check_model(node: &str, args: &NodeArgs, folder: Option<&Path>) -> Result<()>
     let model = folder.unwrap_or(Path::new("")).join(model);
     let model = model.to_string_lossy();
     ModelFolder::require(&model)?;
-    // Those two know latents alone.
+    // these two only need latents
     if ![encoder::NODE.name, decoder::NODE.name].contains(&node) {
         ModelFolder::open(&model)?.require_transition()?;
     }
     Ok(())
 }
 
-/// The command lines of a plan, as a shell would take them.
+/// The command lines of a plan, for a shell.
 fn describe(plan: &Plan) -> Result<String> {
     let mut text = String::new();
     for process in &plan.processes {
@@ -161,8 +156,8 @@ fn describe(plan: &Plan) -> Result<String> {
     Ok(text)
 }
 
-/// A word as a shell takes it.
-pub fn quote(word: &str) -> String {
+/// Quotes a word for a shell.
+pub(crate) fn quote(word: &str) -> String {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "_-./:=+,@%".contains(c);
     if !word.is_empty() && word.chars().all(is_plain) {
         word.to_owned()

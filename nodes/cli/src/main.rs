@@ -1,7 +1,8 @@
-//! `wm`: the whole suite in one program. Every node is a subcommand, and so are the tools around them.
+//! `wm`: the whole suite in one program. Every node and every tool is a subcommand.
 //!
 //! Exit codes: 0 done, 1 failed, 2 wrong usage, 3 finished with data lost. Results go to standard output, logs to
 //! standard error.
+#![warn(unreachable_pub)]
 
 mod bag;
 mod cli;

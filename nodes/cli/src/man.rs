@@ -12,14 +12,14 @@ use std::path::PathBuf;
 /// Writes the man pages.
 #[derive(Args, Debug)]
 #[command(after_help = "To read them: wm man ~/.local/share/man/man1, then man wm-encoder")]
-pub struct ManCommand {
+pub(crate) struct ManCommand {
     /// Folder for the pages, wm.1 and one for each command; made if it does not exist
     folder: PathBuf,
 }
 
 impl ManCommand {
-    /// Runs it. Pages of an older version are replaced.
-    pub fn run(self) -> Result<()> {
+    /// Replaces pages of an older version.
+    pub(crate) fn run(self) -> Result<()> {
         let Described { command, left_out } = external::described(cli::definition())?;
         for left in left_out {
             eprintln!("wm: without the pages of its commands: {left}; run this again then");

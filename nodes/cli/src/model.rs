@@ -15,10 +15,10 @@ use std::process::ExitCode;
 
 /// The model library.
 #[derive(Debug, Subcommand)]
-pub enum ModelCommand {
-    /// Say what a model has and lacks; or count parameters and operations of the paper's systems on the built models
+pub(crate) enum ModelCommand {
+    /// List the parts of a model; or count parameters and operations of the paper's systems
     Info(info::InfoCommand),
-    /// Load a model as the nodes do, run it once, and report what it is or what is wrong
+    /// Load a model as the nodes do, run it once, and report its properties or its faults
     Check(check::CheckCommand),
     /// Calibrate a model's int8 input ranges on bags (runs wm-training)
     #[command(disable_help_flag = true, disable_version_flag = true)]
@@ -34,8 +34,7 @@ pub enum ModelCommand {
 }
 
 impl ModelCommand {
-    /// Runs it.
-    pub fn run(self) -> Result<ExitCode> {
+    pub(crate) fn run(self) -> Result<ExitCode> {
         match self {
             Self::Info(command) => command.run()?,
             Self::Check(command) => command.run()?,

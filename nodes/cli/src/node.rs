@@ -6,22 +6,17 @@ use clap::{Arg, ArgAction, ArgMatches, Command, FromArgMatches, Subcommand, erro
 use std::process::ExitCode;
 use wm_ros::{Component, NodeArgs, NodeDefinition};
 
-/// A node, for this program.
 type Definition = NodeDefinition<anyhow::Error>;
 
-/// The nodes that there are, in the order of the help.
-pub fn definitions() -> impl Iterator<Item = &'static Definition> {
+/// All nodes, in the order of the help.
+pub(crate) fn definitions() -> impl Iterator<Item = &'static Definition> {
     wm_model_nodes::NODES
         .iter()
         .chain(wm_robot_nodes::NODES)
-        .chain([
-            &wm_view::report::monitor::NODE,
-            &wm_view::report::trials::NODE,
-            &wm_view::NODE,
-        ])
+        .chain(wm_view::NODES)
 }
 
-/// Those whose command has nothing of its own: the others are commands with flags.
+/// The nodes without a command of their own with flags.
 fn plain() -> impl Iterator<Item = &'static Definition> {
     definitions().filter(|definition| definition.name != wm_view::NODE.name)
 }
@@ -30,31 +25,28 @@ fn definition(name: &str) -> Option<&'static Definition> {
     definitions().find(|definition| definition.name == name)
 }
 
-/// Whether there is such a node.
-pub fn is_node(name: &str) -> bool {
+pub(crate) fn is_node(name: &str) -> bool {
     definition(name).is_some()
 }
 
 /// Several nodes in one process.
-pub const TOGETHER: &str = "run";
-/// What there is.
+pub(crate) const TOGETHER: &str = "run";
 const LIST: &str = "nodes";
 
-/// Ids of the arguments.
 const ARGUMENTS: &str = "arguments";
 const PRINT_PARAMS: &str = "print-params";
 const TOPICS: &str = "topics";
 
-/// A node, several, or what there is to know of them.
+/// Runs nodes, or lists them.
 #[derive(Clone)]
-pub enum NodeCommand {
-    /// Runs one, with the arguments before `--ros-args`.
+pub(crate) enum NodeCommand {
+    /// Runs one node, with the arguments before `--ros-args`.
     One(&'static Definition, Vec<String>),
     /// Runs several in one process.
     Together(Vec<String>),
     /// Prints a node's parameter file.
     PrintParams(&'static Definition),
-    /// Lists the nodes, or else their topics and services.
+    /// Lists the nodes, or their topics and services.
     List {
         /// As a Markdown table.
         topics: bool,
@@ -72,7 +64,7 @@ impl std::fmt::Debug for NodeCommand {
     }
 }
 
-/// Everything before `--ros-args`.
+/// The arguments before `--ros-args`.
 fn arguments(help: &'static str) -> Arg {
     Arg::new(ARGUMENTS)
         .help(help)
@@ -97,7 +89,7 @@ fn command(definition: &Definition) -> Command {
 
 /// The nodes that can share a process.
 fn composable() -> String {
-    let nodes = definitions().filter(|definition| definition.component.is_some());
+    let nodes = definitions().filter(|definition| !definition.runs_alone);
     nodes
         .map(|definition| definition.name)
         .collect::<Vec<_>>()
@@ -110,7 +102,7 @@ impl Subcommand for NodeCommand {
             parent = parent.subcommand(command(definition));
         }
         let together = Command::new(TOGETHER)
-            .about("Run several nodes in one process, which hand messages over in memory")
+            .about("Run several nodes in one process, which exchange messages in memory")
             .arg(arguments("Names of the nodes, and --interface").required(true))
             .after_help(format!("Nodes: {}", composable()));
         let topics = Arg::new(TOPICS)
@@ -159,16 +151,17 @@ impl FromArgMatches for NodeCommand {
     }
 }
 
-/// The node of this name, for a process with others; ends the process where there is none.
+/// The node of this name, for a process with others; ends the process if there is none.
 fn component(name: &str) -> Component<anyhow::Error> {
-    let Some(component) = definition(name).and_then(|definition| definition.component) else {
-        let message = format!(
-            "`{name}` cannot run in one process with others; these can: {}\n",
-            composable()
-        );
-        clap::Error::raw(ErrorKind::InvalidValue, message).exit()
-    };
-    component()
+    definition(name)
+        .and_then(Definition::component)
+        .unwrap_or_else(|| {
+            let message = format!(
+                "`{name}` cannot run in one process with others; these can: {}\n",
+                composable()
+            );
+            clap::Error::raw(ErrorKind::InvalidValue, message).exit()
+        })
 }
 
 fn run_together(args: &NodeArgs) -> Result<()> {
@@ -190,12 +183,12 @@ fn table() -> String {
 
 impl NodeCommand {
     /// Whether `--ros-args` may follow.
-    pub fn takes_ros_args(&self) -> bool {
+    pub(crate) fn takes_ros_args(&self) -> bool {
         matches!(self, Self::One(..) | Self::Together(_))
     }
 
-    /// Runs the node until a signal, or its end.
-    pub fn run(self, ros_args: Vec<String>) -> Result<ExitCode> {
+    /// Runs the node until a signal or its end.
+    pub(crate) fn run(self, ros_args: Vec<String>) -> Result<ExitCode> {
         let args = |own: Vec<String>| NodeArgs::parse(own.into_iter().chain(ros_args));
         match self {
             Self::One(node, own) => return (node.run)(&args(own)?),
@@ -213,9 +206,9 @@ mod tests {
     use super::*;
     use wm_ros::Direction;
 
-    /// Files that users read and copy say what the nodes do.
+    /// The committed files must match the nodes.
     #[test]
-    fn the_committed_parameter_files_are_those_that_the_nodes_print() {
+    fn committed_parameter_files_match_the_nodes() {
         let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../launch-configs/config");
         for node in definitions() {
             let path = format!("{folder}/{}.yaml", node.name);
@@ -230,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn every_node_says_what_it_is() {
+    fn every_node_has_a_description() {
         for node in definitions() {
             let help = node.help();
             for spec in (node.parameters)() {

@@ -4,8 +4,8 @@ use anyhow::{Context as _, Result};
 use std::fmt::Display;
 use std::io::{ErrorKind, Write as _};
 
-/// Prints a result. That nobody reads it to its end (`wm … | head`) is no failure.
-pub fn print(text: impl Display) -> Result<()> {
+/// Prints a result. A closed pipe (`wm … | head`) is not an error.
+pub(crate) fn print(text: impl Display) -> Result<()> {
     let mut output = std::io::stdout().lock();
     match write!(output, "{text}").and_then(|()| output.flush()) {
         Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),

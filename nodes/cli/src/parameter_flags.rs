@@ -10,17 +10,15 @@ use serde_json::{Value as Json, json};
 use std::{collections::BTreeMap, marker::PhantomData};
 use wm_ros::{Kind, ParameterSpec};
 
-/// Which parameters, and what a flag has beside what its parameter says.
-pub trait Flagged {
-    /// The parameters.
+/// The parameters of a command's node, and how they become flags.
+pub(crate) trait Flagged {
     fn specs() -> Vec<ParameterSpec>;
 
-    /// The flag of the parameter `name`; none where the command has another way to give it.
+    /// The flag of the parameter `name`; `None` if the command has another option for it.
     fn flag(name: &str, flag: Arg) -> Option<Arg>;
 }
 
-/// The flags that were given.
-pub struct ParameterFlags<F> {
+pub(crate) struct ParameterFlags<F> {
     given: BTreeMap<&'static str, Json>,
     of: PhantomData<F>,
 }
@@ -32,13 +30,12 @@ impl<F> std::fmt::Debug for ParameterFlags<F> {
 }
 
 impl<F> ParameterFlags<F> {
-    /// Whether this one was.
-    pub fn has(&self, name: &str) -> bool {
+    pub(crate) fn has(&self, name: &str) -> bool {
         self.given.contains_key(name)
     }
 
     /// Adds `texts` to a list.
-    pub fn extend(&mut self, name: &'static str, texts: Vec<String>) {
+    pub(crate) fn extend(&mut self, name: &'static str, texts: Vec<String>) {
         if texts.is_empty() {
             return;
         }
@@ -48,8 +45,8 @@ impl<F> ParameterFlags<F> {
         }
     }
 
-    /// As parameters of the node. One that was not given is left at its default.
-    pub fn parameters(&self, parameters: &mut Parameters) -> Result<()> {
+    /// The given flags as parameters; others keep their defaults.
+    pub(crate) fn parameters(&self, parameters: &mut Parameters) -> Result<()> {
         for (name, value) in &self.given {
             parameters.set(name, value)?;
         }
@@ -57,7 +54,7 @@ impl<F> ParameterFlags<F> {
     }
 }
 
-/// A flag that says what its parameter says.
+/// The flag of a parameter, with its description.
 fn flag(spec: &ParameterSpec) -> Arg {
     let descriptor = &spec.descriptor;
     let flag = Arg::new(spec.name)
@@ -85,7 +82,7 @@ fn flag(spec: &ParameterSpec) -> Arg {
     flag.help(help)
 }
 
-/// By the unit that the description gives, or by what the name says.
+/// From the unit in the description, or from the name.
 fn value_name(spec: &ParameterSpec) -> &'static str {
     let (name, text) = (spec.name, &spec.descriptor.description);
     let units = [
@@ -114,7 +111,7 @@ fn value_name(spec: &ParameterSpec) -> &'static str {
     }
 }
 
-/// What was given for this parameter.
+/// The given value of a parameter.
 fn given(matches: &ArgMatches, spec: &ParameterSpec) -> Option<Json> {
     let name = spec.name;
     if matches.value_source(name) != Some(ValueSource::CommandLine) {

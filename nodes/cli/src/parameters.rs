@@ -1,20 +1,19 @@
-//! Options of a command as parameters of the node that does its work.
+//! Builds the node's parameters from a command's options.
 
 use anyhow::Result;
 use serde::Serialize;
 
 /// Arguments for a node, after `--ros-args`.
 #[derive(Debug)]
-pub struct Parameters(Vec<String>);
+pub(crate) struct Parameters(Vec<String>);
 
 impl Parameters {
-    /// None yet.
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self(vec!["--ros-args".to_owned()])
     }
 
-    /// A parameter; its value is written as JSON, which YAML reads alike.
-    pub fn set(&mut self, name: &str, value: impl Serialize) -> Result<()> {
+    /// Adds a parameter; JSON is valid YAML.
+    pub(crate) fn set(&mut self, name: &str, value: impl Serialize) -> Result<()> {
         self.0.extend([
             "-p".to_owned(),
             format!("{name}:={}", serde_json::to_string(&value)?),
@@ -22,24 +21,23 @@ impl Parameters {
         Ok(())
     }
 
-    /// A parameter that was given; else it is left at its default.
-    pub fn set_some(&mut self, name: &str, value: Option<impl Serialize>) -> Result<()> {
+    /// Adds a parameter if it is given.
+    pub(crate) fn set_some(&mut self, name: &str, value: Option<impl Serialize>) -> Result<()> {
         value.map_or(Ok(()), |value| self.set(name, value))
     }
 
     /// A remapping rule, `from:=to`.
-    pub fn remap(&mut self, rule: &str) {
+    pub(crate) fn remap(&mut self, rule: &str) {
         self.0.extend(["-r".to_owned(), rule.to_owned()]);
     }
 
-    /// A log level, where one was given.
-    pub fn log_level(&mut self, level: Option<String>) {
+    pub(crate) fn log_level(&mut self, level: Option<String>) {
         let words = level.map(|level| ["--log-level".to_owned(), level]);
         self.0.extend(words.into_iter().flatten());
     }
 
-    /// The arguments, with those of the user behind them, which win.
-    pub fn with(mut self, ros_args: Vec<String>) -> Vec<String> {
+    /// The arguments, followed by the user's, which take precedence.
+    pub(crate) fn with(mut self, ros_args: Vec<String>) -> Vec<String> {
         self.0.extend(ros_args.into_iter().skip(1));
         self.0
     }
@@ -50,7 +48,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn values_are_yaml_and_the_users_arguments_come_last() {
+    fn values_are_yaml_and_user_arguments_come_last() {
         let mut parameters = Parameters::new();
         parameters.set("bag", "a \"b\"").unwrap();
         parameters.set("rate", 2.0).unwrap();

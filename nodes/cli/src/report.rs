@@ -11,7 +11,7 @@ use wm_view::report::{files::write_report, score_bag, table::terminal_table};
 
 /// Scores a recorded bag.
 #[derive(Args, Debug)]
-pub struct ReportCommand {
+pub(crate) struct ReportCommand {
     /// Bag with camera frames and predictions: its folder, or a single .mcap file
     bag: PathBuf,
     /// Folder for report.json, report.md and strip.png
@@ -20,8 +20,7 @@ pub struct ReportCommand {
 }
 
 impl ReportCommand {
-    /// Runs it.
-    pub fn run(self) -> Result<ExitCode> {
+    pub(crate) fn run(self) -> Result<ExitCode> {
         let progress = Progress::open_ended("scoring", "messages");
         let (scorer, unreadable) = score_bag(&self.bag)?;
         drop(progress);
@@ -31,7 +30,7 @@ impl ReportCommand {
             print(format_args!("{}\n", file.display()))?;
         }
         for (topic, (count, reason)) in &unreadable {
-            eprintln!("wm: {topic}: {count} message(s) ignored, the first because: {reason}");
+            eprintln!("wm: {topic}: {count} message(s) skipped, the first because: {reason}");
         }
         ensure!(
             report.frames > 0,

@@ -15,8 +15,8 @@ use wm_view::NODE;
 /// Serves the page.
 #[derive(Args, Debug)]
 #[command(after_help = NODE.help())]
-pub struct ViewCommand {
-    /// Bag to show, its folder or a single .mcap file; without one, what the nodes publish
+pub(crate) struct ViewCommand {
+    /// Bag to show, its folder or a single .mcap file; without one, the live topics
     bag: Option<PathBuf>,
     #[command(flatten)]
     flags: ParameterFlags<View>,
@@ -41,7 +41,7 @@ impl Flagged for View {
 
     fn flag(name: &str, flag: Arg) -> Option<Arg> {
         match name {
-            // A list of numbers is for parameter files.
+            // lists of numbers belong in parameter files
             "bag" | "axes" => None,
             "foxglove_rates" => Some(flag.value_name("REGEX=HZ")),
             "foxglove_origins" => Some(flag.value_name("ORIGIN")),
@@ -52,12 +52,12 @@ impl Flagged for View {
 
 impl ViewCommand {
     /// Whether `--ros-args` may follow.
-    pub fn takes_ros_args(&self) -> bool {
+    pub(crate) fn takes_ros_args(&self) -> bool {
         !self.print_params
     }
 
     /// Serves the page until a signal.
-    pub fn run(self, ros_args: Vec<String>) -> Result<ExitCode> {
+    pub(crate) fn run(self, ros_args: Vec<String>) -> Result<ExitCode> {
         if self.print_params {
             print(NODE.params_file())?;
             return Ok(ExitCode::SUCCESS);

@@ -1,6 +1,6 @@
 //! The audit of the live camera and actions.
 
-use crate::{Actions, Camera, Finding, Heard, Level, ModelFacts, camera};
+use crate::{Actions, Camera, Finding, Level, ModelFacts, Survey, camera};
 use std::sync::Arc;
 use wm_audit::{ActionTrack, Audit, Episode, Episodes};
 use wm_motion::{
@@ -8,19 +8,18 @@ use wm_motion::{
     motion::{Motion, MotionSettings, Pace},
 };
 
-/// Faults of the camera's pictures, and of pictures and actions together. Findings by the stamps are left to the checks of
-/// camera and action.
+/// Faults of the camera's pictures, and of pictures and actions together. The checks of camera and action cover stamps.
 pub(crate) fn check(
-    heard: &Heard,
+    survey: &Survey,
     (camera, action): (Option<&str>, Option<&str>),
     model: Option<&ModelFacts>,
 ) -> Vec<Finding> {
-    let mut findings = examine(heard, (camera, action), model);
-    // Repeated and stopped pictures are found by their bytes too, without actions: one finding for one fault, the worse.
+    let mut findings = examine(survey, (camera, action), model);
+    // Repeated and frozen pictures are also found by their bytes, without actions: report the worse finding only.
     let is_repeat = |finding: &Finding| matches!(&*finding.check, "repeats" | "frozen");
     let worst = findings.iter().filter(|finding| is_repeat(finding));
     let worst = worst.map(|finding| finding.level).max();
-    if let Some(repeats) = camera::repeats(heard, camera)
+    if let Some(repeats) = camera::repeats(survey, camera)
         && worst < Some(repeats.level)
     {
         findings.retain(|finding| !is_repeat(finding));
@@ -30,14 +29,14 @@ pub(crate) fn check(
 }
 
 fn examine(
-    heard: &Heard,
+    survey: &Survey,
     (camera, action): (Option<&str>, Option<&str>),
     model: Option<&ModelFacts>,
 ) -> Vec<Finding> {
-    let Some((_, camera)) = heard.camera(camera) else {
+    let Some((_, camera)) = survey.camera(camera) else {
         return Vec::new();
     };
-    let actions = heard.actions(action).map(|(_, actions)| actions);
+    let actions = survey.actions(action).map(|(_, actions)| actions);
     let actions = actions.filter(|actions| !actions.is_chunk && !actions.rows.is_empty());
     let space = actions.and_then(|actions| {
         let space = model.and_then(|model| model.action_space.as_ref())?;
@@ -51,7 +50,7 @@ fn examine(
     let activity = |from_ns, to_ns| track.activity(from_ns, to_ns);
     let known: Option<wm_audit::Activity<'_>> = (!track.is_empty()).then_some(&activity);
     let mut findings = camera.comparison.pictures.check(known);
-    // Lost messages are counted by their numbers.
+    // sequence numbers already show lost messages
     findings.retain(|finding| finding.check != "dropped");
     if let (Some(actions), Some(space)) = (actions, space) {
         let episode = episode(camera, actions, space);
@@ -72,7 +71,7 @@ fn examine(
     );
     if skipped > 0 {
         let what = format!(
-            "{skipped} of {} pictures came faster than they were decoded, and were not compared",
+            "{skipped} of {} pictures arrived faster than they were decoded, and were not compared",
             skipped + compared
         );
         findings.push(Finding::note("frames", what));
@@ -81,7 +80,7 @@ fn examine(
     findings
 }
 
-/// The activity of the robot. Of values of unknown meaning, changes are motion.
+/// The activity of the robot. If the meaning of values is unknown, changes count as motion.
 fn track(actions: &Actions, space: Option<&ActionSpace>) -> ActionTrack {
     let mut rows: Vec<(i64, &[f32])> = actions
         .rows
@@ -109,9 +108,9 @@ fn track(actions: &Actions, space: Option<&ActionSpace>) -> ActionTrack {
     }
 }
 
-/// The frames at the rate of the action space, with the actions from each to the next.
+/// The frames at the rate of the action space, with the actions between them.
 fn episode(camera: &Camera, actions: &Actions, space: &ActionSpace) -> Episode {
-    // A rate is at least 0.01 Hz.
+    // a rate is at least 0.01 Hz
     let period_ns = (1e9 / space.rate()) as i64;
     let mut pace = Pace::new(period_ns, period_ns / 2);
     let mut motion = Motion::new(MotionSettings::of_period(period_ns));
@@ -137,8 +136,8 @@ fn episode(camera: &Camera, actions: &Actions, space: &ActionSpace) -> Episode {
 mod tests {
     use super::*;
     use crate::{
-        Picture, Stream, comparison::Comparison, fit::facts, heard::DEFAULT_ACTION,
-        heard::DEFAULT_CAMERA, timeline::regular,
+        Picture, Stream, comparison::Comparison, fit::facts, survey::DEFAULT_ACTION,
+        survey::DEFAULT_CAMERA, timeline::regular,
     };
     use image::{Rgb, RgbImage};
     use wm_audit::Pictures;
@@ -146,14 +145,14 @@ mod tests {
 
     const START: i64 = 1_800_000_000_000_000_000;
 
-    /// Where the arm is at tick `tick` of 30 Hz \[m\].
+    /// Position of the arm at tick `tick` of 30 Hz \[m\].
     fn place(tick: i64) -> f32 {
         let t = tick as f32 / 6.0;
         0.05 * (0.9 * t + 1.3 * (0.37 * t).sin()).sin()
     }
 
     /// A camera of 30 Hz that shows tick `shown(k)` at tick `k`, and actions of 30 Hz.
-    fn heard(shown: impl Fn(i64) -> i64, acts: bool) -> Heard {
+    fn survey(shown: impl Fn(i64) -> i64, acts: bool) -> Survey {
         let mut comparison = Comparison {
             pictures: Pictures::new("/camera/image_raw"),
             ..Comparison::default()
@@ -181,31 +180,31 @@ mod tests {
                 .rows
                 .push((at_ns, vec![dx, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]));
         }
-        let mut heard = Heard::default();
+        let mut survey = Survey::default();
         let camera = Camera {
             comparison,
             pictures: vec![Ok(Picture::default())],
             ..Camera::default()
         };
-        heard.cameras.insert(DEFAULT_CAMERA.into(), camera);
-        heard.actions.insert(DEFAULT_ACTION.into(), actions);
-        heard
+        survey.cameras.insert(DEFAULT_CAMERA.into(), camera);
+        survey.actions.insert(DEFAULT_ACTION.into(), actions);
+        survey
     }
 
-    fn found(heard: &Heard) -> Vec<Finding> {
-        check(heard, (None, None), Some(&facts()))
-    }
-
-    #[test]
-    fn a_good_camera_has_no_finding() {
-        assert_eq!(found(&heard(|tick| tick, true)), []);
-        // The arm rests, in a simulation without noise.
-        assert_eq!(found(&heard(|_| 0, false)), []);
+    fn found(survey: &Survey) -> Vec<Finding> {
+        check(survey, (None, None), Some(&facts()))
     }
 
     #[test]
-    fn a_camera_at_twice_its_rate_is_reported_with_its_true_rate() {
-        let found = found(&heard(|tick| tick / 2 * 2, true));
+    fn good_camera_has_no_finding() {
+        assert_eq!(found(&survey(|tick| tick, true)), []);
+        // a resting arm in a simulation without noise
+        assert_eq!(found(&survey(|_| 0, false)), []);
+    }
+
+    #[test]
+    fn repeated_pictures_are_reported_with_the_true_rate() {
+        let found = found(&survey(|tick| tick / 2 * 2, true));
         assert_eq!((found.len(), &*found[0].check), (1, "repeats"), "{found:?}");
         let figure = |name: &str| found[0].figures[name];
         assert!((figure("rate_hz") - 30.0).abs() < 0.01, "{found:?}");
@@ -214,7 +213,7 @@ mod tests {
 
     #[test]
     fn a_frozen_camera_is_an_error() {
-        let found = found(&heard(|_| 5, true));
+        let found = found(&survey(|_| 5, true));
         assert_eq!(
             (&*found[0].check, found[0].level),
             ("frozen", Level::Error),
@@ -224,7 +223,7 @@ mod tests {
 
     #[test]
     fn late_pictures_are_found_within_seconds() {
-        let found = found(&heard(|tick| tick - 12, true));
+        let found = found(&survey(|tick| tick - 12, true));
         let lag = found.iter().find(|finding| finding.check == "lag");
         assert_eq!(
             lag.map(|lag| lag.figures["lag_frames"]),
@@ -234,18 +233,18 @@ mod tests {
     }
 
     #[test]
-    fn actions_of_unknown_values_act_by_their_changes() {
-        let mut heard = heard(|_| 5, true);
-        let rows = heard.actions.get_mut(DEFAULT_ACTION).unwrap();
-        // Three joints that hold their targets.
+    fn unknown_action_values_count_as_motion_if_they_change() {
+        let mut survey = survey(|_| 5, true);
+        let rows = survey.actions.get_mut(DEFAULT_ACTION).unwrap();
+        // three joints that hold their targets
         for (_, values) in &mut rows.rows {
             *values = vec![0.4, -0.2, 1.1];
         }
-        assert_eq!(found(&heard), []);
+        assert_eq!(found(&survey), []);
     }
 
-    /// With messages on the topic, of which each picture comes `times` times.
-    fn with_messages(mut heard: Heard, times: u64) -> Heard {
+    /// With messages on the topic; each picture arrives `times` times.
+    fn with_messages(mut survey: Survey, times: u64) -> Survey {
         let mut stream = Stream {
             timeline: regular(240, 33, 10),
             ..Stream::default()
@@ -253,28 +252,28 @@ mod tests {
         for arrival in &mut stream.timeline.0 {
             arrival.fingerprint = arrival.fingerprint.map(|picture| picture / times);
         }
-        let camera = heard.cameras.get_mut(DEFAULT_CAMERA).unwrap();
+        let camera = survey.cameras.get_mut(DEFAULT_CAMERA).unwrap();
         camera.raw = Some(stream);
-        heard
+        survey
     }
 
     #[test]
-    fn a_fault_of_the_pictures_is_one_finding() {
-        let twice = found(&with_messages(heard(|tick| tick / 2 * 2, true), 2));
+    fn picture_fault_is_reported_once() {
+        let twice = found(&with_messages(survey(|tick| tick / 2 * 2, true), 2));
         assert_eq!((twice.len(), &*twice[0].check), (1, "repeats"), "{twice:?}");
-        let stopped = found(&with_messages(heard(|_| 5, true), 1000));
+        let stopped = found(&with_messages(survey(|_| 5, true), 1000));
         let frozen = stopped
             .iter()
             .filter(|finding| finding.level == Level::Error);
         assert_eq!(frozen.count(), 1, "{stopped:?}");
-        // Without motion, only the bytes show it.
-        let resting = found(&with_messages(heard(|_| 5, false), 2));
+        // without motion, only the bytes show it
+        let resting = found(&with_messages(survey(|_| 5, false), 2));
         assert_eq!(
             (resting.len(), &*resting[0].check),
             (1, "camera"),
             "{resting:?}"
         );
-        let good = found(&with_messages(heard(|tick| tick, true), 1));
+        let good = found(&with_messages(survey(|tick| tick, true), 1));
         assert_eq!(good, []);
     }
 }

@@ -1,31 +1,34 @@
 //! The kernel's receive buffers.
 
-use crate::{DoctorError, Finding, Heard, machine::read};
+use crate::{DoctorError, Finding, Survey, machine::read};
+use std::io;
 
-/// This check.
 const CHECK: &str = "buffers";
-/// What docs/networking.md has users set \[byte\].
+/// The value that docs/networking.md recommends \[byte\].
 const WANTED: u64 = 4 << 20;
-/// What sets it.
-const MEND: &str = "sudo sysctl -w net.core.rmem_max=4194304 net.core.rmem_default=4194304, and the same two lines in \
+const FIX: &str = "sudo sysctl -w net.core.rmem_max=4194304 net.core.rmem_default=4194304, and the same two lines in \
                     /etc/sysctl.d/wm.conf";
 
 /// The receive buffers of sockets.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Buffers {
-    /// `net.core.rmem_default`, which the DDS library's sockets have \[byte\].
+    /// `net.core.rmem_default`, the buffer of the DDS library's sockets \[byte\].
     pub default: u64,
     /// `net.core.rmem_max` \[byte\].
     pub most: u64,
-    /// Datagrams that were dropped since the start of the system because a buffer was full.
+    /// Datagrams dropped because of a full buffer since the start of the system.
     pub dropped: u64,
 }
 
 impl Buffers {
-    pub fn look() -> Result<Self, DoctorError> {
+    pub(crate) fn look() -> Result<Self, DoctorError> {
         let size = |name: &str| -> Result<u64, DoctorError> {
-            let text = read(&format!("/proc/sys/net/core/{name}"))?;
-            Ok(text.trim().parse().unwrap_or(0))
+            let file = format!("/proc/sys/net/core/{name}");
+            let text = read(&file)?;
+            text.trim().parse().map_err(|error| DoctorError::System {
+                file: file.into(),
+                source: io::Error::new(io::ErrorKind::InvalidData, error),
+            })
         };
         Ok(Self {
             default: size("rmem_default")?,
@@ -34,13 +37,13 @@ impl Buffers {
         })
     }
 
-    /// How many datagrams have been dropped since `self` was looked at.
+    /// Datagrams dropped since `self` was read.
     fn dropped_since(&self) -> u64 {
         Self::look().map_or(0, |now| now.dropped.saturating_sub(self.dropped))
     }
 }
 
-/// `RcvbufErrors` of UDP, from the text of `/proc/net/snmp`: a line of names, then one of values.
+/// `RcvbufErrors` of UDP, from the text of `/proc/net/snmp`: a line of names, then a line of values.
 fn dropped_of(text: &str) -> u64 {
     let mut lines = text.lines().filter_map(|line| line.strip_prefix("Udp:"));
     let (Some(names), Some(values)) = (lines.next(), lines.next()) else {
@@ -51,14 +54,13 @@ fn dropped_of(text: &str) -> u64 {
     found.and_then(|(_, value)| value.parse().ok()).unwrap_or(0)
 }
 
-/// What is to be said of them, after `heard` was heard.
-pub(crate) fn check(buffers: &Buffers, heard: &Heard) -> Vec<Finding> {
-    judge(buffers, buffers.dropped_since(), largest(heard))
+/// The findings after listening.
+pub(crate) fn check(buffers: &Buffers, survey: &Survey) -> Vec<Finding> {
+    judge(buffers, buffers.dropped_since(), largest(survey))
 }
 
-/// The largest message that came.
-fn largest(heard: &Heard) -> u64 {
-    let largest = heard.streams().map(|stream| stream.largest).max();
+fn largest(survey: &Survey) -> u64 {
+    let largest = survey.streams().map(|stream| stream.largest).max();
     largest.map_or(0, |bytes| bytes as u64)
 }
 
@@ -71,19 +73,19 @@ fn judge(buffers: &Buffers, dropped: u64, largest: u64) -> Vec<Finding> {
     );
     if dropped > 0 {
         return vec![
-            Finding::warning(CHECK, format!("{dropped} datagrams were dropped while it was listened to, because a buffer was full ({sizes})"))
+            Finding::warning(CHECK, format!("{dropped} datagrams were dropped while listening, because a buffer was full ({sizes})"))
                 .because("a message that lacks one datagram is lost, or sent again if it is reliable")
-                .fix(MEND),
+                .fix(FIX),
         ];
     }
     let is_small = default < WANTED || most < WANTED;
     vec![match is_small {
         true if largest > default => Finding::warning(CHECK, format!("messages of {} KiB, and {sizes}", largest / 1024))
-            .because("drivers of other DDS implementations send a picture in one burst, which has to fit; nodes of wm need nothing")
-            .fix(MEND),
+            .because("drivers of other DDS implementations send a picture in one burst, which has to fit; nodes of wm do not")
+            .fix(FIX),
         true => Finding::note(CHECK, sizes)
-            .because("enough for what was heard; raw pictures of other DDS implementations may not fit")
-            .fix(MEND),
+            .because("enough for the received messages; raw pictures of other DDS implementations may not fit")
+            .fix(FIX),
         false => Finding::ok(CHECK, sizes),
     }]
 }
@@ -94,14 +96,14 @@ mod tests {
     use crate::Level;
 
     #[test]
-    fn drops_are_read_by_their_name() {
+    fn udp_drops_are_read_by_column_name() {
         let text = "Tcp: A\nTcp: 1\nUdp: InDatagrams RcvbufErrors InErrors\nUdp: 100 7 9\n";
         assert_eq!(dropped_of(text), 7);
         assert_eq!((dropped_of("Udp: RcvbufErrors\n"), dropped_of("")), (0, 0));
     }
 
     #[test]
-    fn what_is_too_small_for_what_was_heard_is_a_warning() {
+    fn buffers_smaller_than_messages_are_a_warning() {
         let linux = Buffers {
             default: 212_992,
             most: 212_992,

@@ -1,38 +1,37 @@
-//! The camera: what comes, how often, stamped how.
+//! Checks of the camera: messages, rate, stamps, pictures.
 
-use crate::{Camera, Finding, Heard, Picture, Stream, heard::DEFAULT_CAMERA};
+use crate::{Camera, Finding, Picture, Stream, Survey, survey::DEFAULT_CAMERA};
 use std::time::Duration;
 use wm_model_nodes::cadence::{hertz, rough};
 use wm_ros::logging::of_others;
 
-/// This check.
 const CHECK: &str = "camera";
-/// No pipeline takes so long \[s\].
+/// A longer delay cannot come from a pipeline \[s\].
 const CLOCKS_DIFFER_S: f64 = 10.0;
-/// The nodes refuse a stamp that is further ahead \[s\].
+/// The nodes refuse stamps further ahead \[s\].
 const REFUSED_S: f64 = 0.1;
-/// Stamps ahead by more than a machine's clocks differ when they are in step \[s\].
+/// Synchronised clocks differ by less \[s\].
 const AHEAD_S: f64 = 0.02;
-/// A frame that is older says little of now: a plan takes as long to compute \[s\].
+/// An older frame is of little use: planning takes as long \[s\].
 const LATE_S: f64 = 0.5;
-/// Share of frames that may be lost before somebody should look.
+/// The largest acceptable share of lost frames.
 const LOST: f64 = 0.02;
-/// Longest tenth of the gaps over the median beyond which frames come unevenly: frames are looked for within a quarter of
+/// The largest acceptable ratio of the longest tenth of the gaps to the median: nodes search frames within a quarter of
 /// a period.
 const UNEVEN: f64 = 1.25;
-/// A live picture does not repeat exactly for longer: the encoder's default of `frozen_after` \[s\].
+/// A live camera does not repeat a picture for longer: the encoder's default of `frozen_after` \[s\].
 const FROZEN_AFTER_S: f64 = 1.0;
-/// Mean and spread of a picture that shows nothing, of values from 0 to 1.
+/// Mean and spread below which a picture shows nothing, of values from 0 to 1.
 const DARK: f64 = 0.04;
-/// As [`DARK`].
+/// See [`DARK`].
 const FLAT: f64 = 0.01;
 
-/// What is to be said of the camera that the nodes would use, and of others.
-pub(crate) fn check(heard: &Heard, wanted: Option<&str>) -> Vec<Finding> {
-    let Some((name, camera)) = heard.camera(wanted) else {
-        let unread = heard.unread.iter();
+/// The findings about the camera that the nodes would use, and a note about others.
+pub(crate) fn check(survey: &Survey, wanted: Option<&str>) -> Vec<Finding> {
+    let Some((name, camera)) = survey.camera(wanted) else {
+        let unread = survey.unread.iter();
         let unread = unread.map(|advice| Finding::note(CHECK, advice.clone()));
-        return [absent(heard, wanted)].into_iter().chain(unread).collect();
+        return [absent(survey, wanted)].into_iter().chain(unread).collect();
     };
     let shown = of_others(name);
     let Some(stream) = camera.best().filter(|stream| !stream.timeline.is_empty()) else {
@@ -40,9 +39,9 @@ pub(crate) fn check(heard: &Heard, wanted: Option<&str>) -> Vec<Finding> {
     };
     let mut findings = vec![summary(&shown, camera, stream)];
     findings.extend(pictures(&shown, camera));
-    findings.extend(stamps(&shown, stream, heard.clock_ns.is_some()));
+    findings.extend(stamps(&shown, stream, survey.clock_ns.is_some()));
     findings.extend(transport(&shown, stream));
-    let others: Vec<_> = heard
+    let others: Vec<_> = survey
         .cameras
         .keys()
         .filter(|other| *other != name)
@@ -50,9 +49,9 @@ pub(crate) fn check(heard: &Heard, wanted: Option<&str>) -> Vec<Finding> {
         .collect();
     if !others.is_empty() {
         findings.push(
-            Finding::note(CHECK, format!("there are others: {}", others.join(", ")))
-                .because("a set of nodes takes one camera")
-                .fix("camera:=TOPIC to the launch, or wm doctor --camera TOPIC to look at it"),
+            Finding::note(CHECK, format!("other cameras: {}", others.join(", ")))
+                .because("a set of nodes uses one camera")
+                .fix("use camera:=TOPIC with wm launch, or check it with wm doctor --camera TOPIC"),
         );
     }
     if name != DEFAULT_CAMERA {
@@ -69,12 +68,12 @@ pub(crate) fn check(heard: &Heard, wanted: Option<&str>) -> Vec<Finding> {
     findings
 }
 
-fn absent(heard: &Heard, wanted: Option<&str>) -> Finding {
+fn absent(survey: &Survey, wanted: Option<&str>) -> Finding {
     let finding = match wanted {
         Some(name) => {
-            let others: Vec<_> = heard.cameras.keys().map(|name| of_others(name)).collect();
+            let others: Vec<_> = survey.cameras.keys().map(|name| of_others(name)).collect();
             let others = match others.is_empty() {
-                true => "there is no other image topic".to_owned(),
+                true => "there are no image topics".to_owned(),
                 false => format!("there are {}", others.join(", ")),
             };
             Finding::error(
@@ -88,8 +87,8 @@ fn absent(heard: &Heard, wanted: Option<&str>) -> Finding {
         ),
     };
     finding
-        .because("without frames nothing is predicted")
-        .fix("start the camera's driver; if it runs: is it in this domain, and on this host or reached by --interface?")
+        .because("without frames there are no predictions")
+        .fix("start the camera's driver; if it runs, check its domain, and that it is on this host or reached by --interface")
 }
 
 fn silent(name: &str, camera: &Camera) -> Finding {
@@ -99,13 +98,13 @@ fn silent(name: &str, camera: &Camera) -> Finding {
     let finding = match undecodable {
         Some(reason) => Finding::error(CHECK, format!("{name}: no message can be decoded as the type of the topic: {reason}"))
             .fix("build driver and message packages from the same release of ROS; stamps have a nanosec below 1000000000"),
-        None => Finding::error(CHECK, format!("{name} has a publisher, but nothing comes"))
-            .fix("look whether the driver waits for its device (ros2 topic hz TOPIC on its machine); where raw pictures are lost, raise the receive buffers (see buffers) or publish /compressed"),
+        None => Finding::error(CHECK, format!("{name} has a publisher, but no message arrives"))
+            .fix("check whether the driver waits for its device (ros2 topic hz TOPIC on its machine); if raw pictures are lost, raise the receive buffers (see buffers) or publish /compressed"),
     };
-    finding.because("without frames nothing is predicted")
+    finding.because("without frames there are no predictions")
 }
 
-/// One line for what works.
+/// One line for a working camera.
 fn summary(name: &str, camera: &Camera, stream: &Stream) -> Finding {
     let size = match camera.pictures.iter().flatten().next() {
         Some(Picture {
@@ -126,7 +125,7 @@ fn summary(name: &str, camera: &Camera, stream: &Stream) -> Finding {
     let delay = match stream.timeline.delay_s() {
         Some(delay_s) if (0.0..CLOCKS_DIFFER_S).contains(&delay_s) => {
             format!(
-                ", heard {} after capture",
+                ", {} after capture",
                 rough(Duration::from_secs_f64(delay_s))
             )
         }
@@ -151,7 +150,7 @@ fn pictures(name: &str, camera: &Camera) -> Vec<Finding> {
         return vec![
             Finding::error(CHECK, format!("{name}: {}", of_others(reason)))
                 .because("the encoder drops such frames")
-                .fix("have the driver publish rgb8 or bgr8, or jpeg on /compressed; for a depth camera, name the colour camera with --camera"),
+                .fix("let the driver publish rgb8 or bgr8, or jpeg on /compressed; for a depth camera, name the colour camera with --camera"),
         ];
     }
     let pictures = || camera.pictures.iter().flatten();
@@ -161,15 +160,15 @@ fn pictures(name: &str, camera: &Camera) -> Vec<Finding> {
     let is_blank = pictures().next().is_some() && (mean < DARK || spread < FLAT);
     let finding = || {
         Finding::warning(CHECK, format!("{name}: the pictures show nothing: mean {mean:.2}, spread {spread:.3} (0 black, 1 white)"))
-            .because("a picture of one colour has no future to predict")
-            .fix("remove the lens cap, switch the light on, or look at exposure and gain")
+            .because("a picture of one colour cannot be predicted")
+            .fix("remove the lens cap, switch the light on, or check exposure and gain")
     };
     is_blank.then(finding).into_iter().collect()
 }
 
-/// Whether the camera that the nodes would use has stopped, or is published faster than it takes pictures.
-pub(crate) fn repeats(heard: &Heard, wanted: Option<&str>) -> Option<Finding> {
-    let (name, camera) = heard.camera(wanted)?;
+/// Whether the camera has stopped, or is published faster than it takes pictures.
+pub(crate) fn repeats(survey: &Survey, wanted: Option<&str>) -> Option<Finding> {
+    let (name, camera) = survey.camera(wanted)?;
     repeats_of(&of_others(name), camera.best()?)
 }
 
@@ -179,7 +178,7 @@ fn repeats_of(name: &str, stream: &Stream) -> Option<Finding> {
     if repeat_s > FROZEN_AFTER_S {
         return Some(
             Finding::error(CHECK, format!("{name}: the picture was the same, byte for byte, for {repeat_s:.1} s: the camera has stopped"))
-                .because("a live picture has noise; the planner publishes no plan from a camera that has stopped")
+                .because("a live picture has noise; the planner publishes no plan if the camera has stopped")
                 .fix("start the camera's driver again; for a simulator that renders without noise, frozen_after:=0.0 on the encoder"),
         );
     }
@@ -189,17 +188,17 @@ fn repeats_of(name: &str, stream: &Stream) -> Option<Finding> {
         Finding::warning(
             CHECK,
             format!(
-                "{name}: publishes {}, but only {} of new pictures: the others are repeated",
+                "{name}: publishes {}, but only {} of new pictures: the rest are repeats",
                 rate(period_s),
                 rate(picture_s)
             ),
         )
-        .because("the model steps by the pictures that the camera takes, not by their copies")
+        .because("the model needs new pictures, not copies")
         .fix("set the driver's rate to that of the camera, or shorten its exposure")
     })
 }
 
-/// What is wrong with the stamps.
+/// Faults of the stamps.
 pub(crate) fn stamps(name: &str, stream: &Stream, has_clock: bool) -> Vec<Finding> {
     let timeline = &stream.timeline;
     let unstamped = timeline.unstamped();
@@ -213,7 +212,7 @@ pub(crate) fn stamps(name: &str, stream: &Stream, has_clock: bool) -> Vec<Findin
                 ),
             )
             .because("frames and actions are matched by their stamps")
-            .fix("have the driver stamp each message with the time of its capture"),
+            .fix("let the driver stamp each message with its capture time"),
         ];
     }
     let mut findings = Vec::new();
@@ -237,7 +236,7 @@ pub(crate) fn stamps(name: &str, stream: &Stream, has_clock: bool) -> Vec<Findin
     } else if delay_s < -AHEAD_S {
         findings.push(
             Finding::warning(CHECK, format!("{name}: stamps are {:.0} ms ahead of this machine's clock", -delay_s * 1e3))
-                .because("latencies are measured too short, and frames are matched with actions of another moment")
+                .because("measured latencies are too short, and frames are matched with actions of another time")
                 .fix(clocks),
         );
     } else if delay_s > CLOCKS_DIFFER_S {
@@ -251,9 +250,9 @@ pub(crate) fn stamps(name: &str, stream: &Stream, has_clock: bool) -> Vec<Findin
         );
     } else if delay_s > LATE_S {
         findings.push(
-            Finding::warning(CHECK, format!("{name}: heard {delay_s:.1} s after capture"))
-                .because("whatever is predicted or planned is late by that")
-                .fix("publish /compressed, a smaller size or a lower rate; look for a slow network or a busy machine"),
+            Finding::warning(CHECK, format!("{name}: arrives {delay_s:.1} s after capture"))
+                .because("all predictions and plans are late by as much")
+                .fix("publish /compressed, a smaller size or a lower rate; check for a slow network or a busy machine"),
         );
     }
     let backwards = timeline.backwards();
@@ -262,24 +261,24 @@ pub(crate) fn stamps(name: &str, stream: &Stream, has_clock: bool) -> Vec<Findin
             Finding::warning(
                 CHECK,
                 format!(
-                    "{name}: {backwards} messages are stamped before the one that came before them"
+                    "{name}: {backwards} messages have an earlier stamp than their predecessor"
                 ),
             )
-            .because("they are dropped as out of order, or taken for a new recording")
+            .because("they are dropped as out of order, or treated as a new recording")
             .fix("one publisher for each topic; a driver that stamps at capture"),
         );
     }
     if let Some(jitter) = timeline.jitter().filter(|jitter| *jitter > UNEVEN) {
         findings.push(
             Finding::warning(CHECK, format!("{name}: uneven stamps: a tenth of the gaps is at least {jitter:.1} times the median"))
-                .because("frames are looked for within a quarter of a frame period")
-                .fix("stamp with the time of capture and not of publishing; fix exposure time and rate of the camera"),
+                .because("the nodes search frames within a quarter of a frame period")
+                .fix("stamp at capture, not at publishing; fix exposure time and rate of the camera"),
         );
     }
     findings
 }
 
-/// What is wrong with how it comes.
+/// Faults of the transport.
 fn transport(name: &str, stream: &Stream) -> Vec<Finding> {
     let mut findings = Vec::new();
     let came = stream.timeline.len() as f64;
@@ -287,8 +286,8 @@ fn transport(name: &str, stream: &Stream) -> Vec<Finding> {
     if share > LOST {
         findings.push(
             Finding::warning(CHECK, format!("{name}: {} frames were lost ({:.0} %)", stream.lost, 100.0 * share))
-                .because("a context with a frame missing gives no prediction")
-                .fix("raise the receive buffers (see buffers), publish /compressed, or use a cable in place of radio"),
+                .because("an incomplete context gives no prediction")
+                .fix("raise the receive buffers (see buffers), publish /compressed, or use a cable instead of radio"),
         );
     }
     if stream.publishers.len() > 1 || stream.frame_ids.len() > 1 {
@@ -301,13 +300,13 @@ fn transport(name: &str, stream: &Stream) -> Vec<Finding> {
                     stream.frame_ids.len()
                 ),
             )
-            .because("the nodes keep to one camera and drop frames of the other (wrong_frame)")
+            .because("the nodes use one camera and drop the other's frames (wrong_frame)")
             .fix("one topic for each camera: remap one of the drivers"),
         );
     } else if stream.frame_ids.iter().any(String::is_empty) {
         findings.push(
             Finding::note(CHECK, format!("{name}: the frame_id is empty"))
-                .because("cameras are told apart by it")
+                .because("it distinguishes cameras")
                 .fix("set the driver's parameter for it (frame_id, camera_frame_id)"),
         );
     }
@@ -341,21 +340,21 @@ mod tests {
         }
     }
 
-    fn heard(camera: Camera) -> Heard {
-        let mut heard = Heard::default();
-        heard.cameras.insert(DEFAULT_CAMERA.into(), camera);
-        heard
+    fn survey(camera: Camera) -> Survey {
+        let mut survey = Survey::default();
+        survey.cameras.insert(DEFAULT_CAMERA.into(), camera);
+        survey
     }
 
-    fn levels(heard: &Heard) -> Vec<Level> {
-        check(heard, None)
+    fn levels(survey: &Survey) -> Vec<Level> {
+        check(survey, None)
             .iter()
             .map(|finding| finding.level)
             .collect()
     }
 
     fn worst(stream: Stream) -> String {
-        let findings = check(&heard(camera(stream)), None);
+        let findings = check(&survey(camera(stream)), None);
         let worst = findings
             .into_iter()
             .max_by_key(|finding| finding.level)
@@ -365,30 +364,30 @@ mod tests {
 
     #[test]
     fn topics_of_other_transports_are_named() {
-        let heard = Heard {
+        let survey = Survey {
             unread: vec!["/camera/ffmpeg is compressed video".to_owned()],
-            ..Heard::default()
+            ..Survey::default()
         };
-        let findings = check(&heard, None);
+        let findings = check(&survey, None);
         assert_eq!(findings.len(), 2, "{findings:?}");
         assert!(format!("{findings:?}").contains("/camera/ffmpeg is compressed video"));
     }
 
     #[test]
     fn a_good_camera_is_one_line() {
-        let found = check(&heard(camera(stream(30, 200, 12))), None);
+        let found = check(&survey(camera(stream(30, 200, 12))), None);
         assert_eq!(found.len(), 1, "{found:?}");
         assert_eq!(
             found[0].what,
-            "/camera/image_raw: 8x8 rgb8, 5 Hz, heard 12 ms after capture, frame_id \"camera\""
+            "/camera/image_raw: 8x8 rgb8, 5 Hz, 12 ms after capture, frame_id \"camera\""
         );
     }
 
     #[test]
-    fn no_camera_or_a_silent_one_is_an_error() {
-        assert_eq!(levels(&Heard::default()), [Level::Error]);
-        assert_eq!(levels(&heard(camera(Stream::default()))), [Level::Error]);
-        let named = &check(&heard(camera(stream(9, 200, 0))), Some("/front"))[0];
+    fn missing_or_silent_camera_is_an_error() {
+        assert_eq!(levels(&Survey::default()), [Level::Error]);
+        assert_eq!(levels(&survey(camera(Stream::default()))), [Level::Error]);
+        let named = &check(&survey(camera(stream(9, 200, 0))), Some("/front"))[0];
         assert!(
             named.what.contains("there are /camera/image_raw"),
             "{named:?}"
@@ -396,7 +395,7 @@ mod tests {
     }
 
     #[test]
-    fn stamps_are_held_against_the_clock() {
+    fn stamps_are_compared_with_the_clock() {
         assert!(worst(stream(9, 200, -20_000)).starts_with("Error"));
         assert!(worst(stream(9, 200, -1_200)).contains("stamps are 1.20 s ahead"));
         assert!(
@@ -411,14 +410,14 @@ mod tests {
     }
 
     #[test]
-    fn a_simulators_time_is_told_from_a_wrong_clock() {
+    fn simulated_time_differs_from_a_wrong_clock() {
         let old = stream(9, 200, 60_000);
         let fix = |has_clock| stamps("/c", &old, has_clock)[0].fix.clone().unwrap();
         assert!(fix(true).contains("use_sim_time") && fix(false).contains("restamp"));
     }
 
     #[test]
-    fn lost_frames_and_second_cameras_are_seen() {
+    fn lost_frames_and_second_cameras_are_reported() {
         let mut lossy = stream(90, 33, 10);
         lossy.lost = 10;
         assert!(worst(lossy).contains("10 frames were lost (10 %)"));
@@ -434,7 +433,7 @@ mod tests {
             for arrival in &mut stream.timeline.0 {
                 arrival.fingerprint = arrival.fingerprint.map(|picture| picture / times);
             }
-            let finding = repeats(&heard(camera(stream)), None).unwrap();
+            let finding = repeats(&survey(camera(stream)), None).unwrap();
             format!("{:?}: {}", finding.level, finding.what)
         };
         let twice = repeated(2);
@@ -450,19 +449,23 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_picture_or_shows_nothing_is_said() {
+    fn undecodable_and_blank_pictures_are_reported() {
         let mut depth = camera(stream(9, 200, 0));
         depth.pictures = vec![Err("encoding \"16UC1\" is not supported".into())];
-        assert_eq!(levels(&heard(depth)), [Level::Ok, Level::Error]);
+        assert_eq!(levels(&survey(depth)), [Level::Ok, Level::Error]);
         let mut dark = camera(stream(9, 200, 0));
         dark.pictures = vec![Ok(Picture::of(RgbImage::new(4, 4)))];
-        assert_eq!(levels(&heard(dark)), [Level::Ok, Level::Warning]);
+        assert_eq!(levels(&survey(dark)), [Level::Ok, Level::Warning]);
     }
 
     #[test]
-    fn what_peers_say_cannot_write_on_the_terminal() {
+    fn texts_of_peers_are_escaped() {
         let mut evil = stream(9, 200, 0);
         evil.frame_ids = ["\u{1b}[2J".to_owned()].into();
-        assert!(!check(&heard(camera(evil)), None)[0].what.contains('\u{1b}'));
+        assert!(
+            !check(&survey(camera(evil)), None)[0]
+                .what
+                .contains('\u{1b}')
+        );
     }
 }

@@ -1,26 +1,24 @@
 //! The system's clock.
 
-use crate::{Finding, Heard};
+use crate::{Finding, Survey};
 use wm_ros::Reach;
 
-/// This check.
 const CHECK: &str = "clock";
-/// A clock that moves this far against one that never jumps has been set \[s\]; slewing moves it by 0.5 ms a second.
+/// A larger step against the monotonic clock means that the clock was set \[s\]; slewing moves it by 0.5 ms per second.
 const SET_S: f64 = 0.05;
 
-/// The system's clock.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct SystemClock {
-    /// Whether something keeps it in step with a time server; none where the kernel does not say.
+    /// Whether a time server keeps it synchronised; `None` if the kernel does not report it.
     pub synchronised: Option<bool>,
 }
 
 impl SystemClock {
-    pub fn look() -> Self {
-        // SAFETY: `timex` is plain integers, for which zeros are valid; `modes` 0 asks and sets nothing, which needs no
+    pub(crate) fn look() -> Self {
+        // SAFETY: `timex` has only integers, for which zeros are valid; `modes` 0 reads without setting, which needs no
         // right.
         let mut timex: libc::timex = unsafe { std::mem::zeroed() };
-        // SAFETY: a pointer to a `timex` of our own, which the kernel fills.
+        // SAFETY: the pointer is to our own `timex`, which the kernel fills.
         let state = unsafe { libc::adjtimex(&raw mut timex) };
         Self {
             synchronised: (state >= 0).then_some(timex.status & libc::STA_UNSYNC == 0),
@@ -28,18 +26,17 @@ impl SystemClock {
     }
 }
 
-/// What is to be said of it.
-pub(crate) fn check(clock: &SystemClock, reach: &Reach, heard: &Heard) -> Vec<Finding> {
+pub(crate) fn check(clock: &SystemClock, reach: &Reach, survey: &Survey) -> Vec<Finding> {
     let mut findings = Vec::new();
     let is_alone = matches!(reach, Reach::Localhost | Reach::Process);
     findings.push(match (clock.synchronised, is_alone) {
-        (Some(true), _) => Finding::ok(CHECK, "in step with a time server"),
+        (Some(true), _) => Finding::ok(CHECK, "synchronised with a time server"),
         (_, true) => Finding::ok(CHECK, "all nodes share this machine's clock"),
-        (_, false) => Finding::warning(CHECK, "not in step with a time server, as far as the kernel knows")
-            .because("frames and actions of several machines are matched by their stamps; what is stamped 10 s ahead is refused")
+        (_, false) => Finding::warning(CHECK, "not synchronised with a time server, as far as the kernel knows")
+            .because("frames and actions of several machines are matched by their stamps; stamps 10 s ahead are refused")
             .fix("sudo timedatectl set-ntp true, or chrony on all machines"),
     });
-    let moved = heard
+    let moved = survey
         .streams()
         .filter_map(|stream| stream.timeline.clock_moved_s());
     let most = moved.max_by(|a, b| a.abs().total_cmp(&b.abs()));
@@ -47,7 +44,7 @@ pub(crate) fn check(clock: &SystemClock, reach: &Reach, heard: &Heard) -> Vec<Fi
         findings.push(
             Finding::warning(
                 CHECK,
-                format!("this machine's clock was set by {moved_s:+.2} s while it was listened to"),
+                format!("this machine's clock was set by {moved_s:+.2} s while listening"),
             )
             .because("a clock that is set back by more than 0.5 s ends the nodes")
             .fix(
@@ -55,11 +52,11 @@ pub(crate) fn check(clock: &SystemClock, reach: &Reach, heard: &Heard) -> Vec<Fi
             ),
         );
     }
-    if heard.clock_ns.is_some() {
+    if survey.clock_ns.is_some() {
         findings.push(
-            Finding::note(CHECK, "somebody publishes /clock")
-                .because("stamps of a simulator or a bag are in its time; nodes that do not follow it refuse them or measure wrong latencies")
-                .fix("-p use_sim_time:=true on every node, or none, where the stamps are in real time"),
+            Finding::note(CHECK, "/clock has a publisher")
+                .because("stamps of a simulator or a bag are in its time; nodes that do not follow /clock refuse them or measure wrong latencies")
+                .fix("-p use_sim_time:=true on every node; if the stamps are in real time, stop the publisher of /clock"),
         );
     }
     findings
@@ -70,30 +67,33 @@ mod tests {
     use super::*;
     use crate::{Actions, Level, Stream, timeline::regular};
 
-    fn levels(synchronised: Option<bool>, reach: Reach, heard: &Heard) -> Vec<Level> {
-        let found = check(&SystemClock { synchronised }, &reach, heard);
+    fn levels(synchronised: Option<bool>, reach: Reach, survey: &Survey) -> Vec<Level> {
+        let found = check(&SystemClock { synchronised }, &reach, survey);
         found.iter().map(|finding| finding.level).collect()
     }
 
     #[test]
     fn only_several_machines_need_a_common_clock() {
-        let heard = Heard::default();
-        assert_eq!(levels(Some(false), Reach::Localhost, &heard), [Level::Ok]);
-        assert_eq!(levels(Some(false), Reach::Subnet, &heard), [Level::Warning]);
-        assert_eq!(levels(None, Reach::Subnet, &heard), [Level::Warning]);
-        assert_eq!(levels(Some(true), Reach::Subnet, &heard), [Level::Ok]);
+        let survey = Survey::default();
+        assert_eq!(levels(Some(false), Reach::Localhost, &survey), [Level::Ok]);
+        assert_eq!(
+            levels(Some(false), Reach::Subnet, &survey),
+            [Level::Warning]
+        );
+        assert_eq!(levels(None, Reach::Subnet, &survey), [Level::Warning]);
+        assert_eq!(levels(Some(true), Reach::Subnet, &survey), [Level::Ok]);
     }
 
     #[test]
-    fn a_clock_that_was_set_is_seen_and_so_is_that_of_a_simulator() {
+    fn set_clocks_and_simulated_clocks_are_reported() {
         let mut timeline = regular(9, 100, 0);
         timeline.0[8].received_ns -= 3_000_000_000;
         let stream = Stream {
             timeline,
             ..Stream::default()
         };
-        let mut heard = Heard::default();
-        heard.actions.insert(
+        let mut survey = Survey::default();
+        survey.actions.insert(
             "/a".into(),
             Actions {
                 stream,
@@ -101,10 +101,13 @@ mod tests {
             },
         );
         assert_eq!(
-            levels(Some(true), Reach::Localhost, &heard),
+            levels(Some(true), Reach::Localhost, &survey),
             [Level::Ok, Level::Warning]
         );
-        heard.clock_ns = Some((5, 7));
-        assert_eq!(levels(Some(true), Reach::Localhost, &heard)[2], Level::Note);
+        survey.clock_ns = Some((5, 7));
+        assert_eq!(
+            levels(Some(true), Reach::Localhost, &survey)[2],
+            Level::Note
+        );
     }
 }

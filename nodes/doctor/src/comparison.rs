@@ -1,4 +1,4 @@
-//! The pictures of a live topic, compared with each other.
+//! Compares the pictures of a live topic with each other.
 
 use std::{
     sync::mpsc::{Receiver, SyncSender, sync_channel},
@@ -7,33 +7,32 @@ use std::{
 use wm_audit::Pictures;
 use wm_camera::{camera_frame::CameraFrame, signature::Signature};
 
-/// Pictures that may wait to be decoded.
+/// The most pictures that wait for decoding.
 const WAITING: usize = 16;
-/// Signatures that are kept to compare motion with actions: a minute at 30 Hz, 6 MB.
+/// The most signatures for comparing motion with actions: a minute at 30 Hz, 6 MB.
 const MOST_SIGNATURES: usize = 2_000;
 
-/// The pictures of a topic, compared with each other.
 #[derive(Clone, Debug, Default)]
 pub struct Comparison {
     /// Each picture compared with its predecessor.
     pub pictures: Pictures,
     /// Stamp \[ns\] and signature of each picture.
     pub signatures: Vec<(i64, Signature)>,
-    /// Pictures that came faster than they were decoded, and were not compared.
+    /// Pictures that arrived faster than they were decoded.
     pub skipped: u64,
 }
 
-/// Decodes and compares pictures on a separate thread, while messages are received.
+/// Decodes and compares pictures on a separate thread while messages arrive.
 pub(crate) struct Comparer {
     waiting: SyncSender<(CameraFrame, i64)>,
     thread: JoinHandle<Comparison>,
-    /// All pictures that came.
+    /// Pictures received.
     count: u64,
 }
 
 impl Comparer {
-    /// For the pictures of a topic.
-    pub fn new(topic: &str) -> Self {
+    /// For the pictures of `topic`.
+    pub(crate) fn new(topic: &str) -> Self {
         let (waiting, frames) = sync_channel(WAITING);
         let pictures = Pictures::new(topic);
         Self {
@@ -44,16 +43,16 @@ impl Comparer {
     }
 
     /// Takes a picture; skips it if too many wait.
-    pub fn take(&mut self, frame: CameraFrame, received_ns: i64) {
+    pub(crate) fn take(&mut self, frame: CameraFrame, received_ns: i64) {
         self.count += 1;
-        // Those that are not compared are counted at the end.
+        // skipped pictures are counted at the end
         let _ = self.waiting.try_send((frame, received_ns));
     }
 
     /// Waits for the last picture.
-    pub fn finish(self) -> Comparison {
+    pub(crate) fn finish(self) -> Comparison {
         drop(self.waiting);
-        // A thread that failed has compared none.
+        // a thread that panicked has compared none
         let comparison = self.thread.join().unwrap_or_default();
         Comparison {
             skipped: self.count - comparison.pictures.count().min(self.count),
@@ -68,7 +67,7 @@ fn compare(frames: &Receiver<(CameraFrame, i64)>, pictures: Pictures) -> Compari
         ..Comparison::default()
     };
     for (frame, received_ns) in frames {
-        // A driver with missing or malformed stamps is a finding of its own.
+        // another check reports missing and malformed stamps
         let stamp_ns = frame.header().stamp.checked_nanos().unwrap_or(0);
         let at_ns = if stamp_ns > 0 { stamp_ns } else { received_ns };
         let signature = frame.decode().ok().map(|picture| Signature::of(&picture));

@@ -1,10 +1,11 @@
-//! Why an examination could not be made.
+//! Errors of an examination.
 
 use std::path::PathBuf;
 use thiserror::Error;
 
-/// Why an examination could not be made. What is wrong with the examined is a [`Finding`](crate::Finding) instead.
+/// Why an examination failed. Faults of the examined system are [`Finding`](wm_audit::Finding)s.
 #[derive(Debug, Error)]
+#[expect(missing_docs, reason = "the messages explain variants and fields")]
 #[non_exhaustive]
 pub enum DoctorError {
     /// The graph cannot be joined, or arguments or variables are wrong.
@@ -13,23 +14,20 @@ pub enum DoctorError {
     /// A file of the system cannot be read.
     #[error("cannot read {}", file.display())]
     System {
-        /// The file.
         file: PathBuf,
-        /// Why.
         source: std::io::Error,
     },
-    /// A part of a model computes nothing.
+    /// A part of a model fails.
     #[error("{part}")]
     Model {
         /// The part, for example `the encoder`.
         part: &'static str,
-        /// What it said.
         source: Box<wm_zoo::Error>,
     },
 }
 
 impl DoctorError {
-    /// The error of a part of a model.
+    /// Wraps the error of a part of a model.
     pub(crate) fn of<E: Into<wm_zoo::Error>>(part: &'static str) -> impl FnOnce(E) -> Self {
         move |source| Self::Model {
             part,

@@ -1,4 +1,4 @@
-//! Whether a model fits camera and machine.
+//! Checks whether a model fits camera and machine.
 
 use crate::{Camera, DoctorError, Finding, Parts, Picture, Trial};
 use std::time::Duration;
@@ -10,44 +10,41 @@ use wm_motion::actions::ActionSpace;
 use wm_ros::logging::of_others;
 use wm_zoo::ModelFolder;
 
-/// This check.
 const CHECK: &str = "model";
 /// The predictor's default `horizon` \[model steps\].
 const HORIZON: u32 = 8;
-/// Where no camera is heard, and the model does not say what it was trained at \[Hz\].
+/// The rate if neither a camera nor the model specifies one \[Hz\].
 const USUAL_RATE: f64 = ActionSpace::BRIDGE_RATE;
 
-/// What is known of a model, and of the camera's pictures by its lights.
+/// Facts about a model, and how it encodes the camera's pictures.
 #[derive(Clone, Debug)]
 pub struct ModelFacts {
-    /// By which it was opened.
+    /// The name given by the user.
     pub name: String,
-    /// How its encoder takes pictures.
+    /// How its encoder frames pictures.
     pub framing: Framing,
-    /// Size of the camera's pictures that it was trained on, if it is known.
+    /// Size of the camera's pictures that it was trained on, if known.
     pub trained_on: Option<PictureSize>,
-    /// What its actions are, and at which rate; none without a transition model.
+    /// Its action space with the rate; `None` without a transition model.
     pub action_space: Option<ActionSpace>,
-    /// How long its parts take here.
+    /// Durations of its parts on this machine.
     pub trial: Trial,
-    /// Part of the latents' values of the camera's pictures that are far from the training's; none without pictures.
+    /// Share of latent values of the camera's pictures that are far from the training's; `None` without pictures.
     pub far_out: Option<f32>,
 }
 
 /// Opens, loads and runs a model, and encodes `pictures` with it.
 ///
 /// # Errors
-/// It cannot be opened or a part computes nothing.
+/// It cannot be opened, or a part fails.
 pub fn gather(name: &str, pictures: &[&Picture]) -> Result<ModelFacts, DoctorError> {
     let model = ModelFolder::open(name).map_err(DoctorError::of("the model"))?;
     let parts = Parts::load(&model)?;
     let trial = parts.try_out()?;
     let framing = parts.encoder.framing();
     let encode = |picture: &Picture| -> wm_zoo::Result<f32> {
-        let latent = parts
-            .encoder
-            .encode(&parts.encoder.prepare(&picture.pixels)?)?;
-        Ok(part_far_out(&latent.flatten_all()?.to_vec1::<f32>()?))
+        let image = parts.encoder.prepare(&picture.pixels)?;
+        Ok(part_far_out(&parts.encoder.values(&image)?))
     };
     let mut sum = 0.0;
     for picture in pictures {
@@ -64,7 +61,7 @@ pub fn gather(name: &str, pictures: &[&Picture]) -> Result<ModelFacts, DoctorErr
 }
 
 impl ModelFacts {
-    /// From one camera frame to the next, as the model was trained \[s\].
+    /// Time between camera frames in training \[s\].
     pub(crate) fn period_s(&self) -> f64 {
         1.0 / self
             .action_space
@@ -72,24 +69,24 @@ impl ModelFacts {
             .map_or(USUAL_RATE, ActionSpace::rate)
     }
 
-    /// The `frame_period` that nodes need for a camera with `camera_s` between frames, where their default, the model's,
-    /// does not do \[s\].
+    /// The `frame_period` that the nodes need for a camera with `camera_s` between frames; `None` if their default, the
+    /// model's, suffices \[s\].
     pub(crate) fn frame_period_s(&self, camera_s: f64) -> Option<f64> {
         let is_slower = camera_s > 1.25 * self.period_s();
         is_slower.then_some(camera_s)
     }
 }
 
-/// What is to be said of it, for the camera of this name.
+/// The findings for the camera of this name.
 pub(crate) fn check(model: &ModelFacts, camera: Option<(&str, &Camera)>) -> Vec<Finding> {
     let mut findings = Vec::new();
     if model.action_space.is_none() {
         findings.push(
             Finding::warning(CHECK, format!("{} has no transition model", model.name))
                 .because(
-                    "it encodes and decodes only: predictor, planner and evaluator do not start",
+                    "it only encodes and decodes: predictor, planner and evaluator do not start",
                 )
-                .fix("train one (docs/models.md), or go on with a training that was stopped"),
+                .fix("train one (docs/models.md), or resume a stopped training"),
         );
     }
     let stream = camera.and_then(|(_, camera)| camera.best());
@@ -104,11 +101,12 @@ pub(crate) fn check(model: &ModelFacts, camera: Option<(&str, &Camera)>) -> Vec<
     findings
 }
 
-/// Whether this machine keeps up. The nodes need no frame more often than the model was trained on.
+/// Whether this machine is fast enough. The nodes need frames no more often than the model was trained with.
 fn speed(model: &ModelFacts, camera_s: Option<f64>) -> Finding {
     let period_s = camera_s.map_or(model.period_s(), |camera_s| camera_s.max(model.period_s()));
     let times = model.trial.at(Duration::from_secs_f64(period_s));
     let text = times.to_string();
+    // without parts, the text is the verdict alone
     let (parts, verdict) = text.rsplit_once('\n').unwrap_or(("", &text));
     let what = format!("{}: {verdict}", model.name);
     match times.is_fast_enough() {
@@ -119,7 +117,7 @@ fn speed(model: &ModelFacts, camera_s: Option<f64>) -> Finding {
     }
 }
 
-/// Whether the frames are where the model looks for them.
+/// Whether frames exist at the times that the model needs.
 fn rate(model: &ModelFacts, camera_s: f64) -> Option<Finding> {
     let model_s = model.period_s();
     let hertz = |period_s| hertz(Duration::from_secs_f64(period_s));
@@ -127,8 +125,8 @@ fn rate(model: &ModelFacts, camera_s: f64) -> Option<Finding> {
     if model.frame_period_s(camera_s).is_some() {
         return Some(
             Finding::warning(CHECK, format!("the camera runs at {camera_hz}, the model was trained at {model_hz}"))
-                .because("the nodes look for a frame every 0.2 s and find none; with another period, motions are of a length that the model has not seen")
-                .fix(format!("have the camera publish at {model_hz} or faster; or frame_period:={camera_s:.3} on encoder, predictor, planner and evaluator (wm init DIR writes it)")),
+                .because("the nodes need a frame every 0.2 s and find none; with another period, motions have lengths that the model has not seen")
+                .fix(format!("let the camera publish at {model_hz} or faster; or frame_period:={camera_s:.3} on encoder, predictor, planner and evaluator (wm init DIR writes it)")),
         );
     }
     let step_s = model_s * model.trial.frame_skip as f64;
@@ -139,13 +137,13 @@ fn rate(model: &ModelFacts, camera_s: f64) -> Option<Finding> {
     };
     let missed: Vec<u32> = (1..=HORIZON).filter(is_missed).collect();
     let fits = format!("the camera runs at {camera_hz}, the model was trained at {model_hz}");
-    let fix = format!("have the camera publish at {model_hz} or a multiple of it");
+    let fix = format!("let the camera publish at {model_hz} or a multiple of it");
     match missed.first() {
         None => None,
-        // The context is one model step long.
+        // the context is one model step long
         Some(1) => Some(
             Finding::warning(CHECK, fits)
-                .because(format!("there is no frame near {step_s:.1} s before each: contexts stay incomplete, and nothing is predicted"))
+                .because(format!("no frame is {step_s:.1} s earlier than another: contexts stay incomplete, and there are no predictions"))
                 .fix(fix),
         ),
         Some(_) => Some(
@@ -156,7 +154,7 @@ fn rate(model: &ModelFacts, camera_s: f64) -> Option<Finding> {
     }
 }
 
-/// Whether the pictures are of a kind and size that the model knows.
+/// Whether the pictures resemble those of the training.
 fn pictures(model: &ModelFacts, name: &str, camera: &Camera) -> Vec<Finding> {
     let mut findings = Vec::new();
     let pictures: Vec<&Picture> = camera.pictures.iter().flatten().collect();
@@ -169,8 +167,8 @@ fn pictures(model: &ModelFacts, name: &str, camera: &Camera) -> Vec<Finding> {
     if (width as usize) < columns || (height as usize) < rows {
         findings.push(
             Finding::warning(CHECK, format!("{name}: pictures of {width}x{height} are enlarged to the model's {columns}x{rows}"))
-                .because("they have less detail than those that the model was trained on")
-                .fix("have the driver publish a larger size"),
+                .because("they have less detail than the training's")
+                .fix("let the driver publish a larger size"),
         );
     }
     let Some(far_out) = model.far_out else {
@@ -187,25 +185,25 @@ fn pictures(model: &ModelFacts, name: &str, camera: &Camera) -> Vec<Finding> {
     findings.push(match far_out > UNLIKE {
         false => Finding::ok(CHECK, what),
         true => Finding::warning(CHECK, what)
-            .because("the camera shows what the model was not trained on (beyond 3 standard deviations, where 0.3 % are usual): predictions and plans are not meaningful")
+            .because("the pictures differ from the training's (beyond 3 standard deviations, where 0.3 % are usual): predictions and plans are not meaningful")
             .fix("a model that was trained on such pictures: wm train model --data BAGS --out DIR, then model:=DIR (README, Your model)"),
     });
     findings
 }
 
-/// Whether the pictures have the aspect and size that the model was trained on.
+/// Whether the pictures have the aspect ratio and size of the training.
 fn size(model: &ModelFacts, name: &str, found: PictureSize) -> Option<Finding> {
     let mismatch = Mismatch::of(found, model.framing, model.trained_on)?;
     let what = format!("{name}: {mismatch}");
     Some(match mismatch.is_serious() {
         true => Finding::warning(CHECK, what)
-            .because("the model has not seen things in these shapes or places")
+            .because("the model has not seen objects in these shapes or places")
             .fix(mismatch.fix()),
         false => Finding::note(CHECK, what).fix(mismatch.fix()),
     })
 }
 
-/// A model of a test: 5 Hz, two frames a step, fast.
+/// A fast test model: 5 Hz, two frames per step.
 #[cfg(test)]
 pub(crate) fn facts() -> ModelFacts {
     ModelFacts {
@@ -258,7 +256,7 @@ mod tests {
     }
 
     #[test]
-    fn a_slow_camera_gets_its_frame_period() {
+    fn slow_camera_gets_its_frame_period() {
         let slow = &found(&facts(), 500)[1];
         assert_eq!(slow.0, Level::Warning);
         assert!(slow.1.contains("frame_period:=0.500"), "{slow:?}");
@@ -267,17 +265,17 @@ mod tests {
     }
 
     #[test]
-    fn a_rate_between_two_multiples_is_told() {
-        // 6.1 Hz: a frame 0.328 s and one 0.492 s before, none near 0.4 s.
+    fn rate_between_two_multiples_is_reported() {
+        // 6.1 Hz: frames 0.328 s and 0.492 s earlier, none near 0.4 s.
         let between = &found(&facts(), 164)[1];
         assert_eq!(between.0, Level::Warning, "{between:?}");
-        // 7 Hz: 0.429 s before serves as context, but 1.2 s after there is none near.
+        // 7 Hz: 0.429 s earlier is a valid context, but no frame is near 1.2 s later.
         let partly = &found(&facts(), 143)[1];
         assert_eq!(partly.0, Level::Note, "{partly:?}");
     }
 
     #[test]
-    fn what_is_too_slow_for_the_model_is_a_warning() {
+    fn slow_machine_is_a_warning() {
         let mut slow = facts();
         slow.trial.predict = Some(Duration::from_millis(400));
         let slow = &found(&slow, 200)[0];
@@ -286,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn unlike_pictures_and_small_ones_are_told() {
+    fn unfamiliar_and_small_pictures_are_reported() {
         let mut real = facts();
         real.far_out = Some(0.05);
         assert!(found(&real, 200)[1].1.contains("5.0 % of the latents"));
@@ -299,10 +297,10 @@ mod tests {
     }
 
     #[test]
-    fn another_aspect_than_the_trainings_is_a_warning() {
+    fn aspect_ratio_unlike_the_trainings_is_a_warning() {
         let mut own = facts();
         let size = |width, height| Some(PictureSize { width, height });
-        // The camera of the test has 128x128 pixels.
+        // the test camera has 128x128 pixels
         own.trained_on = size(640, 480);
         let found = check(&own, Some(("/c", &camera(200, 128))));
         assert_eq!(found[1].level, Level::Warning);
@@ -321,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn the_bundled_model_knows_no_patchwork() {
+    fn bundled_model_flags_unfamiliar_pictures() {
         let mut state = 1u32;
         let mut colour = || {
             image::Rgb(std::array::from_fn(|_| {
@@ -329,7 +327,7 @@ mod tests {
                 (state >> 24) as u8
             }))
         };
-        // Patches as large as objects: noise of single pixels is averaged away.
+        // patches as large as objects: averaging removes noise of single pixels
         let patches: Vec<_> = (0..64).map(|_| colour()).collect();
         let patch = |x: u32, y: u32| patches[(y / 16 * 8 + x / 16) as usize];
         let picture = RgbImage::from_fn(128, 128, patch);

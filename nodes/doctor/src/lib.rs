@@ -1,17 +1,15 @@
-//! `wm doctor` and `wm init`: what a machine, its network, its cameras and its arm are like, whether a model fits them, and
-//! what to do where it does not.
+//! `wm doctor` and `wm init`: check machine, network, cameras, arm and model, and suggest fixes.
 //!
-//! Facts are gathered apart from what is said of them. [`Machine`] reads `/proc`, [`listen()`] hears topics for some
-//! seconds, [`Parts`] runs a model once; each check is a function from facts to [`Finding`]s and is tested without any of
-//! that. A [`Report`] puts findings together, as text or JSON. [`Setup`] makes a launch file and parameter files for what
-//! was heard.
+//! Facts and findings are separate. [`Machine`] reads `/proc`, [`listen()`] subscribes to topics for some seconds,
+//! [`Parts`] runs a model once. Each check is a pure function from facts to `Finding`s. A [`Report`] combines
+//! findings, as text or JSON. [`Setup`] generates a launch file and parameter files.
 //!
 //! Promises:
-//! - It changes nothing: it subscribes, reads and computes. `wm init` makes new files only.
+//! - It changes nothing: it subscribes, reads and computes. `wm init` only creates files.
 //! - Names and texts of peers are escaped before they are printed.
 //! - Memory is bounded: a few pictures, and a limited number of topics and messages.
 //!
-//! Not here: the command line (`wm_cli`), what the nodes themselves find while they run (their `/diagnostics`).
+//! Not here: the command line (`wm_cli`), faults that nodes find while running (their `/diagnostics`).
 
 mod action;
 mod audit;
@@ -21,7 +19,6 @@ mod clock;
 mod comparison;
 mod error;
 mod fit;
-mod heard;
 mod listen;
 mod machine;
 mod memory;
@@ -31,20 +28,24 @@ mod picture;
 mod processor;
 mod report;
 mod setup;
+mod survey;
 mod timeline;
 mod trial;
 mod verdict;
 
-pub use comparison::Comparison;
 pub use error::DoctorError;
 pub use fit::{ModelFacts, gather as examine_model};
-pub use heard::{Actions, Camera, Heard, Motion, Stream};
 pub use listen::listen;
 pub use machine::Machine;
-pub use picture::Picture;
 pub use report::Report;
 pub use setup::{Setup, SetupError};
-pub use timeline::{Arrival, Timeline};
-pub use trial::{Judging, Parts, Trial};
-pub use verdict::Times;
-pub use wm_audit::{Finding, Level};
+pub use survey::Survey;
+pub use trial::Parts;
+pub use wm_audit::Level;
+
+use picture::Picture;
+use survey::{Actions, Camera, Motion, Stream};
+use timeline::{Arrival, Timeline};
+use trial::Trial;
+use verdict::Times;
+use wm_audit::Finding;

@@ -1,7 +1,7 @@
-//! Listens to the graph.
+//! Subscribes to the topics of the graph for some seconds.
 
 use crate::{
-    Actions, Arrival, Camera, DoctorError, Heard, Motion, Picture, Stream, comparison::Comparer,
+    Actions, Arrival, Camera, DoctorError, Motion, Picture, Stream, Survey, comparison::Comparer,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
@@ -23,21 +23,20 @@ use wm_ros::{
     Role,
 };
 
-/// The name in the graph.
 const NAME: &str = "doctor";
-/// Topics that are listened to; whoever makes more does not mean well.
+/// The most topics; more are hardly meant well.
 const MOST_TOPICS: usize = 64;
-/// Messages of a topic that are remembered: ten seconds at 10 kHz.
+/// The most messages per topic: ten seconds at 10 kHz.
 const MOST_MESSAGES: usize = 100_000;
-/// Different frames, values and reports that are remembered of a topic.
+/// The most distinct frames, values and reports per topic.
 const MOST_KEPT: usize = 32;
-/// Actions that are remembered: a minute at 100 Hz.
+/// The most actions: a minute at 100 Hz.
 const MOST_ACTIONS: usize = 6_000;
-/// Pictures of a camera that the model is tried on.
+/// Pictures per camera that the model is run on.
 const PICTURES: u32 = 6;
-/// Messages that may wait to be read.
+/// Messages that wait to be read.
 const DEPTH: usize = 64;
-/// The suite's own pictures, which are no camera's.
+/// The suite's own pictures, which do not come from a camera.
 const OWN_PICTURES: [&str; 4] = [
     "predicted/image",
     "plan/image",
@@ -45,7 +44,7 @@ const OWN_PICTURES: [&str; 4] = [
     "candidates/image",
 ];
 
-/// What is listened to, by its type.
+/// Topics by type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     Raw,
@@ -71,7 +70,7 @@ impl Kind {
             .find_map(|(name, kind)| (name == type_name).then_some(kind))
     }
 
-    /// As the nodes ask for it: pictures best effort, the rest reliable where all publishers are.
+    /// The QoS that the nodes request: best effort for pictures, otherwise reliable if all publishers are.
     fn qos(self, publishers: &[Qos]) -> Qos {
         let all_reliable = publishers
             .iter()
@@ -99,7 +98,7 @@ fn adapter_source(type_name: &str) -> Option<&'static str> {
 /// The parts of a message that the timeline needs.
 #[derive(Default)]
 struct Content {
-    /// If its type has one.
+    /// `None` if the type has none.
     header: Option<Header>,
     /// Of a picture.
     fingerprint: Option<u64>,
@@ -114,8 +113,8 @@ impl Content {
     }
 }
 
-/// What came on one topic.
-struct Taken {
+/// The messages of one topic.
+struct TopicRecord {
     kind: Kind,
     stream: Stream,
     frames: Vec<CameraFrame>,
@@ -127,27 +126,27 @@ struct Taken {
     reports: BTreeMap<String, (String, bool)>,
 }
 
-/// Joins the graph as `/wm/doctor` and listens for `span` to cameras, actions and what nodes report. `args` has
+/// Joins the graph as `/wm/doctor` and listens for `span` to cameras, actions and reports of nodes. `args` may contain
 /// `--interface`.
 ///
 /// # Errors
 /// The graph cannot be joined, or an argument is wrong.
-pub fn listen(args: &NodeArgs, span: Duration) -> Result<Heard, DoctorError> {
-    let mut heard = Heard::default();
+pub fn listen(args: &NodeArgs, span: Duration) -> Result<Survey, DoctorError> {
+    let mut survey = Survey::default();
     wm_ros::run(
         NAME,
         NAMESPACE,
         args,
         async |node: Node| -> Result<(), Error> {
             node.seal_parameters()?;
-            heard = hear(&node, span).await?;
+            survey = collect(&node, span).await?;
             Ok(())
         },
     )?;
-    Ok(heard)
+    Ok(survey)
 }
 
-async fn hear(node: &Node, span: Duration) -> Result<Heard, Error> {
+async fn collect(node: &Node, span: Duration) -> Result<Survey, Error> {
     let began = Instant::now();
     let end = tokio::time::Instant::from_std(began + span);
     let mut changes = node.graph_changes();
@@ -167,7 +166,7 @@ async fn hear(node: &Node, span: Duration) -> Result<Heard, Error> {
                 continue;
             }
             let (name, type_name) = topic;
-            // A name that ROS does not allow is nobody's camera.
+            // a name that ROS does not allow is not a camera's
             let Ok(subscription) =
                 node.raw_subscription_to_others(&name, &type_name, kind.qos(&publishers))
             else {
@@ -181,23 +180,23 @@ async fn hear(node: &Node, span: Duration) -> Result<Heard, Error> {
             changed = changes.changed() => if changed.is_err() { break },
         }
     }
-    let mut heard = Heard {
+    let mut survey = Survey {
         span: began.elapsed(),
-        ..Heard::default()
+        ..Survey::default()
     };
     let published = published(node);
-    // Those that have ended themselves: the shutdown ends all.
-    while let Some(Ok(mut taken)) = tasks.join_next().await {
-        let key = (taken.stream.topic.clone(), taken.stream.type_name.clone());
-        taken.stream.publishers = published.get(&key).cloned().unwrap_or_default();
-        enter(&mut heard, taken);
+    // also those that ended early: the shutdown ends the rest
+    while let Some(Ok(mut record)) = tasks.join_next().await {
+        let key = (record.stream.topic.clone(), record.stream.type_name.clone());
+        record.stream.publishers = published.get(&key).cloned().unwrap_or_default();
+        enter(&mut survey, record);
     }
     let endpoints = node.remote_endpoints();
     let participants: BTreeSet<_> = endpoints
         .iter()
         .map(|endpoint| endpoint.participant)
         .collect();
-    heard.participants = participants.len();
+    survey.participants = participants.len();
     let motion = |(topic, type_name): &(String, String)| {
         let source = adapter_source(type_name)?;
         Some(Motion {
@@ -210,20 +209,20 @@ async fn hear(node: &Node, span: Duration) -> Result<Heard, Error> {
         let transport = Transport::of(topic, type_name)?;
         transport.advice(&of_others(topic))
     };
-    heard.unread = published
+    survey.unread = published
         .keys()
         .filter_map(advice)
         .take(MOST_TOPICS)
         .collect();
-    heard.motions = published
+    survey.motions = published
         .keys()
         .filter_map(motion)
         .take(MOST_TOPICS)
         .collect();
-    Ok(heard)
+    Ok(survey)
 }
 
-/// The topics that others publish, by name and type, and what their publishers offer.
+/// The topics that others publish, by name and type, with the QoS of their publishers.
 fn published(node: &Node) -> BTreeMap<(String, String), Vec<Qos>> {
     let mut topics: BTreeMap<_, Vec<Qos>> = BTreeMap::new();
     let endpoints = node.remote_endpoints().into_iter();
@@ -239,7 +238,6 @@ fn published(node: &Node) -> BTreeMap<(String, String), Vec<Qos>> {
     topics
 }
 
-/// Whether the suite publishes it.
 fn is_own(topic: &str) -> bool {
     let topic = topic.strip_suffix("/compressed").unwrap_or(topic);
     let own = topic
@@ -248,14 +246,14 @@ fn is_own(topic: &str) -> bool {
     own.is_some_and(|name| OWN_PICTURES.contains(&name))
 }
 
-/// Takes what comes until `span` is over.
+/// Receives until `span` is over.
 async fn take(
     kind: Kind,
     type_name: String,
     mut subscription: RawSubscription,
     (began, span): (Instant, Duration),
-) -> Taken {
-    let mut taken = Taken {
+) -> TopicRecord {
+    let mut record = TopicRecord {
         kind,
         stream: Stream {
             topic: subscription.topic().to_owned(),
@@ -272,13 +270,13 @@ async fn take(
     };
     let end = tokio::time::Instant::from_std(began + span);
     while let Ok(Some(received)) = tokio::time::timeout_at(end, subscription.recv()).await {
-        taken.message(&received, (began, span));
+        record.message(&received, (began, span));
     }
-    taken.stream.lost = subscription.lost();
-    taken
+    record.stream.lost = subscription.lost();
+    record
 }
 
-impl Taken {
+impl TopicRecord {
     fn message(&mut self, received: &Received<bytes::Bytes>, (began, span): (Instant, Duration)) {
         let bytes = &received.message;
         self.stream.largest = self.stream.largest.max(bytes.len());
@@ -312,14 +310,14 @@ impl Taken {
         }
     }
 
-    /// Keeps the relevant parts of a message; gives those that the timeline needs.
+    /// Stores the relevant parts of a message, and returns the parts for the timeline.
     fn content(
         &mut self,
         bytes: &[u8],
         received_ns: i64,
         (at, span): (Duration, Duration),
     ) -> Result<Content, cdr::CdrError> {
-        // Evenly spaced over the time of listening.
+        // evenly spaced over the time of listening
         let is_due = at >= span * self.frames.len() as u32 / PICTURES
             && self.frames.len() < PICTURES as usize;
         Ok(match self.kind {
@@ -335,7 +333,7 @@ impl Taken {
             }
             Kind::Action => {
                 let action: Action = cdr::from_bytes(bytes)?;
-                // The check of the stamps names malformed ones.
+                // the check of stamps reports malformed ones
                 if let Ok(stamp_ns) = action.header.stamp.checked_nanos()
                     && self.rows.len() < MOST_ACTIONS
                 {
@@ -361,7 +359,7 @@ impl Taken {
         })
     }
 
-    /// Takes a picture: to compare it with the others and, if `is_due`, to try the model on.
+    /// Takes a picture for comparison and, if `is_due`, for running the model.
     fn frame(&mut self, frame: CameraFrame, received_ns: i64, is_due: bool) -> Content {
         let content = Content {
             header: Some(frame.header().clone()),
@@ -382,7 +380,7 @@ impl Taken {
         }
     }
 
-    /// The newest word of each component counts.
+    /// The newest report of each component counts.
     fn report(&mut self, status: DiagnosticStatus) {
         let is_bad = matches!(
             status.level,
@@ -397,9 +395,9 @@ impl Taken {
     }
 }
 
-/// Puts what came on a topic where it belongs.
-fn enter(heard: &mut Heard, taken: Taken) {
-    let Taken {
+/// Adds the messages of one topic.
+fn enter(survey: &mut Survey, record: TopicRecord) {
+    let TopicRecord {
         kind,
         stream,
         frames,
@@ -409,7 +407,7 @@ fn enter(heard: &mut Heard, taken: Taken) {
         comparer,
         clock_ns,
         reports,
-    } = taken;
+    } = record;
     let name = stream.topic.clone();
     match kind {
         Kind::Raw | Kind::Compressed => {
@@ -417,14 +415,14 @@ fn enter(heard: &mut Heard, taken: Taken) {
                 Kind::Compressed => name.strip_suffix("/compressed").unwrap_or(&name).to_owned(),
                 _ => name,
             };
-            let camera: &mut Camera = heard.cameras.entry(base).or_default();
+            let camera: &mut Camera = survey.cameras.entry(base).or_default();
             let decoded = frames.iter().map(|frame| {
                 frame
                     .decode()
                     .map(Picture::of)
                     .map_err(|error| error.to_string())
             });
-            // One transport's are enough; which, is no matter.
+            // the pictures of either transport suffice
             if camera.pictures.is_empty() {
                 camera.pictures = decoded.collect();
             }
@@ -442,7 +440,7 @@ fn enter(heard: &mut Heard, taken: Taken) {
         }
         Kind::Action | Kind::Chunk => {
             let is_chunk = kind == Kind::Chunk;
-            heard.actions.insert(
+            survey.actions.insert(
                 name,
                 Actions {
                     stream,
@@ -452,8 +450,8 @@ fn enter(heard: &mut Heard, taken: Taken) {
                 },
             );
         }
-        Kind::Clock => heard.clock_ns = clock_ns.or(heard.clock_ns),
-        Kind::Diagnostics => heard.reports.extend(reports),
+        Kind::Clock => survey.clock_ns = clock_ns.or(survey.clock_ns),
+        Kind::Diagnostics => survey.reports.extend(reports),
     }
 }
 
@@ -462,13 +460,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_suites_own_pictures_are_no_camera() {
+    fn own_pictures_are_not_cameras() {
         assert!(is_own("/wm/predicted/image") && is_own("/wm/goal/image/compressed"));
         assert!(!is_own("/camera/image_raw") && !is_own("/wm2/predicted/image"));
     }
 
     #[test]
-    fn types_say_what_is_listened_to() {
+    fn type_decides_the_kind_of_topic() {
         assert_eq!(Kind::of("sensor_msgs/msg/Image"), Some(Kind::Raw));
         assert_eq!(Kind::of("wm_msgs/msg/ActionChunk"), Some(Kind::Chunk));
         assert_eq!(Kind::of("std_msgs/msg/String"), None);
@@ -479,7 +477,7 @@ mod tests {
     }
 
     #[test]
-    fn actions_are_asked_for_as_their_publishers_offer() {
+    fn subscription_qos_follows_the_publishers() {
         assert_eq!(
             Kind::Action.qos(&[Qos::reliable(1)]).reliability,
             Reliability::Reliable

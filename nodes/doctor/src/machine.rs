@@ -1,18 +1,18 @@
-//! The machine: what `/proc` and `/sys` say of it.
+//! Facts about the machine from `/proc` and `/sys`.
 
 use crate::{
     DoctorError, Finding,
     buffers::{self, Buffers},
     clock::{self, SystemClock},
-    heard::Heard,
     memory::{self, Memory},
     network::{self, Network},
     processor::{self, Processor},
+    survey::Survey,
 };
 use std::path::Path;
 use wm_ros::Environment;
 
-/// What is known of the machine, its clock and its network.
+/// The machine, its clock and its network.
 #[derive(Clone, Debug)]
 pub struct Machine {
     pub(crate) processor: Processor,
@@ -23,7 +23,7 @@ pub struct Machine {
 }
 
 impl Machine {
-    /// Looks at the machine; to be done before [`listen`](crate::listen), during which losses are counted.
+    /// Reads the facts. Call it before [`listen`](crate::listen), during which losses are counted.
     ///
     /// # Errors
     /// `/proc` cannot be read, or the interfaces cannot be listed.
@@ -37,19 +37,18 @@ impl Machine {
         })
     }
 
-    /// What is to be said of it, after `heard` was heard.
+    /// The findings after listening.
     #[must_use]
-    pub fn check(&self, heard: &Heard) -> Vec<Finding> {
+    pub fn check(&self, survey: &Survey) -> Vec<Finding> {
         let mut findings = processor::check(&self.processor);
         findings.extend(memory::check(&self.memory));
-        findings.extend(network::check(&self.network, heard.is_silent()));
-        findings.extend(buffers::check(&self.buffers, heard));
-        findings.extend(clock::check(&self.clock, &self.network.reach, heard));
+        findings.extend(network::check(&self.network, survey.is_silent()));
+        findings.extend(buffers::check(&self.buffers, survey));
+        findings.extend(clock::check(&self.clock, &self.network.reach, survey));
         findings
     }
 }
 
-/// The text of a file of the system.
 pub(crate) fn read(file: &str) -> Result<String, DoctorError> {
     std::fs::read_to_string(file).map_err(|source| DoctorError::System {
         file: Path::new(file).to_owned(),
@@ -57,7 +56,7 @@ pub(crate) fn read(file: &str) -> Result<String, DoctorError> {
     })
 }
 
-/// The text of a file that not every system has, without the end of its line.
+/// The trimmed text of a file that some systems lack.
 pub(crate) fn read_if_there(file: impl AsRef<Path>) -> Option<String> {
     let text = std::fs::read_to_string(file).ok()?;
     Some(text.trim_end().to_owned())

@@ -6,25 +6,24 @@ use crate::{
 };
 use std::path::Path;
 
-/// This check.
 const CHECK: &str = "memory";
-/// Encoder, predictor, decoder and planner take up to 180 MiB each with the bundled model (docs/benchmarks.md); recorder,
-/// monitor and the queues of a slow subscriber come on top \[byte\].
+/// Encoder, predictor, decoder and planner use up to 180 MiB each with the bundled model (docs/benchmarks.md);
+/// recorder, monitor and the queues of slow subscribers need more \[byte\].
 const LEAST: u64 = 1 << 30;
 
-/// Memory that this process may use.
+/// Memory available to this process.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Memory {
     /// Of the machine \[byte\].
     pub total: u64,
-    /// What can still be had of it \[byte\].
+    /// Unused memory of the machine \[byte\].
     pub available: u64,
-    /// Limit of the control group, and what of it is taken \[byte\].
+    /// Limit and use of the control group \[byte\].
     pub group: Option<(u64, u64)>,
 }
 
 impl Memory {
-    pub fn look() -> Result<Self, DoctorError> {
+    pub(crate) fn look() -> Result<Self, DoctorError> {
         let group = read_if_there("/proc/self/cgroup")
             .and_then(|text| group_of(&text, Path::new("/sys/fs/cgroup")));
         Ok(Self {
@@ -48,39 +47,37 @@ impl Memory {
         }
     }
 
-    /// What this process can still have \[byte\].
-    pub fn usable(&self) -> u64 {
+    /// Memory that this process can still use \[byte\].
+    pub(crate) fn usable(&self) -> u64 {
         let left = self.group.map(|(limit, taken)| limit.saturating_sub(taken));
         self.available.min(left.unwrap_or(u64::MAX))
     }
 }
 
-/// Limit and use of the control group (version 2) that `/proc/self/cgroup` names; none without a limit.
+/// Limit and use of the control group (version 2) in `/proc/self/cgroup`; `None` without a limit.
 fn group_of(cgroup: &str, root: &Path) -> Option<(u64, u64)> {
     let path = cgroup.lines().find_map(|line| line.strip_prefix("0::"))?;
     let folder = root.join(path.trim_start_matches('/'));
     let figure = |name: &str| read_if_there(folder.join(name))?.parse().ok();
-    // "max" is no number: no limit.
+    // "max" means no limit
     Some((figure("memory.max")?, figure("memory.current")?))
 }
 
-/// A size for people.
 pub(crate) fn gib(bytes: u64) -> String {
     format!("{:.1} GiB", bytes as f64 / f64::from(1 << 30))
 }
 
-/// What is to be said of it.
 pub(crate) fn check(memory: &Memory) -> Vec<Finding> {
     let usable = memory.usable();
     let of = match memory.group {
-        Some((limit, _)) => format!("the {} that this process is allowed", gib(limit)),
+        Some((limit, _)) => format!("the {} limit of this process", gib(limit)),
         None => gib(memory.total),
     };
     let what = format!("{} free, of {of}", gib(usable));
     vec![match usable < LEAST {
         false => Finding::ok(CHECK, what),
         true => Finding::warning(CHECK, what)
-            .because("encoder, predictor, decoder and planner take up to 180 MiB each with the bundled model, and more with others; a node that finds no memory is ended by the kernel")
+            .because("encoder, predictor, decoder and planner take up to 180 MiB each with the bundled model, and more with others; the kernel kills a node without memory")
             .fix("end other programs, raise the limit (MemoryMax of systemd, docker --memory), or run the nodes in one process: one_process:=true"),
     }]
 }
@@ -91,7 +88,7 @@ mod tests {
     use crate::Level;
 
     #[test]
-    fn the_lesser_of_machine_and_group_counts() {
+    fn smaller_memory_limit_counts() {
         let text = "MemTotal:        8388608 kB\nMemFree: 1 kB\nMemAvailable:    4194304 kB\n";
         let mut memory = Memory::of_meminfo(text);
         assert_eq!((memory.total, memory.usable()), (8 << 30, 4 << 30));
@@ -102,12 +99,12 @@ mod tests {
         assert_eq!(finding.level, Level::Warning);
         assert_eq!(
             finding.what,
-            "0.5 GiB free, of the 2.0 GiB that this process is allowed"
+            "0.5 GiB free, of the 2.0 GiB limit of this process"
         );
     }
 
     #[test]
-    fn a_group_without_a_limit_is_none() {
+    fn control_group_without_limit_is_ignored() {
         let root = tempfile::tempdir().unwrap();
         let folder = root.path().join("robot/wm");
         std::fs::create_dir_all(&folder).unwrap();

@@ -1,36 +1,32 @@
-//! The ROS domain and the interfaces that nodes use.
+//! The ROS domain and the network interfaces.
 
 use crate::{DoctorError, Finding, machine::read};
 use std::collections::{BTreeMap, BTreeSet};
 use wm_ros::{Environment, EnvironmentWarning, Interface, Reach};
 
-/// This check.
 const CHECK: &str = "network";
-/// The formula of RTPS: the domains' ports begin here, each has so many, and participants of a domain have two each from
-/// the tenth on.
+/// The ports of RTPS: 7400 plus 250 per domain; from the tenth on, each participant of a domain has two.
 const FIRST_PORT: u16 = 7400;
 const PORTS_OF_DOMAIN: u16 = 250;
 const FIRST_PARTICIPANT: u16 = 10;
-/// Above, the ports are those that Linux gives to any program.
+/// Linux gives the ports of higher domains to any program.
 const HIGHEST_DOMAIN: u16 = 100;
 
-/// How this process takes part in the network.
+/// The domain and interfaces of this process.
 #[derive(Clone, Debug)]
 pub(crate) struct Network {
     /// `ROS_DOMAIN_ID`.
     pub domain: u16,
-    /// How far discovery reaches.
     pub reach: Reach,
-    /// Interfaces of this host.
     pub interfaces: Vec<Interface>,
-    /// Participants of this host that listen, by domain.
+    /// Listening participants of this host, by domain.
     pub listeners: BTreeMap<u16, usize>,
     /// Environment variables that the nodes cannot obey.
     pub warnings: Vec<EnvironmentWarning>,
 }
 
 impl Network {
-    pub fn look(environment: &Environment) -> Result<Self, DoctorError> {
+    pub(crate) fn look(environment: &Environment) -> Result<Self, DoctorError> {
         Ok(Self {
             domain: environment.domain_id,
             reach: environment.reach.clone(),
@@ -40,14 +36,14 @@ impl Network {
         })
     }
 
-    /// The interfaces that are not loopback.
+    /// Interfaces other than loopback.
     fn outer(&self) -> Vec<&Interface> {
         let is_outer = |interface: &&Interface| !interface.address.is_loopback();
         self.interfaces.iter().filter(is_outer).collect()
     }
 }
 
-/// How many participants of which domains there are, by the ports of `/proc/net/udp`.
+/// Participants by domain, from the ports in `/proc/net/udp`.
 fn listeners_of(text: &str) -> BTreeMap<u16, usize> {
     let ports: BTreeSet<u16> = text.lines().skip(1).filter_map(port_of).collect();
     let mut listeners = BTreeMap::new();
@@ -64,7 +60,7 @@ fn listeners_of(text: &str) -> BTreeMap<u16, usize> {
     listeners
 }
 
-/// The local port of a line: `  12: 00000000:1CF2 00000000:0000 07 ...`.
+/// The local port of a line, for example `  12: 00000000:1CF2 00000000:0000 07 ...`.
 fn port_of(line: &str) -> Option<u16> {
     let local = line.split_whitespace().nth(1)?;
     u16::from_str_radix(local.split_once(':')?.1, 16).ok()
@@ -77,15 +73,15 @@ fn listed(interfaces: &[&Interface]) -> String {
     names.collect::<Vec<_>>().join(", ")
 }
 
-/// What is to be said of it, where `is_silent` says that nobody else was heard.
+/// `is_silent`: no other participant was found.
 pub(crate) fn check(network: &Network, is_silent: bool) -> Vec<Finding> {
     let domain = network.domain;
     let outer = network.outer();
     let mut findings = vec![match &network.reach {
         Reach::Localhost => Finding::note(CHECK, format!("domain {domain}, this host only"))
-            .because("nodes of other machines neither hear these nodes nor are heard, which is the safe default")
+            .because("nodes of other machines are not reached, which is the safe default")
             .fix(match outer.as_slice() {
-                [] => "nothing: this host has no other interface".to_owned(),
+                [] => "not needed: this host has no other interface".to_owned(),
                 [first, ..] => format!(
                     "if camera or arm are on another machine: --interface {} on every node (of {})",
                     first.name,
@@ -98,12 +94,12 @@ pub(crate) fn check(network: &Network, is_silent: bool) -> Vec<Finding> {
         }
         Reach::Subnet if outer.len() > 1 => {
             Finding::warning(CHECK, format!("domain {domain}, on every interface: {}", listed(&outer)))
-                .because("who is reachable over two interfaces receives every message twice, and large ones stall")
+                .because("hosts that are reachable over two interfaces receive every message twice, and large ones stall")
                 .fix(format!("--interface {} on every node, or another of these", outer.first().map_or("eth0", |found| &found.name)))
         }
         Reach::Subnet => Finding::ok(CHECK, format!("domain {domain}, on every interface")),
         Reach::Process => Finding::warning(CHECK, "ROS_AUTOMATIC_DISCOVERY_RANGE is OFF")
-            .because("only nodes of one process find each other; no camera is heard")
+            .because("only nodes of one process discover each other; no camera is received")
             .fix("unset ROS_AUTOMATIC_DISCOVERY_RANGE"),
     }];
     let warnings = network.warnings.iter();
@@ -122,7 +118,7 @@ pub(crate) fn check(network: &Network, is_silent: bool) -> Vec<Finding> {
             .collect();
         findings.push(
             Finding::warning(CHECK, format!("nobody else in domain {domain}, but participants of this host listen in others: {}", domains.join(", ")))
-                .because("nodes hear each other within one domain only")
+                .because("nodes discover each other only within one domain")
                 .fix(format!("if your drivers are there: export ROS_DOMAIN_ID={}", others.first().map_or(0, |(other, _)| **other))),
         );
     } else if is_silent && network.reach != Reach::Process {
@@ -162,7 +158,8 @@ mod tests {
         let line = |port: u16| {
             format!("  1: 00000000:{port:04X} 00000000:0000 07 00000000:00000000 00:00000000\n")
         };
-        // Of domain 0 multicast, two participants with a data port each; one of domain 42; and others' ports.
+        // domain 0: multicast and two participants with a data port each; domain 42: one participant; and ports of
+        // other programs
         let ports = [7400, 7410, 7411, 7412, 7413, 17_910, 53, 40_000];
         let text: String = std::iter::once("  sl  local_address\n".to_owned())
             .chain(ports.map(line))
@@ -172,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn loopback_is_the_default_and_says_how_to_reach_others() {
+    fn loopback_finding_suggests_an_interface() {
         let findings = check(&network(Reach::Localhost, &["eth0", "wlan0"]), false);
         assert_eq!(findings[0].level, Level::Note);
         assert!(
@@ -186,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn two_interfaces_are_one_too_many() {
+    fn two_interfaces_are_a_warning() {
         let level = |outer: &[&str]| check(&network(Reach::Subnet, outer), false)[0].level;
         assert_eq!(level(&["eth0"]), Level::Ok);
         assert_eq!(level(&["eth0", "wlan0"]), Level::Warning);
@@ -197,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn a_variable_that_nodes_cannot_obey_is_a_finding_with_a_fix() {
+    fn unsupported_environment_variable_is_reported_with_a_fix() {
         let mut network = network(Reach::Localhost, &[]);
         let fix = "set RMW_IMPLEMENTATION=rmw_fastrtps_cpp".to_owned();
         let problem = "RMW_IMPLEMENTATION is `rmw_zenoh_cpp`".to_owned();
@@ -210,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn who_hears_nobody_is_told_where_others_are() {
+    fn silent_domain_names_domains_with_participants() {
         let mut silent = network(Reach::Localhost, &[]);
         let text = |network: &Network| format!("{:?}", check(network, true)[1]);
         assert!(text(&silent).contains("start the drivers"));

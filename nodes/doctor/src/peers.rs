@@ -1,14 +1,13 @@
-//! What nodes that run already say of themselves.
+//! Reports of running nodes.
 
-use crate::{Finding, Heard};
+use crate::{Finding, Survey};
 use wm_ros::logging::of_others;
 
-/// This check.
 const CHECK: &str = "nodes";
 
-/// Warnings and errors on `/diagnostics`, which say themselves what to do.
-pub(crate) fn check(heard: &Heard) -> Vec<Finding> {
-    let reports = heard.reports.iter();
+/// Warnings and errors on `/diagnostics`, which contain their own fixes.
+pub(crate) fn check(survey: &Survey) -> Vec<Finding> {
+    let reports = survey.reports.iter();
     reports
         .map(|(name, (message, is_error))| {
             let what = format!("{}: {}", of_others(name), of_others(message));
@@ -27,11 +26,11 @@ mod tests {
 
     #[test]
     fn reports_keep_their_levels() {
-        let mut heard = Heard::default();
+        let mut survey = Survey::default();
         let report = |text: &str, is_error| (text.to_owned(), is_error);
-        heard.reports.insert("wm/a".into(), report("late", false));
-        heard.reports.insert("wm/b".into(), report("gone\n", true));
-        let found = check(&heard);
+        survey.reports.insert("wm/a".into(), report("late", false));
+        survey.reports.insert("wm/b".into(), report("gone\n", true));
+        let found = check(&survey);
         assert_eq!(found[0].what, "wm/a: late");
         assert_eq!(
             (found[1].level, found[1].what.as_str()),

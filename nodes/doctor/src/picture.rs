@@ -1,8 +1,8 @@
-//! A picture of a camera, in figures.
+//! Brightness and size of a camera picture.
 
 use image::RgbImage;
 
-/// A picture of a camera, in figures.
+/// A camera picture and its statistics.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Picture {
     /// Columns and rows \[px\].
@@ -11,12 +11,10 @@ pub struct Picture {
     pub mean: f64,
     /// Their standard deviation, in the same unit.
     pub spread: f64,
-    /// The pixels.
     pub pixels: RgbImage,
 }
 
 impl Picture {
-    /// Measures a picture.
     #[must_use]
     pub fn of(pixels: RgbImage) -> Self {
         let count = pixels.as_raw().len().max(1) as f64;
@@ -42,7 +40,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn mean_and_spread_are_those_of_all_values() {
+    fn mean_and_spread_cover_all_values() {
         let mut pixels = RgbImage::new(2, 1);
         pixels.put_pixel(0, 0, image::Rgb([255; 3]));
         let picture = Picture::of(pixels);

@@ -5,37 +5,36 @@ use crate::{
     machine::{read, read_if_there},
 };
 
-/// This check.
 const CHECK: &str = "processor";
 
-/// Instructions that the models' kernels are written for. Where they are missing, slower ones compute.
+/// Instructions that the models' fast kernels need.
 const KERNELS: [&str; 2] = ["avx2", "fma"];
-/// Instructions that make them faster still.
+/// Instructions that are faster still.
 const FASTER: [(&str, &str); 3] = [
     ("avx512f", "AVX-512"),
     ("avx512_vnni", "VNNI"),
     ("avx512_bf16", "bf16"),
 ];
-/// Drivers whose `powersave` follows the load all the same.
+/// Drivers whose `powersave` follows the load.
 const DYNAMIC: [&str; 2] = ["intel_pstate", "amd-pstate-epp"];
 
-/// The processors that this process may use.
+/// The processors of this process.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Processor {
-    /// As the vendor calls it.
+    /// The vendor's name.
     pub model: String,
     /// How many this process may use.
     pub count: usize,
-    /// `flags` of x86; none elsewhere.
+    /// `flags` of x86; `None` elsewhere.
     pub flags: Option<Vec<String>>,
-    /// Driver and governor of the frequency; none in a virtual machine.
+    /// Driver and governor of the frequency; `None` in a virtual machine.
     pub governor: Option<(String, String)>,
-    /// Processes that want to run, over the last minute.
+    /// Runnable processes, averaged over the last minute.
     pub load: f64,
 }
 
 impl Processor {
-    pub fn look() -> Result<Self, DoctorError> {
+    pub(crate) fn look() -> Result<Self, DoctorError> {
         let frequency = "/sys/devices/system/cpu/cpu0/cpufreq";
         let one = |name: &str| read_if_there(format!("{frequency}/{name}"));
         Ok(Self {
@@ -66,13 +65,12 @@ impl Processor {
     }
 }
 
-/// The first figure of `/proc/loadavg`.
+/// The first value of `/proc/loadavg`.
 fn load_of(text: &str) -> f64 {
     let first = text.split_whitespace().next();
     first.and_then(|word| word.parse().ok()).unwrap_or(0.0)
 }
 
-/// What is to be said of it.
 pub(crate) fn check(processor: &Processor) -> Vec<Finding> {
     let Processor {
         model, count, load, ..
@@ -95,21 +93,24 @@ pub(crate) fn check(processor: &Processor) -> Vec<Finding> {
             true => String::new(),
             false => format!(", with {}", names.join(", ")),
         };
-        findings.push(Finding::ok(CHECK, format!("{model}, {count} to use{with}")));
+        findings.push(Finding::ok(CHECK, format!("{model}, {count} usable{with}")));
     }
     if *count < 2 {
         findings.push(
-            Finding::warning(CHECK, "one processor to use")
+            Finding::warning(CHECK, "one usable processor")
                 .because("encoder, predictor, decoder and planner compute at the same time")
                 .fix("give this process more processors (taskset, docker --cpus, CPUQuota of systemd)"),
         );
     }
-    // About as many as there are processors are no overload.
+    // as many processes as processors are no overload
     if *load > *count as f64 + 0.5 {
         findings.push(
-            Finding::warning(CHECK, format!("{load:.1} processes want to run, on {count} processors"))
-                .because("what was measured here is slower than it would be, and predictions will be late")
-                .fix("end other programs (top shows them); where these are the nodes themselves, all is well"),
+            Finding::warning(
+                CHECK,
+                format!("{load:.1} runnable processes on {count} processors"),
+            )
+            .because("these measurements are too slow, and predictions will be late")
+            .fix("end other programs (top shows them), unless these are the nodes themselves"),
         );
     }
     if let Some((driver, governor)) = &processor.governor
@@ -155,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn what_slows_the_models_down_is_said() {
+    fn slow_processors_are_reported() {
         let good = Processor {
             count: 4,
             load: 0.5,
@@ -163,7 +164,7 @@ mod tests {
             ..Processor::of_cpuinfo(CPUINFO)
         };
         assert_eq!(levels(&good), [Level::Ok]);
-        // Another architecture has no such flags, and kernels of its own.
+        // Arm has no such flags, but kernels of its own
         let arm = Processor {
             flags: None,
             ..good.clone()

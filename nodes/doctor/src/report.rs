@@ -1,57 +1,57 @@
-//! All findings together.
+//! The report: all findings.
 
-use crate::{Finding, Heard, Level, Machine, ModelFacts, action, audit, camera, fit, peers};
+use crate::{Finding, Level, Machine, ModelFacts, Survey, action, audit, camera, fit, peers};
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::fmt;
 
-/// All findings together, in the order of the checks.
+/// In the order of the checks.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Report {
-    /// What was found.
+    /// In the order of the checks.
     pub findings: Vec<Finding>,
 }
 
 impl Report {
-    /// What is to be said of all that is known. `model` is none where none was to be tried, or what is wrong with it;
-    /// `camera` and `action` are the topics that the user named.
+    /// `model`: `None` without a model to check, or the error of opening it. `camera` and `action`: topics that the
+    /// user named.
     #[must_use]
     pub fn of(
         machine: &Machine,
-        heard: &Heard,
+        survey: &Survey,
         model: Option<Result<&ModelFacts, String>>,
         (camera, action): (Option<&str>, Option<&str>),
     ) -> Self {
         let facts = model
             .as_ref()
             .and_then(|model| model.as_ref().ok().copied());
-        let mut findings = machine.check(heard);
-        findings.extend(camera::check(heard, camera));
-        findings.extend(action::check(heard, camera, action, facts));
-        findings.extend(audit::check(heard, (camera, action), facts));
+        let mut findings = machine.check(survey);
+        findings.extend(camera::check(survey, camera));
+        findings.extend(action::check(survey, camera, action, facts));
+        findings.extend(audit::check(survey, (camera, action), facts));
         match &model {
             None => {}
-            Some(Ok(facts)) => findings.extend(fit::check(facts, heard.camera(camera))),
+            Some(Ok(facts)) => findings.extend(fit::check(facts, survey.camera(camera))),
             Some(Err(problem)) => findings.push(
                 Finding::error("model", problem.clone())
                     .because("no node that computes starts with this model")
-                    .fix("wm model check DIR says more; --model tiny is the bundled one"),
+                    .fix("run wm model check DIR for details; --model tiny is the bundled model"),
             ),
         }
-        findings.extend(peers::check(heard));
+        findings.extend(peers::check(survey));
         Self { findings }
     }
 
-    /// The worst of them.
+    /// The worst level of the findings.
     #[must_use]
     pub fn worst(&self) -> Level {
         let levels = self.findings.iter().map(|finding| finding.level);
         levels.max().unwrap_or(Level::Ok)
     }
 
-    /// As a program reads it: `worst`, `findings`, and what was heard in figures.
+    /// For programs: `worst`, `findings`, and statistics of the topics.
     #[must_use]
-    pub fn json(&self, heard: &Heard) -> Value {
+    pub fn json(&self, survey: &Survey) -> Value {
         let stream = |stream: &crate::Stream| {
             json!({
                 "topic": stream.topic,
@@ -81,11 +81,11 @@ impl Report {
         json!({
             "worst": self.worst(),
             "findings": self.findings,
-            "listened_s": heard.span.as_secs_f64(),
-            "participants": heard.participants,
-            "cameras": heard.cameras.iter().map(camera).collect::<Vec<_>>(),
-            "actions": heard.actions.values().map(|actions| stream(&actions.stream)).collect::<Vec<_>>(),
-            "motions": heard.motions,
+            "listened_s": survey.span.as_secs_f64(),
+            "participants": survey.participants,
+            "cameras": survey.cameras.iter().map(camera).collect::<Vec<_>>(),
+            "actions": survey.actions.values().map(|actions| stream(&actions.stream)).collect::<Vec<_>>(),
+            "motions": survey.motions,
         })
     }
 
@@ -95,7 +95,7 @@ impl Report {
     }
 }
 
-/// A line for each finding, with why and fix below it, and one for all of them.
+/// A line for each finding, with reason and fix below it, and a summary.
 impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for finding in &self.findings {
@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn text_has_what_why_and_mend() {
+    fn text_contains_finding_reason_and_fix() {
         assert_eq!(
             report().to_string(),
             [
@@ -145,8 +145,8 @@ mod tests {
     }
 
     #[test]
-    fn json_has_the_same_and_leaves_out_what_is_not_there() {
-        let json = report().json(&Heard::default());
+    fn json_omits_missing_fields() {
+        let json = report().json(&Survey::default());
         assert_eq!(json["worst"], "error");
         assert_eq!(
             json["findings"][0],

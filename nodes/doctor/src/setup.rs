@@ -1,17 +1,16 @@
-//! `wm init`: a launch file and parameter files for what was heard.
+//! `wm init`: generates a launch file and parameter files for the cameras and arms found.
 
-use crate::{Heard, ModelFacts};
+use crate::{ModelFacts, Survey};
 use std::fs::{self, OpenOptions};
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 use thiserror::Error;
 use wm_ros::logging::of_others;
 
-/// The launch file that is set up, as the repository has it.
+/// The template: the repository's launch file.
 const LAUNCH: &str = include_str!("../../../launch-configs/live.launch.yaml");
-/// Its name.
 const LAUNCH_NAME: &str = "live.launch.yaml";
-/// Name and text of the parameter files that it names, as the nodes print them.
+/// Name and text of its parameter files, as the nodes print them.
 const CONFIGS: [(&str, &str); 8] = [
     (
         "encoder",
@@ -46,64 +45,54 @@ const CONFIGS: [(&str, &str); 8] = [
         include_str!("../../../launch-configs/config/view.yaml"),
     ),
 ];
-/// As [`CONFIGS`], of the adapter.
+/// The adapter's parameter file.
 const ADAPTER: &str = include_str!("../../../launch-configs/config/action_adapter.yaml");
-/// Values of the launch files that are no defaults.
+/// Values of the launch files that differ from defaults.
 const JOBS: &str = include_str!("../../../launch-configs/config/jobs.yaml");
 /// A parameter of several nodes.
 const FRAME_PERIOD: &str = "frame_period";
-/// Topic on which the adapter publishes.
+/// The topic on which the adapter publishes.
 const ADAPTED: &str = "/wm/action";
 
-/// Why nothing was set up.
+/// Why nothing was generated.
 #[derive(Debug, Error)]
+#[expect(missing_docs, reason = "the messages explain variants and fields")]
 #[non_exhaustive]
 pub enum SetupError {
-    /// Nothing to set up for.
     #[error(
-        "no camera was heard, so there is nothing to set up for: start its driver, or name its topic with --camera \
+        "no camera was found: start its driver, or name its topic with --camera \
          (`wm doctor` says more)"
     )]
     NoCamera,
-    /// More than one camera.
-    #[error("several cameras were heard: {}; choose one with --camera", .0.join(", "))]
+    #[error("several cameras were found: {}; choose one with --camera", .0.join(", "))]
     SeveralCameras(Vec<String>),
-    /// More than one topic of actions.
-    #[error("several topics of actions were heard: {}; choose one with --action", .0.join(", "))]
+    #[error("several topics of actions were found: {}; choose one with --action", .0.join(", "))]
     SeveralActions(Vec<String>),
-    /// A name that a launch file would read as something else.
+    /// A name that would have another meaning in a launch file.
     #[error(
-        "the name of the {what}, `{text}`, has a `$` in it, which means something else in a launch file"
+        "the name of the {what}, `{text}`, contains a `$`, which has another meaning in a launch file"
     )]
     Substitution {
-        /// What it names.
+        /// The kind of name.
         what: &'static str,
-        /// The name.
         text: String,
     },
-    /// A file that is there already; nothing was written.
+    /// A file exists already; nothing was written.
     #[error("{} exists already, and nothing was written: name another folder", .0.display())]
     Exists(PathBuf),
-    /// A file cannot be written.
     #[error("cannot write {}", file.display())]
-    Write {
-        /// The file.
-        file: PathBuf,
-        /// Why.
-        source: io::Error,
-    },
-    /// The launch file of the repository has changed, and this module has not.
+    Write { file: PathBuf, source: io::Error },
+    /// The repository's launch file has changed, but this module has not.
     #[error("the bundled {file} has no {wanted}; please report this")]
     Template {
-        /// The file.
         file: &'static str,
-        /// What was looked for.
+        /// The text that is missing.
         wanted: String,
     },
 }
 
 impl SetupError {
-    /// Whether the user has to say more.
+    /// Whether the user has to give more or other arguments.
     #[must_use]
     pub fn is_usage(&self) -> bool {
         matches!(
@@ -113,54 +102,54 @@ impl SetupError {
     }
 }
 
-/// What is set up.
+/// The values of the generated files.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Setup {
     /// Image topic of the camera.
     pub camera: String,
-    /// Topic of the actions, or of what the adapter makes them of.
+    /// Topic of the actions, or the topic that the adapter converts.
     pub action: String,
-    /// The adapter's `source`, where the arm publishes no actions.
+    /// The adapter's `source`; `None` if the arm publishes actions.
     pub adapter: Option<&'static str>,
     /// `tiny`, or a model folder.
     pub model: String,
-    /// `frame_period` of the nodes where the camera is slower than the model \[s\].
+    /// `frame_period` of the nodes if the camera is slower than the model \[s\].
     pub frame_period_s: Option<f64>,
 }
 
 impl Setup {
-    /// For what was heard, and the topics that the user named. A named topic need not have been heard.
+    /// From the topics found and the topics that the user named. Named topics may be missing.
     ///
     /// # Errors
-    /// None or several to choose from.
+    /// There is no choice or more than one.
     pub fn new(
-        heard: &Heard,
+        survey: &Survey,
         model: &ModelFacts,
         (camera, action): (Option<&str>, Option<&str>),
     ) -> Result<Self, SetupError> {
-        let cameras: Vec<&String> = heard.cameras.keys().collect();
+        let cameras: Vec<&String> = survey.cameras.keys().collect();
         let camera_name = match (camera, cameras.as_slice()) {
             (Some(name), _) => name.to_owned(),
             (None, []) => return Err(SetupError::NoCamera),
             (None, [only]) => (*only).clone(),
             (None, _) => return Err(SetupError::SeveralCameras(listed(&cameras))),
         };
-        let taken = heard
+        let taken = survey
             .actions
             .iter()
             .filter(|(_, actions)| !actions.is_chunk);
         let topics: Vec<&String> = taken.map(|(name, _)| name).collect();
         let (action, adapter) = match (action, topics.as_slice()) {
             (Some(name), _) => {
-                let adapter = heard.motion(name).map(|motion| motion.source);
+                let adapter = survey.motion(name).map(|motion| motion.source);
                 (name.to_owned(), adapter)
             }
-            // As the nodes have it, for an arm that does not run yet.
+            // the nodes' default, for an arm that is not running yet
             (None, []) => (ADAPTED.to_owned(), None),
             (None, [only]) => ((*only).clone(), None),
             (None, _) => return Err(SetupError::SeveralActions(listed(&topics))),
         };
-        let stream = heard
+        let stream = survey
             .cameras
             .get(&camera_name)
             .and_then(crate::Camera::best);
@@ -174,10 +163,10 @@ impl Setup {
         })
     }
 
-    /// Name within the folder, and text of each file.
+    /// Name within the folder and text of each file.
     ///
     /// # Errors
-    /// A name that has no place in a launch file.
+    /// A name cannot stand in a launch file.
     pub fn files(&self) -> Result<Vec<(PathBuf, String)>, SetupError> {
         let names = [
             ("camera", &self.camera),
@@ -204,7 +193,7 @@ impl Setup {
     }
 
     fn launch(&self) -> Result<String, SetupError> {
-        // The nodes take the adapter's actions.
+        // the nodes take the adapter's actions
         let action = match self.adapter {
             Some(_) => ADAPTED,
             None => &self.action,
@@ -235,10 +224,10 @@ impl Setup {
         }
     }
 
-    /// Writes the files into `folder`, which is made if it is not there; gives their paths.
+    /// Writes the files into `folder`, which is created if missing, and returns their paths.
     ///
     /// # Errors
-    /// One of the files exists already (then none is written), or one cannot be written.
+    /// One of the files exists already (then none is written), or cannot be written.
     pub fn write(&self, folder: &Path) -> Result<Vec<PathBuf>, SetupError> {
         let files = self.files()?;
         let paths: Vec<PathBuf> = files.iter().map(|(name, _)| folder.join(name)).collect();
@@ -272,7 +261,7 @@ fn config(name: &str) -> PathBuf {
     PathBuf::from(format!("config/{name}.yaml"))
 }
 
-/// A text as YAML has it: JSON's strings are YAML's too.
+/// JSON strings are valid YAML.
 fn quoted(text: &str) -> String {
     serde_json::Value::from(text).to_string()
 }
@@ -289,7 +278,7 @@ fn with_default(text: &str, name: &str, default: &str) -> Result<String, SetupEr
     Ok(format!("{before}{head}{}\n{rest}", quoted(default)))
 }
 
-/// The parameter file with another value of the parameter `name`, if it has that.
+/// The parameter file with another value of the parameter `name`, if it has one.
 fn with_parameter(text: &str, name: &str, value: &str) -> String {
     let key = format!("    {name}: ");
     let line = |line: &str| match line.starts_with(&key) {
@@ -306,8 +295,8 @@ mod tests {
     use std::collections::BTreeMap;
     use wm_launch::{Plan, System};
 
-    fn heard() -> Heard {
-        let mut heard = Heard::default();
+    fn survey() -> Survey {
+        let mut survey = Survey::default();
         let stream = Stream {
             timeline: regular(9, 500, 10),
             ..Stream::default()
@@ -316,11 +305,11 @@ mod tests {
             raw: Some(stream),
             ..Camera::default()
         };
-        heard.cameras.insert("/front/image_raw".into(), camera);
-        heard
+        survey.cameras.insert("/front/image_raw".into(), camera);
+        survey
             .actions
             .insert("/arm/action".into(), Actions::default());
-        heard
+        survey
     }
 
     /// The command lines that `wm launch` would run.
@@ -350,8 +339,8 @@ mod tests {
     }
 
     #[test]
-    fn the_launch_file_is_one_and_names_what_was_heard() {
-        let setup = Setup::new(&heard(), &facts(), (None, None)).unwrap();
+    fn launch_file_is_valid_and_names_the_topics() {
+        let setup = Setup::new(&survey(), &facts(), (None, None)).unwrap();
         assert_eq!(
             (setup.camera.as_str(), setup.action.as_str()),
             ("/front/image_raw", "/arm/action")
@@ -369,7 +358,7 @@ mod tests {
 
     #[test]
     fn every_parameter_file_that_the_launch_names_is_written() {
-        let setup = Setup::new(&heard(), &facts(), (None, None)).unwrap();
+        let setup = Setup::new(&survey(), &facts(), (None, None)).unwrap();
         let files: BTreeMap<_, _> = setup.files().unwrap().into_iter().collect();
         let launch = &files[Path::new(LAUNCH_NAME)];
         let named = launch.split("$(dirname)/").skip(1);
@@ -381,8 +370,8 @@ mod tests {
     }
 
     #[test]
-    fn a_slow_cameras_period_is_in_the_parameter_files() {
-        let setup = Setup::new(&heard(), &facts(), (None, None)).unwrap();
+    fn parameter_files_contain_a_slow_cameras_period() {
+        let setup = Setup::new(&survey(), &facts(), (None, None)).unwrap();
         let files: BTreeMap<_, _> = setup.files().unwrap().into_iter().collect();
         for name in ["encoder", "predictor", "planner", "evaluator"] {
             let text = &files[&config(name)];
@@ -400,14 +389,14 @@ mod tests {
     }
 
     #[test]
-    fn an_arms_velocities_go_through_the_adapter() {
-        let mut heard = heard();
-        heard.motions.push(Motion {
+    fn arm_velocities_go_through_the_adapter() {
+        let mut survey = survey();
+        survey.motions.push(Motion {
             topic: "/arm/twist".into(),
             type_name: "geometry_msgs/msg/TwistStamped".into(),
             source: "twist",
         });
-        let setup = Setup::new(&heard, &facts(), (None, Some("/arm/twist"))).unwrap();
+        let setup = Setup::new(&survey, &facts(), (None, Some("/arm/twist"))).unwrap();
         let plan = plan(&setup);
         assert!(
             plan.contains("/wm/twist:=/arm/twist") && !plan.contains("/wm/action:=/arm"),
@@ -418,9 +407,9 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_written_over_or_guessed() {
+    fn existing_files_and_ambiguous_topics_are_errors() {
         let folder = tempfile::tempdir().unwrap();
-        let setup = Setup::new(&heard(), &facts(), (None, None)).unwrap();
+        let setup = Setup::new(&survey(), &facts(), (None, None)).unwrap();
         std::fs::create_dir(folder.path().join("config")).unwrap();
         let own = folder.path().join("config/monitor.yaml");
         std::fs::write(&own, "mine").unwrap();
@@ -428,24 +417,24 @@ mod tests {
         assert_eq!(std::fs::read_to_string(&own).unwrap(), "mine");
         assert!(!folder.path().join(LAUNCH_NAME).exists());
 
-        let new = |heard: &Heard, camera| Setup::new(heard, &facts(), (camera, None));
+        let new = |survey: &Survey, camera| Setup::new(survey, &facts(), (camera, None));
         assert!(matches!(
-            new(&Heard::default(), None),
+            new(&Survey::default(), None),
             Err(SetupError::NoCamera)
         ));
         assert_eq!(
-            new(&Heard::default(), Some("/c")).unwrap().action,
+            new(&Survey::default(), Some("/c")).unwrap().action,
             "/wm/action"
         );
-        let mut two = heard();
+        let mut two = survey();
         two.cameras.insert("/wrist".into(), Camera::default());
         assert!(new(&two, None).unwrap_err().is_usage());
         assert_eq!(new(&two, Some("/wrist")).unwrap().camera, "/wrist");
     }
 
     #[test]
-    fn names_that_a_launch_file_would_replace_are_refused() {
-        let mut setup = Setup::new(&heard(), &facts(), (None, None)).unwrap();
+    fn names_with_launch_substitutions_are_refused() {
+        let mut setup = Setup::new(&survey(), &facts(), (None, None)).unwrap();
         setup.model = "/models/\"quoted\" and 5".into();
         let plan = plan(&setup);
         assert!(plan.contains("quoted"), "{plan}");

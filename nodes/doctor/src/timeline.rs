@@ -1,27 +1,27 @@
-//! When the messages of a topic came, and what they are stamped with.
+//! Arrival times and stamps of a topic's messages.
 
 use std::time::Duration;
 use wm_camera::recent_pictures::RecentPictures;
 use wm_msgs::builtin_interfaces::Time;
 
-/// Part of the pictures that are new for a camera that repeats none.
+/// The least share of new pictures of a camera that repeats none.
 const MOSTLY_NEW: f64 = 0.8;
 
-/// A message that came.
+/// A received message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Arrival {
-    /// When, by a clock that never jumps, since the listening began.
+    /// Since the start of listening, by the monotonic clock.
     pub at: Duration,
-    /// When, by the system's clock \[ns\].
+    /// By the system's clock \[ns\].
     pub received_ns: i64,
-    /// Its header's stamp; none where the type has no header.
+    /// Its header's stamp; `None` if the type has no header.
     pub stamp: Option<Time>,
-    /// Of a picture: a number that pictures share if they are the same, byte for byte.
+    /// For pictures: equal if the pictures are equal, byte for byte.
     pub fingerprint: Option<u64>,
 }
 
 impl Arrival {
-    /// The stamp in nanoseconds, if it is a time.
+    /// The stamp in nanoseconds, if valid.
     fn stamp_ns(&self) -> Option<i64> {
         self.stamp
             .filter(|stamp| is_time(*stamp))
@@ -29,44 +29,44 @@ impl Arrival {
     }
 }
 
-/// Whether a stamp is a time as the nodes take it.
+/// Whether the nodes accept the stamp.
 fn is_time(stamp: Time) -> bool {
     let is_zero = stamp.sec == 0 && stamp.nanosec == 0;
     stamp.sec >= 0 && stamp.nanosec < 1_000_000_000 && !is_zero
 }
 
-/// Messages in the order in which they came.
+/// Messages in order of arrival.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Timeline(pub Vec<Arrival>);
 
 impl Timeline {
-    /// How many came.
     #[must_use]
     pub fn len(&self) -> usize {
         self.0.len()
     }
 
-    /// Whether none came.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
-    /// Messages without a valid stamp, of types that have one.
+    /// Messages with an invalid stamp.
     pub(crate) fn unstamped(&self) -> usize {
         let stamps = self.0.iter().filter_map(|arrival| arrival.stamp);
         stamps.filter(|stamp| !is_time(*stamp)).count()
     }
 
-    /// From one message to the next by their stamps where all have one, else by when they came \[s\]; those of time that
-    /// does not pass left out.
+    /// Gaps between messages by their stamps if all have one, otherwise by arrival \[s\]. Zero and negative gaps are
+    /// excluded.
     fn gaps_s(&self) -> Vec<f64> {
         let stamps: Option<Vec<i64>> = self.0.iter().map(Arrival::stamp_ns).collect();
         let times_s: Vec<f64> = match stamps {
             Some(stamps) => {
-                // Seconds since 1970 are too large for a float that tells microseconds apart.
-                let first = stamps.first().copied().unwrap_or(0);
-                let since_s = |ns: &i64| ns.saturating_sub(first) as f64 / 1e9;
+                let Some(first) = stamps.first() else {
+                    return Vec::new();
+                };
+                // seconds since 1970 as a float do not resolve microseconds
+                let since_s = |ns: &i64| ns.saturating_sub(*first) as f64 / 1e9;
                 stamps.iter().map(since_s).collect()
             }
             None => self
@@ -75,20 +75,19 @@ impl Timeline {
                 .map(|arrival| arrival.at.as_secs_f64())
                 .collect(),
         };
-        let pairs = times_s.iter().zip(times_s.iter().skip(1));
-        pairs
-            .map(|(before, after)| after - before)
-            .filter(|gap| *gap > 0.0)
-            .collect()
+        let gaps = times_s
+            .array_windows()
+            .map(|[before, after]| after - before);
+        gaps.filter(|gap| *gap > 0.0).collect()
     }
 
-    /// The median time from one message to the next \[s\]; none for fewer than three messages.
+    /// The median gap between messages \[s\]; `None` for fewer than three messages.
     pub(crate) fn period_s(&self) -> Option<f64> {
         let gaps_s = self.gaps_s();
         (gaps_s.len() >= 2).then(|| quantile(gaps_s, 0.5)).flatten()
     }
 
-    /// The messages with a new picture; none of them if messages have no pictures.
+    /// The messages with a new picture; empty if messages have no pictures.
     pub(crate) fn of_new_pictures(&self) -> Self {
         let mut recent = RecentPictures::default();
         let is_new = |arrival: &&Arrival| {
@@ -98,12 +97,12 @@ impl Timeline {
         Self(self.0.iter().filter(is_new).copied().collect())
     }
 
-    /// The time from one new picture to the next \[s\]: of a camera that is published faster than it takes pictures, longer
-    /// than [`Self::period_s`]. `None` for fewer than three messages.
+    /// The median gap between new pictures \[s\], longer than [`Self::period_s`] if the camera repeats pictures. `None`
+    /// for fewer than three messages.
     pub(crate) fn picture_period_s(&self) -> Option<f64> {
         let period_s = self.period_s()?;
         let new = self.of_new_pictures();
-        // Some repeat by chance, as where a bag begins again.
+        // some repeat by chance, for example where a bag loops
         if new.is_empty() || new.len() as f64 > MOSTLY_NEW * self.len() as f64 {
             return Some(period_s);
         }
@@ -112,7 +111,7 @@ impl Timeline {
         Some(if gaps_s.len() >= 2 { mean_s } else { period_s })
     }
 
-    /// The longest time without a new picture, the end of the listening included \[s\]; 0 if messages have no pictures.
+    /// The longest time without a new picture, including the end of listening \[s\]; 0 if messages have no pictures.
     pub(crate) fn longest_repeat_s(&self) -> f64 {
         let mut new = self.of_new_pictures().0.into_iter().peekable();
         let (mut since, mut longest) = (None, Duration::ZERO);
@@ -126,7 +125,7 @@ impl Timeline {
         longest.as_secs_f64()
     }
 
-    /// How many times the median the longest tenth of the gaps are; none for fewer than ten gaps.
+    /// The longest tenth of the gaps relative to the median; `None` for fewer than ten gaps.
     pub(crate) fn jitter(&self) -> Option<f64> {
         let gaps_s = self.gaps_s();
         let long = (gaps_s.len() >= 10)
@@ -135,7 +134,7 @@ impl Timeline {
         Some(long / self.period_s()?)
     }
 
-    /// The median time from stamp to arrival \[s\]; negative where stamps are ahead of this machine's clock.
+    /// The median time from stamp to arrival \[s\]; negative if stamps are ahead of this machine's clock.
     pub(crate) fn delay_s(&self) -> Option<f64> {
         let delays = self.0.iter().filter_map(|arrival| {
             let stamp_ns = arrival.stamp_ns()?;
@@ -144,14 +143,14 @@ impl Timeline {
         quantile(delays.collect(), 0.5)
     }
 
-    /// Messages that are stamped before the one that came before them.
+    /// Messages with an earlier stamp than their predecessor.
     pub(crate) fn backwards(&self) -> usize {
         let stamps: Vec<i64> = self.0.iter().filter_map(Arrival::stamp_ns).collect();
         let pairs = stamps.iter().zip(stamps.iter().skip(1));
         pairs.filter(|(before, after)| after < before).count()
     }
 
-    /// How far the system's clock has moved against one that never jumps, from the first message to the last \[s\].
+    /// How far the system's clock moved against the monotonic clock, from the first message to the last \[s\].
     pub(crate) fn clock_moved_s(&self) -> Option<f64> {
         let (first, last) = (self.0.first()?, self.0.last()?);
         let wall_s = (last.received_ns - first.received_ns) as f64 / 1e9;
@@ -159,15 +158,15 @@ impl Timeline {
     }
 }
 
-/// The value below which the share `q` of `values` lies; none of none.
+/// The quantile `q`; `None` without values.
 fn quantile(mut values: Vec<f64>, q: f64) -> Option<f64> {
     values.sort_by(f64::total_cmp);
-    // A share of a length is an index.
+    // a share of a length is an index
     let index = (values.len().saturating_sub(1) as f64 * q).round() as usize;
     values.get(index).copied()
 }
 
-/// Messages of a test: `period_ms` apart, each stamped `delay_ms` before it comes.
+/// Test messages `period_ms` apart, each stamped `delay_ms` before its arrival.
 #[cfg(test)]
 pub(crate) fn regular(count: u64, period_ms: u64, delay_ms: i64) -> Timeline {
     let arrival = |index: u64| {
@@ -201,14 +200,14 @@ mod tests {
         close(timeline.delay_s(), 0.04);
         close(timeline.jitter(), 1.0);
         close(timeline.clock_moved_s(), 0.0);
-        // One that is lost changes no median, but no frame is stamped twice.
+        // a lost message changes no median, but no frame is stamped twice
         timeline.0.remove(7);
         close(timeline.period_s(), 0.2);
         assert_eq!((timeline.backwards(), timeline.unstamped()), (0, 0));
     }
 
     #[test]
-    fn what_is_not_stamped_goes_by_when_it_came() {
+    fn unstamped_messages_use_arrival_times() {
         let mut timeline = regular(5, 100, 0);
         timeline.0[2].stamp = Some(Time::default());
         timeline.0[3].stamp = Some(Time {
@@ -221,7 +220,7 @@ mod tests {
         assert_eq!(Timeline::default().delay_s(), None);
     }
 
-    /// Pictures of which each is published so many times.
+    /// Pictures that are published so many times each.
     fn repeated(times: u64, count: u64) -> Timeline {
         let mut timeline = regular(count, 100, 0);
         for arrival in &mut timeline.0 {
@@ -238,7 +237,7 @@ mod tests {
             close(timeline.picture_period_s(), 0.1 * times as f64);
             close(Some(timeline.longest_repeat_s()), 0.1 * (times - 1) as f64);
         }
-        // It has stopped: no rate.
+        // it has stopped: no rate
         let stopped = repeated(1000, 60);
         close(stopped.picture_period_s(), 0.1);
         close(Some(stopped.longest_repeat_s()), 5.9);
@@ -252,7 +251,7 @@ mod tests {
     }
 
     #[test]
-    fn stamps_that_go_back_and_a_clock_that_was_set_are_seen() {
+    fn backward_stamps_and_set_clocks_are_measured() {
         let mut timeline = regular(4, 100, 0);
         timeline.0.swap(1, 2);
         assert_eq!(timeline.backwards(), 1);
@@ -262,7 +261,7 @@ mod tests {
     }
 
     #[test]
-    fn gaps_of_uneven_lengths_are_seen() {
+    fn uneven_gaps_are_measured() {
         let mut timeline = regular(40, 100, 0);
         for index in (0..39).step_by(3) {
             if let Some(stamp) = timeline.0[index].stamp.as_mut() {

@@ -1,17 +1,17 @@
-//! A model, run once.
+//! Runs a model once.
 
 use crate::{DoctorError, Times};
-use candle_core::{DType, Device, Tensor};
+use image::{Rgb, RgbImage};
 use std::time::{Duration, Instant};
-use wm_model::sampler::Rollout;
-use wm_model::{Decoder, Encoder, WorldModel};
+use wm_model::sampler::{Noise, Observed, Rollout};
+use wm_model::{Decoder, Encoder, LatentSpace, WorldModel};
 use wm_zoo::ModelFolder;
 use wm_zoo::success_probe::SuccessClassifier;
 
-/// An instruction to try a success probe with that reads any text.
+/// An instruction for success probes that read any text.
 const TASK: &str = "put the cup on the plate";
 
-/// What of a model there is, loaded.
+/// The loaded parts of a model.
 pub struct Parts {
     /// Pictures to latents.
     pub encoder: Box<dyn Encoder>,
@@ -23,34 +23,34 @@ pub struct Parts {
     pub probe: Option<SuccessClassifier>,
 }
 
-/// How long each part takes here, once everything that it touches is in memory.
+/// Durations of each part after warm-up.
 #[derive(Clone, Copy, Debug)]
 pub struct Trial {
-    /// A picture to a latent.
+    /// One picture.
     pub encode: Duration,
-    /// One predicted frame; none where there is no transition model.
+    /// One predicted frame; `None` without a transition model.
     pub predict: Option<Duration>,
-    /// A latent to a picture; none where there is no decoder.
+    /// One latent; `None` without a decoder.
     pub decode: Option<Duration>,
-    /// What the success probe takes, if there is one.
-    pub judge: Option<Judging>,
-    /// Camera frames of a model step.
+    /// `None` without a success probe.
+    pub judge: Option<ProbeTimes>,
+    /// Camera frames per model step.
     pub frame_skip: usize,
 }
 
-/// How long a success probe takes.
+/// Durations of a success probe.
 #[derive(Clone, Copy, Debug)]
-pub struct Judging {
-    /// To read an instruction.
+pub struct ProbeTimes {
+    /// Reading an instruction.
     pub reading: Duration,
-    /// To judge an episode of two frames.
+    /// ProbeTimes an episode of two frames.
     pub judging: Duration,
-    /// Frames of the longest episode that it takes.
+    /// The most frames of an episode.
     pub max_frames: usize,
 }
 
 impl Trial {
-    /// The same, for a camera with `frame_period` between frames.
+    /// The verdict for a camera with `frame_period` between frames.
     #[must_use]
     pub fn at(&self, frame_period: Duration) -> Times {
         Times {
@@ -64,10 +64,10 @@ impl Trial {
 }
 
 impl Parts {
-    /// Loads them as the nodes do.
+    /// Loads the parts as the nodes do.
     ///
     /// # Errors
-    /// Names what is missing or wrong in the weights.
+    /// Names the missing or invalid weights.
     pub fn load(model: &ModelFolder) -> Result<Self, DoctorError> {
         let failed = DoctorError::of::<wm_zoo::Error>;
         Ok(Self {
@@ -85,44 +85,52 @@ impl Parts {
         })
     }
 
-    /// One grey picture through all of them.
+    /// Runs one grey picture through all parts.
     ///
     /// # Errors
-    /// A part computes nothing, by name.
+    /// Names the part that fails.
     pub fn try_out(&self) -> Result<Trial, DoctorError> {
-        let encoding = DoctorError::of::<wm_model::Error>;
-        let tensor = DoctorError::of::<candle_core::Error>;
+        let failed = DoctorError::of::<wm_model::Error>;
         let (height, width) = self.encoder.input_size();
-        let picture = Tensor::full(0.5f32, (1, height, width, 3), &Device::Cpu)
-            .map_err(tensor("a picture"))?;
-        let (latent, encode) =
-            timed(|| self.encoder.encode(&picture)).map_err(encoding("encoding"))?;
+        // Too large for an image is too large for the encoder: it fails.
+        let side = |side: usize| u32::try_from(side).unwrap_or(u32::MAX);
+        let picture = RgbImage::from_pixel(side(width), side(height), Rgb([128; 3]));
+        let image = self.encoder.prepare(&picture);
+        let image = image.map_err(failed("a picture"))?;
+        let (latent, encode) = timed(|| self.encoder.values(&image)).map_err(failed("encoding"))?;
 
         let mut next = latent.clone();
         let mut predict = None;
         if let Some(WorldModel { transition, .. }) = &self.transition {
             let config = transition.config();
-            let context = latent.unsqueeze(0).map_err(tensor("a context"))?;
-            let action = Tensor::zeros((1, config.action_dim), DType::F32, &Device::Cpu)
-                .map_err(tensor("an action"))?;
+            let action = vec![0.0; config.action_dim];
+            let observed = [Observed {
+                frames: vec![&latent],
+                actions: Vec::new(),
+                noise: Noise {
+                    seed: 0,
+                    first_step: 0,
+                },
+            }];
             let (predicted, time) = timed(|| {
-                Rollout::new(transition, &config.sampler, &context, None, 0)?.next(&action)
+                Rollout::of_values(transition, &config.sampler, &observed)?
+                    .predict(&[&action], None)
             })
-            .map_err(encoding("predicting"))?;
-            (next, predict) = (predicted, Some(time));
+            .map_err(failed("predicting"))?;
+            (next, predict) = (predicted.concat(), Some(time));
         }
         let decode = match &self.decoder {
             None => None,
             Some(decoder) => {
-                let (_, time) = timed(|| decoder.decode(&next)).map_err(encoding("decoding"))?;
+                let (_, time) = timed(|| decoder.picture(&next)).map_err(failed("decoding"))?;
                 Some(time)
             }
         };
         let judge = match &self.probe {
             None => None,
             Some(probe) => {
-                let episode = Tensor::cat(&[&latent, &next], 0).map_err(tensor("an episode"))?;
-                Some(judging(probe, &episode).map_err(DoctorError::of("the success probe"))?)
+                let judging = judging(probe, self.encoder.space(), &[&latent, &next]);
+                Some(judging.map_err(DoctorError::of("the success probe"))?)
             }
         };
         let transition = self.transition.as_ref();
@@ -136,21 +144,26 @@ impl Parts {
     }
 }
 
-fn judging(probe: &SuccessClassifier, episode: &Tensor) -> wm_zoo::Result<Judging> {
+fn judging(
+    probe: &SuccessClassifier,
+    space: &LatentSpace,
+    frames: &[&[f32]],
+) -> wm_zoo::Result<ProbeTimes> {
+    let episode = space.stack(frames)?;
     let known = probe.vocabulary().and_then(|words| words.first());
     let started = Instant::now();
     let instruction = probe.instruction(known.map_or(TASK, String::as_str))?;
     let reading = started.elapsed();
     let started = Instant::now();
-    probe.probability(episode, &instruction)?;
-    Ok(Judging {
+    probe.probability(&episode, &instruction)?;
+    Ok(ProbeTimes {
         reading,
         judging: started.elapsed(),
         max_frames: probe.max_frames(),
     })
 }
 
-/// What `run` gives, and how long it takes once everything that it touches is in memory.
+/// The result of `run`, and its duration after warm-up.
 fn timed<T, E>(run: impl Fn() -> Result<T, E>) -> Result<(T, Duration), E> {
     run()?;
     let started = Instant::now();

@@ -1,4 +1,4 @@
-//! Whether a model is fast enough for a camera, in words.
+//! Whether a model is fast enough for a camera, as text.
 
 use std::fmt;
 use std::time::Duration;
@@ -13,27 +13,27 @@ const CONTEXT_FRAMES: usize = 2;
 /// The decoder's default `decode_period`.
 const DECODE_PERIOD: Duration = Duration::from_millis(600);
 
-/// What one step of each node takes here, measured alone, and the camera that it is for.
+/// Durations of one step of each node, measured alone, for a camera.
 #[derive(Clone, Copy, Debug)]
 pub struct Times {
-    /// A camera frame to a latent.
+    /// A camera frame.
     pub encode: Duration,
-    /// One predicted frame; none where there is no transition model.
+    /// One predicted frame; `None` without a transition model.
     pub predict: Option<Duration>,
-    /// A latent to a picture; none where there is no decoder.
+    /// A latent; `None` without a decoder.
     pub decode: Option<Duration>,
-    /// From one camera frame to the next.
+    /// Between camera frames.
     pub frame_period: Duration,
-    /// Camera frames of a model step.
+    /// Camera frames per model step.
     pub frame_skip: usize,
 }
 
-/// A line for each part, what the nodes will do at this rate and what would help, and one for all of them.
+/// A line for each part: what the nodes will do at this rate, and remedies; then a summary.
 impl fmt::Display for Times {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let needs = self.needs();
         let mode = Mode::of(self.encode, &needs);
-        // From one frame to predict from to the next.
+        // the time between frames to predict from
         let frames = mode.interval(&needs);
         self.encoder(mode, &needs, f)?;
         let rollouts = match self.predict {
@@ -49,11 +49,11 @@ impl fmt::Display for Times {
         match rollouts {
             None if self.is_fast_enough() => write!(
                 f,
-                "fast enough for {rate}: encoder and decoder only, nothing is predicted"
+                "fast enough for {rate}: encoder and decoder only, no predictions"
             ),
             None => write!(
                 f,
-                "too slow for {rate}: encoder and decoder only, nothing is predicted"
+                "too slow for {rate}: encoder and decoder only, no predictions"
             ),
             Some(_) if self.is_fast_enough() => {
                 write!(f, "fast enough for {rate}: a prediction from every frame")
@@ -78,7 +78,7 @@ impl Times {
         }
     }
 
-    /// Whether every frame is predicted from, or, without a transition model, encoded.
+    /// Whether every frame is predicted from, or encoded if there is no transition model.
     #[must_use]
     pub fn is_fast_enough(&self) -> bool {
         let needs = self.needs();
@@ -107,7 +107,7 @@ impl Times {
         writeln!(f)
     }
 
-    /// The time from one rollout to the next, where frames to predict from come every `frames`.
+    /// Returns the time between rollouts, for frames to predict from that arrive every `frames`.
     fn predictor(
         &self,
         step: Duration,
@@ -140,14 +140,14 @@ impl Times {
     }
 }
 
-/// From one rollout to the next, where frames to predict from come every `frames` and a predicted frame takes `step`.
+/// The time between rollouts, for frames to predict from every `frames` and `step` per predicted frame.
 fn between_rollouts(step: Duration, frames: Duration) -> Duration {
     frames * periods(step * HORIZON, frames)
 }
 
-/// The decoder's line, where rollouts begin `rollouts` apart.
+/// The decoder's line, for rollouts that begin `rollouts` apart.
 fn decoder(picture: Duration, rollouts: Duration, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-    // As the node does: of those that are at least a period apart, every nth.
+    // as the node does: every nth rollout, at least a period apart
     let due = rollouts * periods(DECODE_PERIOD, rollouts);
     let pictures = picture * HORIZON;
     let nth = periods(pictures, due);
@@ -186,8 +186,8 @@ mod tests {
     }
 
     #[test]
-    fn what_is_too_slow_says_what_the_nodes_will_do_and_what_to_change() {
-        // Web-DINO and DiT-S on two slow cores.
+    fn slow_models_are_reported_with_consequences_and_remedies() {
+        // Web-DINO and DiT-S on two slow cores
         let slow = verdict(1100, Some(1400), Some(2500));
         assert_eq!(
             lines(&slow),
@@ -211,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_fast_enough_says_so() {
+    fn fast_models_are_reported_as_fast_enough() {
         let fast = verdict(10, Some(20), Some(10));
         assert_eq!(
             lines(&fast),

@@ -1,39 +1,39 @@
-//! The launch's screen: lines of many processes, each with its name, and one live line that stays at the bottom.
+//! The launch's screen: lines of all processes, each with its process's name, and one live line at the bottom.
 //!
-//! A process shows a live line by printing lines that begin with a carriage return. On a terminal the newest of
-//! them stays below everything else; elsewhere one of them is printed now and then, as a line like any other.
+//! A process prints its live line with a leading carriage return. On a terminal the newest one stays below all other
+//! lines. Elsewhere it is printed from time to time as an ordinary line.
 
 use std::io::{self, Write};
 use std::time::{Duration, Instant};
 
-/// Without a terminal, how often the live line is printed.
+/// How often the live line is printed without a terminal.
 const LIVE_PERIOD: Duration = Duration::from_secs(5);
 
 /// Moves to the first column and clears the line.
 const CLEAR_LINE: &str = "\r\x1b[2K";
 
-/// Which of a process's streams a line is from.
+/// The stream of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stream {
+pub(crate) enum Stream {
     /// Standard output.
     Out,
     /// Standard error.
     Err,
 }
 
-/// Where the lines go. `O` and `E` are the launcher's standard output and error, or memory in tests.
-pub struct Console<O, E> {
+/// `O` and `E` are the launcher's standard output and error, or memory in tests.
+pub(crate) struct Console<O, E> {
     out: O,
     err: E,
-    /// The width of the terminal that `err` is, in columns; none where it is no terminal.
+    /// The width of the terminal of `err`; `None` if it is not a terminal.
     columns: Option<usize>,
     live: Option<String>,
     live_printed: Option<Instant>,
 }
 
 impl<O: Write, E: Write> Console<O, E> {
-    /// A screen; `columns`: the width of the terminal that standard error is, if it is one.
-    pub fn new(out: O, err: E, columns: Option<usize>) -> Self {
+    /// `columns`: the width of the terminal of standard error, if it is one.
+    pub(crate) fn new(out: O, err: E, columns: Option<usize>) -> Self {
         Self {
             out,
             err,
@@ -46,8 +46,14 @@ impl<O: Write, E: Write> Console<O, E> {
     /// Prints one line of process `name`.
     ///
     /// # Errors
-    /// Where the stream cannot be written, for example because its reader is gone.
-    pub fn line(&mut self, name: &str, stream: Stream, text: &str, now: Instant) -> io::Result<()> {
+    /// The stream cannot be written, for example because its reader is gone.
+    pub(crate) fn line(
+        &mut self,
+        name: &str,
+        stream: Stream,
+        text: &str,
+        now: Instant,
+    ) -> io::Result<()> {
         if let Some(live) = text.strip_prefix('\r') {
             return self.live(name, live, now);
         }
@@ -65,22 +71,22 @@ impl<O: Write, E: Write> Console<O, E> {
         self.show_live()
     }
 
-    /// Prints a line of the launcher's own.
+    /// Prints a line of the launcher itself.
     ///
     /// # Errors
-    /// As [`Self::line`].
-    pub fn say(&mut self, text: &str) -> io::Result<()> {
+    /// See [`Self::line`].
+    pub(crate) fn print_own(&mut self, text: &str) -> io::Result<()> {
         self.hide_live()?;
         writeln!(self.err, "[launch] {text}")?;
         self.err.flush()?;
         self.show_live()
     }
 
-    /// Takes the live line away, for good.
+    /// Removes the live line.
     ///
     /// # Errors
-    /// As [`Self::line`].
-    pub fn finish(&mut self) -> io::Result<()> {
+    /// See [`Self::line`].
+    pub(crate) fn finish(&mut self) -> io::Result<()> {
         self.hide_live()?;
         self.live = None;
         self.err.flush()
@@ -115,7 +121,7 @@ impl<O: Write, E: Write> Console<O, E> {
         let (Some(live), Some(columns)) = (&self.live, self.columns) else {
             return Ok(());
         };
-        // a line that wraps could not be cleared again
+        // a wrapped line could not be cleared
         let shown: String = live.chars().take(columns.saturating_sub(1)).collect();
         write!(self.err, "{shown}")?;
         self.err.flush()
@@ -136,7 +142,7 @@ mod tests {
         console
             .line("monitor-2", Stream::Out, "table", now)
             .unwrap();
-        console.say("stopping").unwrap();
+        console.print_own("stopping").unwrap();
         assert_eq!(
             String::from_utf8(console.out).unwrap(),
             "[monitor-2] table\n"
@@ -148,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn the_live_line_stays_below_the_others_on_a_terminal() {
+    fn live_line_stays_at_the_bottom_of_a_terminal() {
         let mut console = Console::new(Vec::new(), Vec::new(), Some(9));
         let now = Instant::now();
         console
@@ -162,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_terminal_the_live_line_comes_now_and_then() {
+    fn live_line_is_printed_periodically_without_a_terminal() {
         let mut console = Console::new(Vec::new(), Vec::new(), None);
         let start = Instant::now();
         for second in 0..11 {

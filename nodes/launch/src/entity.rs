@@ -1,11 +1,11 @@
-//! One entry of a launch file while it is read: it hands out its keys by name and type, and complains about
-//! the keys that nobody asked for, as ROS 2's frontends do.
+//! One entry of a launch file while it is read. It returns values by key and type, and rejects keys that were not read,
+//! as ROS 2's frontends do.
 
 use super::{error::LaunchError, substitution::Template};
 use serde_yaml_ng::{Mapping, Value};
 use std::path::Path;
 
-/// A mapping of a launch file, with the name to blame in errors.
+/// A mapping of a launch file, with its name for errors.
 pub(super) struct Entity<'a> {
     file: &'a Path,
     /// For example `launch[3] node "encoder"`.
@@ -15,7 +15,11 @@ pub(super) struct Entity<'a> {
 }
 
 impl<'a> Entity<'a> {
-    pub fn new(file: &'a Path, entry: String, value: &'a Value) -> Result<Self, LaunchError> {
+    pub(crate) fn new(
+        file: &'a Path,
+        entry: String,
+        value: &'a Value,
+    ) -> Result<Self, LaunchError> {
         let Value::Mapping(mapping) = value else {
             return Err(LaunchError::Entry {
                 file: file.to_owned(),
@@ -31,14 +35,14 @@ impl<'a> Entity<'a> {
         })
     }
 
-    /// The value of `key`, null counting as absent.
-    pub fn value(&mut self, key: &'static str) -> Option<&'a Value> {
+    /// The value of `key`; null counts as missing.
+    pub(crate) fn value(&mut self, key: &'static str) -> Option<&'a Value> {
         self.asked.push(key);
         self.mapping.get(key).filter(|value| !value.is_null())
     }
 
-    /// A text that must be a YAML string: ROS 2's frontend refuses `default: 1.0` without quotes.
-    pub fn text(&mut self, key: &'static str) -> Result<Option<&'a str>, LaunchError> {
+    /// A YAML string: ROS 2's frontend refuses `default: 1.0` without quotes.
+    pub(crate) fn text(&mut self, key: &'static str) -> Result<Option<&'a str>, LaunchError> {
         match self.value(key) {
             None => Ok(None),
             Some(Value::String(text)) => Ok(Some(text)),
@@ -49,26 +53,26 @@ impl<'a> Entity<'a> {
         }
     }
 
-    pub fn required_text(&mut self, key: &'static str) -> Result<&'a str, LaunchError> {
+    pub(crate) fn required_text(&mut self, key: &'static str) -> Result<&'a str, LaunchError> {
         match self.text(key)? {
             Some(text) => Ok(text),
             None => Err(self.missing(key)),
         }
     }
 
-    pub fn template(&mut self, key: &'static str) -> Result<Option<Template>, LaunchError> {
+    pub(crate) fn template(&mut self, key: &'static str) -> Result<Option<Template>, LaunchError> {
         match self.text(key)? {
             None => Ok(None),
             Some(text) => self.parse(key, text).map(Some),
         }
     }
 
-    pub fn required_template(&mut self, key: &'static str) -> Result<Template, LaunchError> {
+    pub(crate) fn required_template(&mut self, key: &'static str) -> Result<Template, LaunchError> {
         let text = self.required_text(key)?;
         self.parse(key, text)
     }
 
-    pub fn parse(&self, key: &str, text: &str) -> Result<Template, LaunchError> {
+    pub(crate) fn parse(&self, key: &str, text: &str) -> Result<Template, LaunchError> {
         Template::parse(text).map_err(|source| LaunchError::Substitution {
             file: self.file.to_owned(),
             entry: self.entry.clone(),
@@ -77,8 +81,8 @@ impl<'a> Entity<'a> {
         })
     }
 
-    /// A boolean, or a text to be resolved into one.
-    pub fn boolean(&mut self, key: &'static str) -> Result<Option<Template>, LaunchError> {
+    /// A boolean, or a text that resolves to one.
+    pub(crate) fn boolean(&mut self, key: &'static str) -> Result<Option<Template>, LaunchError> {
         match self.value(key) {
             Some(Value::Bool(value)) => self
                 .parse(key, if *value { "true" } else { "false" })
@@ -87,8 +91,8 @@ impl<'a> Entity<'a> {
         }
     }
 
-    /// A number that is not negative.
-    pub fn number(&mut self, key: &'static str) -> Result<Option<f64>, LaunchError> {
+    /// A number of at least 0.
+    pub(crate) fn number(&mut self, key: &'static str) -> Result<Option<f64>, LaunchError> {
         let Some(value) = self.value(key) else {
             return Ok(None);
         };
@@ -105,7 +109,7 @@ impl<'a> Entity<'a> {
     }
 
     /// The mappings of a list.
-    pub fn entities(&mut self, key: &'static str) -> Result<Vec<Entity<'a>>, LaunchError> {
+    pub(crate) fn entities(&mut self, key: &'static str) -> Result<Vec<Entity<'a>>, LaunchError> {
         let Some(value) = self.value(key) else {
             return Ok(Vec::new());
         };
@@ -120,9 +124,10 @@ impl<'a> Entity<'a> {
         items.iter().enumerate().map(named).collect()
     }
 
-    /// Complains about the keys that nobody asked for.
-    pub fn finish(self) -> Result<(), LaunchError> {
+    /// Rejects the keys that were not read.
+    pub(crate) fn finish(self) -> Result<(), LaunchError> {
         for key in self.mapping.keys() {
+            // keys that are not strings are unknown
             let name = key.as_str().unwrap_or_default();
             if !self.asked.contains(&name) {
                 return Err(LaunchError::UnknownKey {
@@ -138,11 +143,11 @@ impl<'a> Entity<'a> {
         Ok(())
     }
 
-    pub fn missing(&self, key: &str) -> LaunchError {
+    pub(crate) fn missing(&self, key: &str) -> LaunchError {
         self.error(format!("key {key:?} is missing"))
     }
 
-    pub fn error(&self, message: String) -> LaunchError {
+    pub(crate) fn error(&self, message: String) -> LaunchError {
         LaunchError::Entry {
             file: self.file.to_owned(),
             entry: self.entry.clone(),
@@ -151,7 +156,7 @@ impl<'a> Entity<'a> {
     }
 }
 
-/// A YAML value in words, short enough for an error message.
+/// Describes a YAML value for error messages.
 pub(super) fn describe(value: &Value) -> String {
     match value {
         Value::Null => "nothing".to_owned(),

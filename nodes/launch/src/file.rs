@@ -1,4 +1,4 @@
-//! A launch file as it is written: ROS 2's YAML launch format, read strictly, nothing resolved yet.
+//! The contents of a launch file: ROS 2's YAML launch format, read strictly, not yet resolved.
 
 mod read;
 
@@ -10,10 +10,8 @@ use std::path::{Path, PathBuf};
 /// A launch file: its actions in order.
 #[derive(Clone, Debug)]
 pub struct LaunchFile {
-    /// Where it was read from.
-    pub path: PathBuf,
-    /// What it says.
-    pub actions: Vec<Action>,
+    pub(crate) path: PathBuf,
+    pub(crate) actions: Vec<Action>,
 }
 
 /// One entry.
@@ -21,47 +19,36 @@ pub struct LaunchFile {
 pub struct Action {
     /// The entry's name in errors, for example `launch[3] node "encoder"`.
     pub entry: String,
-    /// `if:`: do it only where this resolves to true.
+    /// `if:` execute only if this resolves to true.
     pub only_if: Option<Template>,
-    /// `unless:`: do it only where this resolves to false.
+    /// `unless:` execute only if this resolves to false.
     pub unless: Option<Template>,
-    /// What to do.
     pub kind: ActionKind,
 }
 
-/// What an entry does.
 #[derive(Clone, Debug)]
 pub enum ActionKind {
     /// `arg`: declares a launch argument.
     Argument(Argument),
     /// `let`: sets a launch variable.
-    Let {
-        /// The variable.
-        name: Template,
-        /// Its value.
-        value: Template,
-    },
+    Let { name: Template, value: Template },
     /// `set_env` and, without a value, `unset_env`.
     Environment {
-        /// The environment variable.
         name: Template,
-        /// Its value; none: it is removed.
+        /// `None` removes it.
         value: Option<Template>,
     },
-    /// `push_ros_namespace`: the namespace of the nodes that follow in this group.
+    /// `push_ros_namespace`: the namespace of the following nodes in this group.
     PushNamespace(Template),
     /// `group`.
     Group {
-        /// Whether variables, environment and namespace are restored at its end.
+        /// Whether its end restores variables, environment and namespace.
         scoped: bool,
-        /// Its entries.
         actions: Vec<Action>,
     },
     /// `include`: another YAML launch file.
     Include {
-        /// The file.
         file: Template,
-        /// Launch arguments for it.
         arguments: Vec<(Template, Template)>,
     },
     /// `node`.
@@ -70,27 +57,22 @@ pub enum ActionKind {
     Executable {
         /// The command line.
         command: Template,
-        /// The rest.
         process: ProcessKeys,
     },
 }
 
-/// A declared launch argument.
 #[derive(Clone, Debug)]
 pub struct Argument {
-    /// Its name.
     pub name: String,
-    /// Its value where the command line gives none; without it the argument is required.
+    /// The value if the command line gives none; without it the argument is required.
     pub default: Option<Template>,
-    /// The default as it is written, for `--show-args`.
+    /// The default as written, for `--show-args`.
     pub default_text: Option<String>,
-    /// What it is for.
     pub description: Option<String>,
-    /// The values that it may have; empty: any.
+    /// The allowed values; if empty, any.
     pub choices: Vec<String>,
 }
 
-/// A ROS node.
 #[derive(Clone, Debug)]
 pub struct Node {
     /// `pkg`.
@@ -107,7 +89,7 @@ pub struct Node {
     pub remaps: Vec<(Template, Template)>,
     /// `param`.
     pub parameters: Vec<Parameter>,
-    /// The rest; its `name` is the node's name.
+    /// Its `name` is the node's name.
     pub process: ProcessKeys,
 }
 
@@ -118,9 +100,7 @@ pub enum Parameter {
     File(Template),
     /// `name:` (nested names joined by dots) and `value:`.
     Value {
-        /// The name.
         name: Template,
-        /// The value.
         value: ParameterValue,
         /// `type`: one of ROS 2's names, such as `float` or `list_of_str`.
         wanted: Option<String>,
@@ -130,18 +110,16 @@ pub enum Parameter {
 /// The value of a parameter.
 #[derive(Clone, Debug)]
 pub enum ParameterValue {
-    /// One value.
     One(Scalar),
-    /// A list.
     List(Vec<Scalar>),
 }
 
-/// A value that is no list.
+/// A value that is not a list.
 #[derive(Clone, Debug)]
 pub enum Scalar {
-    /// A number or a boolean, as YAML gives it.
+    /// A number or a boolean.
     Literal(Value),
-    /// A text, which may have substitutions in it.
+    /// A text, perhaps with substitutions.
     Text(Template),
 }
 
@@ -162,9 +140,9 @@ pub struct ProcessKeys {
     pub respawn: Option<Template>,
     /// `respawn_delay` \[s\].
     pub respawn_delay_s: Option<f64>,
-    /// `respawn_max_retries`; none: without end.
+    /// `respawn_max_retries`; `None`: unlimited.
     pub respawn_max_retries: Option<u32>,
-    /// `on_exit: shutdown`: its end ends the launch.
+    /// `on_exit: shutdown`: the end of the process ends the launch.
     pub ends_launch: bool,
     /// `sigterm_timeout` \[s\]: from SIGINT to SIGTERM.
     pub sigterm_timeout_s: Option<f64>,
@@ -176,7 +154,7 @@ impl LaunchFile {
     /// Reads the text of the launch file `path`.
     ///
     /// # Errors
-    /// Where the text is not YAML or not a launch file; the entry and key at fault are named.
+    /// The text is not YAML or not a launch file. Names the entry and key at fault.
     pub fn parse(path: &Path, text: &str) -> Result<Self, LaunchError> {
         let document: Value =
             serde_yaml_ng::from_str(text).map_err(|source| LaunchError::Yaml {
@@ -208,7 +186,7 @@ impl LaunchFile {
         })
     }
 
-    /// The declared arguments in order, those within groups included.
+    /// The declared arguments in order, including those within groups.
     #[must_use]
     pub fn arguments(&self) -> Vec<&Argument> {
         fn collect<'a>(actions: &'a [Action], arguments: &mut Vec<&'a Argument>) {
@@ -239,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_key_names_file_entry_and_key() {
+    fn error_for_unknown_key_names_file_entry_and_key() {
         let text = "launch:\n- arg: {name: a}\n- node: {pkg: p, exec: encoder, respwan: true}\n";
         let message = message(text);
         assert!(message.contains("x.launch.yaml"), "{message}");
@@ -287,7 +265,7 @@ mod tests {
     }
 
     #[test]
-    fn a_deep_file_is_an_error_and_not_a_crash() {
+    fn deep_nesting_is_an_error() {
         let mut text = "launch: ".to_owned();
         for _ in 0..60 {
             text.push_str("[{group: ");

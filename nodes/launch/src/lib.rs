@@ -1,39 +1,40 @@
 //! `wm launch`: starts the nodes of a launch file as processes, passes their parameters, shows their logs on one
-//! screen, and stops them all together.
+//! screen, and stops them together.
 //!
-//! Launch files are in ROS 2's own YAML launch format, so that the real `ros2 launch` reads them too. Known actions:
-//! `arg`, `let`, `set_env`, `unset_env`, `push_ros_namespace`, `group`, `include`, `node`, `executable`, each with `if`
-//! and `unless`; substitutions: `var`, `env`, `dirname`, `filename`, `find-pkg-share`, `find-pkg-prefix`, `equals`,
-//! `not-equals`, `not`, `and`, `or`. Anything else is an error that names it; nothing is skipped silently. A `node` of
-//! the package `wm_nodes` is this very program; other packages are looked up in `AMENT_PREFIX_PATH`. Relative paths
-//! mean the working directory, as for `ros2 launch`; `$(dirname)` is the launch file's folder.
+//! Launch files use ROS 2's YAML launch format, so `ros2 launch` reads them too. Known actions: `arg`, `let`,
+//! `set_env`, `unset_env`, `push_ros_namespace`, `group`, `include`, `node`, `executable`, each with `if` and `unless`.
+//! Known substitutions: `var`, `env`, `dirname`, `filename`, `find-pkg-share`, `find-pkg-prefix`, `equals`,
+//! `not-equals`, `not`, `and`, `or`. Anything else is an error that names it. A `node` of the package `wm_nodes` runs
+//! this program; `AMENT_PREFIX_PATH` contains other packages. Relative paths start at the working directory, as for
+//! `ros2 launch`; `$(dirname)` is the launch file's folder.
 //!
-//! In layers, of which only the last touches a process: [`substitution`] and [`mod@file`] read, [`plan`] resolves into
-//! complete command lines, [`supervisor`] decides when to start and stop, [`console`] lays out lines, [`runner`]
-//! carries it all out.
+//! The modules are layers, of which only the last starts processes: `substitution` and `file` read, `plan`
+//! resolves into complete command lines, `supervisor` decides when to start and stop, `console` formats lines,
+//! `runner` executes.
 //!
 //! Not here: event handlers, timers, lifecycle and composable nodes of ROS 2's launch.
 
-pub mod console;
+mod console;
 mod entity;
-pub mod error;
-pub mod file;
-pub mod plan;
-pub mod runner;
-pub mod substitution;
-pub mod supervisor;
+mod error;
+mod file;
+mod plan;
+mod runner;
+mod substitution;
+mod supervisor;
 
 pub use error::LaunchError;
-pub use file::LaunchFile;
-pub use plan::{Plan, Surroundings, System};
+pub use plan::{Plan, Process, Program, Surroundings, System};
+pub use runner::run;
 
+pub use file::LaunchFile;
 use std::fmt::Write as _;
 use std::path::Path;
 
 /// Reads a launch file.
 ///
 /// # Errors
-/// Where it cannot be read, or is not a launch file.
+/// It cannot be read, or is not a launch file.
 pub fn read(path: &Path, surroundings: &dyn Surroundings) -> Result<LaunchFile, LaunchError> {
     let text = surroundings
         .read(path)
@@ -44,7 +45,7 @@ pub fn read(path: &Path, surroundings: &dyn Surroundings) -> Result<LaunchFile, 
     LaunchFile::parse(path, &text)
 }
 
-/// The arguments of a launch file in the words of `ros2 launch --show-args`.
+/// The arguments of a launch file as `ros2 launch --show-args` prints them.
 #[must_use]
 pub fn describe_arguments(file: &LaunchFile) -> String {
     let arguments = file.arguments();

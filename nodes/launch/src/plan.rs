@@ -1,10 +1,12 @@
-//! From a launch file to the processes that it describes: arguments, conditions, groups and substitutions resolved,
-//! command lines complete. Nothing is started here.
+//! Resolves a launch file into processes: arguments, conditions, groups, substitutions, complete command lines. Starts
+//! nothing.
 
 mod process;
 mod surroundings;
 
-pub use process::{Output, Process, Program, Respawn};
+#[cfg(test)]
+pub(crate) use process::Respawn;
+pub use process::{Output, Process, Program};
 pub use surroundings::{Surroundings, System};
 
 use super::{
@@ -15,15 +17,15 @@ use super::{
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-/// Launch files that include launch files deeper than this are refused: most likely they include themselves.
+/// The deepest nesting of includes: a deeper file most likely includes itself.
 const INCLUDE_LIMIT: usize = 8;
 
 /// The processes of a launch, in the file's order.
 #[derive(Clone, Debug)]
 pub struct Plan {
-    /// What to start.
+    /// In the order of the file.
     pub processes: Vec<Process>,
-    /// What is odd but no error, for the user.
+    /// Oddities that are not errors.
     pub warnings: Vec<String>,
 }
 
@@ -31,8 +33,8 @@ impl Plan {
     /// Resolves `file` with the launch arguments of the command line.
     ///
     /// # Errors
-    /// Names file, entry and key of whatever cannot be resolved: a required argument that is missing, an
-    /// argument that nobody declares, an unknown variable or package, a condition that is no boolean.
+    /// Names file, entry and key of a fault: a missing required argument, an undeclared argument, an unknown variable
+    /// or package, a condition that is not a boolean.
     pub fn resolve(
         file: &LaunchFile,
         arguments: &BTreeMap<String, String>,
@@ -76,7 +78,7 @@ impl Plan {
     }
 }
 
-/// What an action sees, and may change for those after it.
+/// Variables, environment and namespace of an action and its successors.
 #[derive(Clone, Debug, Default)]
 struct Scope {
     variables: BTreeMap<String, String>,
@@ -145,7 +147,7 @@ impl Site<'_> {
         }
     }
 
-    /// The folder of the launch file, never empty.
+    /// The folder of the launch file; never empty.
     fn folder(&self) -> PathBuf {
         match self.file.parent() {
             Some(folder) if !folder.as_os_str().is_empty() => folder.to_owned(),
@@ -292,7 +294,7 @@ impl Resolver<'_> {
                 "launch files include each other more than {INCLUDE_LIMIT} deep"
             )));
         }
-        // as in ROS 2, relative to the working directory, and the included file's variables are seen afterwards
+        // as in ROS 2: relative to the working directory, and the included file's variables remain
         let path = PathBuf::from(path);
         let text = self
             .surroundings

@@ -1,7 +1,7 @@
-//! The launch itself: starts the processes of a plan, carries their lines to the screen, and stops them.
+//! Runs a plan: starts its processes, prints their lines, and stops them.
 //!
-//! Every process leads a process group of its own, so that Ctrl-C reaches it from here only, once, and whatever
-//! it starts is stopped with it; and the kernel sends it SIGTERM should this launcher die without a word.
+//! Every process leads its own process group. So Ctrl-C reaches it once, from here, and its children stop with it. The
+//! kernel sends it SIGTERM if this launcher dies.
 
 use super::{
     console::{Console, Stream},
@@ -20,27 +20,26 @@ use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::mpsc;
 use wm_ros::logging::{self, Unblocked};
 
-/// A longer line of a process is shown in pieces of this many bytes.
+/// Longer lines are split into pieces of this many bytes.
 const LINE_LIMIT: usize = 16 * 1024;
 
-/// After a process has ended, how long its last lines are waited for. They come at once, unless something that
-/// it started holds its streams open.
+/// How long to wait for the last lines of an ended process. They arrive at once, unless one of its children holds its
+/// streams open.
 const LAST_LINES: Duration = Duration::from_millis(500);
 
-/// How many lines may wait for the screen before the processes wait.
+/// The most lines that wait for the screen; then the processes wait.
 const LINES_WAITING: usize = 1024;
 
-/// What the tasks report to the launch.
 enum Report {
     Line(usize, Stream, String),
     Event(Event),
 }
 
-/// Runs the plan until all its processes are gone. Needs a tokio runtime that stays on this thread: the kernel
-/// ties a child's "parent died" signal to the thread that started it.
+/// Runs the plan until all its processes are gone. Needs a tokio runtime on the current thread: the kernel binds the
+/// parent-death signal of a child to the thread that started it.
 ///
 /// # Errors
-/// Where signals cannot be listened for. What happens to the processes is in the outcome.
+/// Signals cannot be received. The outcome contains failures of processes.
 pub async fn run(plan: Plan) -> io::Result<Outcome> {
     let console = Console::new(logging::stdout(), logging::stderr(), terminal_columns());
     let (reports, mut inbox) = mpsc::channel(LINES_WAITING);
@@ -64,7 +63,7 @@ pub async fn run(plan: Plan) -> io::Result<Outcome> {
                 Report::Event(event) => Some(event),
                 Report::Line(index, stream, text) => {
                     let written = launch.line(supervisor.process(index), stream, &text);
-                    // nobody reads any more (a closed pipe): go no further
+                    // the screen is gone (a closed pipe): stop
                     written.is_err().then_some(Event::StopRequested).filter(|_| launch.lost_screen())
                 }
             },
@@ -96,15 +95,15 @@ fn terminal_columns() -> Option<usize> {
 struct Launch {
     console: Console<Unblocked, Unblocked>,
     reports: mpsc::Sender<Report>,
-    /// The process groups of the living processes.
+    /// The process groups of live processes.
     groups: HashMap<usize, Pid>,
     is_screen_gone: bool,
 }
 
 impl Launch {
-    /// A launcher whose screen is gone still has to stop its processes: what it says is lost then.
+    /// Without a screen the launcher still stops its processes; its messages are then lost.
     fn say(&mut self, text: &str) {
-        self.console.say(text).ok();
+        self.console.print_own(text).ok();
     }
 
     fn line(&mut self, process: Option<&Process>, stream: Stream, text: &str) -> io::Result<()> {
@@ -118,7 +117,7 @@ impl Launch {
             .line(&process.name, stream, text, Instant::now())
     }
 
-    /// Whether this is the first time that the screen turns out to be gone.
+    /// Whether the loss of the screen is new.
     fn lost_screen(&mut self) -> bool {
         !std::mem::replace(&mut self.is_screen_gone, true)
     }
@@ -152,7 +151,7 @@ impl Launch {
                         StopSignal::Terminate => Signal::TERM,
                         StopSignal::Kill => Signal::KILL,
                     };
-                    // it fails where the process is gone already, which is what is wanted
+                    // it fails only if the process is gone already
                     kill_process_group(*group, signal).ok();
                 }
                 Order::ArmTimer(index, step, after) => {
@@ -190,7 +189,7 @@ impl Launch {
         let reports = self.reports.clone();
         tokio::spawn(async move {
             let exit = child.wait().await.map_or(Exit::NotStarted, exit_of);
-            // what it started and left behind, a shell's background jobs for example, goes with it
+            // kills its remaining children, for example background jobs of a shell
             if let Some(group) = group {
                 kill_process_group(group, Signal::KILL).ok();
             }
@@ -239,15 +238,15 @@ fn start(process: &Process) -> io::Result<Child> {
     let launcher = rustix::process::getpid();
     let tie_to_launcher = move || {
         set_parent_process_death_signal(Some(Signal::TERM))?;
-        // had the launcher died before that call, no signal would ever come
+        // if the launcher died before that call, no signal would ever arrive
         if rustix::process::getppid() == Some(launcher) {
             Ok(())
         } else {
             Err(io::ErrorKind::NotConnected.into())
         }
     };
-    // SAFETY: between fork and exec the closure only makes two system calls (prctl, getppid); it allocates nothing
-    // and takes no lock.
+    // SAFETY: between fork and exec the closure only makes two system calls (prctl, getppid); it allocates nothing and
+    // takes no lock.
     unsafe { command.pre_exec(tie_to_launcher) };
     command.spawn()
 }
@@ -255,6 +254,7 @@ fn start(process: &Process) -> io::Result<Child> {
 fn exit_of(status: ExitStatus) -> Exit {
     match (status.code(), status.signal()) {
         (Some(code), _) => Exit::Code(code),
+        // a process without an exit code ended by a signal
         (None, signal) => Exit::Signal(signal.unwrap_or_default()),
     }
 }
@@ -279,7 +279,7 @@ fn forward(
     })
 }
 
-/// The next line without its end, or the next [`LINE_LIMIT`] bytes of it; none at the end.
+/// The next line without its end, or the next [`LINE_LIMIT`] bytes of it; `None` at the end.
 async fn next_line(
     source: &mut (impl tokio::io::AsyncBufRead + Unpin),
 ) -> io::Result<Option<String>> {
@@ -292,7 +292,7 @@ async fn next_line(
         let room = LINE_LIMIT - line.len();
         let end = available.iter().take(room).position(|byte| *byte == b'\n');
         let taken = end.unwrap_or(available.len().min(room));
-        line.extend_from_slice(available.get(..taken).unwrap_or_default());
+        line.extend(available.iter().take(taken));
         source.consume(taken + usize::from(end.is_some()));
         if end.is_some() || line.len() >= LINE_LIMIT {
             return Ok(Some(String::from_utf8_lossy(&line).into_owned()));
@@ -332,7 +332,6 @@ mod tests {
         Plan::resolve(&file, &Default::default(), &System).unwrap()
     }
 
-    /// Makes a named pipe and gives its path.
     fn pipe(folder: &std::path::Path, name: &str) -> std::path::PathBuf {
         let path = folder.join(name);
         assert!(
@@ -346,11 +345,11 @@ mod tests {
     }
 
     #[test]
-    fn processes_and_their_children_are_gone_when_the_launch_is() {
+    fn processes_and_their_children_end_with_the_launch() {
         let folder = tempfile::tempdir().unwrap();
         let (started, held) = (pipe(folder.path(), "started"), pipe(folder.path(), "held"));
-        // the first ends, and with it the launch, once the second's background job runs; that job ignores SIGINT,
-        // as a shell's background jobs do, and holds `held` open for as long as it lives
+        // The first process ends, and ends the launch, once the second one's background job runs. That job ignores
+        // SIGINT, like background jobs of a shell, and holds `held` open while it lives.
         let first = format!("read x < {}", started.display());
         let second = format!(
             "exec 3> {}; sleep 1000 & echo x > {}; wait",
@@ -377,7 +376,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_that_does_not_exist_fails_by_name() {
+    fn missing_program_is_a_named_failure() {
         let outcome = block_on(run(plan(&[
             "- executable: {cmd: /no/such/program, name: ghost}\n",
         ])))

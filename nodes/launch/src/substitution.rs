@@ -1,89 +1,60 @@
-//! `$(…)` substitutions in launch files, by the grammar of ROS 2's launch frontends.
+//! `$(…)` substitutions in launch files, with the grammar of ROS 2's launch frontends.
 //!
-//! A text is parsed once into a [`Template`]; it is resolved against a [`Lookup`] when its action is visited,
-//! because variables and the environment change from one action to the next.
+//! A text is parsed once into a [`Template`]. It is resolved with a [`Lookup`] at its action, because actions change
+//! variables and environment.
 
 use thiserror::Error;
 
-/// Nested substitutions deeper than this are refused: a launch file never needs them, and the parser recurses.
+/// The deepest nesting of substitutions; the parser is recursive.
 const DEPTH_LIMIT: usize = 16;
 
-/// Names that [`Template::resolve`] knows, for error messages.
+/// The known names, for error messages.
 const KNOWN: &str = "var, env, dirname, filename, find-pkg-share, find-pkg-prefix, equals, not-equals, not, and, or";
 
-/// What went wrong in a substitution.
 #[derive(Debug, Error, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum SubstitutionError {
-    /// A `$(` without its `)`, or a quote without its end.
+    /// A `$(` without `)`, or an unclosed quote.
     #[error("unterminated {what} in {text:?}")]
     Unterminated {
         /// `substitution` or `quote`.
         what: &'static str,
-        /// The whole text.
         text: String,
     },
-    /// A `$` that begins no substitution.
+    /// A `$` outside a substitution.
     #[error("expected $(name …) after '$' in {text:?}; a plain dollar sign is written \\$")]
-    Dollar {
-        /// The whole text.
-        text: String,
-    },
-    /// Nested too deeply.
+    Dollar { text: String },
     #[error("substitutions nested more than {DEPTH_LIMIT} deep in {text:?}")]
-    Depth {
-        /// The whole text.
-        text: String,
-    },
-    /// A substitution that this launcher does not have.
+    Depth { text: String },
     #[error("unknown substitution $({name}); known here: {KNOWN}")]
-    Unknown {
-        /// Its name.
-        name: String,
-    },
-    /// The wrong number of arguments.
+    Unknown { name: String },
     #[error("$({name}) takes {expected} argument(s), got {found}")]
     Arguments {
-        /// The substitution.
         name: String,
-        /// How many it takes.
         expected: &'static str,
-        /// How many there were.
         found: usize,
     },
-    /// `$(var x)` where no `arg` or `let` named x came before.
+    /// `$(var x)` without an earlier `arg` or `let` named x.
     #[error(
         "launch variable {name:?} is not set here; declare it with `arg` or `let` before its use"
     )]
-    Variable {
-        /// The variable.
-        name: String,
-    },
-    /// `$(env X)` without a default where X is not set.
+    Variable { name: String },
+    /// `$(env X)` without a default although X is not set.
     #[error("environment variable {name:?} is not set and $(env {name}) has no default")]
-    Environment {
-        /// The variable.
-        name: String,
-    },
-    /// A package that is not installed.
+    Environment { name: String },
+    /// A package is not installed.
     #[error("package {name:?} was not found in AMENT_PREFIX_PATH")]
-    Package {
-        /// The package.
-        name: String,
-    },
-    /// A value that should have been a boolean.
+    Package { name: String },
+    /// A value is not a boolean.
     #[error("expected true, false, 1 or 0, got {value:?}")]
-    Boolean {
-        /// What was there.
-        value: String,
-    },
+    Boolean { value: String },
 }
 
-/// Where substitutions find what they stand for.
+/// The values of substitutions.
 pub trait Lookup {
     /// The launch variable `name`.
     fn variable(&self, name: &str) -> Option<String>;
-    /// The environment variable `name`, as the launched processes would see it.
+    /// The environment variable `name` of the launched processes.
     fn environment(&self, name: &str) -> Option<String>;
     /// The folder of the launch file.
     fn dirname(&self) -> String;
@@ -95,7 +66,7 @@ pub trait Lookup {
     fn package_prefix(&self, package: &str) -> Option<String>;
 }
 
-/// A text with substitutions in it.
+/// A text with substitutions.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Template(Vec<Fragment>);
 
@@ -112,7 +83,7 @@ impl Template {
     /// Parses `text`.
     ///
     /// # Errors
-    /// Where a substitution is unterminated or malformed. Unknown names are found by [`Self::resolve`].
+    /// A substitution is unterminated or malformed. [`Self::resolve`] detects unknown names.
     pub fn parse(text: &str) -> Result<Self, SubstitutionError> {
         let characters: Vec<char> = text.chars().collect();
         let mut parser = Parser {
@@ -124,13 +95,13 @@ impl Template {
         Ok(template)
     }
 
-    /// A text that stands for itself.
+    /// A text without substitutions.
     #[must_use]
     pub fn plain(text: String) -> Self {
         Self(vec![Fragment::Text(text)])
     }
 
-    /// Whether there is no substitution in it.
+    /// Whether it has no substitutions.
     #[must_use]
     pub fn is_plain(&self) -> bool {
         self.0
@@ -141,7 +112,7 @@ impl Template {
     /// The text with every substitution replaced.
     ///
     /// # Errors
-    /// Where a substitution is unknown, has the wrong number of arguments, or stands for nothing.
+    /// A substitution is unknown, has the wrong number of arguments, or has no value.
     pub fn resolve(&self, lookup: &dyn Lookup) -> Result<String, SubstitutionError> {
         let mut resolved = String::new();
         for fragment in &self.0 {
@@ -155,11 +126,11 @@ impl Template {
         Ok(resolved)
     }
 
-    /// The words of a command line: split at unquoted white space of the literal parts, so that what a
-    /// substitution stands for is never split.
+    /// The words of a command line: split at unquoted white space of the literal parts, never within the value of a
+    /// substitution.
     ///
     /// # Errors
-    /// As [`Self::resolve`], and where a quote does not end.
+    /// See [`Self::resolve`]; or a quote is not closed.
     pub fn resolve_words(&self, lookup: &dyn Lookup) -> Result<Vec<String>, SubstitutionError> {
         let mut words = Vec::new();
         let mut word: Option<String> = None;
@@ -197,7 +168,7 @@ impl Template {
     }
 }
 
-/// `true`/`1` or `false`/`0` in any case, as launch's conditions read them.
+/// `true`/`1` or `false`/`0` in any case, like the conditions of ROS 2's launch.
 pub(super) fn parse_boolean(value: &str) -> Result<bool, SubstitutionError> {
     match value.trim().to_ascii_lowercase().as_str() {
         "true" | "1" => Ok(true),
@@ -273,20 +244,20 @@ fn call(
     }
 }
 
-/// Equality as ROS 2's launch has it: of booleans (`true` and `1` alike), else of numbers, else of texts.
+/// Equality as in ROS 2's launch: of booleans (`true` equals `1`), then of numbers, then of texts.
 fn are_equal(left: &str, right: &str) -> bool {
     if let (Ok(left), Ok(right)) = (parse_boolean(left), parse_boolean(right)) {
         return left == right;
     }
     if let (Ok(left), Ok(right)) = (left.trim().parse::<f64>(), right.trim().parse::<f64>()) {
-        // Python's math.isclose
+        // as Python's math.isclose
         let scale = left.abs().max(right.abs());
         return left == right || (left - right).abs() <= 1e-9 * scale;
     }
     left == right
 }
 
-/// What ends the template that is being read.
+/// The end of a template.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum End {
     /// The end of the text.
@@ -331,7 +302,7 @@ impl Parser<'_> {
                 }
                 (_, '\\') => {
                     self.at += 1;
-                    // a backslash takes the next character as it is; at the end of the text it stands for itself
+                    // a backslash escapes the next character; at the end of the text it is literal
                     text.push(self.peek().unwrap_or('\\'));
                     self.at += 1;
                 }
@@ -450,7 +421,7 @@ mod tests {
     }
 
     #[test]
-    fn equality_is_of_values_before_it_is_of_texts() {
+    fn equality_compares_values_before_texts() {
         for (text, expected) in [
             ("$(equals True 1)", "true"),
             ("$(equals 1.0 1)", "true"),
@@ -463,7 +434,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_named() {
+    fn faults_are_named() {
         assert_eq!(
             resolve("$(var other)").unwrap_err(),
             SubstitutionError::Variable {
@@ -500,7 +471,7 @@ mod tests {
     }
 
     #[test]
-    fn a_substituted_value_is_one_word() {
+    fn substituted_value_is_one_word() {
         let words = Template::parse("play $(var bag) --x 'a b'  last")
             .unwrap()
             .resolve_words(&Fixed)

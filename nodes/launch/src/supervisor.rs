@@ -1,21 +1,19 @@
-//! When to start, stop and give up on processes: the launcher's decisions, without processes, clock or signals.
+//! Decides when to start, stop and give up on processes, without processes, clock or signals.
 //!
-//! The runner reports [`Event`]s and carries out the [`Order`]s that come back. A stop begins with SIGINT to
-//! every process; one that is still there after its `sigterm_timeout` gets SIGTERM, and after its
-//! `sigkill_timeout` SIGKILL. A second request to stop takes the next step at once.
+//! The runner reports [`Event`]s and executes the resulting [`Order`]s. A stop begins with SIGINT to every process. A
+//! process that still runs after its `sigterm_timeout` gets SIGTERM, and after its `sigkill_timeout` SIGKILL. A second
+//! request to stop skips the wait.
 
 use super::plan::Process;
 use std::fmt;
 use std::time::Duration;
 
-/// How a process ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Exit {
-    /// By itself, with this exit code.
+pub(crate) enum Exit {
+    /// With this exit code.
     Code(i32),
     /// By this signal.
     Signal(i32),
-    /// It could not be started.
     NotStarted,
 }
 
@@ -32,64 +30,57 @@ impl fmt::Display for Exit {
     }
 }
 
-/// The exit code by which a program of this suite says that it finished, with data lost on the way.
-pub const DATA_LOSS: i32 = 3;
+/// The exit code of programs of this suite that finished but lost data.
+pub(crate) const DATA_LOSS: i32 = 3;
 
-/// What happened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Event {
+pub(crate) enum Event {
     /// Process `.0` ended.
     Ended(usize, Exit),
-    /// The timer of process `.0`, armed when it was in step `.1`, ran out.
+    /// The timer of process `.0`, armed in step `.1`, ran out.
     TimerElapsed(usize, Step),
-    /// The user, or the system, wants everything to stop.
+    /// The user or the system requests a stop.
     StopRequested,
 }
 
-/// How far the shutdown of one process has got; also what a timer was armed for.
+/// The state of a process; timers are armed for a state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Step {
-    /// Not started, or waiting to be started again.
+pub(crate) enum Step {
+    /// Not started, or waiting for a restart.
     Waiting,
-    /// Running.
     Running,
-    /// Asked with SIGINT.
+    /// Received SIGINT.
     Interrupted,
-    /// Asked with SIGTERM.
+    /// Received SIGTERM.
     Terminated,
-    /// Killed.
+    /// Received SIGKILL.
     Killed,
-    /// Gone.
     Ended,
 }
 
-/// The signals of a stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum StopSignal {
-    /// SIGINT.
+pub(crate) enum StopSignal {
     Interrupt,
-    /// SIGTERM.
     Terminate,
-    /// SIGKILL.
     Kill,
 }
 
-/// What the runner has to do.
+/// An action of the runner.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Order {
+pub(crate) enum Order {
     /// Start process `.0`.
     Start(usize),
     /// Send process `.0` a signal.
     Send(usize, StopSignal),
     /// Report [`Event::TimerElapsed`] for process `.0` and step `.1` after `.2`.
     ArmTimer(usize, Step, Duration),
-    /// Tell the user.
+    /// Print a message.
     Say(String),
 }
 
 /// The state of a launch.
 #[derive(Debug)]
-pub struct Supervisor {
+pub(crate) struct Supervisor {
     processes: Vec<(Process, State)>,
     is_stopping: bool,
     failures: Vec<String>,
@@ -102,17 +93,17 @@ struct State {
     restarts: u32,
 }
 
-/// How a launch went.
+/// The result of a launch.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Outcome {
-    /// What failed, one sentence a process.
+    /// One sentence per failed process.
     pub failures: Vec<String>,
-    /// Who finished with data lost.
+    /// One sentence per process that lost data.
     pub lost_data: Vec<String>,
 }
 
 impl Outcome {
-    /// 0, 1 where a process failed, 3 where one lost data.
+    /// 0; 1 if a process failed; 3 if one lost data.
     #[must_use]
     pub fn exit_code(&self) -> u8 {
         match (self.failures.is_empty(), self.lost_data.is_empty()) {
@@ -124,9 +115,9 @@ impl Outcome {
 }
 
 impl Supervisor {
-    /// A launch of `processes`, none of them started, and the orders that start them.
+    /// A launch of `processes`, and the orders that start them.
     #[must_use]
-    pub fn new(processes: Vec<Process>) -> (Self, Vec<Order>) {
+    pub(crate) fn new(processes: Vec<Process>) -> (Self, Vec<Order>) {
         let orders = (0..processes.len()).map(Order::Start).collect();
         let running = |process| {
             (
@@ -149,23 +140,22 @@ impl Supervisor {
         )
     }
 
-    /// Process `index`.
     #[must_use]
-    pub fn process(&self, index: usize) -> Option<&Process> {
+    pub(crate) fn process(&self, index: usize) -> Option<&Process> {
         self.processes.get(index).map(|(process, _)| process)
     }
 
-    /// How many processes are not gone for good.
+    /// How many processes run or will be restarted.
     #[must_use]
-    pub fn alive(&self) -> usize {
+    pub(crate) fn alive(&self) -> usize {
         self.processes
             .iter()
             .filter(|(_, state)| state.step != Step::Ended)
             .count()
     }
 
-    /// Takes note of `event`; what to do about it.
-    pub fn on_event(&mut self, event: Event) -> Vec<Order> {
+    /// Handles `event`, and returns the resulting orders.
+    pub(crate) fn on_event(&mut self, event: Event) -> Vec<Order> {
         match event {
             Event::Ended(index, exit) => self.on_ended(index, exit),
             Event::TimerElapsed(index, step) => self.on_timer(index, step),
@@ -173,9 +163,9 @@ impl Supervisor {
         }
     }
 
-    /// How it went, once nothing is alive.
+    /// The result, once all processes have ended.
     #[must_use]
-    pub fn outcome(&self) -> Outcome {
+    pub(crate) fn outcome(&self) -> Outcome {
         Outcome {
             failures: self.failures.clone(),
             lost_data: self.lost_data.clone(),
@@ -188,7 +178,7 @@ impl Supervisor {
         };
         let step = std::mem::replace(&mut state.step, Step::Ended);
         let name = process.name.clone();
-        // the answer to a signal that we sent is no failure, unless it took SIGKILL
+        // an end by our own signal is not a failure, unless it took SIGKILL
         let was_asked = matches!(
             (step, exit),
             (
@@ -201,13 +191,13 @@ impl Supervisor {
             Exit::Code(DATA_LOSS) => {
                 self.lost_data.push(name.clone());
                 Some(format!(
-                    "{name} finished with data lost (exit code {DATA_LOSS})"
+                    "{name} finished, but lost data (exit code {DATA_LOSS})"
                 ))
             }
             _ if was_asked => None,
-            _ if step == Step::Killed => {
-                Some(format!("{name} did not stop when asked and was killed"))
-            }
+            _ if step == Step::Killed => Some(format!(
+                "{name} did not stop on SIGINT or SIGTERM and was killed"
+            )),
             _ => Some(format!("{name} failed: {exit}")),
         };
         let mut orders = Vec::new();
@@ -237,7 +227,7 @@ impl Supervisor {
                 return orders;
             }
             orders.push(Order::Say(format!(
-                "{name} is not restarted: all {} restart(s) are used up",
+                "not restarting {name}: all {} restart(s) are used up",
                 state.restarts
             )));
         }
@@ -254,7 +244,7 @@ impl Supervisor {
         let Some((_, state)) = self.processes.get_mut(index) else {
             return Vec::new();
         };
-        // a timer of a step that is over says nothing
+        // the timer's step is over
         if state.step != step {
             return Vec::new();
         }
@@ -349,7 +339,7 @@ mod tests {
     }
 
     #[test]
-    fn the_end_of_the_player_stops_the_others_cleanly() {
+    fn end_of_the_player_stops_the_others_cleanly() {
         let player = Process {
             ends_launch: true,
             ..process("player-1")
@@ -366,7 +356,7 @@ mod tests {
     }
 
     #[test]
-    fn a_killed_node_is_a_failure_that_names_it_and_the_others_go_on() {
+    fn killed_node_is_a_named_failure_and_others_continue() {
         let (mut supervisor, _) = Supervisor::new(vec![process("encoder-1"), process("decoder-2")]);
         let orders = supervisor.on_event(Event::Ended(0, Exit::Signal(9)));
         assert!(signals(&orders).is_empty());
@@ -379,7 +369,7 @@ mod tests {
     }
 
     #[test]
-    fn a_node_that_ignores_signals_is_killed_step_by_step() {
+    fn node_that_ignores_signals_is_killed_step_by_step() {
         let (mut supervisor, _) = Supervisor::new(vec![process("stuck-1")]);
         let orders = supervisor.on_event(Event::StopRequested);
         assert!(orders.contains(&Order::ArmTimer(
@@ -399,12 +389,12 @@ mod tests {
         supervisor.on_event(Event::Ended(0, Exit::Signal(9)));
         assert_eq!(
             supervisor.outcome().failures,
-            ["stuck-1 did not stop when asked and was killed"]
+            ["stuck-1 did not stop on SIGINT or SIGTERM and was killed"]
         );
     }
 
     #[test]
-    fn a_second_request_to_stop_does_not_wait() {
+    fn second_stop_request_skips_the_wait() {
         let (mut supervisor, _) = Supervisor::new(vec![process("slow-1")]);
         supervisor.on_event(Event::StopRequested);
         assert_eq!(
@@ -418,7 +408,7 @@ mod tests {
     }
 
     #[test]
-    fn only_who_asks_is_started_again_and_only_so_often() {
+    fn restarts_are_opt_in_and_limited() {
         let respawn = Respawn {
             delay: Duration::from_millis(10),
             max_retries: Some(1),
@@ -441,7 +431,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stop_while_waiting_for_a_restart_starts_nothing() {
+    fn stop_cancels_a_pending_restart() {
         let respawn = Respawn {
             delay: Duration::from_secs(1),
             max_retries: None,

@@ -1,5 +1,5 @@
-//! The launch files in `launch-configs/` against the types that ROS 2's own launch asks for. It is stricter than this
-//! crate: `respawn: true`, for example, is an error there ("Attribute 'respawn' of Entity 'node' expected to be of type
+//! Compares the launch files in `launch-configs/` with the types that ROS 2's launch requires. It is stricter than this
+//! crate: for example, `respawn: true` is an error there ("Attribute 'respawn' of Entity 'node' expected to be of type
 //! str").
 
 #![allow(clippy::unwrap_used)]
@@ -7,7 +7,7 @@
 use serde_yaml_ng::{Mapping, Value};
 use std::path::Path;
 
-/// The YAML type that `launch` and `launch_ros` (kilted) read a key as; none for a key that they do not have.
+/// Whether `launch` and `launch_ros` (kilted) accept the YAML type for this key; `None` for unknown keys.
 fn is_right(action: &str, key: &str, value: &Value) -> Option<bool> {
     let is = match (action, key) {
         ("arg", "name" | "default" | "description")
@@ -20,7 +20,7 @@ fn is_right(action: &str, key: &str, value: &Value) -> Option<bool> {
         | ("executable", "cmd" | "name")
         | ("node" | "executable", "cwd" | "launch-prefix" | "output" | "on_exit" | "respawn")
         | (_, "if" | "unless") => value.is_string(),
-        // `0` would be an integer, which is refused.
+        // `0` would be an integer, which ROS refuses.
         ("node" | "executable", "respawn_delay" | "sigterm_timeout" | "sigkill_timeout") => {
             value.is_f64()
         }
@@ -42,7 +42,7 @@ fn is_scalar(value: &Value) -> bool {
     value.is_string() || value.is_bool() || value.is_number()
 }
 
-/// Complaints about an entity and what is nested in it.
+/// Collects the complaints about an entity and its children.
 fn check(action: &str, entity: &Mapping, complaints: &mut Vec<String>) {
     for (key, value) in entity {
         let key = key.as_str().unwrap_or_default();
@@ -86,7 +86,7 @@ fn our_launch_files_have_the_types_of_ros() {
 }
 
 #[test]
-fn a_type_that_ros_refuses_is_found() {
+fn type_that_ros_refuses_is_found() {
     for (key, wrong) in [
         ("respawn", "true"),
         ("respawn_delay", "1"),

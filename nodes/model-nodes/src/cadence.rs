@@ -1,8 +1,8 @@
-//! How often a node does its work where the work takes longer than its input leaves time for.
+//! How often a node works if the work takes longer than the time between inputs.
 //!
-//! A node that takes the newest frame whenever it is free uses frames at odd distances, and half of what it computes is
-//! late before it begins. A [`Cadence`] picks every nth input instead: n is the least number for which the work is over
-//! before the next picked input comes. Inputs in between are left out by choice ([`SKIPPED`]), and none is lost.
+//! A node that takes the newest frame whenever it is free uses frames at odd distances, and half of its results are late
+//! before it begins. A [`Cadence`] picks every nth input instead: n is the least number for which the work ends before the
+//! next picked input arrives. Inputs in between are skipped and counted ([`SKIPPED`]).
 //!
 //! n follows from measured times, of the work and of the inputs (a bag may be played at another rate). It rises when the
 //! median of the last five times no longer fits, and falls when the longest of them would fit with a tenth to spare, so
@@ -21,23 +21,23 @@ pub use measured::measured;
 pub(crate) use recent::{Arrivals, Recent};
 pub use words::{every_nth, hertz, rough};
 
-/// The name under which `/diagnostics` counts inputs that are left out by choice.
+/// The name under which `/diagnostics` counts skipped inputs.
 pub const SKIPPED: &str = "pace";
 
-/// The key under which `/diagnostics` says how often the work is done.
+/// The key under which `/diagnostics` reports how often the node works.
 pub const PACE: &str = "pace";
 
-/// Where the first runs tell how often the work is done.
+/// Reported while the first runs are measured.
 pub(crate) const OPEN: &str = "the first runs will tell which frames are used";
 
-/// Times the longest of the last runs, this has to fit before work is done more often.
+/// The longest of the last runs times this must fit before the node works more often.
 const MARGIN: f64 = 1.1;
 
-/// A machine that starts loads other models too, and is slower than later: work that was measured then has to take this
-/// many periods before it is believed.
+/// A machine that starts loads other models too, and is slower than later: a time measured then counts only if it takes this
+/// many periods.
 const BELIEVED_PERIODS: u32 = 2;
 
-/// What a node does besides when an input comes.
+/// The state of a node when an input arrives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Load {
     /// Nothing.
@@ -48,16 +48,16 @@ pub enum Load {
     Waiting,
 }
 
-/// What becomes of an input.
+/// What happens to an input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
     /// The work begins, or the input waits for its turn.
     Use,
-    /// It waits in the place of an older one, which is left out by choice: the newest counts.
+    /// It replaces an older one that waits, which is skipped.
     Replace,
-    /// The same, but the older one was to be worked on by now: the machine is slower than it was.
+    /// The same, but the older one was due: the machine has become slower.
     ReplaceLate,
-    /// It is left out by choice.
+    /// It is skipped.
     Skip,
 }
 
@@ -72,12 +72,12 @@ pub struct Cadence {
     estimate: Option<Duration>,
     inputs: Arrivals,
     taken: Recent,
-    /// When the last work began, and the inputs since the one that it began from.
+    /// When the last work began, and the number of inputs since.
     last: Option<(Instant, u32)>,
 }
 
 impl Cadence {
-    /// For inputs `period` apart and work that took `estimate` when it was tried.
+    /// For inputs `period` apart and work that took `estimate` in a trial.
     pub fn new(period: Duration, estimate: Option<Duration>) -> Self {
         let nth = believed(estimate, period);
         Self {
@@ -91,18 +91,18 @@ impl Cadence {
         }
     }
 
-    /// Whether the first runs are to tell how long the work takes: what was measured at the start is not enough.
+    /// Whether the time of the work is still to be measured by the first runs.
     pub fn is_open(&self) -> bool {
         let tried = self.estimate.map(|taken| periods(taken, self.period));
         self.taken.median().is_none() && tried != Some(self.nth)
     }
 
-    /// Every how many inputs one is used.
+    /// The n of "every nth input".
     pub fn nth(&self) -> u32 {
         self.nth
     }
 
-    /// Takes note of an input of the stamp `stamp_ns` that comes at `now`, and says what becomes of it.
+    /// Records an input with the stamp `stamp_ns` that arrives at `now`, and returns what happens to it.
     pub fn arrived(&mut self, stamp_ns: i64, now: Instant, load: Load) -> Verdict {
         self.inputs.push(now, stamp_ns);
         if let Some((_, since)) = &mut self.last {
@@ -110,7 +110,7 @@ impl Cadence {
         }
         self.adapt();
         let gap = self.gap();
-        // Inputs that come late, or slower than was thought, make up for those that did not come.
+        // Inputs that are late or slower than estimated make up for those that did not arrive.
         let enough = (gap * self.nth).saturating_sub(gap / 2);
         let is_due = self.last.is_none_or(|(begun, since)| {
             since >= self.nth || now.saturating_duration_since(begun) >= enough
@@ -147,7 +147,7 @@ impl Cadence {
         self.adapt();
     }
 
-    /// How long the work takes here, and from one input to the next, where n has changed since this was last asked.
+    /// The time of the work and between inputs, if n has changed since the last call.
     pub fn change(&mut self) -> Option<(Duration, Duration)> {
         if self.nth == self.told {
             return None;
@@ -157,7 +157,7 @@ impl Cadence {
         Some((taken.or(self.taken.at_most(self.estimate))?, self.gap()))
     }
 
-    /// From one input that is used to the next: what the work should be done in.
+    /// The time between used inputs, within which the work should end.
     pub fn interval(&self) -> Duration {
         self.gap() * self.nth
     }
@@ -179,13 +179,13 @@ impl Cadence {
     }
 }
 
-/// Every how many inputs one is used before anything is measured.
+/// The n before anything is measured.
 fn believed(estimate: Option<Duration>, period: Duration) -> u32 {
     let estimate = estimate.filter(|estimate| *estimate > period * BELIEVED_PERIODS);
     estimate.map_or(1, |estimate| periods(estimate, period))
 }
 
-/// Whole periods that work takes, at least one.
+/// Whole periods of the work, at least one.
 pub fn periods(taken: Duration, period: Duration) -> u32 {
     let periods = taken.as_nanos().div_ceil(period.as_nanos().max(1));
     u32::try_from(periods).unwrap_or(u32::MAX).max(1)

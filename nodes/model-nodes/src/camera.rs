@@ -31,7 +31,7 @@ impl WrongCamera {
     pub const REASON: &'static str = "wrong_frame";
 }
 
-/// The topic that a frame came by: one camera has one publisher on each.
+/// The topic of a frame: one camera has one publisher on each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Source {
     /// Raw images.
@@ -42,8 +42,8 @@ pub(crate) enum Source {
     Latents,
 }
 
-/// The camera that a node's frames come from: its optical frame, and its publisher on each topic. Frames of two cameras
-/// in one context would be neither's picture, so all others are refused for as long as this one publishes.
+/// The camera of a node's frames: its optical frame, and its publisher on each topic. Frames of two cameras in one context
+/// would mislead the model, so frames of other cameras are refused while this one publishes.
 #[derive(Clone, Debug)]
 pub(crate) struct Camera {
     frame_id: Arc<str>,
@@ -60,13 +60,12 @@ impl Camera {
         }
     }
 
-    /// Its optical frame; empty until a frame has named it.
+    /// Its optical frame; empty until the first frame.
     pub fn frame_id(&self) -> &Arc<str> {
         &self.frame_id
     }
 
-    /// Whether a frame is this camera's. Another one may take over once this one has been silent for longer than
-    /// `silence`.
+    /// Checks whether a frame is from this camera. Another camera may take over after a silence longer than `silence`.
     ///
     /// # Errors
     /// [`WrongCamera`] if this camera is still publishing.
@@ -105,7 +104,7 @@ impl Camera {
     }
 }
 
-/// Whose a frame is.
+/// The owner of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Admission {
     /// The camera's.

@@ -3,7 +3,7 @@
 use wm_motion::motion::ChunkMerging;
 use wm_ros::{Field, Parameter};
 
-/// How overlapping chunks join, as a parameter says it.
+/// How overlapping chunks join: the values of the parameter.
 #[derive(Clone, Copy, Debug)]
 pub struct Merging(pub ChunkMerging);
 

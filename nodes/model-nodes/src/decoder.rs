@@ -9,5 +9,5 @@ mod node;
 mod rollouts;
 mod step;
 
-pub use node::{NODE, body};
+pub use node::NODE;
 pub use step::{DecoderError, DecoderStep, jpeg_message, raw_message};

@@ -17,7 +17,7 @@ mod step;
 mod stillness;
 
 pub use choice::{Choice, Fate, Mode, Needs};
-pub use node::{NODE, body};
+pub use node::NODE;
 pub use picture_size::Mismatch;
 pub(crate) use repetition::{Repeat, Repetition};
 pub use step::{EncoderError, EncoderStep};

@@ -25,7 +25,7 @@ mod step;
 pub use attached::Attached;
 pub use error::EnvError;
 pub use model::EnvModel;
-pub use node::{NODE, body};
+pub use node::NODE;
 pub(crate) use start::INSTRUCTION;
 pub use start::Start;
 pub use start_root::StartRoot;

@@ -1,11 +1,11 @@
-//! What all nodes that compute with the world model have in common: the lifecycle, the parameter `model`, loading the
-//! model off the message loop, and the endpoints, which exist from configure to cleanup. A node adds a [`ModelNode`].
+//! What a node needs to compute with the world model: the parameters `model`, `device` and `cuda_graphs`, and loading the
+//! model off the message loop. Such a node is a managed [`NodeProgram`](wm_ros::NodeProgram):
 //!
 //! ```no_run
-//! use wm_model_nodes::harness::{self, Configured, ModelNode};
+//! use std::sync::Arc;
+//! use wm_model_nodes::harness::{self, WithModel};
 //! use wm_msgs::{std_msgs::String as Text, wm_msgs::Latent};
-//! use wm_ros::{NodeDefinition, Publisher, Qos, Subscription};
-//! use wm_zoo::PlacedModel;
+//! use wm_ros::{Node, NodeDefinition, NodeProgram, Publisher, Qos, Setup, Subscription};
 //!
 //! wm_ros::parameters! {
 //!     /// Its parameters.
@@ -29,22 +29,28 @@
 //!     count: usize,
 //! }
 //!
-//! impl ModelNode for Counter {
+//! impl NodeProgram for Counter {
 //!     const NAME: &'static str = "counter";
 //!     const ABOUT: &'static str = "Counts latents.";
-//!     type Parameters = Parameters;
+//!     const IS_MANAGED: bool = true;
+//!     type Parameters = WithModel<Parameters>;
 //!     type Endpoints = Endpoints;
-//!     type Model = ();
+//!     type Resources = ();
+//!     type Error = anyhow::Error;
 //!
-//!     fn load(_: PlacedModel, _: &Parameters) -> anyhow::Result<()> {
-//!         Ok(())
+//!     fn check(parameters: &Self::Parameters) -> anyhow::Result<()> {
+//!         parameters.check_device()
 //!     }
 //!
-//!     fn activate(_: &Configured<Self>) -> anyhow::Result<Self> {
+//!     async fn load(_: &Node, parameters: &Arc<Self::Parameters>) -> anyhow::Result<()> {
+//!         harness::load(parameters, |_model, _parameters| Ok(())).await
+//!     }
+//!
+//!     fn activate(_: &Setup<Self>) -> anyhow::Result<Self> {
 //!         Ok(Self { count: 0 })
 //!     }
 //!
-//!     async fn run(&mut self, at: &mut Configured<Self>) -> anyhow::Result<()> {
+//!     async fn run(&mut self, at: &mut Setup<Self>) -> anyhow::Result<()> {
 //!         while at.endpoints.latents.recv().await.is_some() {
 //!             self.count += 1;
 //!             if self.count % at.parameters.every == 0 {
@@ -57,7 +63,7 @@
 //! }
 //!
 //! /// For the registry, `NODES` in `lib.rs`.
-//! pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Counter>();
+//! pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition::of::<Counter>();
 //! ```
 
 mod follower;
@@ -67,67 +73,12 @@ pub(crate) use follower::follows;
 pub use follower::{Event, Follower, Follows, Inputs, Told};
 pub use goals::{GoalInputs, Goals};
 
-use std::{process::ExitCode, sync::Arc};
+use std::{ops::Deref, sync::Arc};
 
 use anyhow::{Context as _, Result};
-use wm_model::trained_folder::EMBEDDED;
-use wm_ros::{
-    Component, EndpointSet, Lifecycle, Managed, NAMESPACE, Node, NodeArgs, NodeDefinition,
-    ParameterSet, ParameterSpec,
-};
-use wm_zoo::{DeviceName, ModelFolder, PlacedModel, Placement};
-
-/// A node that computes with the world model. The type itself is what the node holds while it is active.
-pub trait ModelNode: Sized + 'static {
-    /// The node's default name, and its command's.
-    const NAME: &'static str;
-    /// What it does, in one line.
-    const ABOUT: &'static str;
-    /// Its parameters, without `model`, `device`, `cuda_graphs` and those that every node has. Made by [`wm_ros::parameters!`].
-    type Parameters: ParameterSet + Send + Sync + 'static;
-    /// Its topics and services. Made by [`wm_ros::endpoints!`].
-    type Endpoints: EndpointSet;
-    /// What it loads when it is configured, and keeps until cleanup.
-    type Model: Send + 'static;
-
-    /// Refuses inconsistent parameters, before anything else is done.
-    ///
-    /// # Errors
-    /// Names them.
-    fn check(_parameters: &Self::Parameters) -> Result<()> {
-        Ok(())
-    }
-
-    /// Loads the parts of the model that it needs. Runs on a separate thread.
-    ///
-    /// # Errors
-    /// Names what is missing or wrong.
-    fn load(model: PlacedModel, parameters: &Self::Parameters) -> Result<Self::Model>;
-
-    /// Starts with an empty history.
-    ///
-    /// # Errors
-    /// Whatever prevents that; the node stays inactive.
-    fn activate(at: &Configured<Self>) -> Result<Self>;
-
-    /// Runs until the shutdown, at which every `recv` returns `None`. Deactivating drops this future where it waits.
-    ///
-    /// # Errors
-    /// An error after which the node cannot continue, and with which it ends. Bad input is not such an error.
-    fn run(&mut self, at: &mut Configured<Self>) -> impl Future<Output = Result<()>>;
-}
-
-/// What a configured node has.
-pub struct Configured<N: ModelNode> {
-    /// The node; endpoints that are made by this handle are silent while it is inactive.
-    pub node: Node,
-    /// Its parameters.
-    pub parameters: Arc<N::Parameters>,
-    /// What it has loaded.
-    pub model: N::Model,
-    /// Its topics and services.
-    pub endpoints: N::Endpoints,
-}
+use wm_model::{Compute, trained_folder::EMBEDDED};
+use wm_ros::{Error, Node, ParameterSet, ParameterSpec};
+use wm_zoo::ModelFolder;
 
 wm_ros::parameters! {
     /// The parameters that every node of this kind has.
@@ -143,94 +94,72 @@ wm_ros::parameters! {
     }
 }
 
-/// The node, for the registry.
-#[must_use]
-pub const fn definition<N: ModelNode>() -> NodeDefinition<anyhow::Error> {
-    NodeDefinition {
-        name: N::NAME,
-        about: N::ABOUT,
-        parameters: specs::<N>,
-        endpoints: N::Endpoints::specs,
-        is_managed: true,
-        run: run::<N>,
-        component: Some(component::<N>),
+/// The parameters of a node that computes with the world model: its own, and `model`, `device` and `cuda_graphs`.
+pub struct WithModel<P> {
+    common: Common,
+    own: P,
+}
+
+impl<P> Deref for WithModel<P> {
+    type Target = P;
+
+    fn deref(&self) -> &P {
+        &self.own
     }
 }
 
-fn specs<N: ModelNode>() -> Vec<ParameterSpec> {
-    let mut specs = Common::specs();
-    specs.extend(N::Parameters::specs());
-    specs
-}
+impl<P: ParameterSet> ParameterSet for WithModel<P> {
+    fn specs() -> Vec<ParameterSpec> {
+        let mut specs = Common::specs();
+        specs.extend(P::specs());
+        specs
+    }
 
-fn run<N: ModelNode>(args: &NodeArgs) -> Result<ExitCode> {
-    args.expect_no_rest()?;
-    wm_ros::run(N::NAME, NAMESPACE, args, body::<N>).map(|()| ExitCode::SUCCESS)
-}
-
-fn component<N: ModelNode>() -> Component<anyhow::Error> {
-    Component::new(N::NAME, body::<N>)
-}
-
-/// The node itself, in a process that may run other nodes too.
-///
-/// # Errors
-/// Parameters are invalid, weights cannot be loaded, or the graph fails.
-pub async fn body<N: ModelNode>(node: Node) -> Result<()> {
-    let lifecycle = Lifecycle::new(&node)?;
-    let common = Common::declare(&node)?;
-    let parameters = Arc::new(N::Parameters::declare(&node)?);
-    node.seal_parameters()?;
-    N::check(&parameters)?;
-    let device: DeviceName = common.device.parse()?;
-    let harness = Harness::<N> {
-        model: common.model,
-        placement: Placement::on(device, common.cuda_graphs),
-        parameters,
-    };
-    lifecycle.run(harness).await
-}
-
-struct Harness<N: ModelNode> {
-    /// What the parameter `model` says.
-    model: String,
-    /// What `device` and `cuda_graphs` say.
-    placement: Placement,
-    parameters: Arc<N::Parameters>,
-}
-
-impl<N: ModelNode> Managed for Harness<N> {
-    type Configured = Configured<N>;
-    type Active = N;
-    type Error = anyhow::Error;
-
-    async fn configure(&self, node: &Node) -> Result<Configured<N>> {
-        let (name, parameters) = (self.model.clone(), Arc::clone(&self.parameters));
-        let (placement, span) = (self.placement, tracing::Span::current());
-        let load = move || {
-            let load = || {
-                let folder = ModelFolder::open(&name)?;
-                for mark in folder.unfinished()? {
-                    tracing::warn!("{name}: the training of its {} is {mark}", mark.part);
-                }
-                N::load(PlacedModel::new(folder, placement), &parameters)
-            };
-            span.in_scope(load)
-                .with_context(|| format!("parameter model is \"{name}\""))
-        };
-        Ok(Configured {
-            node: node.clone(),
-            parameters: Arc::clone(&self.parameters),
-            model: tokio::task::spawn_blocking(load).await??,
-            endpoints: N::Endpoints::make(node)?,
+    fn declare(node: &Node) -> Result<Self, Error> {
+        Ok(Self {
+            common: Common::declare(node)?,
+            own: P::declare(node)?,
         })
     }
+}
 
-    fn activate(&self, at: &Configured<N>) -> Result<N> {
-        N::activate(at)
+impl<P> WithModel<P> {
+    /// Refuses a `device` that has another form, so that the node ends at once.
+    ///
+    /// # Errors
+    /// Names it.
+    pub fn check_device(&self) -> Result<()> {
+        self.compute().map(drop)
     }
 
-    async fn run(&self, at: &mut Configured<N>, active: &mut N) -> Result<()> {
-        active.run(at).await
+    /// The meaning of `device` and `cuda_graphs`.
+    fn compute(&self) -> Result<Compute> {
+        let compute: Compute = self.common.device.parse()?;
+        Ok(compute.recording(self.common.cuda_graphs))
     }
+}
+
+/// Opens the model on a separate thread, where `load` loads the parts that the node needs.
+///
+/// # Errors
+/// Names the model, and what is missing or wrong.
+pub async fn load<P: Send + Sync + 'static, M: Send + 'static>(
+    parameters: &Arc<WithModel<P>>,
+    load: fn(ModelFolder, &P) -> Result<M>,
+) -> Result<M> {
+    let (parameters, span) = (Arc::clone(parameters), tracing::Span::current());
+    let compute = parameters.compute()?;
+    let open = move || {
+        let name = &parameters.common.model;
+        let load = || {
+            let folder = ModelFolder::open(name)?.on(compute);
+            for mark in folder.unfinished()? {
+                tracing::warn!("{name}: the training of its {} is {mark}", mark.part);
+            }
+            load(folder, &parameters.own)
+        };
+        span.in_scope(load)
+            .with_context(|| format!("parameter model is \"{name}\""))
+    };
+    tokio::task::spawn_blocking(open).await?
 }

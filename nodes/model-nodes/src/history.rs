@@ -1,14 +1,13 @@
-//! What was observed and done, aligned in time: the view of the present that predictor, planner, evaluator and env use.
+//! Observations and actions, aligned in time: the view of the present that predictor, planner, evaluator and env share.
 //!
-//! Latents, actions and chunks arrive each with a stamp; the transition model counts in model steps of several camera
-//! frames. A [`History`] holds the last few of all of them and answers with a [`Moment`] (the context of the newest
-//! frame) and what happens in the steps after it ([`History::future`]), by stamps alone. It knows no clock and no
-//! topic: the same messages give the same moments.
+//! Latents, actions and chunks each carry a stamp; the transition model counts in model steps of several camera frames. A
+//! [`History`] keeps the last few of each. From them it makes a [`Moment`] (the context of the newest frame) and the actions
+//! of the steps after it ([`History::future`]), by stamps alone. It uses no clock and no topic: the same messages give the
+//! same moments.
 //!
-//! A history belongs to one camera, one latent space and one *epoch*. Where time jumps (a bag that loops, a simulation
-//! that restarts), and where somebody asks for it, a new epoch begins and all frames are forgotten. One odd stamp is no
-//! jump: time has jumped when two frames in a row say so. Nor is a gap that lasted as long as it is wide: the camera was
-//! away, or the encoder takes that long.
+//! A history belongs to one camera, one latent space and one *epoch*. A new epoch begins, and all frames are dropped, when
+//! time jumps (a bag loops, a simulation restarts) or on request. A jump takes two frames in a row with such stamps. A gap
+//! is no jump if as much time has passed: the camera was away, or the encoder is slow.
 
 mod ahead;
 mod arrival;
@@ -44,7 +43,7 @@ pub use camera_clock::CameraStep;
 pub use error::HistoryError;
 pub use frames::{Frame, Observation};
 pub use moment::Moment;
-pub(crate) use moment::stack;
+pub(crate) use moment::model_values;
 pub(crate) use note::note;
 pub use stamp::seconds;
 pub(crate) use stamp::{period_of, stamp_of_frame, stamp_of_other};
@@ -60,22 +59,22 @@ use rhythm::Rhythm;
 use stamp::{ANNOUNCED_NS, seconds_of, stamp_of};
 use wm_wire::stamp::AHEAD_NS;
 
-/// A policy answers a frame before it has passed the encoder, and may be slow, but not by this much \[ns\]: its clock is
-/// not the frames'.
+/// A policy whose chunk differs from the frames by this much has another clock \[ns\]. A policy may answer before the frame
+/// has passed the encoder, and may be slow.
 const FAR_AHEAD_NS: i64 = 60_000_000_000;
 /// The counter on `/diagnostics` of plans and evaluations that are dropped because the camera has stopped.
 pub(crate) const FROZEN_CAMERA: &str = "frozen_camera";
 /// A camera that is silent for this many frame periods, and at least a second, may be replaced by another.
 const SILENT_FRAMES: u32 = 5;
-/// Until a frame has said how late it comes, actions are kept for so long \[ns\].
+/// How long actions are kept until the delay of the frames is known \[ns\].
 const KEPT_AT_FIRST_NS: i64 = 60_000_000_000;
 /// Actions are kept for this many times the age at which frames arrive: a slow encoder's contexts are that far apart.
 const KEPT_AGES: i64 = 3;
 
-/// What can be chosen of a history.
+/// Settings of a history.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct HistorySettings {
-    /// How stamps make model steps.
+    /// How stamps are grouped into model steps.
     pub timing: Timing,
     /// Frames of a context, one model step apart; at least 1.
     pub context_frames: usize,
@@ -97,11 +96,11 @@ pub struct History {
     source_epoch: u64,
     held_back: HeldBack,
     base_frame: Arc<str>,
-    /// Which frames are worth a prediction.
+    /// Which frames start a prediction.
     pace: Pace,
     late_chunk: Option<LateChunk>,
     rhythm: Rhythm,
-    /// How far behind the newest action frames arrive at most \[ns\].
+    /// Greatest delay of a frame behind the newest action \[ns\].
     latest_ns: i64,
     epoch: u64,
 }
@@ -291,7 +290,7 @@ impl History {
         self.pace.set_gap(camera_ns);
         arrival.is_due = self.pace.is_due(stamp_ns);
         if self.slow_camera().is_some() {
-            // Said as what it is, not as frames that are missing.
+            // Not reported as missing frames.
             arrival.missed_frames = 0;
         }
         Ok(arrival)
@@ -323,7 +322,7 @@ impl History {
         Ok(Arrival::default())
     }
 
-    /// Takes the actions to come; they replace what was announced before for the same time, or are merged with it.
+    /// Takes a chunk of coming actions; it replaces earlier chunks for the same time, or is merged with them.
     ///
     /// # Errors
     /// [`HistoryError`]: it is dropped, and the previous one stays.
@@ -379,8 +378,8 @@ impl History {
         })
     }
 
-    /// Takes note that the node's clock jumped back to `now`; whether a new epoch began. What has already come by the
-    /// new time stays.
+    /// Handles a jump of the node's clock back to `now`; returns whether a new epoch began. Inputs that already have stamps of
+    /// the new time stay.
     pub fn clock_jumped(&mut self, now: Time) -> bool {
         let now_ns = now.to_nanos();
         let newest = self.frames.newest().map(|frame| frame.stamp_ns);
@@ -411,7 +410,7 @@ impl History {
         self.newest().is_some_and(|newest| newest.is_frozen)
     }
 
-    /// The frame nearest to a stamp, where one lies within the tolerance.
+    /// The frame nearest to a stamp, if one lies within the tolerance.
     pub fn near(&self, stamp_ns: i64) -> Option<&Frame> {
         self.frames.near(stamp_ns, self.timing().tolerance_ns)
     }
@@ -430,8 +429,8 @@ impl History {
         }
     }
 
-    /// Whether a frame's stamp says that time has jumped. Frames that are far apart because that much time has passed, as
-    /// those of a slow encoder, are of one time.
+    /// Whether a frame's stamp shows a jump of time. Frames that are far apart because as much time has passed, like those of a
+    /// slow encoder, show none.
     fn is_jump(&self, frame: &Frame, newest_ns: i64) -> bool {
         let gap_ns = frame.stamp_ns.saturating_sub(newest_ns);
         let passed_ns = match self.frames.newest() {
@@ -471,7 +470,7 @@ impl History {
         self.camera_clock.step()
     }
 
-    /// Keeps actions for as long as frames need them that arrive as late as this one.
+    /// Keeps actions long enough for frames that arrive as late as this one.
     fn keep_actions(&mut self, stamp_ns: i64) {
         let late_ns = (self.motion.newest_taken_ns())
             .map_or(0, |newest_ns| newest_ns.saturating_sub(stamp_ns));
@@ -485,14 +484,14 @@ impl History {
             .keep_for(keep_ns.min(KEPT_AT_FIRST_NS.max(span_ns)));
     }
 
-    /// Whether what is stamped so lies so far back that it is of another time.
+    /// Whether a stamp lies so far back that it belongs to an earlier epoch.
     fn is_before_jump(&self, stamp_ns: i64) -> bool {
         let newest = self.frames.newest();
         newest
             .is_some_and(|newest| stamp_ns < newest.stamp_ns.saturating_sub(self.timing().jump_ns))
     }
 
-    /// That a stamp (`stamp_ns` in the camera's time, `sent_ns` in its sender's) is not far ahead.
+    /// Checks that a stamp (`stamp_ns` in the camera's time, `sent_ns` in its sender's) is not far ahead.
     fn expect_near(
         &self,
         what: &'static str,
@@ -543,8 +542,7 @@ impl History {
     }
 }
 
-/// A number for a stretch of time that begins: by the clock, so that it is greater than those before a restart too, and
-/// greater than `last` in any case.
+/// The number of a new epoch: from the clock, so that it exceeds those before a restart, and always greater than `last`.
 pub(crate) fn epoch_after(last: u64, now: Time) -> u64 {
     let by_clock = u64::try_from(now.to_nanos()).unwrap_or(0);
     by_clock.max(last.saturating_add(1))

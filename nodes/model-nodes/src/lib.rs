@@ -1,9 +1,8 @@
 //! The nodes that compute: encoder, predictor, decoder, planner, evaluator and env, each `decode -> pure step -> encode`
 //! over `wm_ros`.
 //!
-//! A node's `step` module holds its whole behaviour and knows neither DDS nor a clock: it is tested with messages alone.
-//! Its `node` module holds the wires: parameters, topics, QoS, threads, diagnostics. All public topics and their QoS
-//! are in `docs/topics.md`.
+//! A node's `step` module holds its whole behaviour and uses neither DDS nor a clock: it is tested with messages alone. Its
+//! `node` module is the wiring: parameters, topics, QoS, threads, diagnostics. `docs/topics.md` lists all public topics.
 //!
 //! Not here: the models (`wm_model`), the ROS runtime (`wm_ros`), bags (`wm_bag`).
 
@@ -27,7 +26,7 @@ pub mod work;
 
 use wm_ros::NodeDefinition;
 
-/// All of them. A node that is new is named here, and `wm` has it: as a command, in `wm run` and in the help.
+/// The registry. A node in this list is a command of `wm`, can run in `wm run`, and is in the help.
 pub const NODES: &[NodeDefinition<anyhow::Error>] = &[
     encoder::NODE,
     predictor::NODE,

@@ -1,4 +1,4 @@
-//! Heavy computation on every nth input, where it is slower than its input.
+//! Heavy computation on every nth input, for work that is slower than its input.
 
 use std::time::{Duration, Instant};
 
@@ -9,14 +9,14 @@ use crate::{
     work::{Stop, Work},
 };
 
-/// What became of an input that was offered.
+/// What happened to an input.
 #[derive(Debug)]
 pub(crate) enum Offered<T> {
-    /// It is worked on, or will be.
+    /// It is accepted: the work runs, or waits.
     Taken,
-    /// It, or one that waited, is left out by choice.
+    /// It, or one that waited, is skipped.
     Skipped,
-    /// One that waited is lost: its work was to have begun by now.
+    /// One that waited is dropped: its work was due.
     Late(T),
 }
 
@@ -27,7 +27,7 @@ pub(crate) struct PacedWork<T, R> {
 }
 
 impl<T: Send + 'static, R: Send + 'static> PacedWork<T, R> {
-    /// Work that `run` does; it tells how long that took, unless it was cut short.
+    /// Work that `run` does; it returns how long that took, unless it was cancelled.
     pub fn new(
         cadence: Cadence,
         run: impl Fn(T, &Stop) -> (R, Option<Duration>) + Send + Sync + 'static,
@@ -38,7 +38,7 @@ impl<T: Send + 'static, R: Send + 'static> PacedWork<T, R> {
         }
     }
 
-    /// A new input of the stamp `stamp_ns` comes at `now`.
+    /// Takes a new input of the stamp `stamp_ns` that arrives at `now`.
     pub fn offer(&mut self, input: T, stamp_ns: i64, now: Instant) -> Offered<T> {
         let verdict = self.cadence.arrived(stamp_ns, now, self.load());
         if verdict == Verdict::Skip {
@@ -51,7 +51,7 @@ impl<T: Send + 'static, R: Send + 'static> PacedWork<T, R> {
         }
     }
 
-    /// More is known of the newest input than when it was offered. Work that cannot follow its input leaves it at that.
+    /// Replaces the newest input by a more complete one. Work that is slower than its input ignores it.
     pub fn offer_again(&mut self, input: T) -> Offered<T> {
         if self.cadence.nth() > 1 {
             return Offered::Taken;

@@ -1,5 +1,5 @@
-//! Threads of a node's own, so that its work waits for no other node of the process: in the background where it may finish
-//! later than that of others in or outside the process, else in the foreground.
+//! A node's own threads, so that its work waits for no other node of the process: in the background if it may finish later
+//! than the work of others, else in the foreground.
 
 use std::sync::Arc;
 
@@ -27,7 +27,7 @@ impl Pool {
         })
     }
 
-    /// As many threads as rayon has by default, named after the node. One that wakes up is let in at once, and each is
+    /// As many threads as rayon has by default, named after the node. Each gets a processor at once when it wakes up, and is
     /// bound to a processor of its own if there are as many processors as threads.
     ///
     /// Threads that share a job must not share a processor. On a virtual machine, whose idle processors Linux takes for
@@ -53,7 +53,7 @@ impl Pool {
         Ok(Self(Arc::new(pool)))
     }
 
-    /// Computes `job` there, with all that it spreads by rayon, and waits for it. What it logs is still the node's.
+    /// Runs `job` on these threads, rayon's part too, and waits for it. Its log lines are still the node's.
     pub fn run<R: Send>(&self, job: impl FnOnce() -> R + Send) -> R {
         let span = tracing::Span::current();
         self.0.install(|| span.in_scope(job))

@@ -18,7 +18,7 @@ mod trial;
 mod trust;
 
 pub use error::PredictorError;
-pub use node::{NODE, body};
+pub use node::NODE;
 pub use rollout::{PredictedStep, RolloutRequest, RunningRollout};
 use step::Seen;
 pub use step::{Outcome, PredictorSettings, PredictorStep};

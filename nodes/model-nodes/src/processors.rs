@@ -1,4 +1,4 @@
-//! Which processors threads run on.
+//! The processors that threads run on.
 
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
@@ -7,7 +7,7 @@ use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 pub(crate) struct Processors(Vec<usize>);
 
 impl Processors {
-    /// Those of the calling thread, which its process was given; none where the system does not say.
+    /// The processors of the calling thread; `None` if the system does not report them.
     pub fn of_process() -> Self {
         let allowed = sched_getaffinity(None).unwrap_or_default();
         let numbers = 0..CpuSet::MAX_CPU;

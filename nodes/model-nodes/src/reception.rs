@@ -1,4 +1,4 @@
-//! How a message was received.
+//! The reception of a message: time and publisher.
 
 use std::time::Instant;
 
@@ -8,18 +8,18 @@ use wm_ros::{Clock, PublisherId, Received};
 /// When a message arrived, and from which publisher.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Reception {
-    /// By the node's clock; zero while `/clock` has not come.
+    /// By the node's clock; zero until `/clock` arrives.
     pub stamp: Time,
-    /// The last step of the node's clock \[ns\]: a simulated one may be late by as much, the system's has none.
+    /// The last step of the node's clock \[ns\]: a simulated clock may be late by this much; zero for the system's.
     pub clock_step_ns: i64,
     /// By a clock that never jumps.
     pub at: Instant,
-    /// Who sent it.
+    /// Its publisher.
     pub publisher: PublisherId,
 }
 
 impl Reception {
-    /// The latest time, by the node's clock, that it may have been.
+    /// The latest possible time of arrival, by the node's clock.
     pub fn latest(&self) -> Time {
         match self.stamp.to_nanos() {
             0 => Time::default(),
@@ -27,7 +27,7 @@ impl Reception {
         }
     }
 
-    /// That of a message of a node with this clock.
+    /// The reception of a message by a node with this clock.
     pub fn of<M>(received: &Received<M>, clock: &Clock) -> Self {
         Self {
             stamp: received.received,

@@ -1,11 +1,11 @@
-//! How soon a thread that wakes up gets a processor.
+//! Short time slices: how soon a thread that wakes up gets a processor.
 
 use std::io;
 
-/// What threads ask for that others are to let in at once: the shortest that Linux gives.
+/// The shortest slice that Linux gives: a thread that requests it gets a processor soon.
 const SHORT_NS: u64 = 100_000;
 
-/// Asks that the calling thread, when it wakes up, take the place of one that runs with the usual, longer slice.
+/// Requests that the calling thread, when it wakes up, preempts threads with the usual, longer slice.
 ///
 /// From 6.12 on, Linux lets a running thread have its slice of a few milliseconds even if a thread of a higher priority
 /// wakes up, but not if that one asked for a shorter slice (sched_setattr(2), EEVDF). Its share of the processor stays

@@ -16,12 +16,12 @@ use tokio::task::{JoinError, JoinHandle};
 
 use crate::pool::Pool;
 
-/// Whether the [`Work`] of a job is gone: a thread cannot be ended from outside, so a long job asks.
+/// Whether the [`Work`] of a job is gone. A thread cannot be ended from outside, so a long job checks this.
 #[derive(Clone, Debug, Default)]
 pub struct Stop(Arc<AtomicBool>);
 
 impl Stop {
-    /// Whether the job's result is of no more use.
+    /// Whether the job's result is no longer needed.
     pub fn is_asked(&self) -> bool {
         self.0.load(Ordering::Relaxed)
     }
@@ -37,7 +37,7 @@ pub struct Work<T, R> {
     waiting: VecDeque<T>,
     capacity: usize,
     running: Option<JoinHandle<R>>,
-    /// None: on the threads that the process shares.
+    /// `None`: the threads that the process shares.
     pool: Option<Pool>,
 }
 
@@ -77,7 +77,7 @@ impl<T: Send + 'static, R: Send + 'static> Work<T, R> {
         dropped
     }
 
-    /// From now on, at most so many jobs (at least 1) wait.
+    /// Changes how many jobs may wait (at least 1).
     pub fn set_capacity(&mut self, capacity: usize) {
         self.capacity = capacity.max(1);
     }
@@ -110,7 +110,7 @@ impl<T: Send + 'static, R: Send + 'static> Work<T, R> {
 
     fn start(&mut self, job: T) {
         let (run, stop) = (Arc::clone(&self.run), self.stop.clone());
-        // What the job logs is the node's, also where a process has several.
+        // The job's log lines are the node's, also if a process has several nodes.
         let span = tracing::Span::current();
         let pool = self.pool.clone();
         let job = move || {

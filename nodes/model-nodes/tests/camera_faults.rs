@@ -227,18 +227,23 @@ fn faulty_cameras_are_named_and_not_planned_from() {
     let planner =
         "-p population:=12 -p iterations:=2 -p elites:=4 -p horizon:=2 -p plan_period:=0.2";
     let nodes = [
-        Running::start(context(), "encoder", &model, wm_model_nodes::encoder::body),
+        Running::start(
+            context(),
+            "encoder",
+            &model,
+            wm_model_nodes::encoder::NODE.body,
+        ),
         Running::start(
             context(),
             "predictor",
             &format!("{model} -p horizon:=2"),
-            wm_model_nodes::predictor::body,
+            wm_model_nodes::predictor::NODE.body,
         ),
         Running::start(
             context(),
             "planner",
             &format!("{model} {planner}"),
-            wm_model_nodes::planner::body,
+            wm_model_nodes::planner::NODE.body,
         ),
     ];
     let here = context();

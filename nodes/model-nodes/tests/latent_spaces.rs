@@ -148,34 +148,34 @@ fn start(domain: u16, model: &Path) -> Vec<Running> {
             encoder.0,
             encoder.1,
             &encoder.2,
-            wm_model_nodes::encoder::body,
+            wm_model_nodes::encoder::NODE.body,
         ),
         Running::start(
             predictor.0,
             predictor.1,
             &predictor.2,
-            wm_model_nodes::predictor::body,
+            wm_model_nodes::predictor::NODE.body,
         ),
         Running::start(
             decoder.0,
             decoder.1,
             &decoder.2,
-            wm_model_nodes::decoder::body,
+            wm_model_nodes::decoder::NODE.body,
         ),
         Running::start(
             planner.0,
             planner.1,
             &planner.2,
-            wm_model_nodes::planner::body,
+            wm_model_nodes::planner::NODE.body,
         ),
         Running::start(
             stranger.0,
             stranger.1,
             &stranger.2,
-            wm_model_nodes::planner::body,
+            wm_model_nodes::planner::NODE.body,
         ),
         Running::start(player.0, player.1, &player.2, async |node| {
-            wm_robot_nodes::player::body(node).await.map(drop)
+            (wm_robot_nodes::player::NODE.body)(node).await
         }),
     ]
 }

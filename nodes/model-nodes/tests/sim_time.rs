@@ -5,10 +5,7 @@
 
 use std::time::Duration;
 
-use wm_model::{
-    LatentSpace,
-    trained_folder::{EMBEDDED, TrainedFolder},
-};
+use wm_model::{LatentSpace, trained_folder::EMBEDDED};
 use wm_msgs::{
     builtin_interfaces::Time,
     diagnostic_msgs::DiagnosticArray,
@@ -18,6 +15,7 @@ use wm_msgs::{
 };
 use wm_ros::{Context, Environment, Node, NodeArgs, Publisher, Qos, Reach, Subscription};
 use wm_wire::latent_message::{LatentDtype, encode_latent};
+use wm_zoo::ModelFolder;
 
 /// Far above anything that happens here; it only ends a test that hangs.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -100,11 +98,11 @@ async fn a_clock_that_jumps_back_flushes_the_history() {
             .enable_all()
             .build()
             .unwrap()
-            .block_on(wm_model_nodes::predictor::body(predictor))
+            .block_on((wm_model_nodes::predictor::NODE.body)(predictor))
     });
     let (here, node) = node(domain, "world", "");
     let mut world = World {
-        space: TrainedFolder::named(EMBEDDED).world_model().unwrap().space,
+        space: ModelFolder::open(EMBEDDED).unwrap().space().unwrap(),
         clock: node.publisher("/clock", Qos::reliable(1)).unwrap(),
         latents: node.publisher("latent", Qos::reliable(10)).unwrap(),
         actions: node.publisher("action", Qos::reliable(10)).unwrap(),

@@ -99,12 +99,17 @@ fn a_predictor_slower_than_the_camera_leaves_out_frames_by_choice_and_goes_on() 
         PERIOD.as_secs_f64()
     );
     let nodes = [
-        Running::start(context(), "encoder", &model, wm_model_nodes::encoder::body),
+        Running::start(
+            context(),
+            "encoder",
+            &model,
+            wm_model_nodes::encoder::NODE.body,
+        ),
         Running::start(
             context(),
             "predictor",
             &format!("{model} -p horizon:=64 -p integration_steps:=20"),
-            wm_model_nodes::predictor::body,
+            wm_model_nodes::predictor::NODE.body,
         ),
     ];
     let here = context();

@@ -243,19 +243,19 @@ fn four_nodes_predict_plan_and_survive_bad_input() {
             context(),
             "encoder",
             &format!("{model} -p dtype:=f32"),
-            wm_model_nodes::encoder::body,
+            wm_model_nodes::encoder::NODE.body,
         ),
         Running::start(
             context(),
             "predictor",
             &format!("{model} -p horizon:={HORIZON} -p seed:=11"),
-            wm_model_nodes::predictor::body,
+            wm_model_nodes::predictor::NODE.body,
         ),
         Running::start(
             context(),
             "decoder",
             &format!("{model} -p decode_period:=0.0"),
-            wm_model_nodes::decoder::body,
+            wm_model_nodes::decoder::NODE.body,
         ),
         Running::start(
             context(),
@@ -263,7 +263,7 @@ fn four_nodes_predict_plan_and_survive_bad_input() {
             &format!(
                 "{model} -p population:=12 -p iterations:=2 -p elites:=4 -p horizon:=2 -p plan_period:=0.4"
             ),
-            wm_model_nodes::planner::body,
+            wm_model_nodes::planner::NODE.body,
         ),
     ];
     let here = context();

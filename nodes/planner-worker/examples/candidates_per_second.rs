@@ -1,7 +1,7 @@
-//! How many candidates a second are costed, alone and with the workers at the endpoints that are named.
+//! Measures how many candidates per second are costed, alone and with the workers at the given endpoints.
 //!
-//!     wm planner-worker --listen tcp/127.0.0.1:7447 &
-//!     cargo run --release -p wm_planner_worker --example candidates_per_second -- tcp/127.0.0.1:7447
+//!     wm planner-worker --listen tcp/127.0.0.1:7447 & cargo run --release -p wm_planner_worker --example
+//! candidates_per_second -- tcp/127.0.0.1:7447
 
 use std::time::{Duration, Instant};
 
@@ -21,7 +21,7 @@ const PLANS: u64 = 20;
 const POPULATION: usize = 96;
 const BATCH: usize = 8;
 const HORIZON: usize = 4;
-/// How long workers are waited for.
+/// How long to wait for workers.
 const PATIENCE: Duration = Duration::from_secs(30);
 
 fn main() -> Result<()> {

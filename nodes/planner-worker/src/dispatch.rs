@@ -1,4 +1,4 @@
-//! Which batch is where: the bookkeeping, without network and clock.
+//! Tracks which batch is where, without network and clock.
 
 use std::{
     collections::VecDeque,
@@ -9,14 +9,14 @@ use wm_planner::{Costs, Turn, WorkerCounts};
 
 /// How many times as long as the search itself a worker may take for a batch before the search costs it too.
 const HEDGE: u32 = 2;
-/// How many times as long before the worker is left out for a while.
+/// How many times as long until the worker is excluded for a while.
 const LOST: u32 = 8;
-/// No worker is left out sooner: networks have hiccups.
+/// The shortest wait before a worker is excluded: networks have hiccups.
 const LEAST_PATIENCE: Duration = Duration::from_secs(1);
-/// How long is waited for a worker while it is not known how long the search itself takes.
+/// The wait for a worker while the search's own duration is unknown.
 const FIRST_PATIENCE: Duration = Duration::from_secs(10);
 
-/// A batch that a worker has.
+/// A batch of a worker.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Job {
     round: u64,
@@ -24,57 +24,57 @@ pub(crate) struct Job {
     pub(crate) index: usize,
 }
 
-/// Why a worker has a batch no more that it did not answer.
+/// Why an unanswered batch was reclaimed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Returned {
+pub(crate) enum ReturnReason {
     TimedOut,
     Failed,
     Gone,
 }
 
-/// What the search does next.
+/// The next action of the search.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Next {
     Turn(Turn),
-    /// Waits, at most so long.
+    /// Wait, at most this long.
     Wait(Duration),
-    /// Everything is costed.
+    /// All batches are costed.
     Over,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Place {
-    /// Nobody has it.
+    /// Not assigned.
     Open,
-    /// A worker has it, since then.
+    /// Assigned to a worker at this time.
     Out(Instant),
-    /// The search has it, or has costed it; an answer that comes all the same is late.
+    /// The search costs it or has costed it; a worker's answer is late.
     Here,
-    /// A worker has costed it.
+    /// Costed by a worker.
     Answered,
 }
 
-/// The batches of one population after the other.
+/// The batches of the current population.
 #[derive(Debug, Default)]
 pub(crate) struct Dispatch {
     round: u64,
     batches: Vec<Place>,
     answers: VecDeque<(usize, Costs)>,
-    /// Since when the search costs a batch itself.
+    /// Since when the search has been costing a batch.
     busy_since: Option<Instant>,
-    /// How long it took for the last one.
+    /// How long its last one took.
     own: Option<Duration>,
     pub(crate) counts: WorkerCounts,
 }
 
 impl Dispatch {
-    /// A population of so many batches.
+    /// Starts a population of `batches`.
     pub(crate) fn begin(&mut self, batches: usize) {
         self.end();
         self.batches = vec![Place::Open; batches];
     }
 
-    /// Nothing is to be costed any more.
+    /// Ends the population.
     pub(crate) fn end(&mut self) {
         self.round += 1;
         self.batches.clear();
@@ -82,8 +82,8 @@ impl Dispatch {
         self.busy_since = None;
     }
 
-    /// A batch for a worker that has none: the last one that nobody has, while the search begins with the first. That one
-    /// is the search's own, so that it is known how long it takes.
+    /// The last unassigned batch, for an idle worker; the search begins with the first. The first is reserved for the
+    /// search, so that its duration is known.
     pub(crate) fn take(&mut self, now: Instant) -> Option<Job> {
         let open = self.batches.iter().rposition(|place| *place == Place::Open);
         let index = open.filter(|index| *index > 0)?;
@@ -92,7 +92,7 @@ impl Dispatch {
         Some(Job { round, index })
     }
 
-    /// What the search does at `now`.
+    /// The next action of the search at `now`.
     pub(crate) fn next(&mut self, now: Instant) -> Next {
         if let Some(since) = self.busy_since.take() {
             self.own = Some(now.saturating_duration_since(since));
@@ -126,7 +126,7 @@ impl Dispatch {
         Next::Turn(Turn::Here(index))
     }
 
-    /// How long a worker is waited for.
+    /// How long to wait for a worker.
     pub(crate) fn patience(&self) -> Duration {
         self.own
             .map_or(FIRST_PATIENCE, |own| (own * LOST).max(LEAST_PATIENCE))
@@ -144,20 +144,20 @@ impl Dispatch {
         }
     }
 
-    /// A worker will not cost its batch.
-    pub(crate) fn returned(&mut self, job: Job, why: Returned) {
+    /// A worker returns its batch.
+    pub(crate) fn returned(&mut self, job: Job, why: ReturnReason) {
         match why {
-            Returned::TimedOut => self.counts.timed_out += 1,
-            Returned::Failed => self.counts.failed += 1,
-            // The worker is counted itself.
-            Returned::Gone => {}
+            ReturnReason::TimedOut => self.counts.timed_out += 1,
+            ReturnReason::Failed => self.counts.failed += 1,
+            // the departed worker itself is counted
+            ReturnReason::Gone => {}
         }
         if let Some(place @ Place::Out(_)) = self.place(job) {
             *place = Place::Open;
         }
     }
 
-    /// Where the batch of a job is, if it is of this population.
+    /// The state of a job's batch, if it belongs to this population.
     fn place(&mut self, job: Job) -> Option<&mut Place> {
         let is_current = job.round == self.round;
         self.batches.get_mut(job.index).filter(|_| is_current)
@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn the_search_takes_from_the_front_and_workers_from_the_back() {
+    fn search_takes_first_batches_and_workers_last_ones() {
         let now = Instant::now();
         let mut dispatch = Dispatch::default();
         assert_eq!(dispatch.take(now), None);
@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_batch_is_the_searchs_own() {
+    fn first_batch_is_reserved_for_the_search() {
         let now = Instant::now();
         let mut dispatch = Dispatch::default();
         dispatch.begin(2);
@@ -205,14 +205,14 @@ mod tests {
     }
 
     #[test]
-    fn a_slow_workers_batch_is_costed_here_and_counted_once() {
+    fn slow_workers_batch_is_costed_here_and_counted_once() {
         let start = Instant::now();
         let mut dispatch = Dispatch::default();
         dispatch.begin(2);
         let job = dispatch.take(start).unwrap();
         assert_eq!(dispatch.next(start), here(0));
         assert_eq!(dispatch.patience(), FIRST_PATIENCE);
-        // It is waited for about as long as it would take here, since by then it would be there.
+        // waits about as long as costing it here would take
         assert_eq!(dispatch.next(start + OWN), Next::Wait(OWN));
         assert_eq!(dispatch.patience(), LEAST_PATIENCE);
         assert_eq!(dispatch.next(start + 2 * OWN), here(1));
@@ -222,9 +222,13 @@ mod tests {
     }
 
     #[test]
-    fn the_batch_of_a_worker_that_fails_is_there_for_others() {
+    fn failed_workers_batch_is_available_again() {
         let now = Instant::now();
-        for why in [Returned::Failed, Returned::TimedOut, Returned::Gone] {
+        for why in [
+            ReturnReason::Failed,
+            ReturnReason::TimedOut,
+            ReturnReason::Gone,
+        ] {
             let mut dispatch = Dispatch::default();
             dispatch.begin(2);
             let job = dispatch.take(now).unwrap();
@@ -237,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn what_comes_after_its_population_is_late() {
+    fn answers_for_an_earlier_population_are_late() {
         let now = Instant::now();
         let mut dispatch = Dispatch::default();
         dispatch.begin(2);
@@ -245,7 +249,7 @@ mod tests {
         dispatch.begin(2);
         let other = dispatch.take(now).unwrap();
         dispatch.answered(job, costs(1.0));
-        dispatch.returned(job, Returned::TimedOut);
+        dispatch.returned(job, ReturnReason::TimedOut);
         assert_eq!(dispatch.next(now), here(0));
         dispatch.answered(other, costs(2.0));
         let answered = Next::Turn(Turn::Answered(1, costs(2.0)));

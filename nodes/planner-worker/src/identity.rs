@@ -1,4 +1,4 @@
-//! Which costs a process would find.
+//! The identity of a cost computation.
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -7,57 +7,40 @@ use wm_planner::{PlanError, fingerprint};
 
 use crate::message::quoted;
 
-/// What two processes must have in common to find the same costs, bit for bit.
+/// What two processes must have in common to compute the same costs, bit for bit.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Identity {
     /// Of this crate.
     pub version: String,
     /// [`WorldModel::hash`].
     pub model_hash: String,
-    /// Architecture, and the instructions that the kernels compute with, or a device.
+    /// Architecture, and the instructions of the kernels, or a device.
     pub kernels: String,
-    /// [`wm_planner::fingerprint`], which also tells builds and processors apart that the rest does not.
+    /// [`wm_planner::fingerprint`], which distinguishes further builds and processors.
     pub fingerprint: [u8; 32],
 }
 
 /// How two processes differ.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[non_exhaustive]
+#[expect(missing_docs, reason = "the messages explain variants and fields")]
 pub enum IdentityError {
-    /// Another release.
     #[error("its version is {found}, expected {expected}")]
-    Version {
-        /// Of this process.
-        expected: String,
-        /// Of the other.
-        found: String,
-    },
-    /// Another model.
+    Version { expected: String, found: String },
     #[error("its model has the hash {found}, expected {expected}")]
-    Model {
-        /// Of this process.
-        expected: String,
-        /// Of the other.
-        found: String,
-    },
-    /// Another processor.
-    #[error("it computes with {found}, expected {expected}: sums would be rounded otherwise")]
-    Kernels {
-        /// Of this process.
-        expected: String,
-        /// Of the other.
-        found: String,
-    },
-    /// Another build, or a processor that is unlike in something else.
-    #[error("its result of the trial differs: it rounds otherwise")]
+    Model { expected: String, found: String },
+    #[error("it computes with {found}, expected {expected}: rounding would differ")]
+    Kernels { expected: String, found: String },
+    /// Another build, or a processor that differs otherwise.
+    #[error("its result of the trial differs: its rounding differs")]
     Fingerprint,
 }
 
 impl Identity {
-    /// Of this process with a model, which takes about as long as costing a handful of candidates.
+    /// The identity of this process with a model. Takes about as long as costing a few candidates.
     ///
     /// # Errors
-    /// Where the model fails.
+    /// The model fails.
     pub fn of(model: &WorldModel) -> Result<Self, PlanError> {
         Ok(Self {
             version: env!("CARGO_PKG_VERSION").into(),
@@ -67,10 +50,10 @@ impl Identity {
         })
     }
 
-    /// Whether `other` finds the same costs.
+    /// Checks that `other` computes the same costs.
     ///
     /// # Errors
-    /// [`IdentityError`] says how it differs.
+    /// How it differs.
     pub fn require(&self, other: &Self) -> Result<(), IdentityError> {
         let pair = |expected: &str, found: &str| (expected.to_owned(), quoted(found));
         if other.version != self.version {
@@ -97,7 +80,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn whatever_differs_is_named() {
+    fn differences_are_named() {
         let own = Identity {
             version: "1".into(),
             model_hash: "abc".into(),

@@ -1,13 +1,13 @@
-//! Planner workers: processes that hold the same model as a planner and cost some of its candidates, asked over Zenoh.
+//! Planner workers: processes with the same model as a planner that cost some of its candidates over Zenoh.
 //!
-//! - A worker ([`serve`]) announces itself by a liveliness token and answers queries of its own key. It is told the
-//!   [`CostFunction`](wm_planner::CostFunction) of a plan once; then actions come and costs go. Latents of candidates
-//!   do not cross.
-//! - A planner has a [`PlannerWorkers`], which is the [`WorkerPool`](wm_planner::WorkerPool) of its plans. A worker takes
-//!   part only if its [`Identity`] is the planner's own: version, model, kernels, and the result of a trial. So a plan is
-//!   the same, bit for bit, whoever costed its candidates.
-//! - No batch is lost with a worker: the search costs it itself when the worker is gone, or takes longer than the search
-//!   would have. A worker that fails is left out for a while, and all of it is counted.
+//! - A worker ([`serve`]) announces itself by a liveliness token and answers queries of its own key. It receives the
+//!   [`CostFunction`](wm_planner::CostFunction) of a plan once; then it receives actions and returns costs. Latents of
+//!   candidates are not sent.
+//! - A planner has [`PlannerWorkers`], the [`WorkerPool`](wm_planner::WorkerPool) of its plans. A worker takes part
+//!   only if its [`Identity`] equals the planner's: version, model, kernels, and the result of a trial. So a plan is
+//!   the same, bit for bit, with any workers.
+//! - No batch is lost: the search costs it itself if the worker disappears or is slow. A failing worker is excluded for
+//!   a while. All of this is counted.
 //!
 //! Not here: which candidates are tried (`wm_planner`), who may join the network (Zenoh's configuration).
 
@@ -20,10 +20,10 @@ mod serving;
 mod worker;
 
 pub use identity::{Identity, IdentityError};
-pub use message::{Answer, FunctionId, MessageError, Request};
+use message::{Answer, FunctionId, MessageError, Request};
 pub use pool::{PlannerWorkers, connect};
-pub use serving::{Served, serve};
-pub use worker::Worker;
+pub use serving::{ServiceCounts, serve};
+use worker::Worker;
 
-/// Below it are the keys of all workers, `wm/planner_worker/<Zenoh id>`: of its liveliness token, and of its queries.
+/// The prefix of all workers' keys, `wm/planner_worker/<Zenoh id>`: of liveliness tokens and queries.
 const WORKERS: &str = "wm/planner_worker";

@@ -1,4 +1,5 @@
-//! `wm-planner-worker`: `wm planner-worker`, a program of its own, because Zenoh would make the build of `wm` long.
+//! `wm-planner-worker`: the command `wm planner-worker` as a separate program, since Zenoh would slow the build of
+//! `wm`.
 //!
 //! Exit codes: 0 done, 1 failed, 2 wrong usage.
 
@@ -15,7 +16,7 @@ use wm_zoo::ModelFolder;
 #[derive(Debug, Parser)]
 #[command(name = "wm-planner-worker", bin_name = "wm planner-worker", version)]
 #[command(
-    after_help = "Logs go to standard error; RUST_LOG=debug tells more.\nExit codes: 0 done, 1 failed, 2 wrong usage."
+    after_help = "Logs go to standard error; RUST_LOG=debug logs more.\nExit codes: 0 done, 1 failed, 2 wrong usage."
 )]
 struct Cli {
     /// The planner's own model: tiny, or a folder
@@ -68,7 +69,7 @@ mod tests {
     use clap::CommandFactory as _;
 
     #[test]
-    fn the_command_line_is_consistent() {
+    fn command_line_is_consistent() {
         Cli::command().debug_assert();
     }
 }

@@ -1,4 +1,4 @@
-//! One worker, as a planner sees it.
+//! A worker from the planner's point of view.
 
 use std::{sync::Arc, time::Duration};
 
@@ -10,18 +10,18 @@ use zenoh::{Session, query::Querier, sample::Locality};
 
 use crate::{
     Answer, FunctionId, Identity, MessageError, Request,
-    dispatch::Returned,
+    dispatch::ReturnReason,
     message::{costs, decode, encode, quoted},
     pool::{Lease, Table},
 };
 
-/// How long a worker is left out after a failure; twice as long after each further one.
+/// How long a worker is excluded after a failure; doubled after each further one.
 const LEAST_REST: Duration = Duration::from_secs(1);
-/// And at most.
+/// The longest exclusion.
 const MOST_REST: Duration = Duration::from_secs(60);
-/// How long a worker may take to say what it is: it may be costing a batch of another planner.
+/// How long a worker may take to report its identity: it may be costing a batch of another planner.
 const INTRODUCTION: Duration = Duration::from_secs(10);
-/// When Zenoh itself gives a query up; each has a shorter time of its own.
+/// Zenoh's own limit for queries; each query has a shorter one.
 const LIMIT: Duration = Duration::from_secs(3600);
 
 /// Why a worker has not answered.
@@ -29,13 +29,13 @@ const LIMIT: Duration = Duration::from_secs(3600);
 enum AskError {
     #[error("Zenoh: {0}")]
     Zenoh(String),
-    #[error("it does not answer")]
+    #[error("it does not reply")]
     Silent,
     #[error(transparent)]
     Message(#[from] MessageError),
     #[error("it refuses: {0}")]
     Refused(String),
-    #[error("its answer is of another question")]
+    #[error("its reply belongs to another request")]
     Unasked,
 }
 
@@ -45,20 +45,20 @@ impl From<zenoh::Error> for AskError {
     }
 }
 
-/// Counts one more, as long as it lives.
-struct Counted<'t> {
+/// Counts one more while it lives.
+struct ActiveCount<'t> {
     table: &'t Table,
     figure: fn(&mut WorkerCounts) -> &mut usize,
 }
 
-impl<'t> Counted<'t> {
+impl<'t> ActiveCount<'t> {
     fn new(table: &'t Table, figure: fn(&mut WorkerCounts) -> &mut usize) -> Self {
         table.count(|counts| *figure(counts) += 1);
         Self { table, figure }
     }
 }
 
-impl Drop for Counted<'_> {
+impl Drop for ActiveCount<'_> {
     fn drop(&mut self) {
         self.table.count(|counts| {
             let figure = (self.figure)(counts);
@@ -67,7 +67,7 @@ impl Drop for Counted<'_> {
     }
 }
 
-/// Has the worker of a key cost batches, if it is of the planner's own `identity`, until it is aborted.
+/// Lets the worker of a key cost batches, if its identity equals the planner's, until it is aborted.
 pub(crate) async fn run(table: Arc<Table>, session: Session, key: String, identity: Arc<Identity>) {
     let mut rest = LEAST_REST;
     let mut member = loop {
@@ -76,21 +76,21 @@ pub(crate) async fn run(table: Arc<Table>, session: Session, key: String, identi
             Ok((member, other)) => match identity.require(&other) {
                 Ok(()) => break member,
                 Err(error) => {
-                    tracing::warn!("the planner worker {key} takes no part: {error}");
-                    let _refused = Counted::new(&table, |counts| &mut counts.refused);
+                    tracing::warn!("the planner worker {key} is rejected: {error}");
+                    let _refused = ActiveCount::new(&table, |counts| &mut counts.refused);
                     return std::future::pending().await;
                 }
             },
             Err(error) => error,
         };
-        tracing::warn!("the planner worker {key} does not say what it is: {reason}");
+        tracing::warn!("the planner worker {key} does not report its identity: {reason}");
         sleep(rest).await;
         rest = (2 * rest).min(MOST_REST);
     };
-    tracing::info!("the planner worker {key} takes part");
+    tracing::info!("the planner worker {key} joined");
     rest = LEAST_REST;
     loop {
-        let taking_part = Counted::new(&table, |counts| &mut counts.taking_part);
+        let taking_part = ActiveCount::new(&table, |counts| &mut counts.taking_part);
         let failure = loop {
             let lease = table.take().await;
             match timeout(lease.patience, member.ask(&lease)).await {
@@ -99,17 +99,17 @@ pub(crate) async fn run(table: Arc<Table>, session: Session, key: String, identi
                     rest = LEAST_REST;
                 }
                 Ok(Err(error)) => {
-                    lease.returned(Returned::Failed);
+                    lease.returned(ReturnReason::Failed);
                     break error;
                 }
                 Err(_) => {
-                    lease.returned(Returned::TimedOut);
+                    lease.returned(ReturnReason::TimedOut);
                     break AskError::Silent;
                 }
             }
         };
         drop(taking_part);
-        tracing::warn!("the planner worker {key} is left out for {rest:?}: {failure}");
+        tracing::warn!("the planner worker {key} is excluded for {rest:?}: {failure}");
         sleep(rest).await;
         rest = (2 * rest).min(MOST_REST);
     }
@@ -117,12 +117,12 @@ pub(crate) async fn run(table: Arc<Table>, session: Session, key: String, identi
 
 struct Member {
     querier: Querier<'static>,
-    /// The function that it was told last.
+    /// The last function that it received.
     told: Option<FunctionId>,
 }
 
 impl Member {
-    /// Asks the worker what it is.
+    /// Requests the worker's identity.
     async fn meet(session: &Session, key: &str) -> Result<(Self, Identity), AskError> {
         let querier = session
             .declare_querier(key.to_owned())
@@ -130,7 +130,7 @@ impl Member {
             .timeout(LIMIT)
             .express(true)
             .await?;
-        // Zenoh tells of a worker before it knows a way to it, and a query without a way is answered by nobody, at once.
+        // Zenoh announces a worker before it has a route, and replies to a query without a route at once with nothing.
         let listener = querier.matching_listener().await?;
         let mut is_matching = querier.matching_status().await?.matching();
         while !is_matching {
@@ -162,14 +162,14 @@ impl Member {
 
     async fn ask(&mut self, lease: &Lease) -> Result<Costs, AskError> {
         let (batch, function) = (lease.batch(), &lease.round.function);
-        let mut is_told = self.told == Some(function.id);
+        let mut is_defined_there = self.told == Some(function.id);
         loop {
-            let definition = (!is_told).then(|| ByteBuf::from(function.bytes.clone()));
+            let definition = (!is_defined_there).then(|| ByteBuf::from(function.bytes.clone()));
             let is_defined = definition.is_some();
             let request = Request::Costs {
                 function: function.id,
                 definition,
-                // A batch is far below 2^32.
+                // a batch is far below 2^32
                 candidates: batch.len() as u32,
                 values: batch.concat(),
             };
@@ -178,8 +178,8 @@ impl Member {
                     self.told = Some(function.id);
                     return Ok(costs(&values, batch.len(), function.terms)?);
                 }
-                // It has forgotten it meanwhile, or is another process by now.
-                Answer::UnknownFunction if !is_defined => is_told = false,
+                // it has dropped the function, or was restarted
+                Answer::UnknownFunction if !is_defined => is_defined_there = false,
                 Answer::Refused(reason) => return Err(AskError::Refused(quoted(&reason))),
                 _ => return Err(AskError::Unasked),
             }

@@ -1,4 +1,4 @@
-//! What planners and workers say to each other, in CDR.
+//! The messages between planners and workers, in CDR.
 
 use std::fmt;
 
@@ -11,16 +11,16 @@ use wm_planner::{CostFunction, Costs};
 
 use crate::Identity;
 
-/// The longest message \[byte\]: what Zenoh puts together for us.
+/// The longest message \[byte\]: the limit of our Zenoh sessions.
 const LONGEST: usize = 64 << 20;
-/// The most candidates that are costed at once for others: far more than fit into memory with large latents.
+/// The most candidates per request: far more than fit into memory with large latents.
 const MOST_CANDIDATES: usize = 4096;
-/// Characters of others' text that are logged.
+/// The most characters of others' text in logs.
 const LONGEST_QUOTE: usize = 200;
 
 /// SHA-256 of a cost function's message.
 #[derive(Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub struct FunctionId([u8; 32]);
+pub(crate) struct FunctionId([u8; 32]);
 
 impl fmt::Debug for FunctionId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -29,16 +29,16 @@ impl fmt::Debug for FunctionId {
     }
 }
 
-/// What a planner asks of a worker.
+/// A request of a planner.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub enum Request {
-    /// Which costs it would find.
+pub(crate) enum Request {
+    /// The worker's identity.
     Identity,
-    /// What candidates cost.
+    /// The costs of candidates.
     Costs {
-        /// By which function.
+        /// The cost function.
         function: FunctionId,
-        /// The function itself, for a worker that does not know it yet.
+        /// The function itself, if the worker does not know it yet.
         definition: Option<ByteBuf>,
         /// How many candidates.
         candidates: u32,
@@ -47,68 +47,62 @@ pub enum Request {
     },
 }
 
-/// What a worker answers.
+/// A worker's reply.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub enum Answer {
+pub(crate) enum Answer {
     /// To [`Request::Identity`].
     Identity(Identity),
-    /// The terms of the candidates' costs, weighted, one candidate after the other.
+    /// The weighted terms of the candidates' costs, one candidate after the other.
     Costs(Vec<f32>),
-    /// The function has to be told.
+    /// The request must define the function.
     UnknownFunction,
-    /// Why it does not answer.
+    /// Why it does not reply.
     Refused(String),
 }
 
-/// What is wrong with a message.
+/// Why a message is invalid.
 #[derive(Debug, Error)]
 #[non_exhaustive]
-pub enum MessageError {
-    /// Longer than anything that is meant.
+pub(crate) enum MessageError {
     #[error("a message of {0} bytes; expected at most {LONGEST}")]
     Long(usize),
-    /// Not of its form.
     #[error(transparent)]
     Cdr(#[from] CdrError),
-    /// A function under a name that is not its own.
+    /// A function's hash does not match its id.
     #[error("a cost function was sent as {named:?}, but is {found:?}")]
     Misnamed {
-        /// The name that it came under.
         named: FunctionId,
-        /// Its own.
         found: FunctionId,
     },
-    /// Candidates that are none, or too many.
+    /// No candidates, or too many.
     #[error(
         "{candidates} candidates of {values} values in all; expected 1 to {MOST_CANDIDATES} of {each}"
     )]
     Candidates {
-        /// How many there are said to be.
         candidates: u32,
-        /// Values that came.
+        /// All values received.
         values: usize,
-        /// Values that each has.
+        /// Values per candidate.
         each: usize,
     },
-    /// Costs that are too few or too many.
+    /// Too few or too many costs.
     #[error("{found} costs; expected {terms} for each of {candidates} candidates")]
     Costs {
-        /// Candidates that were asked about.
         candidates: usize,
-        /// Terms that each has.
+        /// Terms per candidate.
         terms: usize,
-        /// Costs that came.
+        /// Costs received.
         found: usize,
     },
 }
 
-/// Text of others, for a log: escaped, and not all of it.
+/// Text from others for a log: escaped and shortened.
 pub(crate) fn quoted(text: &str) -> String {
     let start = text.chars().take(LONGEST_QUOTE);
     start.flat_map(char::escape_debug).collect()
 }
 
-/// A message as bytes.
+/// Encodes a message.
 ///
 /// # Errors
 /// [`MessageError::Long`].
@@ -120,10 +114,10 @@ pub(crate) fn encode<M: Serialize>(message: &M) -> Result<Vec<u8>, MessageError>
     Ok(bytes)
 }
 
-/// The message in bytes of others.
+/// Decodes a message from others.
 ///
 /// # Errors
-/// [`MessageError`] says what is wrong with them.
+/// [`MessageError`] names the fault.
 pub(crate) fn decode<M: DeserializeOwned>(bytes: &[u8]) -> Result<M, MessageError> {
     if bytes.len() > LONGEST {
         return Err(MessageError::Long(bytes.len()));
@@ -131,7 +125,7 @@ pub(crate) fn decode<M: DeserializeOwned>(bytes: &[u8]) -> Result<M, MessageErro
     Ok(cdr::from_bytes(bytes)?)
 }
 
-/// A cost function as it is sent.
+/// A cost function as sent.
 pub(crate) struct EncodedFunction {
     pub(crate) id: FunctionId,
     pub(crate) bytes: Vec<u8>,
@@ -149,10 +143,10 @@ impl EncodedFunction {
     }
 }
 
-/// The function that came as `named`.
+/// Decodes a function and checks its hash.
 ///
 /// # Errors
-/// Where it is another, or none.
+/// It is invalid, or has another hash.
 pub(crate) fn decode_function(
     named: FunctionId,
     bytes: &[u8],
@@ -164,7 +158,7 @@ pub(crate) fn decode_function(
     decode(bytes)
 }
 
-/// Candidates of `each` values.
+/// Splits `values` into candidates of `each` values.
 ///
 /// # Errors
 /// [`MessageError::Candidates`].
@@ -173,7 +167,7 @@ pub(crate) fn candidates(
     values: &[f32],
     each: usize,
 ) -> Result<Vec<Vec<f32>>, MessageError> {
-    // Saturating: no more than MOST_CANDIDATES pass.
+    // saturating: counts above MOST_CANDIDATES are refused
     let count = usize::try_from(candidates).unwrap_or(usize::MAX);
     let is_sound = (1..=MOST_CANDIDATES).contains(&count)
         && each > 0
@@ -188,7 +182,7 @@ pub(crate) fn candidates(
     Ok(values.chunks_exact(each).map(<[f32]>::to_vec).collect())
 }
 
-/// The costs of so many candidates, of so many terms.
+/// Checks and splits the costs of candidates.
 ///
 /// # Errors
 /// [`MessageError::Costs`].
@@ -290,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn infinities_and_nothings_survive_to_the_bit() {
+    fn infinities_and_nans_survive_bit_for_bit() {
         let values = vec![f32::NAN, f32::INFINITY, -0.0, f32::MIN_POSITIVE / 2.0];
         let bytes = encode(&Answer::Costs(values.clone())).unwrap();
         let Answer::Costs(again) = decode(&bytes).unwrap() else {
@@ -306,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_too_many_or_too_few_is_named() {
+    fn wrong_counts_are_named() {
         let of = |count, values| {
             candidates(count, &vec![0.0; values], 3)
                 .unwrap_err()

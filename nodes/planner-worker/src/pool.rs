@@ -28,23 +28,22 @@ use zenoh::{
 
 use crate::{
     Identity, WORKERS,
-    dispatch::{Dispatch, Job, Next, Returned},
+    dispatch::{Dispatch, Job, Next, ReturnReason},
     member,
     message::EncodedFunction,
 };
 
-/// Workers that are heeded at once; bounds what strangers can make this process open.
+/// The most workers; limits what strangers can make this process open.
 const MOST_WORKERS: usize = 256;
-/// Messages are small and few: the work is elsewhere.
+/// Messages are small and few.
 const THREADS: usize = 1;
-/// How long what runs on threads of its own may take to end.
+/// How long threads may take to end.
 const GRACE: Duration = Duration::from_millis(200);
 
-/// The workers that a planner with this model finds at Zenoh endpoints, by a configuration file of Zenoh's if there is
-/// one.
+/// The workers for a planner with this model at Zenoh endpoints, with Zenoh's configuration file if given.
 ///
 /// # Errors
-/// As [`PlannerWorkers::connect`], and where the model fails.
+/// See [`PlannerWorkers::connect`]; or the model fails.
 pub fn connect(
     model: &WorldModel,
     endpoints: &[String],
@@ -52,7 +51,7 @@ pub fn connect(
 ) -> Result<Arc<dyn WorkerPool>> {
     let network = NetworkArguments {
         config: config.map(Path::to_path_buf),
-        // It forwards nothing.
+        // it forwards nothing
         mode: Some(Mode::Peer),
         connect: endpoints.to_vec(),
         ..NetworkArguments::default()
@@ -61,10 +60,10 @@ pub fn connect(
     Ok(Arc::new(workers))
 }
 
-/// The planner workers on a Zenoh network, as they come and go.
+/// The planner workers on a Zenoh network.
 pub struct PlannerWorkers {
     table: Arc<Table>,
-    /// `None` once it is closed.
+    /// `None` once closed.
     connection: Option<Connection>,
 }
 
@@ -82,27 +81,27 @@ impl fmt::Debug for PlannerWorkers {
     }
 }
 
-/// What the search and the members of the pool share.
+/// State shared by the search and the members of the pool.
 pub(crate) struct Table {
     state: Mutex<State>,
     /// The state has changed.
     changed: Condvar,
-    /// There is something to take.
+    /// A batch is available.
     open: watch::Sender<()>,
 }
 
 #[derive(Default)]
 struct State {
     dispatch: Dispatch,
-    /// What is costed now.
+    /// The current population.
     round: Option<Arc<Round>>,
-    /// A plan has the workers.
+    /// Whether a plan has the workers.
     is_lent: bool,
-    /// Which workers there are, by their keys.
+    /// The workers by their keys.
     members: BTreeMap<String, AbortHandle>,
 }
 
-/// A population, and by which function it is costed.
+/// A population and its cost function.
 pub(crate) struct Round {
     pub(crate) function: Arc<EncodedFunction>,
     pub(crate) batches: Arc<[Batch]>,
@@ -117,12 +116,12 @@ impl Table {
         }
     }
 
-    /// Nothing in the state has an invariant that a panic elsewhere could break.
+    /// no invariant that a panic could break
     fn lock(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Changes what is counted.
+    /// Changes the counters.
     pub(crate) fn count(&self, change: impl FnOnce(&mut WorkerCounts)) {
         change(&mut self.lock().dispatch.counts);
         self.changed.notify_all();
@@ -136,7 +135,7 @@ impl Table {
             if let Some(lease) = self.try_take() {
                 return lease;
             }
-            // The sender lives as long as this table.
+            // the sender lives as long as this table
             let _ = open.changed().await;
         }
     }
@@ -160,10 +159,10 @@ impl Table {
     }
 }
 
-/// A batch that a worker has, until it is answered or given back; dropped, it is given back.
+/// A batch of a worker; returned when dropped without an answer.
 pub(crate) struct Lease {
     pub(crate) round: Arc<Round>,
-    /// How long the worker is waited for.
+    /// How long to wait for the worker.
     pub(crate) patience: Duration,
     table: Arc<Table>,
     job: Option<Job>,
@@ -183,11 +182,11 @@ impl Lease {
         }
     }
 
-    pub(crate) fn returned(mut self, why: Returned) {
+    pub(crate) fn returned(mut self, why: ReturnReason) {
         self.give_back(why);
     }
 
-    fn give_back(&mut self, why: Returned) {
+    fn give_back(&mut self, why: ReturnReason) {
         if let Some(job) = self.job.take() {
             self.table.settle(|dispatch| dispatch.returned(job, why));
         }
@@ -196,13 +195,12 @@ impl Lease {
 
 impl Drop for Lease {
     fn drop(&mut self) {
-        self.give_back(Returned::Gone);
+        self.give_back(ReturnReason::Gone);
     }
 }
 
 impl PlannerWorkers {
-    /// Joins the network that `network` names, and from now on finds the workers on it that have the planner's own
-    /// `identity`.
+    /// Joins the network, and finds the workers on it with the planner's `identity`.
     ///
     /// # Errors
     /// The configuration is wrong, or an endpoint cannot be listened on.
@@ -210,7 +208,7 @@ impl PlannerWorkers {
         let config = network.resolve()?;
         let table = Arc::new(Table::new());
         let found = Arc::clone(&table);
-        // Zenoh waits within some of its calls, and a runtime within another is an error: the caller may have one.
+        // some Zenoh calls block on a runtime, which fails within another; the caller may have one
         let connection = apart(move || {
             let runtime = Builder::new_multi_thread()
                 .worker_threads(THREADS)
@@ -243,7 +241,7 @@ impl PlannerWorkers {
         })
     }
 
-    /// Waits until the counts are so, at most for `limit`; the counts then.
+    /// Waits until `is_reached` holds for the counts, at most `limit`; returns the counts.
     pub fn wait_until(
         &self,
         limit: Duration,
@@ -282,7 +280,7 @@ fn follow(
         }
         SampleKind::Delete => {
             if let Some(member) = state.members.remove(key) {
-                tracing::info!("the planner worker {key} is gone");
+                tracing::info!("the planner worker {key} has left");
                 member.abort();
                 state.dispatch.counts.gone += 1;
             }
@@ -292,7 +290,7 @@ fn follow(
     table.changed.notify_all();
 }
 
-/// On a thread of its own.
+/// Runs on a separate thread.
 fn apart<T: Send>(work: impl FnOnce() -> Result<T> + Send) -> Result<T> {
     std::thread::scope(|scope| {
         let joined = scope.spawn(work).join();
@@ -344,8 +342,8 @@ impl WorkerPool for PlannerWorkers {
             }
             state.is_lent = true;
         }
-        // From here on dropping it gives the workers back.
-        let mut lent = Lent {
+        // dropping it returns the workers
+        let mut lent = WorkerLoan {
             table: Arc::clone(&self.table),
             function: None,
         };
@@ -374,13 +372,13 @@ impl WorkerPool for PlannerWorkers {
     }
 }
 
-/// The workers, while a plan has them.
-struct Lent {
+/// The workers on loan to a plan.
+struct WorkerLoan {
     table: Arc<Table>,
     function: Option<Arc<EncodedFunction>>,
 }
 
-impl Workers for Lent {
+impl Workers for WorkerLoan {
     fn offer(&mut self, batches: &Arc<[Batch]>) {
         let round = self.function.as_ref().map(|function| Round {
             function: Arc::clone(function),
@@ -413,7 +411,7 @@ impl Workers for Lent {
     }
 }
 
-impl Drop for Lent {
+impl Drop for WorkerLoan {
     fn drop(&mut self) {
         self.withdraw();
         self.table.lock().is_lent = false;

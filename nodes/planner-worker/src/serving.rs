@@ -13,25 +13,25 @@ use zenoh::{Wait as _, query::Query, sample::Locality};
 
 use crate::{Answer, Identity, WORKERS, Worker, message::encode};
 
-/// Queries that wait while one is answered: a planner has one open at a time. Bounds memory.
+/// The most waiting queries; a planner has one open at a time. Bounds memory.
 const QUEUED: usize = 16;
-/// Messages are small and few; the model computes on threads of its own.
+/// Messages are small and few; the model computes on its own threads.
 const THREADS: usize = 2;
 
-/// What a worker has done.
+/// Counters of a worker.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Served {
-    /// Batches that were costed.
+pub struct ServiceCounts {
+    /// Costed batches.
     pub answered: u64,
-    /// Queries that could not be answered.
+    /// Refused queries.
     pub refused: u64,
 }
 
-/// Answers queries on the network that `network` names, until SIGINT or SIGTERM.
+/// Answers queries on the network until SIGINT or SIGTERM.
 ///
 /// # Errors
 /// The configuration is wrong, an endpoint cannot be listened on, or the model fails at its trial.
-pub fn serve(model: &WorldModel, network: &NetworkArguments) -> Result<Served> {
+pub fn serve(model: &WorldModel, network: &NetworkArguments) -> Result<ServiceCounts> {
     let config = network.resolve()?;
     let identity = Identity::of(model)?;
     tracing::info!(
@@ -56,7 +56,7 @@ pub fn serve(model: &WorldModel, network: &NetworkArguments) -> Result<Served> {
             .allowed_origin(Locality::Remote)
             .callback(move |query: Query| {
                 if let Err(TrySendError::Full(query)) = queries.try_send(query) {
-                    let refused = Answer::Refused(format!("{QUEUED} queries wait already"));
+                    let refused = Answer::Refused(format!("{QUEUED} queries are waiting already"));
                     tracing::debug!("{}: {refused:?}", query.key_expr());
                     if let Ok(bytes) = encode(&refused) {
                         query.reply(query.key_expr().clone(), bytes).wait().ok();
@@ -68,7 +68,7 @@ pub fn serve(model: &WorldModel, network: &NetworkArguments) -> Result<Served> {
         let token = session.liveliness().declare_token(key.clone()).await;
         let token = token.map_err(failed)?;
         tracing::info!("answering {key}");
-        let mut served = Served::default();
+        let mut served = ServiceCounts::default();
         loop {
             let query = tokio::select! {
                 biased;
@@ -85,7 +85,7 @@ pub fn serve(model: &WorldModel, network: &NetworkArguments) -> Result<Served> {
                 Answer::Costs(_) => served.answered += 1,
                 Answer::Refused(reason) => {
                     served.refused += 1;
-                    // One that asks nonsense again and again does not fill the log.
+                    // repeated invalid requests do not fill the log
                     match served.refused {
                         1 => tracing::warn!("refused: {reason}; further ones are only counted"),
                         _ => tracing::debug!("refused: {reason}"),
@@ -97,7 +97,7 @@ pub fn serve(model: &WorldModel, network: &NetworkArguments) -> Result<Served> {
                 tracing::warn!("an answer cannot be sent: {error}");
             }
         }
-        // Planners hear at once that nothing comes any more.
+        // planners learn at once that the worker leaves
         token.undeclare().await.map_err(failed)?;
         queryable.undeclare().await.map_err(failed)?;
         session.close().await.map_err(failed)?;

@@ -1,4 +1,4 @@
-//! A worker without its network: requests in, answers out.
+//! A worker without its network: requests in, replies out.
 
 use std::collections::VecDeque;
 
@@ -12,23 +12,23 @@ use crate::{
     message::{candidates, decode, decode_function},
 };
 
-/// Cost functions that are kept, each with what the model has computed of its context: enough for a few planners, each of
-/// which needs one at a time.
+/// The most cost functions, each with the model's results for its context: enough for a few planners, each of which
+/// needs one at a time.
 const KEPT: usize = 8;
 
-/// A worker: the model, and the newest cost functions that it was told.
+/// The model and the most recent cost functions.
 #[derive(Debug)]
-pub struct Worker<'m> {
+pub(crate) struct Worker<'m> {
     model: &'m LoadedTransition,
     identity: Identity,
-    /// The one used last is the last.
-    functions: VecDeque<Known<'m>>,
+    /// The most recently used one is the last.
+    functions: VecDeque<CachedFunction<'m>>,
 }
 
 #[derive(Debug)]
-struct Known<'m> {
+struct CachedFunction<'m> {
     id: FunctionId,
-    /// Values of a candidate.
+    /// Values per candidate.
     each: usize,
     evaluator: Evaluator<'m>,
 }
@@ -43,8 +43,8 @@ enum Refusal {
 }
 
 impl<'m> Worker<'m> {
-    /// A worker with a model, which is said to be `identity`.
-    pub fn new(model: &'m LoadedTransition, identity: Identity) -> Self {
+    /// A worker with a model and its `identity`.
+    pub(crate) fn new(model: &'m LoadedTransition, identity: Identity) -> Self {
         Self {
             model,
             identity,
@@ -52,8 +52,8 @@ impl<'m> Worker<'m> {
         }
     }
 
-    /// The answer to the bytes of a [`Request`]. Any bytes have one.
-    pub fn answer(&mut self, request: &[u8]) -> Answer {
+    /// Answers the bytes of a [`Request`]; any bytes have an answer.
+    pub(crate) fn answer(&mut self, request: &[u8]) -> Answer {
         let answer = match decode(request) {
             Ok(Request::Identity) => Ok(Answer::Identity(self.identity.clone())),
             Ok(Request::Costs {
@@ -81,7 +81,7 @@ impl<'m> Worker<'m> {
             (None, None) => return Ok(Answer::UnknownFunction),
             (None, Some(definition)) => {
                 let definition = decode_function(function, &definition)?;
-                Known {
+                CachedFunction {
                     id: function,
                     each: definition.candidate_len(),
                     evaluator: definition.with(self.model)?,
@@ -157,8 +157,8 @@ pub(crate) mod tests {
     }
 
     /// Two candidates of six values.
-    fn request(function: &EncodedFunction, is_told: bool) -> Vec<u8> {
-        let definition = is_told.then(|| ByteBuf::from(function.bytes.clone()));
+    fn request(function: &EncodedFunction, is_defined: bool) -> Vec<u8> {
+        let definition = is_defined.then(|| ByteBuf::from(function.bytes.clone()));
         let values = (0..12).map(|i| (i as f32).sin()).collect();
         encode(&Request::Costs {
             function: function.id,
@@ -170,7 +170,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn costs_are_those_of_the_function_once_it_is_told() {
+    fn costs_are_those_of_the_function_once_it_is_defined() {
         let (mut worker, function) = (worker(), function(1));
         let encoded = EncodedFunction::of(&function).unwrap();
         assert_eq!(
@@ -192,7 +192,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn only_the_functions_used_last_are_kept() {
+    fn only_recently_used_functions_are_kept() {
         let mut worker = worker();
         let functions: Vec<EncodedFunction> = (0..=KEPT as u64)
             .map(|seed| EncodedFunction::of(&function(seed)).unwrap())
@@ -200,7 +200,7 @@ pub(crate) mod tests {
         for encoded in &functions[..KEPT] {
             worker.answer(&request(encoded, true));
         }
-        // The first is used once more, so the second is the one that leaves.
+        // the first is used once more, so the second is dropped
         worker.answer(&request(&functions[0], false));
         worker.answer(&request(&functions[KEPT], true));
         let is_known = |worker: &mut Worker<'_>, index: usize| {
@@ -212,7 +212,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn what_cannot_be_answered_is_refused_with_a_reason() {
+    fn invalid_requests_are_refused_with_a_reason() {
         let mut worker = worker();
         let mut refused = |request: &[u8]| match worker.answer(request) {
             Answer::Refused(reason) => reason,

@@ -1,4 +1,4 @@
-//! The action adapter: what an arm publishes in, `wm_msgs/Action` out, for arms that do not publish it.
+//! The action adapter: an arm's poses, velocities or transforms in, `wm_msgs/Action` out, for arms that do not publish it.
 //!
 //! [`AdapterStep`] is the node's whole behaviour without DDS and without a clock. It takes velocities, poses or transforms,
 //! and the gripper, and makes one action a period: the displacement of the end effector in that time, stamped with the
@@ -6,10 +6,10 @@
 //!
 //! Promises, each with a test:
 //! - The actions of consecutive periods add up to the whole motion, whatever the rate and the phase of the messages.
-//! - Only stamps count: messages that come later give the same actions.
-//! - For a period of which nothing is known, nothing is published; how many there were is counted.
-//! - Values that are not finite, rotations that are none, other frames, and poses that the arm cannot reach in the time are
-//!   dropped by name, and what came before still counts.
+//! - Only stamps count: late messages give the same actions.
+//! - For a period without data, nothing is published; such periods are counted.
+//! - Values that are not finite, invalid rotations, other frames, and poses that the arm cannot reach in the time are dropped
+//!   by name; earlier messages still count.
 
 mod gripper;
 mod node;
@@ -22,7 +22,7 @@ mod step;
 mod twists;
 
 pub use gripper::GripperSource;
-pub use node::{NODE, body};
+pub use node::NODE;
 pub use problem::Problem;
 pub use speeds::Speeds;
 pub use step::{AdapterStep, Done, MotionSource, Settings};

@@ -22,7 +22,7 @@ impl Displacement {
         }
     }
 
-    /// What a velocity leads to in `seconds`.
+    /// The displacement by a velocity in `seconds`.
     pub(crate) fn of_velocity(velocity: Velocity, seconds: f64) -> Self {
         Self {
             translation: Vector3::from(velocity.linear) * seconds,
@@ -30,7 +30,7 @@ impl Displacement {
         }
     }
 
-    /// What leads from one pose to another.
+    /// The displacement from one pose to another.
     pub(crate) fn between(from: &Isometry3<f64>, to: &Isometry3<f64>) -> Self {
         Self {
             translation: to.translation.vector - from.translation.vector,
@@ -52,7 +52,7 @@ impl Displacement {
         Vector3::new(roll, pitch, yaw)
     }
 
-    /// The velocity that leads to it in `seconds`: the inverse of [`Self::of_velocity`].
+    /// The velocity of this displacement in `seconds`: the inverse of [`Self::of_velocity`].
     pub(crate) fn velocity(&self, seconds: f64) -> Velocity {
         Velocity {
             linear: (self.translation / seconds).into(),

@@ -13,7 +13,7 @@ pub enum Ending {
 }
 
 impl Ending {
-    /// `DataLost` where `is_lost`.
+    /// `DataLost` if `is_lost`.
     pub fn lost_if(is_lost: bool) -> Self {
         if is_lost {
             Self::DataLost

@@ -55,7 +55,7 @@ pub use lateness::LateNotice;
 pub use layout::{Layout, LayoutError};
 pub use limits::{Group, Limits};
 pub use moment::Moment;
-pub use node::{NODE, body};
+pub use node::NODE;
 pub use offer::{Begin, Offer, Source};
 pub use rates::Rates;
 pub use refusal::Refusal;

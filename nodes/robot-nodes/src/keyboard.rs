@@ -9,6 +9,7 @@ use std::sync::{
 };
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
+use tokio::sync::mpsc;
 
 /// A key with a meaning.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,7 +24,7 @@ pub enum Key {
     Down,
 }
 
-/// Finds keys in what a terminal sends, in whichever pieces it comes.
+/// Finds keys in the bytes of a terminal, in pieces of any size.
 #[derive(Debug, Default)]
 pub struct Decoder {
     /// Bytes of an escape sequence so far.
@@ -55,9 +56,46 @@ impl Decoder {
     }
 }
 
+/// Keys that may wait for the node.
+const WAITING: usize = 16;
+
+/// The keys of a node, if it has a terminal.
+pub struct Keys {
+    receiver: mpsc::Receiver<Key>,
+    keyboard: Option<Keyboard>,
+}
+
+impl Keys {
+    /// Reads the keys from now on, if they are wanted and the terminal is this process's.
+    #[must_use]
+    pub fn new(is_wanted: bool) -> Self {
+        let (sender, receiver) = mpsc::channel(WAITING);
+        // A key that finds the queue full is pressed again.
+        let on_key = move |key| {
+            sender.try_send(key).ok();
+        };
+        let keyboard = is_wanted.then(|| Keyboard::listen(on_key)).flatten();
+        Self { receiver, keyboard }
+    }
+
+    /// Whether keys are read.
+    #[must_use]
+    pub fn are_read(&self) -> bool {
+        self.keyboard.is_some()
+    }
+
+    /// The next key; pending if none are read. Cancel safe.
+    pub async fn next(&mut self) -> Key {
+        match self.receiver.recv().await {
+            Some(key) => key,
+            None => std::future::pending().await,
+        }
+    }
+}
+
 /// Reads keys without waiting for a new line and without showing them, until it is dropped; the terminal is then as it
 /// was.
-pub struct Keyboard {
+struct Keyboard {
     before: Termios,
     is_over: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
@@ -67,10 +105,9 @@ pub struct Keyboard {
 const PATIENCE_DS: u8 = 1;
 
 impl Keyboard {
-    /// Calls `on_key` on a separate thread for each key. `None` where standard input is no terminal, or one in whose
-    /// foreground another process is: that one's keys are none of ours.
-    #[must_use]
-    pub fn listen(on_key: impl Fn(Key) + Send + 'static) -> Option<Self> {
+    /// Calls `on_key` on a separate thread for each key. `None` if standard input is no terminal, or if another process is in
+    /// the terminal's foreground.
+    fn listen(on_key: impl Fn(Key) + Send + 'static) -> Option<Self> {
         let terminal = rustix::stdio::stdin();
         let is_ours = isatty(terminal)
             && tcgetpgrp(terminal).is_ok_and(|group| group == rustix::process::getpgrp());

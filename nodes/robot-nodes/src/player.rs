@@ -21,5 +21,5 @@ mod settings;
 mod source;
 
 pub use check::check;
-pub use node::{NODE, body, run};
+pub use node::NODE;
 pub use settings::{Parameters, Settings};

@@ -15,7 +15,7 @@ use wm_ros::{Durability, Qos, Reliability};
 /// Depth that stands for "keep all": bounded all the same.
 pub const KEEP_ALL_DEPTH: usize = 1000;
 
-/// A file that says nothing of use.
+/// A file that cannot be used.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum QosOverridesError {
@@ -27,7 +27,7 @@ pub enum QosOverridesError {
         /// What the system said.
         reason: std::io::Error,
     },
-    /// It is no map of topics to profiles.
+    /// It is not a map of topics to profiles.
     #[error(
         "QoS overrides {}: {reason}; expected topics, each with any of reliability (reliable, best_effort), durability \
          (volatile, transient_local), history (keep_last, keep_all) and depth",

@@ -6,9 +6,9 @@
 //! The bag is written on a separate thread, chunk by chunk: a killed recorder loses at most the open chunk. Messages
 //! that are missing from the bag are counted by topic and cause, and reported at the end (`losses`).
 //!
-//! Keys and the services of rosbag2's recorder pause it, split its bag, close it and begin another. Where bags may be
-//! made, and that none ever takes the place of another because a peer asked, is in `place`. In snapshot mode it
-//! holds the latest messages back and writes them when it is asked to.
+//! Keys and the services of rosbag2's recorder pause it, split its bag, close it and begin another. The module `place`
+//! decides where bags may be made, so that no peer's request replaces a bag. In snapshot mode the recorder keeps the latest
+//! messages and writes them on request.
 //!
 //! Not here: the bag's format (`wm_bag`).
 
@@ -21,4 +21,4 @@ mod place;
 pub mod selection;
 mod writer;
 
-pub use node::{NODE, run};
+pub use node::NODE;

@@ -5,10 +5,10 @@ use std::path::Path;
 use anyhow::{Context as _, Result};
 use wm_motion::actions::ActionSpace;
 
-/// The action space of a YAML or JSON file; that of Bridge V2 where none is named.
+/// The action space of a YAML or JSON file; that of Bridge V2 if no file is named.
 ///
 /// # Errors
-/// Names the file that cannot be read, or what is wrong with it.
+/// Names the file that cannot be read, or its fault.
 pub(crate) fn action_space(path: &Path) -> Result<ActionSpace> {
     if path.as_os_str().is_empty() {
         return Ok(ActionSpace::bridge());

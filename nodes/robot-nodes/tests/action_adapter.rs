@@ -35,12 +35,12 @@ async fn its_actions_are_those_of_the_arm_by_poses_and_by_frames() {
             &adapter_side,
             "action_adapter",
             &words,
-            action_adapter::body,
+            action_adapter::NODE.body,
         );
         // Stamps of exactly 0.2 s, which a node's clock does not give.
         let words =
             "--ros-args -p task:=reach -p seed:=3 -p image_transport:=raw -p real_time_factor:=2.0";
-        let arm = start(&arm_side, "sim_arm", words, sim_arm::body);
+        let arm = start(&arm_side, "sim_arm", words, sim_arm::NODE.body);
         tokio::time::timeout(PATIENCE, compared(&here))
             .await
             .unwrap_or_else(|_| panic!("{words}: a message that should come does not"));
@@ -119,7 +119,12 @@ fn parameters_that_contradict_each_other_are_named() {
     ] {
         let context = context(2);
         let words = format!("--ros-args {parameters}");
-        let thread = start(&context, "action_adapter", &words, action_adapter::body);
+        let thread = start(
+            &context,
+            "action_adapter",
+            &words,
+            action_adapter::NODE.body,
+        );
         let error = format!("{:#}", thread.join().unwrap().unwrap_err());
         context.close();
         assert!(error.contains(named), "{error}");

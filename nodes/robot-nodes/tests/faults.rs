@@ -32,7 +32,7 @@ async fn run(test: u16, parameters: &str, words: &str, scenario: impl AsyncFnOnc
         &executor_side,
         "executor",
         &words_of_executor,
-        executor::body,
+        executor::NODE.body,
     );
     let world = World::new(node(&here, "world", words)).await;
     tokio::time::timeout(PATIENCE, scenario(world))
@@ -198,7 +198,7 @@ async fn a_max_age_too_short_to_stop_in_is_refused() {
     let here = context(7);
     let executor = |words: &str| {
         let node = node(&here, "executor", &with(words));
-        tokio::time::timeout(PATIENCE, executor::body(node))
+        tokio::time::timeout(PATIENCE, (executor::NODE.body)(node))
     };
     let refused = executor("-p use_sim_time:=true -p max_age:=0.29").await;
     let text = refused.expect("it starts").unwrap_err().to_string();

@@ -41,7 +41,12 @@ async fn actions_become_trajectories_from_where_the_joints_are() {
         "-p command_type:=joint_trajectory -p arm_on_start:=true -p joint_names:=[left,right] -p action_space:={}",
         *JOINT_SPACE
     );
-    let thread = start(&running, "executor", &with(&parameters), executor::body);
+    let thread = start(
+        &running,
+        "executor",
+        &with(&parameters),
+        executor::NODE.body,
+    );
     tokio::time::timeout(PATIENCE, executed(&here))
         .await
         .expect("a message that should come does not");
@@ -122,7 +127,7 @@ fn parameters_that_contradict_each_other_are_named() {
         (&of_joints("max_joint_acceleration:=[2.0]"), "stop_within"),
     ] {
         let context = context(1);
-        let error = start(&context, "executor", &with(parameters), executor::body)
+        let error = start(&context, "executor", &with(parameters), executor::NODE.body)
             .join()
             .unwrap()
             .unwrap_err();

@@ -71,7 +71,7 @@ fn recorder() {
     let output = format!("output:={output}");
     let args = ["--ros-args", "-p", &output, "-p", "topics:=[/zone]"];
     let args = NodeArgs::parse(args.map(str::to_owned)).unwrap();
-    let _ending = wm_robot_nodes::recorder::run(&args).unwrap();
+    (wm_robot_nodes::recorder::NODE.run)(&args).unwrap();
 }
 
 /// A bag of at least ten messages of `polygons.py`, with the recorder's log.

@@ -31,7 +31,7 @@ const SEED: u64 = 3;
 async fn twists_bring_the_tool_to_the_goal_and_a_reset_back_to_the_start() {
     let running = context(0);
     let words = format!("--ros-args -p task:=reach -p seed:={SEED} -p image_transport:=both");
-    let thread = start(&running, "sim_arm", &words, sim_arm::body);
+    let thread = start(&running, "sim_arm", &words, sim_arm::NODE.body);
     let here = context(0);
     tokio::time::timeout(PATIENCE, scenario(&here))
         .await
@@ -148,11 +148,11 @@ async fn what_the_executor_sends_moves_it_without_remapping() {
     for command in ["twist", "velocity", "action"] {
         let (arm_side, executor_side, here) = (context(1), context(1), context(1));
         let words = format!("--ros-args -p seed:={SEED} -p image_transport:=raw");
-        let arm = start(&arm_side, "sim_arm", &words, sim_arm::body);
+        let arm = start(&arm_side, "sim_arm", &words, sim_arm::NODE.body);
         let words = format!(
             "--ros-args -p command_type:={command} -p base_frame:=base_link -p begin:=reception"
         );
-        let executor = start(&executor_side, "executor", &words, executor::body);
+        let executor = start(&executor_side, "executor", &words, executor::NODE.body);
         let moved = tokio::time::timeout(PATIENCE, executed(&here, command))
             .await
             .unwrap_or_else(|_| panic!("{command}: a message that should come does not"));
@@ -228,7 +228,7 @@ async fn it_tells_what_its_cameras_see_and_where_things_are() {
     let words = format!(
         "--ros-args -p task:=push -p seed:={SEED} -p front_camera:=true -p image_transport:=raw -p real_time_factor:=4.0"
     );
-    let thread = start(&running, "sim_arm", &words, sim_arm::body);
+    let thread = start(&running, "sim_arm", &words, sim_arm::NODE.body);
     let here = context(2);
     tokio::time::timeout(PATIENCE, told(&here))
         .await
@@ -353,7 +353,7 @@ async fn as_fast_as_it_is_answered_it_does_what_the_environment_does() {
         "--ros-args -p task:=reach -p seed:={SEED} -p image_transport:=raw -p real_time_factor:=0.0 -p noise:=0.0 -p \
          command_timeout:=60.0"
     );
-    let thread = start(&running, "sim_arm", &words, sim_arm::body);
+    let thread = start(&running, "sim_arm", &words, sim_arm::NODE.body);
     let here = context(3);
     tokio::time::timeout(PATIENCE, answered(&here))
         .await
@@ -408,7 +408,7 @@ async fn answered(here: &Context) {
 fn it_does_not_make_the_time_that_it_follows() {
     let running = context(4);
     let words = "--ros-args -p use_sim_time:=true -p real_time_factor:=0.0";
-    let thread = start(&running, "sim_arm", words, sim_arm::body);
+    let thread = start(&running, "sim_arm", words, sim_arm::NODE.body);
     let error = thread.join().unwrap().unwrap_err().to_string();
     assert!(error.contains("use_sim_time"), "{error}");
     running.close();
@@ -421,10 +421,10 @@ async fn the_executor_keeps_to_the_time_that_the_arm_makes() {
     let words = format!(
         "--ros-args -p seed:={SEED} -p image_transport:=raw -p real_time_factor:=0.0 -p command_timeout:=1.0"
     );
-    let arm = start(&arm_side, "sim_arm", &words, sim_arm::body);
+    let arm = start(&arm_side, "sim_arm", &words, sim_arm::NODE.body);
     let words = "--ros-args -p use_sim_time:=true -p command_clock:=ros -p rate:=5.0 -p stop_within:=0.4 -p \
                  base_frame:=base_link -p begin:=reception -p arm_on_start:=true";
-    let executor = start(&executor_side, "executor", words, executor::body);
+    let executor = start(&executor_side, "executor", words, executor::NODE.body);
     tokio::time::timeout(PATIENCE, kept(&here))
         .await
         .expect("a message that should come does not");

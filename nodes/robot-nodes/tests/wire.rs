@@ -30,7 +30,7 @@ struct Running {
 impl Running {
     fn start(test: u16, parameters: &str) -> Self {
         let context = context(test);
-        let thread = start(&context, "executor", &with(parameters), executor::body);
+        let thread = start(&context, "executor", &with(parameters), executor::NODE.body);
         Self { context, thread }
     }
 

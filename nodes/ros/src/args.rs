@@ -340,7 +340,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_named() {
+    fn faults_are_named() {
         let message = |line: &str| parse(line).unwrap_err().to_string();
         assert!(message("--ros-args --frobnicate").contains("unknown ROS argument `--frobnicate`"));
         assert!(message("--ros-args -p").contains("`-p` needs name:=value"));

@@ -1,83 +1,47 @@
-//! The DDS middleware: rustdds for the wire, ros2-client for what ROS 2 adds to it (names, and the announcement of
-//! which node an endpoint belongs to).
+//! DDS as the middleware: rustdds for the wire, ros2-client for names and for the announcement of nodes.
 //!
-//! Workarounds, by module:
-//! - a publisher starts a new DDS writer when a reader falls behind ([`line`]), since a stopped reader would silence the
-//!   topic for all;
-//! - latched samples are taken in one order from the DDS writers of a publisher ([`latched`]);
-//! - sockets receive only from the interfaces that were requested ([`confine`]), since rustdds binds them to all;
-//! - ros2-client's own node and spinner are not used: its `/clock` has the wrong type, its parameters no
-//!   descriptors, and its spinner keeps the participant alive;
-//! - large messages go in parts ([`parts`]), since their bursts overflow the receive buffers of Linux;
-//! - large messages that readers of other implementations miss are sent again ([`resend`]), since rustdds repairs them
-//!   too slowly;
-//! - large responses are sent by this crate ([`wire`]), since rustdds corrupts them;
-//! - a participant's writers and readers are connected here ([`local`]), since rustdds does not do it on loopback;
-//! - the graph of this crate is compared with that of rustdds ([`reconcile`]), since events may be lost;
-//! - endpoints wait while a Fast DDS participant catches up ([`catch_up`]), since it would never discover some;
-//! - participants that return after their lease has run out are discovered and connected anew ([`lease`], [`rematch`]), and
-//!   so are those that have lost this one while it has not lost them ([`one_way`]), since rustdds does not;
-//! - participants on loopback are announced to all others of the host ([`introduction`]), since rustdds announces them
-//!   to twelve;
-//! - a clock that is set back or a task that panics ends the participant ([`failure`]), since it would receive nothing, and
-//!   so does an interface whose address changes ([`addresses`]);
-//! - a writer stays for a moment after its last sample ([`writer`]), since rustdds' readers forget it too early;
-//! - the participant is dropped last, after its readers and writers: otherwise the others do not learn that it left.
+//! [`workarounds`] lists the faults of rustdds and their cures. ros2-client's own node and spinner are not used: its
+//! `/clock` has the wrong type, its parameters have no descriptors, and its spinner keeps the participant alive.
+//!
+//! The participant is dropped after its readers and writers; otherwise other participants do not receive its departure.
 
-mod addresses;
 mod answers;
-mod catch_up;
 mod codec;
-mod confine;
-mod datagram;
 mod failure;
-mod introduction;
-mod latched;
-mod lease;
-mod line;
+mod identity;
 mod local;
 mod lock;
 mod mismatches;
 mod names;
 mod nodes;
-mod one_way;
-mod parts;
+mod own_endpoints;
+mod participant;
 mod qos;
 mod reader;
-mod reconcile;
-mod rematch;
-mod resend;
-mod rtps;
-mod second;
 mod shared;
 #[cfg(test)]
 mod tests;
 mod type_hash;
-mod window;
-mod wire;
+mod workarounds;
 mod writer;
 
 use crate::{
-    Environment, Error, Qos,
-    backend::{Backend, Channel, Endpoint, EndpointId, Reader, Seen, Sink, Writer},
+    Environment, Error,
+    backend::{Backend, Channel, Endpoint, EndpointId, Reader, Seen, Sink, Writer, participant_of},
 };
-pub(crate) use parts::decode_part;
+pub(crate) use workarounds::parts::decode_part;
 
-use addresses::Addresses;
-use catch_up::CatchUp;
 use futures::FutureExt as _;
-use line::{Lines, Maker};
+use identity::is_foreign;
 use local::Local;
 use lock::lock;
 use mismatches::Mismatches;
 use names::{dds_name, dds_type, ros_names};
 use nodes::Nodes;
-use one_way::OneWay;
-use parts::{Parts, peer_of};
+use own_endpoints::{OwnEndpoint, OwnEndpoints};
 use reader::DdsReader;
-use reconcile::{Own, OwnEndpoints, Suspects, parts_endpoint};
 use rustdds::{DomainParticipant, RTPSEntity as _};
-use shared::{Shared, is_foreign};
+use shared::Shared;
 use std::{
     sync::{Arc, Mutex, OnceLock},
     time::Instant,
@@ -85,6 +49,16 @@ use std::{
 use tokio::{
     runtime::Handle,
     sync::{Notify, watch},
+};
+use workarounds::{
+    addresses::Addresses,
+    catch_up::CatchUp,
+    datagram,
+    line::{Lines, Maker},
+    one_way::OneWay,
+    parts::{self, Parts},
+    reconcile::Reconciler,
+    wire,
 };
 use writer::DdsWriter;
 
@@ -98,24 +72,24 @@ pub(crate) struct Dds {
 }
 
 impl Dds {
-    /// Joins the domain. `runtime` runs what receives; it must be stopped before [`Backend::close`].
+    /// Joins the domain. `runtime` runs the receiving tasks; stop it before [`Backend::close`].
     pub(crate) fn join(environment: &Environment, runtime: Handle) -> Result<Arc<Self>, Error> {
         let failed =
             |error| Error::middleware(format!("join DDS domain {}", environment.domain_id), error);
         let wire = wire::Wire::open().map_err(|source| Error::io("open a UDP socket", source))?;
         let addresses = Addresses::of(environment)?;
-        let participant = second::participant(environment)?;
+        let participant = participant::join(environment)?;
         let defaults = rustdds::QosPolicyBuilder::new().build();
         let publisher = participant.create_publisher(&defaults).map_err(failed)?;
         let subscriber = participant.create_subscriber(&defaults).map_err(failed)?;
         let id = participant.guid().to_bytes();
         let shared = Arc::new(Shared {
-            nodes: Nodes::announce(&participant, &publisher)?,
+            nodes: Nodes::new(&participant, &publisher)?,
             participant: Mutex::new(Some(participant)),
             publisher,
             subscriber,
             runtime: runtime.clone(),
-            first: peer_of(&id),
+            first: participant_of(&id),
             second: Mutex::default(),
             second_peer: OnceLock::new(),
             local: Local::default(),
@@ -127,7 +101,6 @@ impl Dds {
             one_way: OneWay::default(),
             own_port: OnceLock::new(),
             own: OwnEndpoints::default(),
-            suspects: Suspects::default(),
             has_returned: Notify::default(),
             catch_up: CatchUp::default(),
             wire,
@@ -138,19 +111,19 @@ impl Dds {
             changes: watch::Sender::new(0),
             staying: Mutex::default(),
         });
-        // the first endpoint of all: who knows a topic's readers knows how they take large messages
+        // the first endpoint: a participant that discovers a topic's readers then knows whether they take parts
         let parts = shared.parts_reader(&id)?;
-        let reader = parts_endpoint(parts::topic_of(&shared.first), false);
+        let reader = parts::endpoint(parts::topic_of(&shared.first), false);
         shared.own.add(parts.guid().to_bytes(), reader);
         if let Some((id, own)) = shared.nodes.endpoint() {
             shared.own.add(id, own);
         }
         let spawn = |task, future| drop(shared.failure.watch(&runtime, task, future));
-        let exchange = parts::exchange(parts, Arc::clone(&shared));
+        let exchange = parts::exchange::exchange(parts, Arc::clone(&shared));
         spawn("large messages", exchange.boxed());
         if !environment.is_alone() {
-            let reconciled = reconcile::keep_reconciled(Arc::clone(&shared));
-            spawn("discovery's book", reconciled.boxed());
+            let reconciled = Reconciler::new(Arc::clone(&shared)).run();
+            spawn("reconciliation", reconciled.boxed());
         }
         let this = Self {
             id,
@@ -160,7 +133,7 @@ impl Dds {
             runtime,
         };
         if let Some(participant) = lock(&this.shared.participant).as_ref() {
-            this.attend(participant)?;
+            this.start_tasks(participant)?;
         }
         Ok(Arc::new(this))
     }
@@ -174,13 +147,11 @@ impl Dds {
         let Some(participant) = participant.as_ref() else {
             return Err(Error::ShutDown(endpoint.name.clone()));
         };
-        topic(participant, endpoint, qos)
+        participant::topic(participant, endpoint, qos)
     }
-}
 
-impl Dds {
-    /// Notes which endpoints elsewhere, known already, have a different type than this new one; for those that come
-    /// later, see [`Shared::compare_types`].
+    /// Records the discovered endpoints with another type than this new one. [`Shared::compare_types`] covers later
+    /// ones.
     fn compare_types(&self, own: EndpointId, endpoint: &Endpoint, is_writer: bool) {
         if endpoint.channel != Channel::Topic {
             return;
@@ -201,17 +172,6 @@ impl Dds {
     }
 }
 
-fn topic(
-    participant: &DomainParticipant,
-    endpoint: &Endpoint,
-    qos: &rustdds::QosPolicies,
-) -> Result<rustdds::Topic, Error> {
-    let (name, type_name) = (dds_name(endpoint), dds_type(endpoint));
-    participant
-        .create_topic(name, type_name, qos, rustdds::TopicKind::NoKey)
-        .map_err(|error| Error::middleware(format!("create the topic {}", endpoint.name), error))
-}
-
 impl Backend for Dds {
     fn participant(&self) -> EndpointId {
         self.id
@@ -229,8 +189,8 @@ impl Backend for Dds {
         self.shared.catch_up.wait();
         let qos = qos::for_writer(endpoint.qos);
         let failed = |error| Error::middleware(format!("publish {}", endpoint.name), error);
-        let maker = if self.goes_apart(endpoint) {
-            self.maker_apart(endpoint, qos)?
+        let maker = if self.needs_second_participant(endpoint) {
+            self.second_maker(endpoint, qos)?
         } else {
             let topic = self.topic(endpoint, &qos::for_reader(endpoint.qos))?;
             let publisher = self.shared.publisher.clone();
@@ -266,7 +226,7 @@ impl Backend for Dds {
             shared.mismatches.tolerate(reader.guid().to_bytes());
         }
         let reader = DdsReader::new(reader, began, endpoint, node, shared, sink, runtime);
-        let own = Own {
+        let own = OwnEndpoint {
             topic: dds_name(endpoint),
             type_name: dds_type(endpoint),
             qos,
@@ -283,11 +243,11 @@ impl Backend for Dds {
         let Some(participant) = participant.as_ref() else {
             return seen;
         };
-        // Of a writer, its user data too.
-        let mut see =
-            |guid: rustdds::GUID, name: &str, dds_type: &str, qos, writer: Option<&[u8]>| {
+        // `user_data`: of a writer.
+        let mut add =
+            |guid: rustdds::GUID, name: &str, dds_type: &str, qos, user_data: Option<&[u8]>| {
                 let id = guid.to_bytes();
-                // Where multicast reflects them, a participant discovers its own endpoints too.
+                // If multicast reflects its announcements, a participant discovers its own endpoints.
                 if self.shared.is_own(&id) {
                     return;
                 }
@@ -297,10 +257,10 @@ impl Backend for Dds {
                         name,
                         type_name,
                         qos,
-                        is_writer: writer.is_some(),
+                        is_writer: user_data.is_some(),
                         id,
                         is_own: false,
-                        type_hash: writer.and_then(type_hash::announced),
+                        type_hash: user_data.and_then(type_hash::announced),
                     });
                 }
             };
@@ -311,7 +271,7 @@ impl Backend for Dds {
             );
             let qos = qos::from_dds(&topic.qos());
             let user_data = Some(&writer.user_data[..]);
-            see(guid, &topic.topic_name, &topic.type_name, qos, user_data);
+            add(guid, &topic.topic_name, &topic.type_name, qos, user_data);
         }
         for reader in participant.discovered_readers() {
             let (guid, topic) = (
@@ -319,7 +279,7 @@ impl Backend for Dds {
                 &reader.subscription_topic_data,
             );
             let qos = qos::from_dds(&topic.qos());
-            see(guid, topic.topic_name(), topic.type_name(), qos, None);
+            add(guid, topic.topic_name(), topic.type_name(), qos, None);
         }
         seen
     }
@@ -344,15 +304,15 @@ impl Backend for Dds {
     }
 
     fn failure(&self) -> Option<Error> {
-        // within a process no reader goes by the wall clock
+        // readers in this process do not depend on the wall clock
         if let Some(failure) = self.shared.failure.check(!self.shared.is_alone) {
             return Some(failure);
         }
         if let Some(change) = self.addresses.check() {
             return Some(change);
         }
-        // The thread that does discovery takes the command, or is gone: rustdds 0.15.1 ends its threads where the
-        // system interrupts their waiting, as it does when a process is stopped and continued.
+        // The discovery thread accepts the command unless it has ended: rustdds 0.15.1 ends its threads if a signal
+        // interrupts their wait, for example when a process is stopped and continued.
         let participant = lock(&self.shared.participant);
         let asserted = participant
             .as_ref()
@@ -374,19 +334,5 @@ impl Backend for Dds {
         drop(lock(&self.shared.second).take());
         let participant = lock(&self.shared.participant).take();
         drop(participant);
-    }
-}
-
-/// How long a writer whose window is full waits for room \[ms\]: too short to hold up a node.
-const WAIT_FOR_ROOM_MS: i64 = 5;
-
-impl From<Qos> for rustdds::policy::Reliability {
-    fn from(qos: Qos) -> Self {
-        match qos.reliability {
-            crate::Reliability::BestEffort => Self::BestEffort,
-            crate::Reliability::Reliable => Self::Reliable {
-                max_blocking_time: rustdds::Duration::from_millis(WAIT_FOR_ROOM_MS),
-            },
-        }
     }
 }

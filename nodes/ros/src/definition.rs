@@ -1,13 +1,14 @@
-//! What a node is, as data: its name, what it does, its parameters, topics and services, and how it is run. The command
-//! line, the help and the parameter files come from it.
+//! A node as data: its name, what it does, its parameters, topics and services, and how it is run. The command line, the
+//! help and the parameter files come from it.
 
 mod help;
 mod params_file;
 
-use crate::{Component, Direction, EndpointSpec, NodeArgs, ParameterSpec, lifecycle};
+use crate::{Component, Direction, EndpointSpec, Node, NodeArgs, ParameterSpec, lifecycle};
+use futures::future::LocalBoxFuture;
 use std::process::ExitCode;
 
-/// A node, before it runs.
+/// A node, before it runs. Made by [`of`](Self::of) from a [`NodeProgram`](crate::NodeProgram).
 #[derive(Clone, Copy)]
 pub struct NodeDefinition<E> {
     /// The node's default name, and its command's.
@@ -20,10 +21,19 @@ pub struct NodeDefinition<E> {
     pub endpoints: fn() -> Vec<EndpointSpec>,
     /// Whether it has a lifecycle ([`Lifecycle`](crate::Lifecycle)).
     pub is_managed: bool,
+    /// Whether it is the only node of its process.
+    pub runs_alone: bool,
     /// Runs it until it ends or a signal comes.
     pub run: fn(&NodeArgs) -> Result<ExitCode, E>,
-    /// The node in a process with others; `None` where it cannot be.
-    pub component: Option<fn() -> Component<E>>,
+    /// The node in a process that may run other nodes too.
+    pub body: fn(Node) -> LocalBoxFuture<'static, Result<(), E>>,
+}
+
+impl<E: 'static> NodeDefinition<E> {
+    /// The node for a process with others; `None` if it [runs alone](Self::runs_alone).
+    pub fn component(&self) -> Option<Component<E>> {
+        (!self.runs_alone).then(|| Component::new(self.name, self.body))
+    }
 }
 
 impl<E> NodeDefinition<E> {

@@ -56,6 +56,17 @@ pub trait EndpointSet: Sized {
     fn make(node: &Node) -> Result<Self, Error>;
 }
 
+/// No endpoints.
+impl EndpointSet for () {
+    fn specs() -> Vec<EndpointSpec> {
+        Vec::new()
+    }
+
+    fn make(_: &Node) -> Result<Self, Error> {
+        Ok(())
+    }
+}
+
 impl EndpointSpec {
     /// A topic of messages `M`.
     pub fn topic<M: Message>(direction: Direction, name: &str, qos: Qos, text: &str) -> Self {
@@ -131,7 +142,7 @@ impl<A: Action> Endpoint for ActionServer<A> {
     }
 }
 
-/// One that is not always made.
+/// An endpoint that is made under a condition.
 impl<T: Endpoint> Endpoint for Option<T> {
     fn specs(name: &str, qos: Qos, text: &str) -> Vec<EndpointSpec> {
         T::specs(name, qos, text)
@@ -143,28 +154,52 @@ impl<T: Endpoint> Endpoint for Option<T> {
 }
 
 /// Makes a struct of endpoints, and its [`EndpointSet`], from a table: doc comment, field, type and name, then the QoS
-/// (reliable, depth 10, where none is given) and, where the type's own way of making one is not what is wanted, another.
-/// A field without a name is a set of endpoints.
+/// (reliable, depth 10, if none is given). With `if`, an `Option` is made only under a condition; with `made`, an endpoint is
+/// made in another way than its type's own. A field without a name is a set of endpoints.
+///
+/// A table of an enum has the services and actions, one variant for each. A variant holds a request with its reply handle: a
+/// [`Call`](crate::Call) or a [`GoalRequest`](crate::GoalRequest). [`Requests`](crate::Requests) of the enum is a set of
+/// endpoints, which gives the requests one after the other.
 ///
 /// ```
-/// use wm_msgs::{std_msgs::String as Text, wm_msgs::{Reset, ResetResponse}};
-/// use wm_ros::{EndpointSet as _, Node, Publisher, Qos, Service, Subscription};
+/// use wm_msgs::std_msgs::String as Text;
+/// use wm_msgs::wm_msgs::{Reset, ResetResponse, action};
+/// use wm_ros::{ActionServer, EndpointSet as _, Node, Publisher, Qos, Requests, Service, Subscription};
 ///
 /// wm_ros::endpoints! {
 ///     /// Topics and services.
 ///     struct Endpoints {
-///         /// What is to be shouted.
+///         /// Texts to shout.
 ///         texts: Subscription<Text> = "text", qos(Qos::best_effort(5));
-///         /// The texts in capitals.
-///         shouts: Publisher<Text> = "shout";
-///         /// Begins anew.
-///         resets: Service<Reset> = "~/reset", made(|node, name, _| {
-///             node.service_or_refuse(name, |reason| ResetResponse { success: false, message: reason.to_owned() })
-///         });
+///         /// The texts in capitals, unless quiet.
+///         shouts: Option<Publisher<Text>> = "shout", if(|node| Ok(!node.parameter("quiet")?));
+///         /// Requests of clients.
+///         requests: Requests<Request>;
 ///     }
 /// }
 ///
-/// assert_eq!(Endpoints::specs()[2].type_name, "wm_msgs/srv/Reset");
+/// wm_ros::endpoints! {
+///     /// Requests of clients.
+///     enum Request {
+///         /// Starts again.
+///         Reset(Service<Reset>) = "~/reset", made(|node, name, _| {
+///             node.service_or_refuse(name, |reason| ResetResponse { success: false, message: reason.to_owned() })
+///         });
+///         /// Plans once.
+///         Plan(ActionServer<action::Plan>) = "~/plan";
+///     }
+/// }
+///
+/// async fn obey(endpoints: &mut Endpoints) {
+///     match endpoints.requests.next_request().await {
+///         Some(Request::Reset(call)) => wm_ros::answer(call, &ResetResponse { success: true, message: String::new() }),
+///         Some(Request::Plan(goal)) => goal.reject(),
+///         None => {} // the shutdown
+///     }
+/// }
+///
+/// let types: Vec<_> = Endpoints::specs().into_iter().map(|spec| spec.type_name).collect();
+/// assert_eq!(types[1..], ["std_msgs/msg/String", "wm_msgs/srv/Reset", "wm_msgs/action/Plan"]);
 /// ```
 #[macro_export]
 macro_rules! endpoints {
@@ -174,7 +209,7 @@ macro_rules! endpoints {
             $(
                 $(#[doc = $text:literal])+
                 $field_visibility:vis $field:ident : $type:ty
-                    $(= $name:expr $(, qos($qos:expr))? $(, made($make:expr))?)?
+                    $(= $name:expr $(, qos($qos:expr))? $(, if($condition:expr))? $(, made($make:expr))?)?
             );* $(;)?
         }
     ) => {
@@ -193,8 +228,44 @@ macro_rules! endpoints {
 
             fn make(node: &$crate::Node) -> ::std::result::Result<Self, $crate::Error> {
                 ::std::result::Result::Ok(Self {
-                    $($field: $crate::endpoints!(@make node, $type, [$($name)?] [$($($qos)?)?] [$($($make)?)?])?,)*
+                    $($field: $crate::endpoints!(@make node, $type, [$($name)?] [$($($qos)?)?] [$($(if $condition)?)?] [$($($make)?)?])?,)*
                 })
+            }
+        }
+    };
+    (
+        $(#[$attribute:meta])*
+        $visibility:vis enum $set:ident {
+            $(
+                $(#[doc = $text:literal])+
+                $variant:ident($type:ty) = $name:expr $(, if($condition:expr))? $(, made($make:expr))?
+            );* $(;)?
+        }
+    ) => {
+        $(#[$attribute])*
+        $visibility enum $set {
+            $($(#[doc = $text])+ $variant(<$type as $crate::RequestEndpoint>::Request),)*
+        }
+
+        impl $crate::RequestSet for $set {
+            fn specs() -> ::std::vec::Vec<$crate::EndpointSpec> {
+                let sets: ::std::vec::Vec<::std::vec::Vec<$crate::EndpointSpec>> = ::std::vec![$(
+                    $crate::endpoints!(@specs $type, [$name] [] ::std::concat!($($text),+))
+                ),*];
+                sets.into_iter().flatten().collect()
+            }
+
+            fn sources(
+                node: &$crate::Node,
+            ) -> ::std::result::Result<::std::vec::Vec<::std::boxed::Box<dyn $crate::RequestSource<Self>>>, $crate::Error>
+            {
+                let sources = [$(
+                    <$type as $crate::RequestEndpoint>::source(
+                        $crate::endpoints!(@make node, $type, [$name] [] [$(if $condition)?] [$($make)?])?,
+                        $set::$variant,
+                    )
+                ),*];
+                ::std::result::Result::Ok(sources.into_iter().flatten().collect())
             }
         }
     };
@@ -204,16 +275,32 @@ macro_rules! endpoints {
     (@specs $type:ty, [$name:expr] [$($qos:expr)?] $text:expr) => {
         <$type as $crate::Endpoint>::specs($name, $crate::endpoints!(@qos $($qos)?), $text)
     };
-    (@make $node:ident, $type:ty, [] [] []) => { <$type as $crate::EndpointSet>::make($node) };
-    (@make $node:ident, $type:ty, [$name:expr] [$($qos:expr)?] []) => {
+    (@make $node:ident, $type:ty, [] [] [] []) => { <$type as $crate::EndpointSet>::make($node) };
+    (@make $node:ident, $type:ty, [$name:expr] [$($qos:expr)?] [] []) => {
         <$type as $crate::Endpoint>::make($node, $name, $crate::endpoints!(@qos $($qos)?))
     };
-    (@make $node:ident, $type:ty, [$name:expr] [$($qos:expr)?] [$make:expr]) => {
+    (@make $node:ident, $type:ty, [$name:expr] [$($qos:expr)?] [if $condition:expr] []) => {
+        $crate::make_if($condition, $node, $name, $crate::endpoints!(@qos $($qos)?))
+    };
+    (@make $node:ident, $type:ty, [$name:expr] [$($qos:expr)?] [] [$make:expr]) => {
         $crate::made_by::<$type, _>($make)($node, $name, $crate::endpoints!(@qos $($qos)?))
     };
 }
 
-/// Tells the compiler what the closure of [`endpoints!`](crate::endpoints) takes.
+/// Makes an endpoint under a condition of [`endpoints!`](crate::endpoints).
+#[doc(hidden)]
+pub fn make_if<T: Endpoint>(
+    condition: impl FnOnce(&Node) -> Result<bool, Error>,
+    node: &Node,
+    name: &str,
+    qos: Qos,
+) -> Result<Option<T>, Error> {
+    condition(node)?
+        .then(|| T::make(node, name, qos))
+        .transpose()
+}
+
+/// Gives the compiler the type of the closure of [`endpoints!`](crate::endpoints).
 #[doc(hidden)]
 pub fn made_by<T, F: FnOnce(&Node, &str, Qos) -> Result<T, Error>>(make: F) -> F {
     make

@@ -5,7 +5,7 @@
 //! lengths that a datagram claims, so that a stranger's six datagrams can make it allocate gigabytes. A robot's
 //! network is therefore an explicit choice: `--interface eth0`, or `ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET`. The
 //! middleware binds its sockets to every address all the same; a socket filter drops what arrives elsewhere (module
-//! `dds::confine`). On a network with strangers, add a firewall and cap the process's memory: `launch-configs/network/`
+//! `dds::workarounds::confine`). On a network with strangers, add a firewall and cap the process's memory: `launch-configs/network/`
 //! has both.
 //!
 //! **What the middleware cannot do** is refused or warned of by the variable's name, never ignored in silence: peers

@@ -28,8 +28,9 @@
 //! - [`Node`]: a name in the graph, which makes publishers, subscriptions, services, actions and parameters.
 //! - [`ActionServer`] and [`ActionClient`]: the two ends of an action; a [`ServerGoal`] is a goal under way.
 //! - [`parameters!`] and [`endpoints!`]: the parameters, topics, services and actions of a node, each declared once.
+//! - [`NodeProgram`]: the trait of a node, with a whole node as its example.
 //! - [`NodeDefinition`]: a node as data, from which come its command, its help and its parameter file.
-//! - [`Lifecycle`]: makes a node a managed one, which is configured and activated when it is asked to.
+//! - [`Lifecycle`]: makes a node a managed one, which is configured and activated on request.
 //! - [`Shutdown`]: ends every `recv` on SIGINT and SIGTERM.
 //!
 //! # Promises
@@ -47,7 +48,6 @@
 mod action;
 mod args;
 mod backend;
-pub mod calls;
 mod clock;
 pub mod complaints;
 mod context;
@@ -67,9 +67,11 @@ mod names;
 mod node;
 mod parameters;
 mod payload;
+mod program;
 mod publisher;
 mod qos;
 mod rcl_interfaces;
+mod requests;
 mod run;
 mod service;
 mod shutdown;
@@ -87,9 +89,9 @@ pub use clock::Clock;
 pub use context::Context;
 pub use definition::NodeDefinition;
 pub use diagnostics::{Deadline, Diagnostics, Input, Latency, Level};
-#[doc(hidden)]
-pub use endpoints::made_by;
 pub use endpoints::{Direction, Endpoint, EndpointSet, EndpointSpec};
+#[doc(hidden)]
+pub use endpoints::{made_by, make_if};
 pub use environment::{Environment, EnvironmentWarning, Interface, Reach};
 pub use error::Error;
 pub use lifecycle::{Lifecycle, Machine, Managed, Outcome, Refused, State, Transition};
@@ -98,13 +100,15 @@ pub use parameters::{
     Descriptor, Field, Parameter, ParameterError, ParameterSet, ParameterSpec, Range,
     RemoteParameters,
 };
+pub use program::{NodeProgram, Setup};
 pub use publisher::{Publisher, RawPublisher};
 pub use qos::{Durability, Qos, Reliability};
-pub use rcl_interfaces::Log;
+pub use requests::{Arrival, RequestEndpoint, RequestSet, RequestSource, Requests, answer};
 pub use run::{Component, run, run_together};
 pub use service::{Call, Client, RawCall, RawClient, RawService, Service};
 pub use shutdown::Shutdown;
 pub use subscription::{Gaps, PublisherId, RawSubscription, Received, Subscription};
+pub use wm_msgs::rcl_interfaces::Log;
 
 /// The namespace of all nodes of the suite, unless `__ns` says otherwise.
 pub const NAMESPACE: &str = "/wm";

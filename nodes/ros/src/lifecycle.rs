@@ -1,8 +1,8 @@
 //! Managed nodes: states, the services and the topic by which others see and change them, as rclcpp_lifecycle has it
 //! (<https://design.ros2.org/articles/node_lifecycle.html>).
 //!
-//! A node says with [`Managed`] what it makes when it is configured and activated; [`Lifecycle`] makes and drops it when
-//! somebody asks. What a node holds in a state is thus a value, and what it no longer holds is gone.
+//! A node implements [`Managed`]: the values that it makes when it is configured and activated. [`Lifecycle`] makes and drops
+//! them on request. The state of a node is thus a value, and nothing of a dropped value remains.
 
 mod gate;
 mod machine;
@@ -74,8 +74,8 @@ pub struct Lifecycle {
     autostart: bool,
 }
 
-/// A transition in progress, and who requested it; none if the node does it by itself.
-struct Asked {
+/// A transition in progress, and the call that requests it; `None` if the node makes it by itself.
+struct TransitionRequest {
     transition: &'static Transition,
     call: Option<Call<ChangeState>>,
 }
@@ -100,7 +100,7 @@ impl Lifecycle {
         })
     }
 
-    /// Lives: until the context is shut down, or somebody asks for the transition `shutdown`.
+    /// Lives until the context is shut down, or until a call requests the transition `shutdown`.
     ///
     /// # Errors
     /// What ended the node while it was active; and, where it started by itself, what kept it from that.
@@ -109,11 +109,11 @@ impl Lifecycle {
         'unconfigured: loop {
             self.say(State::Unconfigured);
             let by_itself = is_starting.then_some("configure");
-            let Some(asked) = self.asked(by_itself).await else {
+            let Some(request) = self.request(by_itself).await else {
                 return Ok(());
             };
-            if asked.transition.goal == State::ShuttingDown {
-                return Ok(self.end(asked).await?);
+            if request.transition.goal == State::ShuttingDown {
+                return Ok(self.end(request).await?);
             }
             let gate = Gate::default();
             let configured = managed.configure(&self.node.behind(&gate)).await;
@@ -125,22 +125,22 @@ impl Lifecycle {
                 Ok(configured) => configured,
                 Err(error) if is_starting => return Err(error),
                 Err(error) => {
-                    self.fail(asked, &error)?;
+                    self.fail(request, &error)?;
                     continue 'unconfigured;
                 }
             };
-            self.succeed(asked)?;
+            self.succeed(request)?;
             loop {
                 self.say(State::Inactive);
                 let by_itself = is_starting.then_some("activate");
-                let Some(asked) = self.asked(by_itself).await else {
+                let Some(request) = self.request(by_itself).await else {
                     return Ok(());
                 };
-                match asked.transition.goal {
-                    State::ShuttingDown => return Ok(self.end(asked).await?),
+                match request.transition.goal {
+                    State::ShuttingDown => return Ok(self.end(request).await?),
                     State::CleaningUp => {
                         drop(configured);
-                        self.succeed(asked)?;
+                        self.succeed(request)?;
                         continue 'unconfigured;
                     }
                     _ => {}
@@ -150,41 +150,43 @@ impl Lifecycle {
                     Ok(active) => active,
                     Err(error) if is_starting => return Err(error),
                     Err(error) => {
-                        self.fail(asked, &error)?;
+                        self.fail(request, &error)?;
                         continue;
                     }
                 };
                 is_starting = false;
                 self.node.open(&gate);
                 self.say(State::Active);
-                self.succeed(asked)?;
-                let asked = {
+                self.succeed(request)?;
+                let request = {
                     let mut working = pin!(managed.run(&mut configured, &mut active));
                     tokio::select! {
                         result = &mut working => return result,
-                        asked = self.asked(None) => asked,
+                        request = self.request(None) => request,
                     }
                 };
                 gate.close();
-                let Some(asked) = asked else { return Ok(()) };
+                let Some(request) = request else {
+                    return Ok(());
+                };
                 drop(active);
                 self.node.diagnostics().stand_down();
-                if asked.transition.goal == State::ShuttingDown {
-                    return Ok(self.end(asked).await?);
+                if request.transition.goal == State::ShuttingDown {
+                    return Ok(self.end(request).await?);
                 }
-                self.succeed(asked)?;
+                self.succeed(request)?;
             }
         }
     }
 
-    /// Begins the transition of this label, or waits for one that somebody asks for; those that cannot be made are
-    /// refused. None once the context is shut down.
-    async fn asked(&mut self, by_itself: Option<&str>) -> Option<Asked> {
+    /// Begins the transition of this label, or waits for a call that requests one. Impossible transitions are refused. `None`
+    /// once the context is shut down.
+    async fn request(&mut self, by_itself: Option<&str>) -> Option<TransitionRequest> {
         if let Some(label) = by_itself
             && let Ok(transition) = self.begin(0, label)
         {
             let call = None;
-            return Some(Asked { transition, call });
+            return Some(TransitionRequest { transition, call });
         }
         loop {
             let call = self.changes.recv().await?;
@@ -192,7 +194,7 @@ impl Lifecycle {
             match self.begin(wanted.id, &wanted.label) {
                 Ok(transition) => {
                     let call = Some(call);
-                    return Some(Asked { transition, call });
+                    return Some(TransitionRequest { transition, call });
                 }
                 Err(refused) => {
                     tracing::warn!("change_state: {refused}");
@@ -211,30 +213,30 @@ impl Lifecycle {
         Ok(transition)
     }
 
-    fn succeed(&self, asked: Asked) -> Result<(), Error> {
-        self.finish(asked, Outcome::Success)
+    fn succeed(&self, request: TransitionRequest) -> Result<(), Error> {
+        self.finish(request, Outcome::Success)
     }
 
-    fn fail(&self, asked: Asked, error: &dyn Display) -> Result<(), Error> {
-        tracing::error!("{}: {error:#}", asked.transition.label);
-        self.finish(asked, Outcome::Failure)
+    fn fail(&self, request: TransitionRequest, error: &dyn Display) -> Result<(), Error> {
+        tracing::error!("{}: {error:#}", request.transition.label);
+        self.finish(request, Outcome::Failure)
     }
 
-    fn finish(&self, asked: Asked, outcome: Outcome) -> Result<(), Error> {
+    fn finish(&self, request: TransitionRequest, outcome: Outcome) -> Result<(), Error> {
         let made = self.machine().finish(outcome);
         if let Some(transition) = made {
             self.announce(transition)?;
         }
-        if let Some(call) = asked.call {
+        if let Some(call) = request.call {
             answer(call, outcome == Outcome::Success);
         }
         Ok(())
     }
 
     /// The node's own end, of which everybody who listens hears before it is gone.
-    async fn end(&self, asked: Asked) -> Result<(), Error> {
+    async fn end(&self, request: TransitionRequest) -> Result<(), Error> {
         tracing::info!("shut down by ~/change_state");
-        self.succeed(asked)?;
+        self.succeed(request)?;
         self.events.wait_for_acknowledgments(FAREWELL).await?;
         self.changes.wait_for_acknowledgments(FAREWELL).await?;
         Ok(())

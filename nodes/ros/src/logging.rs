@@ -18,7 +18,6 @@ use crate::{
     clock::system_nanos,
     frame_trace,
     payload::Payload,
-    rcl_interfaces::Log,
 };
 use outlet::{STDERR, STDOUT};
 use printable::printable;
@@ -34,7 +33,7 @@ use tracing_subscriber::{
     layer::{Context, SubscriberExt as _},
     registry::LookupSpan,
 };
-use wm_msgs::{builtin_interfaces::Time, cdr};
+use wm_msgs::{builtin_interfaces::Time, cdr, rcl_interfaces::Log};
 
 /// The nodes of this process and where each writes its records.
 static NODES: Mutex<Vec<Arc<Rosout>>> = Mutex::new(Vec::new());

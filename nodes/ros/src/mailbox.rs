@@ -63,6 +63,11 @@ impl<T> Mailbox<T> {
         self.state().items.pop_front()
     }
 
+    /// The result of `read` for the oldest item, which stays.
+    pub(crate) fn peek<R>(&self, read: impl FnOnce(&T) -> R) -> Option<R> {
+        self.state().items.front().map(read)
+    }
+
     /// Waits for an item; `None` once the queue is closed and empty. Cancel safe: an item is taken at the last step.
     pub(crate) async fn pop(&self) -> Option<T> {
         loop {

@@ -9,13 +9,14 @@ use crate::{
     lifecycle::{Gate, Gated},
     mailbox::Mailbox,
     payload::Payload,
+    requests::Arrival,
 };
 use bytes::Bytes;
 use std::{
     collections::BTreeMap,
     marker::PhantomData,
     sync::{Arc, Mutex, PoisonError},
-    time::Duration,
+    time::{Duration, Instant},
 };
 use tokio::sync::oneshot;
 use wm_msgs::cdr;
@@ -23,10 +24,18 @@ use wm_msgs::cdr;
 /// Calls that may wait for a server. Policy DropOldest: who waited longest has most likely given up.
 pub(crate) const WAITING_CALLS: usize = 64;
 
+/// A call that waits for its server.
+pub(crate) struct WaitingCall {
+    pub(crate) id: RequestId,
+    pub(crate) request: Bytes,
+    /// When it arrived, by which calls of several services keep their order.
+    pub(crate) arrival: Instant,
+}
+
 /// The serving end of a service of any type: requests and answers as CDR bytes with their 4-byte header.
 pub struct RawService {
     name: String,
-    calls: Arc<Mailbox<(RequestId, Bytes)>>,
+    calls: Arc<Mailbox<WaitingCall>>,
     writer: Arc<dyn Writer>,
     _reader: Box<dyn Reader>,
     shutdown: Shutdown,
@@ -59,7 +68,7 @@ impl Drop for Refusal {
 pub(crate) struct Refusals {
     name: String,
     gate: Gate,
-    calls: Arc<Mailbox<(RequestId, Bytes)>>,
+    calls: Arc<Mailbox<WaitingCall>>,
     writer: Arc<dyn Writer>,
     refuse: Refuse,
 }
@@ -71,7 +80,7 @@ impl Refusals {
     pub(crate) fn new(
         name: String,
         gate: Gate,
-        calls: Arc<Mailbox<(RequestId, Bytes)>>,
+        calls: Arc<Mailbox<WaitingCall>>,
         writer: Arc<dyn Writer>,
         refuse: Refuse,
     ) -> Arc<Self> {
@@ -98,8 +107,8 @@ impl Refusals {
     }
 
     fn refuse_waiting(&self) {
-        while let Some((id, _)) = self.calls.try_pop() {
-            self.send(id);
+        while let Some(call) = self.calls.try_pop() {
+            self.send(call.id);
         }
     }
 }
@@ -140,21 +149,26 @@ pub struct Call<S: wm_msgs::Service> {
 }
 
 /// What puts calls into a mailbox.
-pub(crate) fn call_sink(name: String, calls: Arc<Mailbox<(RequestId, Bytes)>>) -> Sink {
+pub(crate) fn call_sink(name: String, calls: Arc<Mailbox<WaitingCall>>) -> Sink {
     Box::new(move |sample| match sample {
         Ok(Sample {
             payload,
             request: Some(id),
             ..
         }) => {
-            let bytes = match payload.into_cdr() {
-                Ok(bytes) => bytes,
+            let request = match payload.into_cdr() {
+                Ok(request) => request,
                 Err(error) => {
                     tracing::warn!("{name}: a call is skipped: {error}");
                     return;
                 }
             };
-            if !calls.push((id, bytes)) {
+            let arrival = Instant::now();
+            if !calls.push(WaitingCall {
+                id,
+                request,
+                arrival,
+            }) {
                 tracing::warn!(
                     "{name}: more than {WAITING_CALLS} calls wait, the oldest is dropped"
                 );
@@ -212,7 +226,7 @@ pub(crate) fn send(
 impl RawService {
     pub(crate) fn new(
         name: String,
-        calls: Arc<Mailbox<(RequestId, Bytes)>>,
+        calls: Arc<Mailbox<WaitingCall>>,
         writer: Arc<dyn Writer>,
         reader: Box<dyn Reader>,
         shutdown: Shutdown,
@@ -230,7 +244,7 @@ impl RawService {
 
     /// Waits for a call; `None` once the context is shut down. Cancel safe.
     pub async fn recv(&mut self) -> Option<RawCall> {
-        let (id, request) = tokio::select! {
+        let WaitingCall { id, request, .. } = tokio::select! {
             biased;
             () = self.shutdown.wait() => return None,
             call = self.calls.pop() => call?,
@@ -242,6 +256,11 @@ impl RawService {
             writer: Arc::clone(&self.writer),
             refusal: Refusal(self.refusals.clone().map(|refusals| (refusals, id))),
         })
+    }
+
+    /// When its oldest waiting call arrived.
+    pub(crate) fn arrival(&self) -> Arrival {
+        Arrival(Arc::clone(&self.calls))
     }
 
     /// The service's absolute name.
@@ -284,6 +303,11 @@ impl<S: wm_msgs::Service> Service<S> {
                 Err(error) => tracing::warn!("{}: a call is skipped: {error}", self.name()),
             }
         }
+    }
+
+    /// When its oldest waiting call arrived.
+    pub(crate) fn arrival(&self) -> Arrival {
+        self.raw.arrival()
     }
 
     /// Waits until every connected client has its answers, at most for `timeout`; whether they have.

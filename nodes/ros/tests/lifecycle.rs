@@ -15,7 +15,7 @@ use wm_msgs::{
 };
 use wm_ros::{
     Client, Context, Environment, Error, Lifecycle, Managed, Node, NodeArgs, Publisher, Qos, Reach,
-    Received, Service, Subscription, calls::answer,
+    Received, Service, Subscription, answer,
 };
 
 /// Far above anything that discovery takes; it only ends a test that hangs.

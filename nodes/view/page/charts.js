@@ -16,7 +16,7 @@ export function prepare(canvas) {
   return { context, width, height };
 }
 
-/** Steps of 1, 2 or 5 times a power of ten, some four to a span. */
+/** Steps of 1, 2 or 5 times a power of ten, about four per span. */
 function ticks(from, to) {
   const rough = (to - from) / 4;
   const power = 10 ** Math.floor(Math.log10(rough));
@@ -56,7 +56,7 @@ export function lines(canvas, { x, y, now, zero, unit, series, marks = [], curso
   for (const second of ticks((x[0] - now) / 1000, (x[1] - now) / 1000)) {
     const at = across(now + second * 1000);
     if (at < LEFT + 8) continue;
-    // The last one, at the right edge, ends there.
+    // The last label ends at the right edge.
     const isLast = at > width - 16;
     context.textAlign = isLast ? "right" : "center";
     context.fillText(second === 0 ? zero : `${Number(second.toPrecision(6))} s`, isLast ? width : at, height - 2);
@@ -91,7 +91,7 @@ export function lines(canvas, { x, y, now, zero, unit, series, marks = [], curso
         continue;
       }
       const [px, py] = [across(t), up(Math.min(Math.max(value, y[0]), y[1]))];
-      // Where nothing came for long, nothing is drawn.
+      // Long gaps stay empty.
       if (before === null || (line.gap && t - before.t > line.gap)) context.moveTo(px, py);
       else {
         if (line.stepped) context.lineTo(px, before.py);
@@ -113,7 +113,7 @@ export function lines(canvas, { x, y, now, zero, unit, series, marks = [], curso
   context.restore();
 }
 
-/** The line of time: frames, rollouts, plans, and how good the predictions were. */
+/** The time line: frames, rollouts, plans, and the quality of predictions. */
 export function timeline(canvas, { x, record, cursor, isLive }) {
   const { context, width, height } = prepare(canvas);
   if (!(x[1] > x[0])) return;
@@ -140,7 +140,7 @@ export function timeline(canvas, { x, record, cursor, isLive }) {
   }
 }
 
-/** Where a plan leads from the picture's middle, by where the axes point: right and down for x, y and z [picture widths per m]. */
+/** A plan's path from the picture's centre; `axes`: right and down for x, y and z [picture widths per m]. */
 function alongAxes(values, axes, width, height) {
   let [x, y] = [width / 2, height / 2];
   return [[x, y], ...values.map(([dx, dy, dz]) => [

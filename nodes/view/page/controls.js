@@ -1,4 +1,4 @@
-// What the page asks of the node, and the keys.
+// Commands to the node, and the keys.
 
 const element = (id) => document.getElementById(id);
 const TOAST = 4000;
@@ -14,7 +14,7 @@ export function toast(text, isBad = false) {
 }
 
 export class Controls {
-  /** `page` has the functions of the keys, and `shown(panel)`, the label of the picture in a panel. */
+  /** `page`: the functions of the keys, and `shown(panel)`, the label of a panel's picture. */
   constructor(connection, page) {
     this.connection = connection;
     this.page = page;
@@ -45,9 +45,9 @@ export class Controls {
     element("reset").hidden = !this.canSteer;
     for (const button of document.querySelectorAll("button.goal")) button.hidden = !this.canSteer;
     element("about").textContent = isBag
-      ? "A bag is shown."
-      : { none: "This page may look, and stop the executor (parameter control: none).", goals: "This page may set goals, pick candidates and reset histories (control: goals).",
-          all: "This page may do everything, arm the executor too (control: all)." }[control];
+      ? "This page shows a bag."
+      : { none: "This page may show data and stop the executor (parameter control: none).", goals: "This page may set goals, pick candidates and reset histories (control: goals).",
+          all: "This page may do everything, including arming the executor (control: all)." }[control];
   }
 
   async ask(command) {
@@ -74,7 +74,7 @@ export class Controls {
     const { target } = event;
     if (event.ctrlKey || event.altKey || event.metaKey || document.querySelector("dialog[open]")) return;
     if (target.matches("select, input:not([type=range])")) return;
-    // A button that has the focus is pressed by space and enter; the slider and the time line have arrows of their own use.
+    // Space and enter press the focused button; the slider and the time line use the arrow keys themselves.
     if ((event.key === " " || event.key === "Enter") && target.matches("button, summary")) return;
     const { page } = this;
     const keys = {

@@ -1,4 +1,4 @@
-// The page: what comes is recorded, and the moment that is looked at is drawn.
+// The page: records events and draws the selected time.
 
 import { arrows, timeline } from "./charts.js";
 import { Controls } from "./controls.js";
@@ -9,11 +9,11 @@ import { Connection } from "./socket.js";
 
 const element = (id) => document.getElementById(id);
 const GAINS = [1, 4, 16];
-/** How often what is not a picture is drawn anew [ms]. */
+/** How often everything but pictures is redrawn [ms]. */
 const PANEL_PERIOD = 250;
-/** Without anything new for so long, what is shown is not live [ms]; the node says the same of a camera. */
+/** A longer silence means that the page is not live [ms]; the node uses the same limit for cameras. */
 const SILENT = 3000;
-/** A pair of pictures that is older than this is marked as old [ms]. */
+/** Older pairs of pictures are marked as old [ms]. */
 const OLD = 5000;
 const AN_HOUR = 3_600_000;
 const MOST_LATENCIES = 600;
@@ -23,7 +23,7 @@ const screens = Object.fromEntries(
   ["camera", "predicted", "difference", "goal", "outcome", "candidate-pictures"].map((id) => [id, new Screen(element(id))]),
 );
 const page = {
-  /** The frame that is looked at; null: the newest, live. */
+  /** The selected frame; null: the newest, live. */
   at: null,
   k: 1,
   gainIndex: 1,
@@ -31,15 +31,15 @@ const page = {
   hello: null,
   status: null,
   isConnected: false,
-  /** When anything came from the node, since the page was opened [ms]. */
+  /** When the last message arrived, since the page was opened [ms]. */
   heard: 0,
-  /** Where a bag is played from, and when that began. */
+  /** Where a bag plays from, and when that began. */
   playing: null,
-  /** From a frame's capture until it was drawn here, the last ones [ms]. */
+  /** Recent times from a frame's capture until it was drawn [ms]. */
   latencies: [],
-  /** Where the plan that is shown leads in the picture, if that is known. */
+  /** The path of the shown plan in the picture, if known. */
   way: null,
-  // Sizes of the camera's pictures and the model's, once one was drawn.
+  // Sizes of the camera's and the model's pictures, once drawn.
   cameraSize: null,
   modelSize: null,
   /** When the first picture was drawn, since the page was opened [ms]. */
@@ -49,7 +49,7 @@ const page = {
   get isBag() {
     return Boolean(this.hello?.bag);
   },
-  /** The server's time, as far as it is known here. */
+  /** The estimated time of the server. */
   get now() {
     return this.isBag ? (record.newest()?.t ?? 0) : Date.now();
   },
@@ -152,7 +152,7 @@ const pictures = new Pictures(connection);
 const controls = new Controls(connection, page);
 
 let isDue = false;
-/** Something may have to be drawn. */
+/** Schedules drawing. */
 function changed() {
   if (isDue) return;
   isDue = true;
@@ -170,7 +170,7 @@ function show(id, label, name = key(label), drawn) {
 
 const wholeSeconds = (milliseconds) => `${Math.floor(milliseconds / 1000)} s`;
 
-/** How the page stands: a state, what it is called, and for how long it has been so, if that matters. */
+/** The page's state: id, name, and its duration if relevant. */
 function stateOf() {
   if (!page.isConnected) return document.body.dataset.state === "refused" ? ["refused", "refused"] : ["connecting", "not connected, trying again"];
   if (page.isBag) return ["bag", page.playing ? "bag, playing" : "bag"];
@@ -188,21 +188,21 @@ function sayState() {
   document.body.dataset.state = state;
   const [text, time] = element("state").children;
   if (text.textContent !== words) text.textContent = words;
-  // Of its own, so that not every second is read out.
+  // A separate element, so that screen readers do not read every second.
   time.textContent = age === undefined ? "" : ` for ${wholeSeconds(age)}`;
 }
 
-/** How the model takes the camera's pictures. */
+/** How the model frames the camera's pictures. */
 const fit = () => page.status?.fit ?? "stretch";
 
-/** Predicted pictures that are stretched show what the camera shows, in its aspect; others have the model's. */
+/** Stretched predicted pictures have the camera's aspect ratio; others have the model's. */
 function shapePredicted() {
   const size = fit() === "stretch" ? page.cameraSize : page.modelSize;
   if (!size) return;
   for (const id of ["predicted", "difference"]) screens[id].aspect = `${size.width} / ${size.height}`;
 }
 
-/** What the model sees of the camera's picture, in fractions of its width and height; null if that is all of it. */
+/** The part of the camera's picture that the model sees, in fractions of its width and height; null: all of it. */
 function seen() {
   const { cameraSize: from, modelSize: to } = page;
   if (fit() !== "crop" || !from || !to) return null;
@@ -212,7 +212,7 @@ function seen() {
 
 function drawPictures() {
   const isLive = !page.at && !page.isBag;
-  // The picture itself comes before the event that tells of it.
+  // A picture arrives before its event.
   const newest = page.newest && page.newest.t >= (record.newest()?.t ?? 0) ? page.newest : record.newest();
   const frame = isLive ? newest : page.at;
   sayState();
@@ -245,7 +245,7 @@ function drawPictures() {
   if (candidates) show("candidate-pictures", candidates);
 }
 
-/** The prediction of the shown moment, or in a live picture of the last moment of which there is one, and how it differs. */
+/** The prediction of the shown time, or while live the last prediction, and its difference. */
 function drawPair(frame, isLive) {
   const { k } = page;
   const own = record.predictionOf(frame.t, k);
@@ -287,7 +287,7 @@ function drawPair(frame, isLive) {
 
 let cells = [];
 
-/** The newest rollout: what was predicted, and beneath it what came. */
+/** The newest rollout: predictions above, real frames below. */
 function drawStrip(frame) {
   const { from, steps } = record.rollout(frame.t);
   const horizon = Math.max(record.horizon, ...steps.keys(), 0);
@@ -315,7 +315,7 @@ function drawStrip(frame) {
     else if (cell.real.wanted) cell.real.blank("");
     cell.label.textContent = `+${((k * record.period) / 1000).toFixed(1)} s`;
     cell.button.setAttribute("aria-pressed", String(k === page.k));
-    cell.button.title = `${k} steps after ${new Date(from).toLocaleTimeString()}: predicted above, what came below`;
+    cell.button.title = `${k} steps after ${new Date(from).toLocaleTimeString()}: predicted above, real below`;
   });
 }
 
@@ -327,13 +327,13 @@ function drawArrows() {
   const canvas = element("camera").querySelector(".overlay");
   const plan = page.hasArrows ? planShown() : null;
   const now = page.at?.t ?? page.now;
-  // A plan that is over is no longer of this picture.
+  // An ended plan does not belong to this picture.
   const isCurrent = plan && now < Number(plan.actions.begin) / 1e6 + (plan.actions.values.length + 2) * plan.actions.period_ms;
   page.way = isCurrent ? record.wayOf(plan) : null;
   arrows(canvas, seen(), isCurrent ? { values: plan.actions.values, way: page.way?.points, axes: page.hello?.axes ?? [] } : {});
 }
 
-/** The span of the time line: of a live page the last minute, of a bag all of it. */
+/** The span of the time line: live the last minute, of a bag all of it. */
 function span() {
   if (!page.isBag) return [page.now - panels.SPAN, page.now];
   return [record.frames[0]?.t ?? 0, Math.max(record.newest()?.t ?? 0, record.errors.at(-1)?.t ?? 0)];
@@ -345,7 +345,7 @@ function drawPanels() {
   if (document.hidden || !page.hello) return;
   sayState();
   const { status, k } = page;
-  // What is said of a bag changes only with what is looked at.
+  // For a bag, panels change only with the selected time.
   const view = `${page.at?.stamp}/${k}/${record.count}/${status?.now}/${innerWidth}`;
   if (page.isBag && view === drawn) return;
   drawn = view;
@@ -375,14 +375,14 @@ function drawPanels() {
   line.setAttribute("aria-valuetext", element("moment").textContent);
   const isRunning = page.isBag ? Boolean(page.playing) : !page.at;
   element("play").textContent = isRunning ? "❚❚" : "▶";
-  element("play").setAttribute("aria-label", isRunning ? "Pause" : "Go on");
+  element("play").setAttribute("aria-label", isRunning ? "Pause" : "Continue");
   element("live").hidden = page.isBag;
   element("live").disabled = !page.at;
   document.title = page.isBag ? `wm view: ${page.hello.bag}` : "wm view";
   drawArrows();
 }
 
-/** Plays a bag, until its end or until somebody looks elsewhere. */
+/** Plays a bag until its end or another selection. */
 function play() {
   if (!page.playing) return;
   const t = page.playing.from + (performance.now() - page.playing.since);

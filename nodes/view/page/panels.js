@@ -1,15 +1,15 @@
-// What is not a picture: figures, plan, candidates, executor, nodes, topics, log.
+// Panels without pictures: figures, plan, candidates, executor, nodes, topics, log.
 
 import { colour, lines } from "./charts.js";
 
 const element = (id) => document.getElementById(id);
 const SPAN = 60_000;
-/** Points of a line that is computed point by point. */
+/** Points of a computed line. */
 const MOST_POINTS = 400;
-/** Lines of the log that are shown. */
+/** The most log lines. */
 const MOST_LINES = 200;
 
-/** Sets a text where it has changed: a node that is written anew would be read out, and selections would be lost. */
+/** Sets a text if it has changed: otherwise screen readers would repeat it, and selections would be lost. */
 function say(target, text) {
   if (target.textContent !== text) target.textContent = text;
 }
@@ -30,7 +30,7 @@ export function median(values) {
   return sorted[sorted.length >> 1];
 }
 
-/** The texts of what is missing, by panel. */
+/** Missing inputs by panel. */
 export const missingIn = (status, panel) => status?.missing.find((missing) => missing.panel === panel)?.text ?? "";
 
 function drops(status) {
@@ -66,7 +66,7 @@ export function errorPanel({ status, record, now, x, k, cursor, canTrust = true 
     .sort(([a], [b]) => (a === k) - (b === k))
     .map(([step, points]) => ({ points, gap, colour: colour("model"), bold: step === k, faint: step !== k }));
   const first = errors.filter((error) => error.k === 1);
-  // Of a long bag, as many as there are pixels.
+  // For a long bag, one per pixel.
   const stride = Math.ceil(first.length / MOST_POINTS);
   const band = first.filter((_, index) => index % stride === 0).map((error) => [error.t, record.ratio(error.t)]);
   series.unshift({ points: band, gap, colour: colour("real"), wide: true });
@@ -76,7 +76,7 @@ export function errorPanel({ status, record, now, x, k, cursor, canTrust = true 
   say(panel.querySelector(".missing"), errors.length ? "" : missingIn(status, "error"));
   const ratio = record.ratio(cursor ?? now);
   const doubt = status?.nodes.find((node) => node.name.endsWith("predictor") && /unlike those|no better than/.test(node.message));
-  const verdict = ratio === null ? "" : ratio < 1 ? "the model beats holding the last frame" : "no better than holding the last frame";
+  const verdict = ratio === null ? "" : ratio < 1 ? "the model beats repeating the last frame" : "no better than repeating the last frame";
   const trust = element("trust");
   say(trust, canTrust && doubt ? `not to be trusted: ${doubt.message}` : verdict);
   trust.style.color = doubt || ratio >= 1 ? colour("bad") : ratio === null ? "" : colour("good");
@@ -88,7 +88,7 @@ const BRIDGE_VALUES = 7;
 const MM = 1000;
 const LEGENDS = {
   bridge: ["dx forward", "dy left", "dz up: the end effector's velocity along the axes of the robot's base. Turns and gripper are not drawn."],
-  other: ["first", "second", "third value of the actions, as the robot means it. Further values are not drawn."],
+  other: ["first", "second", "third value of the actions, in the robot's units. Further values are not drawn."],
 };
 
 /** The actions that were taken, and those of the plan: motions of the end effector in mm per s, an action lasting as long as
@@ -137,7 +137,7 @@ export function planPanel({ status, record, now, cursor, isLive, plan }) {
     `distance to the goal ${fixed(plan.distance)}; cost by iteration ${plan.iterations.map((cost) => fixed(cost)).join(" → ")}.`);
 }
 
-/** The candidates on offer, with a button each where one may be picked. */
+/** The candidates on offer, with buttons if choosing is permitted. */
 export function candidatesPanel({ offer, assessment, canPick, pick }) {
   const panel = element("candidates");
   panel.hidden = !offer;
@@ -166,7 +166,7 @@ export function candidatesPanel({ offer, assessment, canPick, pick }) {
 }
 
 export function executorPanel({ status, control, isBag }) {
-  // That of a bag is over, and cannot be stopped.
+  // A bag's executor cannot be stopped.
   const executor = isBag ? null : status.executor;
   element("executor").hidden = !executor;
   if (!executor) return;
@@ -179,7 +179,7 @@ export function executorPanel({ status, control, isBag }) {
   element("disarm").hidden = executor.state === "dry run" || executor.state === "stopped";
 }
 
-/** The rows of a table by what they are of: they are kept, so that what is open or has the focus stays so. */
+/** The rows of a table by name; kept, so that open details and the focus stay. */
 function rowsOf(table, items, name, begin, update) {
   const body = table.querySelector("tbody");
   table.rowsByName ??= new Map();
@@ -197,9 +197,9 @@ function rowsOf(table, items, name, begin, update) {
 
 export function nodesPanel({ status, isBag }) {
   const panel = element("nodes");
-  // What a node says of a part of itself is shown where it is not well.
+  // Reports about parts of a node are shown only if they are not OK.
   const nodes = status.nodes.filter((node) => node.level > 0 || !node.name.includes(": "));
-  say(panel.querySelector(".missing"), nodes.length ? "" : isBag ? "the bag has nothing on /diagnostics" : "no node has said anything on /diagnostics yet");
+  say(panel.querySelector(".missing"), nodes.length ? "" : isBag ? "the bag has nothing on /diagnostics" : "no node has reported on /diagnostics yet");
   const begin = (node) => {
     const [row, name, text, details] = ["tr", "td", "td", "details"].map((tag) => make(tag));
     name.append(make("span"), node.name.replace(/^\/?wm\//, ""));

@@ -1,12 +1,12 @@
-// Pictures: kept as they came, asked for where they are no longer here, drawn and compared.
+// Pictures: cached, fetched if missing, drawn and compared.
 
 import { key } from "./record.js";
 
-/** Pictures that are kept as they came: half a minute of frames and rollouts. */
+/** The most encoded pictures: half a minute of frames and rollouts. */
 const MOST_BLOBS = 800;
-/** Pictures that are kept decoded. */
+/** The most decoded pictures. */
 const MOST_BITMAPS = 48;
-/** Larger pictures are drawn smaller: no panel is wider. */
+/** Larger pictures are scaled down: no panel is wider. */
 const WIDEST = 1280;
 
 export class Pictures {
@@ -25,7 +25,7 @@ export class Pictures {
     if (this.blobs.size > MOST_BLOBS) this.blobs.delete(this.blobs.keys().next().value);
   }
 
-  /** The picture, decoded; null where nobody has it any more. */
+  /** The decoded picture; null if it has expired. */
   get(label) {
     const name = key(label);
     let bitmap = this.bitmaps.get(name);
@@ -35,7 +35,7 @@ export class Pictures {
       if (this.bitmaps.size > MOST_BITMAPS) {
         const [oldest, old] = this.bitmaps.entries().next().value;
         this.bitmaps.delete(oldest);
-        // Whoever is about to draw it has it by then.
+        // Callers that are about to draw it have it by then.
         setTimeout(() => old.then((picture) => picture?.close()), 2000);
       }
     }
@@ -53,7 +53,7 @@ export class Pictures {
   }
 }
 
-/** A place where pictures are shown: what is wanted last is what is drawn last. */
+/** Shows pictures; the last request is drawn last. */
 export class Screen {
   constructor(figure) {
     this.screen = figure.querySelector(".screen") ?? figure;
@@ -64,14 +64,14 @@ export class Screen {
     this.shown = null;
   }
 
-  /** Shows a picture, which `load` gives; calls `drawn` when it is on the canvas. */
+  /** Shows the picture from `load`; calls `drawn` when it is on the canvas. */
   async show(name, load, drawn = () => {}) {
     if (this.wanted === name) return;
     this.wanted = name;
     const picture = await load();
     if (this.wanted !== name) return;
     if (!picture) {
-      this.blank("this picture is no longer kept");
+      this.blank("this picture has expired");
       this.wanted = name;
       return;
     }
@@ -95,7 +95,7 @@ export class Screen {
     this.say(text);
   }
 
-  /** Says something over the picture; with a picture beneath, that it is old. */
+  /** Shows a text over the picture; a picture under it is marked as old. */
   say(text) {
     if (!this.note) return;
     if (this.note.textContent !== text) this.note.textContent = text;
@@ -104,12 +104,12 @@ export class Screen {
 
   set aspect(ratio) {
     this.screen.style.aspectRatio = ratio;
-    // A predicted picture is of the model's size; it shows what the camera shows.
+    // A predicted picture has the model's size, but the camera's contents.
     this.canvas.style.objectFit = "fill";
   }
 }
 
-/** Which part of a picture of the size `from` becomes which part of one of the size `to`: `Fit::placement` of wm_model. */
+/** Maps a part of a picture of size `from` to a part of one of size `to`: `Fit::placement` of wm_model. */
 export function placement(fit, from, to) {
   const whole = ({ width, height }) => ({ x: 0, y: 0, width, height });
   const inside = (of, shape) => {
@@ -122,14 +122,14 @@ export function placement(fit, from, to) {
   return { source: fit === "crop" ? inside(from, to) : whole(from), target: fit === "pad" ? inside(to, from) : whole(to) };
 }
 
-/** Draws a camera's picture as the model takes it; beside a padded one nothing is drawn. */
+/** Draws a camera's picture as framed for the model; padding stays empty. */
 function drawFramed(context, picture, fit, { width, height }) {
   const { source, target } = placement(fit, picture, { width, height });
   const { x, y } = target;
   context.drawImage(picture, source.x, source.y, source.width, source.height, x, y, target.width, target.height);
 }
 
-/** A camera's picture as the model takes it, at the size of its pictures. */
+/** A camera's picture as framed for the model, at the model's size. */
 export function framed(picture, fit, size) {
   if (!picture || !size) return picture;
   const canvas = new OffscreenCanvas(size.width, size.height);
@@ -141,7 +141,7 @@ export function framed(picture, fit, size) {
 
 const scratch = document.createElement("canvas").getContext("2d", { willReadFrequently: true });
 
-/** Draws |a - b| at b's size, `a` as the model takes it; gives the mean squared difference of the 8-bit values. */
+/** Draws |a - b| at b's size, `a` as framed for the model; returns the mean squared difference of the 8-bit values. */
 function subtract(context, a, b, fit) {
   const { width, height } = b;
   if (context.canvas.width !== width || context.canvas.height !== height) Object.assign(context.canvas, { width, height });
@@ -160,7 +160,7 @@ function subtract(context, a, b, fit) {
 
 const decibel = (mse) => (mse > 0 ? Math.min(60, 10 * Math.log10(65025 / mse)) : 60);
 
-/** Draws how a prediction differs from the real frame; gives PSNR [dB], and that of the held frame where there is one. */
+/** Draws the difference between prediction and real frame; returns PSNR [dB], and that of the held frame if there is one. */
 export function compare(canvas, real, predicted, held, { gain, fit }) {
   const mse = subtract(scratch, real, predicted, fit);
   const { width, height } = predicted;
@@ -176,7 +176,7 @@ export function compare(canvas, real, predicted, held, { gain, fit }) {
 
 const holder = document.createElement("canvas");
 
-/** A picture as the model takes it, at the size that another is compared at. */
+/** A picture as framed for the model, at the size of the comparison. */
 function sized(picture, fit, width, height) {
   Object.assign(holder, { width, height });
   const context = holder.getContext("2d");

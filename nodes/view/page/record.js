@@ -1,5 +1,5 @@
-// What happened: the server's events, by kind and in the order of their stamps. Times are milliseconds since 1970; stamps
-// stay the texts that they came as, since they name pictures.
+// The server's events, by kind and in order of their stamps. Times are milliseconds since 1970; stamps stay texts, since
+// they name pictures.
 
 const milliseconds = (stamp) => Number(stamp) / 1e6;
 
@@ -14,7 +14,7 @@ function lower(items, t) {
   return low;
 }
 
-/** Puts an item in its place, which is nearly always the end. */
+/** Inserts an item in order, nearly always at the end. */
 function insert(items, item) {
   if (!items.length || items[items.length - 1].t <= item.t) items.push(item);
   else items.splice(lower(items, item.t), 0, item);
@@ -26,7 +26,7 @@ function last(items, t) {
   return index > 0 ? items[index - 1] : null;
 }
 
-/** What names a picture. */
+/** The id of a picture. */
 export const key = (label) => `${label.source}/${label.stamp}/${label.observed}/${label.k}`;
 
 const SERIES = ["frames", "predicted", "errors", "plans", "ways", "actions", "chunks", "candidates", "assessments", "goals", "outcomes",
@@ -54,7 +54,7 @@ export class Record {
     switch (event.t) {
       case "picture": {
         const { stamp, observed, k, source } = event;
-        // The stamp of a goal may be of any time, such as a bag's end: it holds from when it came.
+        // A goal's stamp may be any time, such as a bag's end: the goal is valid from its arrival.
         if (source === "goal") t = milliseconds(event.at);
         insert(this[OF_SOURCE[source]], { t, at: milliseconds(event.at), stamp, observed, k, source, from: milliseconds(observed) });
         break;
@@ -75,11 +75,11 @@ export class Record {
     }
   }
 
-  /** Forgets what is older than `from`. */
+  /** Removes events older than `from`. */
   prune(from) {
     for (const name of SERIES) {
       const items = this[name];
-      // A goal holds until the next.
+      // A goal is valid until the next one.
       const keep = name === "goals" || name === "plans" || name === "ways" || name === "outcomes" ? 1 : 0;
       let old = 0;
       while (old < items.length - keep && items[old].t < from) old++;
@@ -91,12 +91,12 @@ export class Record {
     return this.frames[this.frames.length - 1] ?? null;
   }
 
-  /** How far a stamp may be from a moment: an eighth of a step is still that moment, and the next frame is further away. */
+  /** The tolerance of stamps: an eighth of a step; the next frame is further away. */
   get tolerance() {
     return (this.period || 400) / 8;
   }
 
-  /** The frame nearest to `t`; with `exact`, of that moment or none. */
+  /** The frame nearest to `t`; with `exact`, only within the tolerance. */
   frame(t, exact = false) {
     const index = lower(this.frames, t);
     const [before, after] = [this.frames[index - 1], this.frames[index]];
@@ -105,14 +105,14 @@ export class Record {
     return near;
   }
 
-  /** The frame so many frames after this one, with `predicate` if there is one. */
+  /** The frame `by` frames later, among those that satisfy `predicate` if given. */
   step(frame, by, predicate = () => true) {
     let index = lower(this.frames, frame.t) + by;
     while (index >= 0 && index < this.frames.length && !predicate(this.frames[index])) index += Math.sign(by);
     return this.frames[index] ?? null;
   }
 
-  /** The picture that was predicted of the moment `t`, k steps before. */
+  /** The picture of time `t` that was predicted k steps earlier. */
   predictionOf(t, k) {
     let found = null;
     for (let index = lower(this.predicted, t - this.tolerance); index < this.predicted.length; index++) {
@@ -123,7 +123,7 @@ export class Record {
     return found;
   }
 
-  /** The newest frame of which there is a prediction, at or before `t`. */
+  /** The newest frame with a prediction, at or before `t`. */
   newestPair(k, t) {
     for (let index = lower(this.frames, t + 1e-3) - 1; index >= 0 && index > this.frames.length - 400; index--) {
       const picture = this.predictionOf(this.frames[index].t, k);
@@ -137,11 +137,11 @@ export class Record {
     const span = (this.horizon || 64) * (this.period || 400) + this.tolerance;
     let from = -Infinity;
     const end = lower(this.predicted, t + span);
-    // A rollout that is further back than so many pictures is none that is looked at.
+    // Older rollouts are not of interest.
     for (let index = end - 1; index >= 0 && index > end - 1000; index--) {
       const picture = this.predicted[index];
       if (picture.from <= t + 1e-3 && picture.from > from) from = picture.from;
-      // What is predicted of a moment begins before it.
+      // Predictions of a time begin earlier.
       if (picture.t < from) break;
     }
     const steps = new Map();
@@ -153,7 +153,7 @@ export class Record {
     return last(this[name], t);
   }
 
-  /** Where a plan leads in the picture; null where that is not known. */
+  /** A plan's path in the picture; null if unknown. */
   wayOf(plan) {
     const { begin } = plan.actions;
     const way = this.before("ways", milliseconds(begin));
@@ -165,7 +165,7 @@ export class Record {
     return items.slice(lower(items, from), lower(items, to));
   }
 
-  /** Squared error of k=1 over that of the held frame, summed over the 5 s before `t`; null where there is nothing to judge. */
+  /** Squared error of k=1 divided by that of the held frame, summed over the 5 s before `t`; null without data. */
   ratio(t) {
     let [mse, persistence, count] = [0, 0, 0];
     for (const error of this.within("errors", t - 5000, t + 1e-3)) {

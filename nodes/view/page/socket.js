@@ -1,4 +1,4 @@
-// The connection to the node: one WebSocket, made again when it ends.
+// The connection to the node: one WebSocket, reopened when it closes.
 
 const PROTOCOL = "wm.view.v1";
 const SOURCES = ["camera", "predicted", "plan", "candidates", "goal"];
@@ -7,7 +7,7 @@ const HEADER = 28;
 const FIRST_WAIT = 250;
 const LONGEST_WAIT = 2000;
 
-/** The token of the address, which then no longer shows it; that of the last time otherwise. */
+/** Takes the token from the address and hides it there; otherwise returns the stored one. */
 function readToken() {
   const given = new URLSearchParams(location.hash.slice(1)).get("token");
   if (given) {
@@ -17,7 +17,7 @@ function readToken() {
   return sessionStorage.getItem("token");
 }
 
-/** A picture's message: version, source, format and k in a byte each, then the moment, the observation and the arrival. */
+/** A picture's message: version, source, format and k in a byte each, then stamp, observation and arrival. */
 export function parsePicture(buffer) {
   const data = new DataView(buffer);
   if (data.byteLength < HEADER || data.getUint8(0) !== 1) return null;
@@ -52,7 +52,7 @@ export class Connection {
 
   async open() {
     try {
-      // A browser does not tell why it could not open a socket; this does.
+      // Browsers hide why a socket could not be opened; this request shows it.
       const access = await fetch("/access", { headers: this.headers });
       if (!access.ok) {
         this.on.refused(access.status, await access.text());
@@ -74,7 +74,7 @@ export class Connection {
       }
       const message = JSON.parse(data);
       if (message.op === "answer") {
-        // One without a number is to what was no command at all.
+        // A reply without a number belongs to an invalid message.
         if (!message.done) this.on.failed(message.text);
         this.answers.get(message.number)?.(message);
         this.answers.delete(message.number);
@@ -98,7 +98,7 @@ export class Connection {
     this.wait = Math.min(2 * this.wait, LONGEST_WAIT);
   }
 
-  /** Sends a command; gives its answer. */
+  /** Sends a command; returns its reply. */
   ask(command) {
     if (this.socket?.readyState !== WebSocket.OPEN) return Promise.resolve({ done: false, text: "not connected" });
     const number = ++this.number;

@@ -1,11 +1,12 @@
-//! Who may look: hosts, origins and the token.
+//! Access control: hosts, origins and the token.
 //!
-//! The page is served over HTTP on loopback. What a browser could be made to do by other pages is refused: a page of another
-//! origin (by `Origin`), and one whose name was bound to this address afterwards, by DNS rebinding (by `Host`: an address
-//! cannot be rebound, names other than localhost count only where the user has listed them).
+//! The page is served over HTTP on loopback. Two kinds of requests that other pages can make a browser send are
+//! refused: requests of another origin (by `Origin`), and requests to a name that was bound to this address later, by
+//! DNS rebinding (by `Host`). An address cannot be rebound; names other than localhost are accepted only if the user
+//! has listed them.
 //!
-//! Viewers that speak Foxglove's protocol are pages too, of an origin of their own. The origins that may are listed, and may no
-//! more than that: they get neither the page's socket nor its pictures.
+//! Viewers with Foxglove's protocol are pages of other origins. Listed origins may use this protocol, but neither the
+//! page's socket nor its pictures.
 
 use crate::{ViewError, subprotocol};
 use axum::http::{HeaderMap, StatusCode, header};
@@ -15,33 +16,30 @@ use std::{
     path::Path,
 };
 
-/// Before the token, as a further subprotocol: a browser's WebSocket sends no header of the page's choice.
+/// The prefix of the token in a further subprotocol: a page cannot set headers of a browser's WebSocket.
 const TOKEN_PROTOCOL: &str = "wm.token.";
-/// Lengths of a token of the user's.
+/// Lengths of a token that the user chose.
 const TOKEN_LENGTHS: std::ops::RangeInclusive<usize> = 16..=256;
 
-/// Who may look.
 #[derive(Debug)]
 pub struct Access {
     hosts: Vec<String>,
     token: Option<String>,
-    /// Origins of viewers.
     viewers: Vec<String>,
 }
 
-/// Why somebody may not.
+/// Why a request is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Refusal {
-    /// The page was called by a name that is not this host's.
+    /// The request names another host.
     Host,
-    /// The page that asks is another one.
+    /// The request comes from another page.
     Origin,
-    /// No token, or a wrong one.
+    /// The token is missing or wrong.
     Token,
 }
 
 impl Refusal {
-    /// As an HTTP status.
     pub const fn status(self) -> StatusCode {
         match self {
             Self::Host => StatusCode::MISDIRECTED_REQUEST,
@@ -50,7 +48,6 @@ impl Refusal {
         }
     }
 
-    /// In words.
     pub const fn text(self) -> &'static str {
         match self {
             Self::Host => {
@@ -63,7 +60,7 @@ impl Refusal {
 }
 
 impl Access {
-    /// Access under these names beside addresses and localhost; with a token, if there is one.
+    /// Allows these names besides addresses and localhost; requires `token` if given.
     pub fn new(hosts: Vec<String>, token: Option<String>) -> Self {
         Self {
             hosts,
@@ -72,12 +69,12 @@ impl Access {
         }
     }
 
-    /// The same, and viewers of these origins may connect.
+    /// Also allows viewers of these origins.
     ///
     /// # Errors
-    /// One of them is no origin.
+    /// An entry is not an origin.
     pub fn with_viewers(self, viewers: Vec<String>) -> Result<Self, ViewError> {
-        // Of a file there is no authority.
+        // files have no authority
         let is_origin = |text: &String| {
             let parts = text.split_once("://");
             parts.is_some_and(|(scheme, rest)| !scheme.is_empty() && !rest.contains('/'))
@@ -88,10 +85,10 @@ impl Access {
         }
     }
 
-    /// That a request is to this host, and of its own page or of a viewer that may connect.
+    /// Checks that a request names this host and comes from its own page or an allowed viewer.
     ///
     /// # Errors
-    /// It is not.
+    /// It does not.
     pub fn check_viewer(&self, headers: &HeaderMap) -> Result<(), Refusal> {
         let origin = headers.get(header::ORIGIN);
         let is_listed = origin
@@ -106,17 +103,17 @@ impl Access {
         }
     }
 
-    /// That a request is to this host, and of its own page.
+    /// Checks that a request names this host and comes from its own page.
     ///
     /// # Errors
-    /// It is not.
+    /// It does not.
     pub fn check_origin(&self, headers: &HeaderMap) -> Result<(), Refusal> {
         let text = |name| headers.get(name).map(|value| value.to_str().unwrap_or(""));
         let host = text(header::HOST).ok_or(Refusal::Host)?;
         if !self.is_own(name_of(host)) {
             return Err(Refusal::Host);
         }
-        // Programs that are no browsers send none.
+        // programs other than browsers send no origin
         let Some(origin) = text(header::ORIGIN) else {
             return Ok(());
         };
@@ -128,11 +125,11 @@ impl Access {
         }
     }
 
-    /// That a request has the token, as `Authorization: Bearer` or as a subprotocol; where there is a `query`, also as its
-    /// `token=`, since the user of a viewer can give it nothing but an address.
+    /// Checks the token, as `Authorization: Bearer` or as a subprotocol. `query`: also as `token=` there, for viewers
+    /// whose user can only give an address.
     ///
     /// # Errors
-    /// It has none, or a wrong one.
+    /// It is missing or wrong.
     pub fn check_token(&self, headers: &HeaderMap, query: Option<&str>) -> Result<(), Refusal> {
         let Some(token) = &self.token else {
             return Ok(());
@@ -165,14 +162,14 @@ impl Access {
     pub fn url(&self, address: SocketAddr) -> String {
         let mut shown = address;
         if address.ip().is_unspecified() {
-            // Nobody can open that one; from this host, this one can be.
+            // the unspecified address cannot be opened; loopback can, on this host
             shown.set_ip(match address.ip() {
                 IpAddr::V4(_) => [127, 0, 0, 1].into(),
                 IpAddr::V6(_) => Ipv6Addr::LOCALHOST.into(),
             });
         }
         match &self.token {
-            // Behind #: browsers keep that to themselves.
+            // browsers do not send the part after #
             Some(token) => format!("http://{shown}/#token={token}"),
             None => format!("http://{shown}/"),
         }
@@ -187,17 +184,17 @@ fn name_of(host: &str) -> &str {
     host.split_once(':').map_or(host, |(name, _)| name)
 }
 
-/// Compares in a time that does not tell where the texts differ.
+/// Compares in constant time.
 fn is_same(given: &str, token: &str) -> bool {
     let pairs = given.bytes().zip(token.bytes());
     let differing = pairs.fold(0, |all, (a, b)| all | (a ^ b));
     given.len() == token.len() && std::hint::black_box(differing) == 0
 }
 
-/// The token for a page on this address: that of a file, or, where others than this host could reach it, a new one.
+/// The token for a page on this address: from the file or, if other hosts can reach the address, a new one.
 ///
 /// # Errors
-/// The file cannot be read, or holds no token.
+/// The file cannot be read, or contains no token.
 pub fn token(address: IpAddr, file: &Path) -> Result<Option<String>, ViewError> {
     if file.as_os_str().is_empty() {
         return Ok((!address.is_loopback()).then(new_token));
@@ -217,11 +214,11 @@ pub fn token(address: IpAddr, file: &Path) -> Result<Option<String>, ViewError> 
     })
 }
 
-/// 128 bits that nobody can guess.
+/// 128 random bits.
 fn new_token() -> String {
     let bytes: [u8; 16] = rand::random();
     bytes.iter().fold(String::new(), |mut text, byte| {
-        // Writing to a text cannot fail.
+        // writing to a text cannot fail
         let _ = write!(text, "{byte:02x}");
         text
     })
@@ -274,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn only_the_pages_own_origin_may_ask() {
+    fn only_the_pages_own_origin_is_accepted() {
         let host = "127.0.0.1:8765";
         assert_eq!(of(host, Some("http://127.0.0.1:8765")), Ok(()));
         for origin in [
@@ -289,7 +286,7 @@ mod tests {
     }
 
     #[test]
-    fn a_viewers_origin_may_ask_where_it_is_listed() {
+    fn listed_viewer_origins_are_accepted() {
         let listed = ["file://", "https://app.foxglove.dev"].map(str::to_owned);
         let access = Access::new(Vec::new(), None)
             .with_viewers(listed.to_vec())
@@ -321,7 +318,7 @@ mod tests {
     }
 
     #[test]
-    fn the_token_comes_as_header_or_subprotocol() {
+    fn token_is_accepted_as_header_or_subprotocol() {
         let access = Access::new(Vec::new(), Some("secret-secret-secret".to_owned()));
         let check =
             |name: HeaderName, value: &str| access.check_token(&headers(&[(name, value)]), None);
@@ -363,7 +360,7 @@ mod tests {
     }
 
     #[test]
-    fn beyond_loopback_there_is_always_a_token() {
+    fn token_is_required_beyond_loopback() {
         let none = Path::new("");
         assert_eq!(token([127, 0, 0, 1].into(), none).unwrap(), None);
         let first = token([0, 0, 0, 0].into(), none).unwrap().unwrap();

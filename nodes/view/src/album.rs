@@ -9,23 +9,23 @@ use std::{
 /// How long pictures are kept \[ns\].
 pub const SPAN_NS: i64 = 60_000_000_000;
 
-/// Pictures of one kind: of a source, and of predictions of a step k.
+/// The source of a picture, and the step k of a predicted one.
 pub type Kind = (Source, u8);
 
-/// Pictures by when they came, bounded by age and bytes.
+/// Pictures by arrival, bounded by age and bytes.
 #[derive(Debug)]
 pub struct Album {
     /// With the time of arrival \[ns\].
     kept: VecDeque<(i64, Arc<Picture>)>,
     bytes: usize,
     limit: usize,
-    /// With the number of the arrival, by which a client knows what it has.
+    /// With the number of the arrival, by which clients track what they have.
     newest: BTreeMap<Kind, (u64, Arc<Picture>)>,
     arrivals: u64,
 }
 
 impl Album {
-    /// One of at most `limit` bytes.
+    /// Keeps at most `limit` bytes.
     pub fn new(limit: usize) -> Self {
         Self {
             kept: VecDeque::new(),
@@ -36,7 +36,7 @@ impl Album {
         }
     }
 
-    /// Takes a picture that came at `now_ns`; the oldest make room.
+    /// Adds a picture that arrived at `now_ns`, and drops the oldest.
     pub fn add(&mut self, picture: Arc<Picture>, now_ns: i64) {
         self.arrivals += 1;
         let kind = (picture.label.source, picture.label.step);
@@ -44,7 +44,7 @@ impl Album {
             .insert(kind, (self.arrivals, Arc::clone(&picture)));
         self.bytes += picture.len();
         self.kept.push_back((now_ns, picture));
-        // A clock that jumps back leaves pictures of the future, which age like others from then on.
+        // after the clock jumps back, pictures of the future age like others from then on
         let is_old = |then_ns: i64| now_ns.saturating_sub(then_ns) > SPAN_NS;
         while let Some((then_ns, _)) = self.kept.front()
             && (self.bytes > self.limit || is_old(*then_ns))
@@ -54,16 +54,17 @@ impl Album {
         }
     }
 
-    /// The picture of this label, if it is still here.
+    /// The picture of this label, if kept.
     pub fn find(&self, label: &Label) -> Option<&Arc<Picture>> {
         let is_it = |picture: &&Arc<Picture>| picture.label == *label;
         let mut pictures = self.kept.iter().rev().map(|(_, picture)| picture);
-        // A goal is set once and holds: its picture may be older than those that are kept.
+        // a goal stays valid: its picture may be older than the kept ones
         let newest = || self.newest.values().map(|(_, picture)| picture).find(is_it);
         pictures.find(is_it).or_else(newest)
     }
 
-    /// Of the newest of each kind, the one that came first after those that `has` says a client has.
+    /// The newest pictures that a client lacks: returns the one that arrived first. `has`: the client's newest number
+    /// of each kind.
     pub fn next(&self, has: &BTreeMap<Kind, u64>) -> Option<(Kind, u64, &Arc<Picture>)> {
         let is_new = |(kind, (number, _)): &(&Kind, &(u64, Arc<Picture>))| {
             has.get(kind).is_none_or(|had| had < number)
@@ -73,12 +74,11 @@ impl Album {
         Some((*kind, *number, picture))
     }
 
-    /// Bytes that are kept.
     pub fn bytes(&self) -> usize {
         self.bytes
     }
 
-    /// From the oldest picture to the newest \[ns\].
+    /// Time between the oldest and the newest picture \[ns\].
     pub fn span_ns(&self) -> i64 {
         match (self.kept.front(), self.kept.back()) {
             (Some((first, _)), Some((last, _))) => last.saturating_sub(*first).max(0),
@@ -112,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn a_goal_stays_when_its_minute_is_over() {
+    fn goal_outlives_its_minute() {
         let mut album = Album::new(1 << 20);
         add(&mut album, Label::of(Source::Goal, 1), 0);
         add(&mut album, Label::of(Source::Camera, 2), 2 * SPAN_NS);
@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn a_client_gets_the_newest_of_each_kind_in_the_order_of_arrival() {
+    fn client_gets_the_newest_of_each_kind_in_order() {
         let mut album = Album::new(1 << 20);
         let predicted = |step, stamp_ns| Label {
             source: Source::Predicted,

@@ -1,10 +1,10 @@
-//! A recorded bag in place of live topics: all its events, and its pictures when they are looked at.
+//! A recorded bag instead of live topics. Reads all events; reads pictures on request.
 
 use crate::{
     picture::{Label, Picture, Source},
     server::Shared,
-    state::{Left, State, Topic},
-    status::Heard,
+    state::{DropReason, State, Topic},
+    status::InputTopic,
 };
 use anyhow::Result;
 use std::{
@@ -14,7 +14,7 @@ use std::{
 };
 use tokio::sync::Semaphore;
 use wm_bag::{BagError, BagMessage, BagReader};
-use wm_camera::{camera_frame::CameraFrame, camera_info::topic_beside};
+use wm_camera::{camera_frame::CameraFrame, camera_info::info_topic};
 use wm_msgs::{
     diagnostic_msgs::DiagnosticArray,
     sensor_msgs::CameraInfo,
@@ -27,55 +27,53 @@ use wm_msgs::{
     },
 };
 
-/// Pictures that are read at a time: each takes a chunk of the bag in memory.
+/// Pictures read at a time: each needs a chunk of the bag in memory.
 const READERS: usize = 2;
-/// After so many messages clients are told what was found.
+/// Clients are notified after so many messages.
 const STRIDE: usize = 500;
 
-/// The topics of tf.
 const TRANSFORMS: &str = "/tf";
 const STATIC_TRANSFORMS: &str = "/tf_static";
-/// Of a node in the suite's namespace.
+/// From the suite's namespace.
 const FIT: &str = "/wm/predicted/fit";
 
-/// A bag that is shown.
 pub struct Bag {
     reader: BagReader,
     topics: BTreeMap<String, Topic>,
-    /// Where it is told how the camera sees.
+    /// The topic of the camera's calibration.
     camera_info: String,
     places: Mutex<HashMap<Label, Place>>,
     readers: Semaphore,
 }
 
-/// Where a picture is.
+/// The position of a picture.
 #[derive(Clone, Debug)]
 struct Place {
     topic: Arc<str>,
     log_time_ns: u64,
 }
 
-/// What a message could not be used for.
+/// Why a message is skipped.
 #[derive(Debug, thiserror::Error)]
 enum Unusable {
     #[error(transparent)]
     Bag(#[from] BagError),
     #[error("{}", .0.text())]
-    Left(Left),
+    Dropped(DropReason),
 }
 
-impl From<Left> for Unusable {
-    fn from(left: Left) -> Self {
-        Self::Left(left)
+impl From<DropReason> for Unusable {
+    fn from(left: DropReason) -> Self {
+        Self::Dropped(left)
     }
 }
 
 impl Bag {
-    /// Opens the bag at `path`, and looks in it for these topics.
+    /// Opens the bag at `path`, and finds these topics.
     ///
     /// # Errors
     /// It cannot be read.
-    pub fn open(path: &Path, heard: &[Heard]) -> Result<Self, BagError> {
+    pub fn open(path: &Path, heard: &[InputTopic]) -> Result<Self, BagError> {
         let reader = BagReader::open(path)?;
         for warning in reader.warnings() {
             tracing::warn!("{warning}");
@@ -86,7 +84,7 @@ impl Bag {
                 .is_some_and(|topic| topic.message_count > 0)
         };
         let mut topics = BTreeMap::new();
-        for Heard { topic, name, .. } in heard {
+        for InputTopic { topic, name, .. } in heard {
             let compressed = format!("{name}/compressed");
             let is_picture = Source::ALL
                 .into_iter()
@@ -98,9 +96,9 @@ impl Bag {
             }
         }
         let camera = heard.iter().find(|heard| heard.topic == Topic::Camera);
-        let camera_info = camera.map(|camera| topic_beside(&camera.name));
+        let camera_info = camera.map(|camera| info_topic(&camera.name));
         let camera_info = camera_info.unwrap_or_default();
-        // Goals of other kinds have a topic of their own, which counts as the same.
+        // goals of another kind have a topic of their own, which counts as the same
         if let Some((name, _)) = topics.iter().find(|(_, topic)| **topic == Topic::Goal) {
             let name = name
                 .trim_end_matches("/compressed")
@@ -116,17 +114,16 @@ impl Bag {
         })
     }
 
-    /// What to call it.
     pub fn name(&self) -> String {
         self.reader.path().display().to_string()
     }
 
-    /// No invariant spans the lock.
+    /// no invariant spans the lock
     fn places(&self) -> MutexGuard<'_, HashMap<Label, Place>> {
         self.places.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Reads all of it, and tells the clients of what it finds on the way. It takes as long as reading the file.
+    /// Reads the whole bag and notifies the clients meanwhile.
     pub fn read(&self, shared: &Shared) {
         let mut unusable: BTreeMap<String, (u64, String)> = BTreeMap::new();
         let scene = [&*self.camera_info, TRANSFORMS, STATIC_TRANSFORMS, FIT];
@@ -149,13 +146,14 @@ impl Bag {
             }
         }
         for (topic, (number, reason)) in unusable {
-            tracing::warn!("{topic}: {number} messages are left out: {reason}");
+            tracing::warn!("{topic}: {number} messages are skipped: {reason}");
         }
         shared.renew_status();
         shared.wake();
     }
 
     fn tell(&self, state: &mut State, message: &BagMessage) -> Result<(), Unusable> {
+        // log times beyond the year 2262 are invalid
         let now_ns = i64::try_from(message.log_time_ns).unwrap_or(i64::MAX);
         let Some(topic) = self.topics.get(&*message.topic) else {
             return self.place(state, message);
@@ -188,7 +186,7 @@ impl Bag {
         Ok(())
     }
 
-    /// What says where things are in the picture.
+    /// Takes messages about positions in the picture.
     fn place(&self, state: &mut State, message: &BagMessage) -> Result<(), Unusable> {
         let scene = &mut state.scene;
         match &*message.topic {
@@ -219,16 +217,16 @@ impl Bag {
         Ok(())
     }
 
-    /// Reads a picture; none where the bag has no such picture.
+    /// Reads a picture; `None` if the bag does not have it.
     ///
     /// # Errors
-    /// What is wrong with the bag there, in words.
+    /// The fault of the bag, as text.
     pub async fn picture(self: Arc<Self>, label: Label) -> Result<Option<Arc<Picture>>, String> {
         let Some(place) = self.places().get(&label).cloned() else {
             return Ok(None);
         };
         let bag = Arc::clone(&self);
-        // It is never closed.
+        // it is never closed
         let _reading = self
             .readers
             .acquire()

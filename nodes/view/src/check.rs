@@ -1,15 +1,14 @@
-//! Checks that are possible before anything starts.
+//! Checks before the start.
 
-use crate::{NODE, ViewError, node::PORT};
+use crate::{NODE, ViewError, parameters::PORT};
 use anyhow::Result;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener};
 use wm_ros::{NAMESPACE, NodeArgs};
 
-/// Whether a view with these arguments can have its port at present: a launch that starts it again and again would only
-/// repeat that it cannot.
+/// Checks that the view's port is free: a launch would otherwise restart it in vain.
 ///
 /// # Errors
-/// As the view would say it.
+/// The view's own error.
 pub fn check(args: &NodeArgs) -> Result<()> {
     let ip = match args.given::<String>(NODE.name, NAMESPACE, "address")? {
         Some(address) => match address.parse() {
@@ -19,7 +18,7 @@ pub fn check(args: &NodeArgs) -> Result<()> {
         None => IpAddr::V4(Ipv4Addr::LOCALHOST),
     };
     let port = args.given::<i64>(NODE.name, NAMESPACE, "port")?;
-    // The view names a number that is no port.
+    // an invalid port is the view's own error
     let Ok(port) = port.map_or(Ok(PORT), u16::try_from) else {
         return Ok(());
     };
@@ -33,7 +32,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_port_that_is_taken_is_named() {
+    fn error_names_a_taken_port() {
         let taken = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
         let port = taken.local_addr().unwrap().port();
         let check = |port: u16| {

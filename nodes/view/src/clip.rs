@@ -1,18 +1,14 @@
-//! Texts and lists of others are cut before they are kept: what the state holds is bounded by its limits, not by what comes.
+//! Cuts texts and lists from outside before they are kept, so that the state is bounded.
 
-/// The first `limit` bytes of a text, cut between characters; what was cut off shows as an ellipsis.
+/// The first `limit` bytes of a text, cut between characters; an ellipsis marks the cut.
 pub fn text(text: &str, limit: usize) -> String {
     if text.len() <= limit {
         return text.to_owned();
     }
-    let end = (0..=limit)
-        .rev()
-        .find(|end| text.is_char_boundary(*end))
-        .unwrap_or(0);
-    format!("{}…", text.get(..end).unwrap_or_default())
+    let (start, _) = text.split_at(text.floor_char_boundary(limit));
+    format!("{start}…")
 }
 
-/// The first `limit` of a list.
 pub fn list<T: Clone>(list: &[T], limit: usize) -> Vec<T> {
     list.iter().take(limit).cloned().collect()
 }

@@ -1,23 +1,24 @@
-//! What a client may ask for.
+//! Commands of clients.
 
 use crate::picture::{Label, Source};
 use serde_json::{Map, Value};
 use std::fmt;
 use thiserror::Error;
 
-/// What the page may do beyond looking.
+/// What the page may do besides showing data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Permission {
-    /// Nothing, except to stop the executor: that only ever takes motion away.
+    /// Only stop the executor, which only reduces motion.
     Nothing,
-    /// Set goals, choose candidates and reset the nodes' histories. Where the executor is armed, the arm may move by it.
+    /// Also set goals, choose candidates and reset the nodes' histories. If the executor is armed, this may move the
+    /// arm.
     Goals,
-    /// Arm the executor too.
+    /// Also arm the executor.
     All,
 }
 
 impl Permission {
-    /// As the page is told.
+    /// As sent to the page.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Nothing => "none",
@@ -27,50 +28,45 @@ impl Permission {
     }
 }
 
-/// A command of a client.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Command {
-    /// Predictor, planner and evaluator forget what they observed.
+    /// Clears the histories of predictor, planner and evaluator.
     Reset,
-    /// A picture that was seen becomes the goal.
+    /// A shown picture becomes the goal.
     Goal(Label),
-    /// A candidate is what the policy is going to do.
+    /// A candidate becomes the policy's next action chunk.
     Choose { stamp: i64, index: usize },
-    /// The executor may send commands, or no longer.
+    /// Arms or disarms the executor.
     Arm { armed: bool },
     /// Emergency stop of the executor.
     Stop,
-    /// The emergency stop is over; the executor is not armed.
+    /// Ends the emergency stop; the executor stays disarmed.
     Release,
 }
 
-/// What can be asked for.
 const OPERATIONS: &str = "reset, goal, choose, arm, stop or release";
-/// How times are written: JavaScript's numbers do not hold them.
+/// JavaScript's numbers do not hold times.
 const STAMP: &str = "a time in ns as a text, such as \"1732000000123456789\"";
-/// Characters of a value of a client's that an answer repeats.
+/// The most characters of a client's value that a reply repeats.
 const LONGEST_QUOTE: usize = 40;
 
-/// Why a message of a client is no command. Each text names the operation and the field, what was expected and what came.
+/// Why a message is not a command. Each text names the operation and the field, the expected and the found value.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
-pub enum Malformed {
-    /// No JSON, or none of this shape.
+pub enum CommandError {
+    /// Not JSON, or of another shape.
     #[error("not a command: {0}; expected {{\"number\":1,\"command\":{{\"op\":\"stop\"}}}}")]
     Shape(String),
-    /// The command says no operation.
     #[error("the command has no \"op\"; expected {OPERATIONS}")]
     NoOperation,
-    /// There is no such operation.
     #[error("the command's \"op\" is {0}; expected {OPERATIONS}")]
     Operation(String),
-    /// A field is missing.
     #[error("op \"{op}\": the field \"{field}\" is missing; expected {expected}")]
     Missing {
         op: &'static str,
         field: &'static str,
         expected: &'static str,
     },
-    /// A field has another value.
+    /// A field has an invalid value.
     #[error("op \"{op}\": the field \"{field}\" is {came}; expected {expected}")]
     Value {
         op: &'static str,
@@ -78,12 +74,12 @@ pub enum Malformed {
         came: String,
         expected: &'static str,
     },
-    /// A field that the operation does not have: it may have been meant to change what is done.
+    /// The operation has no such field; it might change the meaning.
     #[error("op \"{op}\" has no field {field}")]
     Field { op: &'static str, field: String },
 }
 
-/// A value of a client's, as an answer repeats it.
+/// A client's value as replies repeat it.
 fn quoted(value: &Value) -> String {
     let text = value.to_string();
     match text.char_indices().nth(LONGEST_QUOTE) {
@@ -92,27 +88,27 @@ fn quoted(value: &Value) -> String {
     }
 }
 
-/// The fields of a command that are not taken yet.
+/// The fields of a command that were not read yet.
 struct Fields {
     op: &'static str,
     left: Map<String, Value>,
 }
 
 impl Fields {
-    /// Takes a field, of which `read` makes a value if it is what is expected.
+    /// Reads a field; `read` returns `None` for unexpected values.
     fn take<T>(
         &mut self,
         field: &'static str,
         expected: &'static str,
         read: impl FnOnce(&Value) -> Option<T>,
-    ) -> Result<T, Malformed> {
+    ) -> Result<T, CommandError> {
         let op = self.op;
-        let value = self.left.remove(field).ok_or(Malformed::Missing {
+        let value = self.left.remove(field).ok_or(CommandError::Missing {
             op,
             field,
             expected,
         })?;
-        read(&value).ok_or_else(|| Malformed::Value {
+        read(&value).ok_or_else(|| CommandError::Value {
             op,
             field,
             came: quoted(&value),
@@ -120,14 +116,14 @@ impl Fields {
         })
     }
 
-    fn stamp(&mut self, field: &'static str) -> Result<i64, Malformed> {
+    fn stamp(&mut self, field: &'static str) -> Result<i64, CommandError> {
         self.take(field, STAMP, |value| value.as_str()?.parse().ok())
     }
 
-    fn nothing_else(self) -> Result<(), Malformed> {
+    fn nothing_else(self) -> Result<(), CommandError> {
         match self.left.keys().next() {
             None => Ok(()),
-            Some(field) => Err(Malformed::Field {
+            Some(field) => Err(CommandError::Field {
                 op: self.op,
                 field: quoted(&Value::from(field.as_str())),
             }),
@@ -135,11 +131,11 @@ impl Fields {
     }
 }
 
-/// As the log tells it.
+/// For the log.
 impl fmt::Display for Command {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Reset => f.write_str("reset what predictor, planner and evaluator observed"),
+            Self::Reset => f.write_str("reset the histories of predictor, planner and evaluator"),
             Self::Goal(label) => write!(
                 f,
                 "set as goal the picture {} of {} ns",
@@ -156,7 +152,7 @@ impl fmt::Display for Command {
 }
 
 impl Command {
-    /// What has to be permitted for it.
+    /// The required permission.
     pub const fn needs(&self) -> Permission {
         match self {
             Self::Stop | Self::Arm { armed: false } => Permission::Nothing,
@@ -165,15 +161,15 @@ impl Command {
         }
     }
 
-    fn parse(command: Value) -> Result<Self, Malformed> {
+    fn parse(command: Value) -> Result<Self, CommandError> {
         let Value::Object(mut left) = command else {
             let came = quoted(&command);
-            return Err(Malformed::Shape(format!("\"command\" is {came}")));
+            return Err(CommandError::Shape(format!("\"command\" is {came}")));
         };
-        let named = left.remove("op").ok_or(Malformed::NoOperation)?;
+        let named = left.remove("op").ok_or(CommandError::NoOperation)?;
         let names = ["reset", "goal", "choose", "arm", "stop", "release"];
         let op = names.into_iter().find(|name| named == **name);
-        let op = op.ok_or_else(|| Malformed::Operation(quoted(&named)))?;
+        let op = op.ok_or_else(|| CommandError::Operation(quoted(&named)))?;
         let mut fields = Fields { op, left };
         let command = match op {
             "reset" => Self::Reset,
@@ -206,7 +202,7 @@ impl Command {
     }
 }
 
-/// A command with the number that its answer bears.
+/// A command with the number of its reply.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Numbered {
     pub number: u32,
@@ -214,12 +210,12 @@ pub struct Numbered {
 }
 
 impl Numbered {
-    /// What a client has sent.
+    /// Parses a client's message.
     ///
     /// # Errors
-    /// What is wrong with it, and its number if it has one.
-    pub fn parse(text: &str) -> Result<Self, (Option<u32>, Malformed)> {
-        let shape = |reason: String| (None, Malformed::Shape(reason));
+    /// The fault, and the number if there is one.
+    pub fn parse(text: &str) -> Result<Self, (Option<u32>, CommandError)> {
+        let shape = |reason: String| (None, CommandError::Shape(reason));
         let message = serde_json::from_str(text).map_err(|error| shape(error.to_string()))?;
         let Value::Object(mut message) = message else {
             return Err(shape(format!("it is {}", quoted(&message))));
@@ -232,12 +228,12 @@ impl Numbered {
                 .ok_or_else(|| shape(format!("\"number\" is {}", quoted(&number))))?,
         };
         let numbered = |malformed| (Some(number), malformed);
-        let missing = || numbered(Malformed::Shape("\"command\" is missing".to_owned()));
+        let missing = || numbered(CommandError::Shape("\"command\" is missing".to_owned()));
         let command = message.remove("command").ok_or_else(missing)?;
         if let Some(field) = message.keys().next() {
             let field = quoted(&Value::from(field.as_str()));
             let reason = format!("{field} is no part of it");
-            return Err(numbered(Malformed::Shape(reason)));
+            return Err(numbered(CommandError::Shape(reason)));
         }
         let command = Command::parse(command).map_err(numbered)?;
         Ok(Self { number, command })
@@ -249,12 +245,12 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn read(command: &str) -> Result<Numbered, (Option<u32>, Malformed)> {
+    fn read(command: &str) -> Result<Numbered, (Option<u32>, CommandError)> {
         Numbered::parse(&format!("{{\"number\":7,\"command\":{command}}}"))
     }
 
     #[test]
-    fn commands_are_read_and_need_what_they_do() {
+    fn commands_are_parsed_with_their_permission() {
         let expected = [
             (r#"{"op":"stop"}"#, Permission::Nothing),
             (r#"{"op":"arm","armed":false}"#, Permission::Nothing),
@@ -281,7 +277,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_with_a_command_is_named_with_its_operation_and_field() {
+    fn command_errors_name_operation_and_field() {
         let cases = [
             (
                 r#"{"op":"arm"}"#,
@@ -347,7 +343,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_message_of_this_shape_is_answered_without_a_number() {
+    fn malformed_messages_are_answered_without_a_number() {
         let cases = [
             ("[]", "it is []"),
             ("{}", "\"number\" is missing"),
@@ -358,7 +354,7 @@ mod tests {
             let (number, malformed) = Numbered::parse(text).unwrap_err();
             assert_eq!(
                 (number, malformed),
-                (None, Malformed::Shape(reason.to_owned()))
+                (None, CommandError::Shape(reason.to_owned()))
             );
         }
         let (number, malformed) = Numbered::parse(r#"{"number":7}"#).unwrap_err();

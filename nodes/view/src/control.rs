@@ -1,4 +1,4 @@
-//! What commands do to the other nodes.
+//! Executes commands on other nodes.
 
 use crate::{
     command::{Command, Permission},
@@ -15,21 +15,21 @@ use wm_msgs::{
 };
 use wm_ros::{Client, Error, Node, Publisher, Qos};
 
-/// How long a node may take to answer.
+/// How long a node may take to reply.
 const ANSWER_LIMIT: Duration = Duration::from_secs(3);
-/// How long a service is looked for: those of nodes that run have been found long before.
+/// How long to search a service: running nodes were discovered earlier.
 const SEARCH_LIMIT: Duration = Duration::from_secs(1);
-/// The nodes that have a history to forget.
+/// Nodes with a history.
 const HISTORIES: [&str; 3] = ["predictor", "planner", "evaluator"];
 
-/// The ways to the other nodes, as far as they are permitted.
+/// Publishers and clients for the permitted commands.
 pub struct Control {
     node: Node,
     steering: Option<Steering>,
     executor: Option<Arc<ExecutorClients>>,
 }
 
-/// For what needs [`Permission::Goals`].
+/// For [`Permission::Goals`].
 struct Steering {
     goals: Publisher<CompressedImage>,
     chunks: Publisher<ActionChunk>,
@@ -42,14 +42,14 @@ struct ExecutorClients {
     release: Client<Trigger>,
 }
 
-/// How a command went, in words.
+/// The result of a command, as text.
 pub type Answer = Result<String, String>;
 
 impl Control {
-    /// What is permitted, and no more: a view that may only look publishes nothing.
+    /// Creates only what is permitted: without permission, the view publishes nothing.
     ///
     /// # Errors
-    /// The graph refuses.
+    /// An endpoint cannot be created.
     pub fn new(node: &Node, permission: Permission) -> Result<Self, Error> {
         let steering = (permission >= Permission::Goals).then(|| Steering::new(node));
         Ok(Self {
@@ -59,10 +59,10 @@ impl Control {
         })
     }
 
-    /// There is an executor.
+    /// An executor was discovered.
     ///
     /// # Errors
-    /// The graph refuses.
+    /// An endpoint cannot be created.
     pub fn meet_executor(&mut self) -> Result<(), Error> {
         if self.executor.is_none() {
             self.executor = Some(Arc::new(ExecutorClients {
@@ -74,7 +74,7 @@ impl Control {
         Ok(())
     }
 
-    /// Begins with a command, whose permission was checked; what is left of it waits for other nodes.
+    /// Executes a command whose permission was checked. The returned future waits for other nodes.
     pub fn run(
         &self,
         command: Command,
@@ -83,7 +83,7 @@ impl Control {
         let (executor, shared) = (self.executor.clone(), Arc::clone(shared));
         let steering = self.steering.as_ref();
         let resets = steering.map(|steering| Arc::clone(&steering.resets));
-        // Published from here, where the publishers are; what a goal takes was looked up by then.
+        // published here, where the publishers are; the goal's picture was found before
         let published = match &command {
             Command::Choose { stamp, index } => Some(self.choose(&shared, *stamp, *index)),
             Command::Goal(label) => {
@@ -112,14 +112,14 @@ impl Control {
 
     fn set_goal(&self, picture: Option<&Picture>) -> Answer {
         let steering = self.steering()?;
-        let picture = picture.ok_or("this picture is no longer kept")?;
+        let picture = picture.ok_or("this picture has expired")?;
         let format = match picture.format {
             Format::Jpeg => "jpeg",
             Format::Png => "png",
         };
         let goal = CompressedImage {
             header: Header {
-                // When the goal was set, which plans repeat.
+                // the time at which the goal was set; plans repeat it
                 stamp: self.node.now(),
                 frame_id: picture.frame_id.clone(),
             },
@@ -132,7 +132,7 @@ impl Control {
             .publish(&goal)
             .map_err(|error| error.to_string())?;
         Ok(match steering.goals.subscribers() {
-            0 => format!("published on {topic}, but nobody hears it"),
+            0 => format!("published on {topic}, but has no subscriber"),
             _ => "the goal is set".to_owned(),
         })
     }
@@ -162,7 +162,7 @@ impl Steering {
         let reset = |name: &'static str| Ok((name, node.client(&format!("{name}/reset"))?));
         let resets: Result<Vec<_>, Error> = HISTORIES.into_iter().map(reset).collect();
         Ok(Self {
-            // Latched: a planner that is started again finds the goal.
+            // latched, so that a restarted planner gets the goal
             goals: node.publisher("goal/image/compressed", Qos::latched(1))?,
             chunks: node.publisher("action_chunk", Qos::reliable(10))?,
             resets: resets?.into(),
@@ -170,27 +170,27 @@ impl Steering {
     }
 }
 
-/// The answer of a service that must be there.
-async fn ask<S: wm_msgs::Service>(
+/// Calls a service that must exist.
+async fn call<S: wm_msgs::Service>(
     client: &Client<S>,
     request: &S::Request,
 ) -> Result<S::Response, String> {
     let found = tokio::time::timeout(SEARCH_LIMIT, client.wait_for_service()).await;
-    found.map_err(|_| format!("{} is not there", client.name()))?;
+    found.map_err(|_| format!("{} does not exist", client.name()))?;
     let answer = tokio::time::timeout(ANSWER_LIMIT, client.call(request)).await;
     answer
-        .map_err(|_| format!("{} does not answer", client.name()))?
+        .map_err(|_| format!("{} does not reply", client.name()))?
         .map_err(|error| error.to_string())
 }
 
-/// Resets all nodes that run.
+/// Resets all running nodes.
 async fn reset(resets: &[(&'static str, Client<Reset>)]) -> Answer {
     let request = ResetRequest {
         keep_seed: true,
         ..ResetRequest::default()
     };
     let one =
-        async |(name, client): &(&'static str, Client<Reset>)| match ask(client, &request).await {
+        async |(name, client): &(&'static str, Client<Reset>)| match call(client, &request).await {
             Ok(answer) => (answer.success, format!("{name}: {}", answer.message)),
             Err(reason) => (false, reason),
         };
@@ -204,9 +204,9 @@ async fn reset(resets: &[(&'static str, Client<Reset>)]) -> Answer {
 impl ExecutorClients {
     async fn run(&self, command: &Command) -> Answer {
         let outcome: Outcome = match command {
-            Command::Arm { armed } => ask(&self.arm, &SetBoolRequest { data: *armed }).await?,
-            Command::Stop => ask(&self.stop, &TriggerRequest::default()).await?,
-            Command::Release => ask(&self.release, &TriggerRequest::default()).await?,
+            Command::Arm { armed } => call(&self.arm, &SetBoolRequest { data: *armed }).await?,
+            Command::Stop => call(&self.stop, &TriggerRequest::default()).await?,
+            Command::Release => call(&self.release, &TriggerRequest::default()).await?,
             Command::Reset | Command::Goal(_) | Command::Choose { .. } => {
                 return Err("not a command for the executor".to_owned());
             }

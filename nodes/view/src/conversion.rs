@@ -1,4 +1,4 @@
-//! Raw images are encoded on other threads, in the order in which they came.
+//! Encodes raw images on other threads, in order of arrival.
 
 use crate::picture::{Label, Picture, PictureError, Source};
 use futures::{StreamExt as _, stream::FuturesOrdered};
@@ -6,17 +6,17 @@ use std::collections::BTreeMap;
 use tokio::task::JoinHandle;
 use wm_camera::camera_frame::CameraFrame;
 
-/// A picture or why there is none, and when the image came \[ns\].
-pub type Converted = (Label, i64, Result<Picture, PictureError>);
+/// A picture or its error, and the image's arrival \[ns\].
+pub type Conversion = (Label, i64, Result<Picture, PictureError>);
 
-/// Images under way.
+/// Images being encoded.
 #[derive(Default)]
 pub struct Conversions {
-    running: FuturesOrdered<JoinHandle<Converted>>,
+    running: FuturesOrdered<JoinHandle<Conversion>>,
     waiting: BTreeMap<Source, usize>,
 }
 
-/// Images of a source under way at most: of a camera the next one is as good, of predictions a rollout comes at once.
+/// The most images per source: of a camera the next one is as good, but a rollout's predictions arrive together.
 const fn limit(source: Source) -> usize {
     match source {
         Source::Predicted => 64,
@@ -25,7 +25,7 @@ const fn limit(source: Source) -> usize {
 }
 
 impl Conversions {
-    /// Begins with an image; false where too many are under way.
+    /// Starts encoding an image; false if too many are being encoded.
     pub fn begin(&mut self, frame: CameraFrame, label: Label, now_ns: i64) -> bool {
         let waiting = self.waiting.entry(label.source).or_default();
         if *waiting >= limit(label.source) {
@@ -37,12 +37,12 @@ impl Conversions {
         true
     }
 
-    /// The next picture; never, where none is under way. Cancel safe.
-    pub async fn next(&mut self) -> Option<Converted> {
+    /// The next picture; waits forever if there are no images. Cancel safe.
+    pub async fn next(&mut self) -> Option<Conversion> {
         let Some(converted) = self.running.next().await else {
             return std::future::pending().await;
         };
-        // Decoding and encoding do not panic; if one did, its source would wait for one more.
+        // encoding does not panic; if it did, its source would lose one place
         let converted = converted.ok()?;
         if let Some(waiting) = self.waiting.get_mut(&converted.0.source) {
             *waiting -= 1;
@@ -59,7 +59,7 @@ mod tests {
     use wm_camera::image_message::encode_image;
 
     #[tokio::test]
-    async fn images_are_encoded_in_order_and_those_too_many_are_refused() {
+    async fn images_are_encoded_in_order_up_to_a_limit() {
         let mut conversions = Conversions::default();
         let rgb = RgbImage::new(64, 48);
         let frame = CameraFrame::Raw(encode_image(&rgb, header(1)));

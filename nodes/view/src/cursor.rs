@@ -1,17 +1,16 @@
-//! What a client has, and what it is to be sent next. There is no queue: a client that is slow gets the newest of each kind
-//! when it can take it, and what came in between it never gets.
+//! What a client has, and its next message. There is no queue: a slow client gets the newest of each kind when it can
+//! receive, and skips the rest.
 
 use crate::{album::Kind, state::State};
 use axum::extract::ws::Message;
 use std::collections::BTreeMap;
 
-/// What a client has.
 #[derive(Debug, Default)]
 pub struct Cursor {
     pictures: BTreeMap<Kind, u64>,
     events: u64,
     status: u64,
-    /// What was sent last, so that none of the three kinds keeps the others waiting.
+    /// The last kind, so that none of the three kinds delays the others.
     last: Turn,
 }
 
@@ -36,14 +35,14 @@ impl Turn {
 /// The last message `status`, with its number.
 #[derive(Debug, Default)]
 pub struct Status {
-    /// Grows with each.
+    /// Counts up.
     pub number: u64,
     /// JSON.
     pub message: String,
 }
 
 impl Cursor {
-    /// The next message, or none where the client has everything. It counts as sent.
+    /// The next message, which counts as sent; `None` if the client has everything.
     pub fn next(&mut self, state: &State, status: &Status) -> Option<Message> {
         let mut turn = self.last;
         for _ in 0..3 {
@@ -76,7 +75,7 @@ impl Cursor {
     }
 
     fn events(&mut self, state: &State) -> Option<Message> {
-        // Who comes late has lost nothing.
+        // a new client has lost nothing
         if self.events == 0 {
             self.events = state.journal.first();
         }
@@ -103,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn a_client_that_stood_still_gets_the_newest_only() {
+    fn stalled_client_gets_only_the_newest() {
         let mut state = State::live(1 << 24);
         let status = Status {
             number: 1,
@@ -112,7 +111,7 @@ mod tests {
         let mut cursor = Cursor::default();
         see(&mut state, 1);
         let first = all(&mut cursor, &state, &status);
-        // The picture before anything else: it is what somebody waits for.
+        // the picture comes first: users wait for it
         assert!(
             matches!(first.first(), Some(Message::Binary(_))),
             "{first:?}"
@@ -132,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_do_not_keep_events_and_status_waiting() {
+    fn pictures_do_not_delay_events_and_status() {
         let mut state = State::live(1 << 24);
         let mut cursor = Cursor::default();
         let mut kinds = Vec::new();

@@ -3,54 +3,47 @@
 use std::{net::SocketAddr, path::PathBuf};
 use thiserror::Error;
 
-/// Why the view cannot start.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum ViewError {
-    /// The address is taken, or none of this machine's.
+    /// The address is taken, or not of this machine.
     #[error(
         "cannot serve the page on {address}: {reason}; choose another port with `--port PORT` (in a launch file `view_port:=PORT`); 0 is any free one"
     )]
     Listen {
-        /// Where.
         address: SocketAddr,
-        /// Why not.
         reason: std::io::Error,
     },
-    /// The parameter `address` is no address.
+    /// The parameter `address` is not an address.
     #[error("parameter \"address\" is \"{0}\", expected an IP address such as 127.0.0.1 or ::1")]
     Address(String),
-    /// The file of the token cannot be read.
     #[error("cannot read the token file {}: {reason}", path.display())]
     TokenFile {
-        /// The file.
         path: PathBuf,
-        /// Why not.
         reason: std::io::Error,
     },
-    /// What is in it is no token.
+    /// The file's content is not a token.
     #[error(
-        "the token in {} has {length} characters, or some that a token may not have; expected 16 to 256 of A-Z a-z 0-9 . _ ~ -",
+        "the token in {} has {length} characters, or invalid ones; expected 16 to 256 of A-Z a-z 0-9 . _ ~ -",
         path.display()
     )]
     Token {
-        /// The file.
         path: PathBuf,
-        /// How long its first line is.
+        /// The length of its first line.
         length: usize,
     },
-    /// An entry of the parameter `foxglove_rates` is none.
+    /// An invalid entry of the parameter `foxglove_rates`.
     #[error(
         "parameter \"foxglove_rates\" has \"{0}\", expected EXPRESSION=HZ such as ^/camera/=5, of at most 1000000 Hz and at \
          least one message a day"
     )]
     Rate(String),
-    /// An entry of the parameter `foxglove_origins` is none.
+    /// An invalid entry of the parameter `foxglove_origins`.
     #[error(
         "parameter \"foxglove_origins\" has \"{0}\", expected an origin such as https://app.foxglove.dev, without a path"
     )]
     Origin(String),
-    /// A regular expression is none.
+    /// An invalid regular expression.
     #[error(transparent)]
     Topics(#[from] wm_bag::BagError),
     /// The parameter `axes` is not three directions.

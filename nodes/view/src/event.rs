@@ -1,23 +1,22 @@
-//! What a client's page is told of the past and the present, as JSON. Stamps are texts: nanoseconds since 1970 are more than
-//! a number of JavaScript holds.
+//! Events for clients' pages, as JSON. Stamps are texts: JavaScript's numbers do not hold nanoseconds since 1970.
 
-use crate::{clip, picture::Label, scene::Way};
+use crate::{clip, picture::Label, scene::PlannedPath};
 use serde::{Serialize, Serializer};
 use wm_msgs::wm_msgs::{
     Action, ActionCandidates, ActionChunk, Assessment, Goal, Plan, Prediction, PredictionError,
 };
 
-/// Actions of a plan, chunk or candidate that are shown: more than a planner's or a policy's chunk has.
+/// The most actions shown of a plan, chunk or candidate: more than planners and policies use.
 const MAX_ACTIONS: usize = 64;
-/// Values of an action that are shown.
+/// The most values shown of an action.
 const MAX_VALUES: usize = 32;
-/// Candidates that are shown, costs and terms of them.
+/// The most candidates with costs and terms.
 const MAX_CANDIDATES: usize = 32;
 /// Bytes of a name.
 const MAX_NAME: usize = 120;
-/// Bytes of a record of the log.
+/// Bytes of a log record.
 const MAX_TEXT: usize = 2000;
-/// Beyond an hour, a stamp is of another clock, such as a bag's \[ns\].
+/// Larger differences mean a stamp of another clock, such as a bag's \[ns\].
 const AN_HOUR_NS: u64 = 3_600_000_000_000;
 
 /// A time \[ns\].
@@ -30,39 +29,38 @@ impl Serialize for Stamp {
     }
 }
 
-/// Actions in a row.
+/// Consecutive actions.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Actions {
     /// When the first one begins.
     begin: Stamp,
-    /// Duration of one \[ms\].
+    /// Duration of each \[ms\].
     period_ms: f64,
     values: Vec<Vec<f32>>,
 }
 
-/// Something that happened.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(tag = "t", rename_all = "lowercase")]
 pub enum Event {
-    /// A picture came. It can be asked for by what the event says.
+    /// A picture arrived. Clients can request it by these fields.
     Picture {
         source: &'static str,
         stamp: Stamp,
         observed: Stamp,
         k: u8,
     },
-    /// A rollout's first or last step came.
+    /// The first or last step of a rollout arrived.
     Prediction {
         stamp: Stamp,
         observed: Stamp,
         k: u32,
         horizon: u32,
         period_ms: f64,
-        /// From the capture of the observation until this step was ready; none where stamps are of another clock.
+        /// From the capture of the observation until this step was ready; `None` if the stamps come from another clock.
         latency_ms: Option<f64>,
         model: String,
     },
-    /// A prediction was compared with what happened.
+    /// A prediction was compared with reality.
     Error {
         stamp: Stamp,
         observed: Stamp,
@@ -73,9 +71,8 @@ pub enum Event {
     },
     /// The robot took an action.
     Action { stamp: Stamp, values: Vec<f32> },
-    /// A policy says what it will do.
+    /// A policy's next actions.
     Chunk { stamp: Stamp, actions: Actions },
-    /// A plan was made.
     Plan {
         stamp: Stamp,
         actions: Actions,
@@ -91,20 +88,20 @@ pub enum Event {
         taken_ms: f64,
         cut: bool,
     },
-    /// Where a plan leads in the camera's picture.
+    /// A plan's path in the camera's picture.
     Way {
         /// When the plan's first action begins.
         stamp: Stamp,
-        /// From the left and from above, in fractions of the picture's width and height.
+        /// From left and top, as fractions of the picture's width and height.
         points: Vec<[f32; 2]>,
     },
-    /// A policy offers candidates.
+    /// Candidates of a policy.
     Candidates {
         stamp: Stamp,
         policy: String,
         chunks: Vec<Actions>,
     },
-    /// What they would do.
+    /// The predicted outcomes of candidates.
     Assessment {
         stamp: Stamp,
         candidates: Stamp,
@@ -113,14 +110,13 @@ pub enum Event {
         costs: Vec<(f32, f32)>,
         horizon: u32,
     },
-    /// A goal that is no picture, or more than one.
+    /// A goal that is not exactly one picture.
     Goal {
         stamp: Stamp,
         pictures: usize,
         latents: usize,
         instruction: String,
     },
-    /// A record of the log.
     Log {
         stamp: Stamp,
         level: u8,
@@ -225,7 +221,7 @@ impl Event {
         }
     }
 
-    pub fn way(way: Way) -> Self {
+    pub fn way(way: PlannedPath) -> Self {
         Self::Way {
             stamp: Stamp(way.begin_ns),
             points: way.points,
@@ -283,7 +279,7 @@ mod tests {
     }
 
     #[test]
-    fn stamps_keep_their_nanoseconds_and_what_is_no_number_is_null() {
+    fn stamps_keep_nanoseconds_and_nan_becomes_null() {
         let error = PredictionError {
             header: Header {
                 stamp: Time::from_nanos(1_732_000_000_123_456_789),

@@ -1,16 +1,16 @@
-//! Foxglove's WebSocket protocol, live mode: Foxglove and Lichtblick connect to the page's port and read the topics of the
-//! graph.
+//! Foxglove's WebSocket protocol, live mode: Foxglove and Lichtblick connect to the page's port and read the topics of
+//! the graph.
 //!
-//! What goes where: the [`message`]s of the protocol; the [`offer`], which topics and how often, as the parameters say; the
-//! [`channel`]s, what of it is there; a [`feed`], the messages of a channel that somebody has subscribed to; an [`outbox`],
-//! what waits for one client; the [`hub`], which joins them; a [`client`], its socket.
+//! The modules: [`message`]s of the protocol; the [`offer`] of topics and rates, from parameters; [`channel`]s, the
+//! offered topics that exist; a [`feed`], the messages of a subscribed channel; an [`outbox`], the waiting messages of
+//! a client; the [`hub`], which connects them; a [`client`], its socket.
 //!
-//! A topic is subscribed to in DDS only while a client subscribes to it, once for all clients, with best effort: no publisher
-//! waits for a viewer. Nothing is offered but to look: no publishing, parameters or services of clients.
+//! The view subscribes to a topic in DDS only while a client does, once for all clients, with best effort: no publisher
+//! waits for a viewer. Clients cannot publish, set parameters or call services.
 //!
-//! The protocol is <https://github.com/foxglove/ws-protocol/blob/main/docs/spec.md>. Its successor, `foxglove.sdk.v1`, has
-//! the same messages and adds some that are not needed here. The crate `foxglove` (0.30) does not serve it on a socket that is
-//! there: its server has a listener and handshake of its own, and the types of its messages are private.
+//! The protocol is <https://github.com/foxglove/ws-protocol/blob/main/docs/spec.md>. Its successor, `foxglove.sdk.v1`,
+//! has the same messages and others that are not needed here. The crate `foxglove` (0.30) cannot serve it on an
+//! existing socket: its server has its own listener and handshake, and the types of its messages are private.
 
 mod channel;
 pub mod client;
@@ -20,5 +20,5 @@ mod message;
 pub mod offer;
 mod outbox;
 
-/// The subprotocols, the newer one first. Foxglove asks for both, Lichtblick for the older one.
+/// The subprotocols, the newer one first. Foxglove requests both, Lichtblick the older one.
 pub const PROTOCOLS: [&str; 2] = ["foxglove.sdk.v1", "foxglove.websocket.v1"];

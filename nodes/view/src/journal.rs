@@ -1,10 +1,9 @@
-//! The events of the last minute, numbered, each as the JSON that clients get.
+//! The events of the last minute, numbered, as the JSON for clients.
 
 use crate::event::{Event, Stamp};
 use serde::Serialize;
 use std::collections::VecDeque;
 
-/// How much is kept.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
     /// Age \[ns\].
@@ -13,21 +12,21 @@ pub struct Limits {
     pub bytes: usize,
 }
 
-/// Events in one message at most, so that no message is long.
+/// The most events per message.
 const BATCH: usize = 400;
 
-/// Events in the order in which they came.
+/// Events in order of arrival.
 #[derive(Debug)]
 pub struct Journal {
     limits: Limits,
     /// With the time of arrival \[ns\].
     entries: VecDeque<(i64, Box<str>)>,
     bytes: usize,
-    /// Number of the first one that is kept.
+    /// Number of the first entry.
     first: u64,
 }
 
-/// An event, and when it came.
+/// An event with its time of arrival.
 #[derive(Serialize)]
 struct Entry<'a> {
     at: Stamp,
@@ -36,7 +35,6 @@ struct Entry<'a> {
 }
 
 impl Journal {
-    /// An empty one.
     pub fn new(limits: Limits) -> Self {
         Self {
             limits,
@@ -46,13 +44,13 @@ impl Journal {
         }
     }
 
-    /// Takes an event that came at `now_ns`; the oldest make room.
+    /// Adds an event that arrived at `now_ns`, and drops the oldest.
     pub fn add(&mut self, event: &Event, now_ns: i64) {
         let entry = Entry {
             at: Stamp(now_ns),
             event,
         };
-        // Maps with keys of text, and numbers: it cannot fail.
+        // maps with text keys, and numbers: it cannot fail
         let Ok(json) = serde_json::to_string(&entry) else {
             return;
         };
@@ -68,21 +66,21 @@ impl Journal {
         }
     }
 
-    /// The number that the next event will have.
+    /// The number of the next event.
     pub fn end(&self) -> u64 {
         self.first + self.entries.len() as u64
     }
 
-    /// Number of the first event that is still here.
+    /// The number of the oldest event.
     pub fn first(&self) -> u64 {
         self.first
     }
 
-    /// The message with the events from number `next` on, or as many as fit into one, and the number after them; none where
-    /// there are none. It says how many events were lost to this client.
+    /// A message with the events from number `next` on, as far as they fit, and the number after them; `None` without
+    /// events. Contains the number of events that this client has missed.
     pub fn batch(&self, next: u64) -> Option<(String, u64)> {
         let lost = self.first.saturating_sub(next);
-        // At most as many as there are entries.
+        // at most as many as there are entries
         let skip = next.saturating_sub(self.first) as usize;
         let mut entries = self.entries.iter().skip(skip).take(BATCH).peekable();
         entries.peek()?;
@@ -118,7 +116,7 @@ mod tests {
     };
 
     #[test]
-    fn a_client_gets_every_event_once_and_hears_what_it_missed() {
+    fn client_gets_each_event_once_and_the_number_missed() {
         let mut journal = Journal::new(MINUTE);
         for stamp in 0..1000 {
             journal.add(&event(stamp), stamp);

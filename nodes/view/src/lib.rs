@@ -1,13 +1,13 @@
-//! The view: a node that subscribes to what the others publish and serves one live page, on loopback.
+//! The view: a node that subscribes to the other nodes' topics and serves one live page, on loopback.
 //!
-//! What goes where: the [`node`](NODE) hears messages and tells the `State` of them, which is pure; the `server` serves the
-//! page and one WebSocket per client; a client's `Cursor` says what of the state it is to be sent next. Nothing is queued
-//! for a client: it is sent the newest of each kind when it can take it, so a client that stands still costs nothing.
+//! The [`node`](NODE) receives messages and updates the `State`, which is pure. The `server` serves the page and one
+//! WebSocket per client. A client's `Cursor` selects its next message. There are no queues: a client gets the newest of
+//! each kind when it can receive, so a stalled client costs nothing.
 //!
-//! Pictures are forwarded as the JPEG or PNG that was published; only an image topic that has nothing but raw images is
-//! encoded here. The same state is fed from a bag, whose pictures are read when they are looked at.
+//! Pictures are forwarded as published, as JPEG or PNG; only raw images are encoded here. A bag can replace the live
+//! topics; its pictures are read on request.
 //!
-//! Beside its page it serves viewers that speak Foxglove's protocol, on the same port.
+//! The same port serves viewers with Foxglove's protocol.
 //!
 //! The module [`report`] scores predictions against what happened, writes the report, and has the nodes monitor and trials.
 //!
@@ -25,10 +25,12 @@ mod cursor;
 mod error;
 mod event;
 mod foxglove;
+mod inputs;
 mod journal;
 mod listener;
 mod node;
 mod page;
+mod parameters;
 mod picture;
 mod picture_subscription;
 mod rate;
@@ -41,5 +43,11 @@ mod status;
 mod subprotocol;
 
 pub use check::check;
-pub use error::ViewError;
+use error::ViewError;
 pub use node::NODE;
+
+use wm_ros::NodeDefinition;
+
+/// All nodes of this crate.
+pub const NODES: &[NodeDefinition<anyhow::Error>] =
+    &[report::monitor::NODE, report::trials::NODE, NODE];

@@ -1,4 +1,4 @@
-//! Connections, bounded in number, each ended when it has said nothing for too long.
+//! Connections, limited in number; silent ones end.
 
 use axum::serve::Listener;
 use socket2::SockRef;
@@ -21,15 +21,14 @@ use tokio::{
     time::{Instant, Sleep},
 };
 
-/// A connection on which nothing has come for so long is ended. Browsers answer the pings of a socket; what is left is those
-/// that begin a request and never finish it, and clients whose network is gone.
+/// A connection without received bytes ends after this time. Browsers answer the pings of a socket. This ends
+/// unfinished requests, and clients whose network is gone.
 const SILENCE: Duration = Duration::from_secs(30);
-/// Bytes that the kernel keeps for a client that does not read: a few pictures. The rest waits as the newest of each kind.
+/// The kernel's buffer for a client that does not read: a few pictures.
 const SEND_BUFFER: usize = 256 << 10;
-/// After an error, as with no file descriptors left, before the next connection is accepted.
+/// The pause after an error, for example without file descriptors.
 const PAUSE: Duration = Duration::from_millis(100);
 
-/// Accepts connections.
 pub struct Connections {
     listener: TcpListener,
     permits: Arc<Semaphore>,
@@ -37,7 +36,7 @@ pub struct Connections {
 }
 
 impl Connections {
-    /// At most `limit` at a time; those beyond are closed at once, and counted in `refused`.
+    /// Accepts at most `limit` connections at a time, closes others at once, and counts them in `refused`.
     pub fn new(listener: TcpListener, limit: usize, refused: Arc<AtomicU64>) -> Self {
         Self {
             listener,
@@ -65,7 +64,7 @@ impl Listener for Connections {
                 self.refused.fetch_add(1, Ordering::Relaxed);
                 continue;
             };
-            // Without these it is slower, and works.
+            // without these it is only slower
             stream.set_nodelay(true).ok();
             SockRef::from(&stream)
                 .set_send_buffer_size(SEND_BUFFER)
@@ -84,7 +83,7 @@ impl Listener for Connections {
     }
 }
 
-/// A connection, which gives its place back when it is dropped.
+/// A connection; frees its place when dropped.
 pub struct Connection {
     stream: TcpStream,
     silence: Pin<Box<Sleep>>,
@@ -104,8 +103,7 @@ impl AsyncRead for Connection {
                 Poll::Ready(result)
             }
             Poll::Pending => {
-                let silent =
-                    || io::Error::new(io::ErrorKind::TimedOut, "nothing has come for too long");
+                let silent = || io::Error::new(io::ErrorKind::TimedOut, "no data for too long");
                 self.silence.as_mut().poll(context).map(|()| Err(silent()))
             }
         }

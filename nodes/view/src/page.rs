@@ -1,12 +1,8 @@
-//! The page, in the program: plain HTML, CSS and JavaScript, as they are.
+//! The page's files: plain HTML, CSS and JavaScript.
 
-/// A file of the page.
 pub struct File {
-    /// The path that it is served under.
     pub path: &'static str,
-    /// Its media type.
     pub media_type: &'static str,
-    /// Its content.
     pub text: &'static str,
 }
 
@@ -22,7 +18,6 @@ macro_rules! files {
     };
 }
 
-/// All of it.
 pub const FILES: &[File] = files! {
     "/" => "text/html; charset=utf-8", "index.html";
     "/view.css" => "text/css; charset=utf-8", "view.css";
@@ -36,8 +31,8 @@ pub const FILES: &[File] = files! {
     "/socket.js" => SCRIPT, "socket.js";
 };
 
-/// What the page may do in a browser: load its own files and talk to its own host. No page may show it in a frame, where a
-/// click could be meant for another.
+/// The page may only load its own files and connect to its own host. No other page may frame it, where a click could be
+/// misdirected.
 pub const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; \
     base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
@@ -49,7 +44,7 @@ mod tests {
     const LIMIT: usize = 150_000;
 
     #[test]
-    fn the_page_is_small_and_needs_no_network() {
+    fn page_is_small_and_needs_no_network() {
         let size: usize = FILES.iter().map(|file| file.text.len()).sum();
         assert!(size < LIMIT, "{size}");
         for file in FILES {
@@ -65,7 +60,7 @@ mod tests {
     }
 
     #[test]
-    fn every_file_that_is_named_is_there() {
+    fn every_named_file_exists() {
         let has = |path: &str| FILES.iter().any(|file| file.path == path);
         for file in FILES {
             let quoted = file

@@ -1,4 +1,4 @@
-//! A picture as a client gets it: a short binary header, and the JPEG or PNG as it was published.
+//! A picture as clients get it: a short binary header, and the JPEG or PNG as published.
 
 use crate::clip;
 use bytes::Bytes;
@@ -12,20 +12,19 @@ use wm_camera::{
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[repr(u8)]
 pub enum Source {
-    /// What the camera sees.
+    /// The camera's frame.
     Camera = 0,
-    /// What the model expects, k steps after an observation.
+    /// The prediction, k steps after an observation.
     Predicted = 1,
-    /// What the camera would see after a plan.
+    /// The predicted outcome of a plan.
     Plan = 2,
-    /// What each of a policy's candidates would do, one row a candidate.
+    /// The predicted outcomes of a policy's candidates, one row per candidate.
     Candidates = 3,
-    /// What the planner is to reach.
+    /// The planner's goal.
     Goal = 4,
 }
 
 impl Source {
-    /// All of them.
     pub const ALL: [Self; 5] = [
         Self::Camera,
         Self::Predicted,
@@ -34,7 +33,7 @@ impl Source {
         Self::Goal,
     ];
 
-    /// The name in addresses and events.
+    /// In addresses and events.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Camera => "camera",
@@ -45,24 +44,20 @@ impl Source {
         }
     }
 
-    /// The source of this name.
     pub fn named(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|source| source.name() == name)
     }
 }
 
-/// How a picture is compressed. Browsers show both.
+/// The compression of a picture. Browsers show both.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Format {
-    /// JPEG.
     Jpeg = 0,
-    /// PNG.
     Png = 1,
 }
 
 impl Format {
-    /// The media type.
     pub const fn media_type(self) -> &'static str {
         match self {
             Self::Jpeg => "image/jpeg",
@@ -71,21 +66,20 @@ impl Format {
     }
 }
 
-/// Which picture it is.
+/// Identifies a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Label {
-    /// What it shows.
     pub source: Source,
-    /// k of a predicted picture; 0 of others.
+    /// k of a predicted picture; otherwise 0.
     pub step: u8,
-    /// The moment that it shows \[ns\].
+    /// The time that it shows \[ns\].
     pub stamp_ns: i64,
-    /// The observation that a predicted picture starts from; of others, the moment itself \[ns\].
+    /// The observation that a predicted picture starts from; otherwise equal to `stamp_ns` \[ns\].
     pub observed_ns: i64,
 }
 
 impl Label {
-    /// A picture that is no prediction.
+    /// A picture that is not a prediction.
     pub const fn of(source: Source, stamp_ns: i64) -> Self {
         Self {
             source,
@@ -96,30 +90,26 @@ impl Label {
     }
 }
 
-/// Why an image message is no picture for the page.
+/// Why an image message is not a picture for the page.
 #[derive(Debug, Error)]
 pub enum PictureError {
-    /// Larger than is kept.
     #[error("has {actual} bytes, expected at most {MAX_BYTES}")]
-    Size {
-        /// Its size \[byte\].
-        actual: usize,
-    },
+    Size { actual: usize },
     /// An incomplete picture, one that is neither JPEG nor PNG, or a raw image that cannot be encoded.
     #[error(transparent)]
     Image(#[from] ImageError),
 }
 
-/// Largest picture that is kept \[byte\]: an 8K JPEG of good quality.
+/// Largest picture \[byte\]: an 8K JPEG of good quality.
 pub const MAX_BYTES: usize = 16 << 20;
 
 /// Largest JPEG that is checked in less than about 2 ms \[byte\].
 const QUICK_BYTES: usize = 256 << 10;
 
-/// JPEG quality of raw images: artefacts stay below what the eye sees at this size.
+/// JPEG quality for raw images: artefacts are invisible at this size.
 const QUALITY: u8 = 85;
 
-/// Version of the header's layout.
+/// Version of the header.
 const VERSION: u8 = 1;
 
 /// Bytes of the header: version, source, format, step, then three stamps, little endian.
@@ -128,21 +118,18 @@ pub const HEADER_LEN: usize = 4 + 3 * 8;
 /// A picture that can be sent. Clones share the bytes.
 #[derive(Clone, Debug)]
 pub struct Picture {
-    /// Which it is.
     pub label: Label,
-    /// How it is compressed.
     pub format: Format,
     /// Columns and rows.
     pub size: (u32, u32),
-    /// Its optical frame.
     pub frame_id: String,
     /// Header and data.
     message: Bytes,
 }
 
 impl Picture {
-    /// Whether making the picture of a frame takes milliseconds: a raw image is encoded, and a PNG is decoded to check that
-    /// it is complete.
+    /// Whether conversion takes milliseconds: raw images are encoded, and PNGs are decoded to check that they are
+    /// complete.
     pub fn is_slow(frame: &CameraFrame) -> bool {
         match frame {
             CameraFrame::Raw(_) => true,
@@ -152,10 +139,10 @@ impl Picture {
         }
     }
 
-    /// The picture of an image message that arrived at `received_ns`.
+    /// Converts an image message that arrived at `received_ns`.
     ///
     /// # Errors
-    /// Names what is wrong with the image.
+    /// Names the fault of the image.
     pub fn of(frame: &CameraFrame, label: Label, received_ns: i64) -> Result<Self, PictureError> {
         let encoded;
         let image = match frame {
@@ -189,7 +176,7 @@ impl Picture {
         })
     }
 
-    /// What is sent over the socket.
+    /// Header and data.
     pub fn message(&self) -> Bytes {
         self.message.clone()
     }
@@ -199,7 +186,6 @@ impl Picture {
         self.message.slice(HEADER_LEN..)
     }
 
-    /// Bytes that it holds.
     pub fn len(&self) -> usize {
         self.message.len()
     }
@@ -230,7 +216,7 @@ pub(crate) mod tests {
         Picture::of(&jpeg(label.stamp_ns, 100), label, 7).unwrap()
     }
 
-    /// What a client reads of a header.
+    /// The header as a client reads it.
     fn read(message: &[u8]) -> Option<(u8, u8, u8, u8, [i64; 3])> {
         let (&[version, source, format, step], stamps) = message.split_first_chunk()?;
         let stamp = |index: usize| {
@@ -248,7 +234,7 @@ pub(crate) mod tests {
 
     proptest! {
         #[test]
-        fn the_header_says_which_picture_it_is(
+        fn header_identifies_the_picture(
             index in 0usize..5, step: u8, stamp_ns: i64, observed_ns: i64, received_ns: i64,
         ) {
             let label = Label { source: Source::ALL[index], step, stamp_ns, observed_ns };
@@ -263,7 +249,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn a_raw_image_becomes_a_jpeg_and_what_is_no_picture_is_refused_by_name() {
+    fn raw_images_become_jpegs_and_invalid_ones_are_refused() {
         let rgb = RgbImage::from_pixel(32, 16, Rgb([200, 20, 20]));
         let label = Label::of(Source::Camera, 5);
         let raw = Picture::of(&CameraFrame::Raw(encode_image(&rgb, header(5))), label, 6).unwrap();

@@ -1,4 +1,4 @@
-//! An image topic, compressed where anybody publishes it so, else raw.
+//! An image topic: compressed if anyone publishes it so, otherwise raw.
 
 use std::collections::BTreeMap;
 use wm_camera::camera_frame::CameraFrame;
@@ -7,22 +7,21 @@ use wm_ros::{
     Direction, Endpoint, EndpointSpec, Error, Node, Qos, Received, Subscription, TopicInfo,
 };
 
-/// Pictures of an image topic. Raw images are subscribed to only while nobody publishes compressed ones: they are many times
-/// as large, and would take the time of those who publish them.
+/// Pictures of an image topic. It subscribes to raw images only if there are no compressed ones: they are much larger
+/// and cost their publishers time.
 pub struct PictureSubscription {
     node: Node,
     topic: String,
     qos: Qos,
     compressed: Subscription<CompressedImage>,
     raw: Option<Subscription<Image>>,
-    /// Publishers latch it, as a goal.
+    /// Its publishers latch it, like a goal.
     is_latched: bool,
 }
 
-/// How many publish a topic, by its absolute name.
+/// The number of publishers per topic, by absolute name.
 pub type Publishers = BTreeMap<String, usize>;
 
-/// How many publish each topic.
 pub fn publishers(topics: Vec<TopicInfo>) -> Publishers {
     let mut publishers = Publishers::new();
     for topic in topics {
@@ -35,16 +34,15 @@ impl PictureSubscription {
     /// Subscribes to the compressed sibling of `topic`.
     ///
     /// # Errors
-    /// The graph refuses.
+    /// The subscription cannot be created.
     pub fn new(node: &Node, topic: &str, qos: Qos) -> Result<Self, Error> {
         Self::made(node, topic, qos, false)
     }
 
-    /// As [`new`](Self::new), of a topic that publishers latch: what was published before comes too, and publishers of any
-    /// quality of service are connected.
+    /// Like [`new`](Self::new), for a latched topic: receives earlier pictures too, from publishers with any QoS.
     ///
     /// # Errors
-    /// The graph refuses.
+    /// The subscription cannot be created.
     pub fn of_latched(node: &Node, topic: &str, qos: Qos) -> Result<Self, Error> {
         Self::made(node, topic, qos, true)
     }
@@ -65,24 +63,21 @@ impl PictureSubscription {
         })
     }
 
-    /// How many publish either of the two.
+    /// Publishers of both transports.
     pub fn publishers(&self, publishers: &Publishers) -> usize {
         let count = |topic: &str| publishers.get(topic).copied().unwrap_or(0);
         count(&self.topic) + count(self.compressed.topic())
     }
 
-    /// Subscribes to raw images where there are no others, and ends that where there are.
+    /// Subscribes to raw images if there are no compressed ones; otherwise unsubscribes from raw images.
     ///
     /// # Errors
-    /// The graph refuses.
+    /// The subscription cannot be created.
     pub fn look(&mut self, publishers: &Publishers) -> Result<(), Error> {
         let has = |topic: &str| publishers.get(topic).is_some_and(|number| *number > 0);
         let wants_raw = has(&self.topic) && !has(self.compressed.topic());
         if wants_raw && self.raw.is_none() {
-            tracing::info!(
-                "{} is published raw alone: its images are encoded here",
-                self.topic
-            );
+            tracing::info!("{} is published only raw: encoding its images", self.topic);
             let raw = match self.is_latched {
                 true => self.node.subscription_to_any(&self.topic, self.qos)?,
                 false => self.node.subscription(&self.topic, self.qos)?,

@@ -1,14 +1,13 @@
-//! How often something comes.
+//! Rates of arrivals.
 
 use std::collections::VecDeque;
 
-/// How far back is looked \[ns\].
+/// The time span of a rate \[ns\].
 const WINDOW_NS: i64 = 4_000_000_000;
 
-/// Most arrivals that are looked at: 4 s at 250 Hz; of what comes more often, the newest.
+/// The most arrivals: 4 s at 250 Hz; at higher rates the newest.
 const LIMIT: usize = 1000;
 
-/// Arrivals of the last moments.
 #[derive(Debug, Default)]
 pub struct Rate {
     arrivals: VecDeque<i64>,
@@ -16,7 +15,6 @@ pub struct Rate {
 }
 
 impl Rate {
-    /// Something came at `now_ns`.
     pub fn arrived(&mut self, now_ns: i64) {
         if self.arrivals.len() == LIMIT {
             self.arrivals.pop_front();
@@ -25,12 +23,11 @@ impl Rate {
         self.count += 1;
     }
 
-    /// Arrivals so far.
     pub fn count(&self) -> u64 {
         self.count
     }
 
-    /// Arrivals per second within the last moments; 0 where they have ceased.
+    /// Recent arrivals per second; 0 if they have ceased.
     pub fn hertz(&mut self, now_ns: i64) -> f64 {
         while let Some(first) = self.arrivals.front()
             && now_ns.saturating_sub(*first) > WINDOW_NS
@@ -44,7 +41,7 @@ impl Rate {
         if span_ns <= 0 {
             return 0.0;
         }
-        // At most LIMIT arrivals and seconds: exact in f64.
+        // at most LIMIT arrivals and seconds: exact in f64
         (self.arrivals.len() - 1) as f64 * 1e9 / span_ns as f64
     }
 
@@ -60,7 +57,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_the_last_moments_count() {
+    fn only_recent_arrivals_count() {
         let mut rate = Rate::default();
         for frame in 0..100 {
             rate.arrived(frame * 200_000_000);

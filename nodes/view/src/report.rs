@@ -1,29 +1,29 @@
-//! How well the predictions matched the camera: scores, tables and a picture strip, live or from a recorded bag.
+//! How well predictions match the camera: scores, tables and a picture strip, live or from a recorded bag.
 //!
-//! A [`Scorer`] takes frames, predictions, their pictures and errors as they come, matches them by stamp, and keeps
-//! sums, histograms and one rollout to show: its memory does not grow with time. [`Report`] is what comes out, as
-//! JSON, Markdown and a table for the terminal ([`files`]), with the picture strip ([`strip`]).
+//! A `Scorer` receives frames, predictions, their pictures and latent errors, and matches them by stamp. It keeps
+//! sums, histograms and one rollout, so its memory is bounded. A `Report` becomes JSON, Markdown and a table for the
+//! terminal ([`files`]), with the picture strip (`strip`).
 //!
-//! What is compared: the decoded prediction of a moment with the camera's frame of that moment, at the prediction's
-//! resolution; and, as baseline, the last observed frame, repeated ("persistence") with that same frame.
+//! The decoded prediction of a time is compared with the camera's frame of that time, at the prediction's resolution.
+//! The baseline ("persistence") compares the last observed frame with that same frame.
 //!
-//! How often a planner succeeds on the simulated arm is another question, which the node [`trials`] answers.
+//! The node [`trials`] measures how often a planner succeeds on the simulated arm.
 //!
-//! Not here: topics and DDS (the nodes [`monitor`] and [`trials`] alone), metrics themselves (`wm_metrics`).
+//! Not here: topics and DDS outside the nodes [`monitor`] and [`trials`]; metrics (`wm_metrics`).
 
 mod bag;
-pub mod figures;
+mod figures;
 pub mod files;
 mod font;
 mod frames;
 mod histogram;
 pub mod monitor;
 pub mod pairing;
-pub mod scorer;
-pub mod strip;
+mod scorer;
+mod strip;
 pub mod table;
 pub mod trials;
 
 pub use bag::score_bag;
-pub use figures::Report;
-pub use scorer::Scorer;
+
+use scorer::Scorer;

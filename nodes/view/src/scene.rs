@@ -1,8 +1,8 @@
-//! Where the way of a plan lies in the camera's picture.
+//! Projects a plan's path into the camera's picture.
 
-use crate::state::Left;
+use crate::state::DropReason;
 use nalgebra::Point3;
-use wm_camera::camera_info::{check, resized};
+use wm_camera::camera_info::{check, scale};
 use wm_msgs::{
     geometry_msgs::Point,
     sensor_msgs::CameraInfo,
@@ -11,14 +11,14 @@ use wm_msgs::{
 };
 use wm_wire::frames::{Frames, pose};
 
-/// The markers of the planner (docs/viewers.md).
+/// The planner's markers (docs/viewers.md).
 const PLAN: &str = "plan";
-/// Points of a way that are shown: one more than actions of a plan.
+/// The most points of a path: one more than the actions of a plan.
 const MAX_POINTS: usize = 65;
-/// What is nearer than this to the camera, or behind it, is in no picture \[m\].
+/// Closer points, and points behind the camera, are not visible \[m\].
 const NEAREST_M: f64 = 0.01;
 
-/// How the camera sees, and where it is.
+/// The camera's calibration and position.
 #[derive(Debug, Default)]
 pub struct Scene {
     frames: Frames,
@@ -27,7 +27,7 @@ pub struct Scene {
     size: Option<(u32, u32)>,
 }
 
-/// A camera in fractions of its picture's width and height; distortion is not looked at.
+/// A camera in fractions of its picture's width and height; ignores distortion.
 #[derive(Clone, Debug, PartialEq)]
 struct Pinhole {
     frame: String,
@@ -38,19 +38,19 @@ struct Pinhole {
 
 impl Pinhole {
     fn of(info: &CameraInfo) -> Option<Self> {
-        let unit = resized(info, (1, 1)).ok()?;
+        let unit = scale(info, (1, 1)).ok()?;
         let [fx, skew, cx, _, fy, cy, ..] = unit.k;
         Some(Self {
             frame: unit.header.frame_id,
             focal: [fx, fy],
             skew,
-            // ROS has 0 in the middle of the first pixel, which here is the only one.
+            // in ROS, 0 is the centre of the first pixel; here its edge
             middle: [cx + 0.5, cy + 0.5],
         })
     }
 
-    /// Where a point of the optical frame (REP 103: x right, y down, z ahead) is seen.
-    fn see(&self, point: &Point3<f64>) -> Option<[f32; 2]> {
+    /// Projects a point of the optical frame (REP 103: x right, y down, z ahead).
+    fn project(&self, point: &Point3<f64>) -> Option<[f32; 2]> {
         if point.z < NEAREST_M {
             return None;
         }
@@ -62,23 +62,23 @@ impl Pinhole {
     }
 }
 
-/// Where the end effector is before the first action of a plan and after each, in fractions of the picture's width and
-/// height.
+/// The end effector's positions before the first action of a plan and after each action, in fractions of the picture's
+/// width and height.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Way {
+pub struct PlannedPath {
     /// When the first action begins \[ns\].
     pub begin_ns: i64,
-    /// From the left and from above.
+    /// From left and top.
     pub points: Vec<[f32; 2]>,
 }
 
 impl Scene {
-    /// Takes how the camera sees; one that is not calibrated sees nothing.
+    /// Takes the calibration; uncalibrated cameras project nothing.
     pub fn camera(&mut self, info: &CameraInfo) {
         self.camera = Pinhole::of(info).map(|pinhole| (info.clone(), pinhole));
     }
 
-    /// Takes the size of the camera's pictures, which camera_info has to fit.
+    /// Takes the size of the camera's pictures, which must match the calibration.
     pub fn picture(&mut self, size: (u32, u32)) {
         self.size = Some(size);
     }
@@ -89,11 +89,11 @@ impl Scene {
         fits.then_some(pinhole)
     }
 
-    /// Takes where frames are in each other.
+    /// Takes transforms between frames.
     ///
     /// # Errors
     /// Some of them are left out; the others count.
-    pub fn transforms(&mut self, message: &TFMessage, is_static: bool) -> Result<(), Left> {
+    pub fn transforms(&mut self, message: &TFMessage, is_static: bool) -> Result<(), DropReason> {
         let mut taken = Ok(());
         for one in &message.transforms {
             let names = (&*one.header.frame_id, &*one.child_frame_id);
@@ -106,15 +106,15 @@ impl Scene {
                     taken.is_ok()
                 });
             if !is_taken {
-                taken = Err(Left::BadTransform);
+                taken = Err(DropReason::BadTransform);
             }
         }
         taken
     }
 
-    /// The way of a plan among these markers, as the camera sees it; none where there is no plan among them, where it is not
-    /// known where the camera is, or where a part of the way is behind it.
-    pub fn way(&self, markers: &MarkerArray) -> Option<Way> {
+    /// The path of the plan among these markers. `None` without a plan, without the camera's position, or if a part of
+    /// the path is behind the camera.
+    pub fn way(&self, markers: &MarkerArray) -> Option<PlannedPath> {
         let is_way = |marker: &&Marker| {
             marker.ns == PLAN && marker.r#type == Marker::LINE_STRIP && marker.action == Marker::ADD
         };
@@ -125,9 +125,9 @@ impl Scene {
             .find(&camera.frame, &marker.header.frame_id)
             .ok()?;
         let to_camera = to_camera * pose::of_pose(&marker.pose).ok()?;
-        let see = |at: &Point| camera.see(&(to_camera * Point3::new(at.x, at.y, at.z)));
+        let see = |at: &Point| camera.project(&(to_camera * Point3::new(at.x, at.y, at.z)));
         let points = marker.points.iter().take(MAX_POINTS).map(see);
-        Some(Way {
+        Some(PlannedPath {
             begin_ns: marker.header.stamp.to_nanos(),
             points: points.collect::<Option<_>>()?,
         })
@@ -189,13 +189,13 @@ mod tests {
     }
 
     #[test]
-    fn a_way_is_seen_where_the_simulator_draws_it() {
+    fn projected_path_matches_the_simulator() {
         let camera = Camera::beside_the_arm();
         let points = [[0.262, 0.0, 0.095], [0.3, 0.05, 0.02], [0.2, -0.1, 0.15]];
         let found = scene(&camera).way(&way(&points)).unwrap();
         assert_eq!((found.begin_ns, found.points.len()), (7, 3));
         for (point, seen) in points.into_iter().zip(found.points) {
-            // Edges of pixels, from 0 to the size.
+            // edges of pixels, from 0 to the size
             let pixel = camera.pixel(&point.into()).unwrap();
             for (exact, fraction) in pixel.into_iter().zip(seen) {
                 assert!((exact - fraction * IMAGE_SIZE as f32).abs() < 0.01);
@@ -204,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_known_or_not_seen_has_no_way() {
+    fn unknown_cameras_and_hidden_points_give_no_path() {
         let camera = Camera::beside_the_arm();
         let good = way(&[[0.26, 0.0, 0.1]]);
         assert_eq!(Scene::default().way(&good), None);
@@ -215,7 +215,10 @@ mod tests {
         let message = TFMessage {
             transforms: vec![nowhere],
         };
-        assert_eq!(scene.transforms(&message, false), Err(Left::BadTransform));
+        assert_eq!(
+            scene.transforms(&message, false),
+            Err(DropReason::BadTransform)
+        );
         let eye = camera.base_from_optical().translation.vector;
         assert_eq!(scene.way(&way(&[[eye.x, eye.y, eye.z]])), None);
         assert_eq!(scene.way(&MarkerArray::default()), None);

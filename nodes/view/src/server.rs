@@ -1,4 +1,4 @@
-//! The page over HTTP, and the sockets on its port.
+//! Serves the page over HTTP, and sockets on its port.
 
 use crate::{
     ViewError,
@@ -15,7 +15,7 @@ use crate::{
     picture::{Label, MAX_BYTES, Picture, Source},
     socket,
     state::State,
-    status::{self, Heard, View},
+    status::{self, InputTopic, View},
     subprotocol::Subprotocol,
 };
 use axum::{
@@ -42,74 +42,64 @@ use tokio::{
 };
 use wm_ros::Clock;
 
-/// Longest message of a client \[byte\]: a command is some hundred.
+/// Longest message of a client \[byte\]: a command has some hundred.
 const MAX_COMMAND: usize = 4 << 10;
-/// Connections for each client that may be connected: a socket, and what a browser opens beside it for pictures.
+/// Connections per client: a socket, and those that a browser opens for pictures.
 const CONNECTIONS: usize = 8;
-/// Why a socket is refused that speaks something else.
+/// Why a socket with another protocol is refused.
 const NO_PROTOCOL: &str = "expected the subprotocol wm.view.v1, or one of Foxglove's where the parameter foxglove_regex offers \
     topics";
 
-/// What the node and the clients' tasks share.
+/// State shared by the node and the clients' tasks.
 pub struct Shared {
-    known: Mutex<Known>,
-    /// Changes when a client may have something to send.
+    known: Mutex<SharedState>,
+    /// Changes when clients may have something to send.
     news: watch::Sender<u64>,
     /// Commands for the node.
-    commands: mpsc::Sender<Asked>,
+    commands: mpsc::Sender<ClientCommand>,
     clients: AtomicUsize,
     refused: Arc<AtomicU64>,
     settings: Settings,
 }
 
-/// What does not change.
 pub struct Settings {
-    /// Who may look.
     pub access: Access,
-    /// What clients may do.
     pub permission: Permission,
-    /// Clients at a time.
     pub max_clients: usize,
     /// The first message of each client.
     pub hello: String,
-    /// The bag that is shown.
     pub bag: Option<Arc<Bag>>,
-    /// The node's clock.
     pub clock: Clock,
-    /// The topics for viewers that speak Foxglove's protocol, unless none are to be served.
+    /// Topics for viewers with Foxglove's protocol; `None` if the user offers none.
     pub foxglove: Option<Arc<Hub>>,
 }
 
-/// What changes.
-pub struct Known {
-    /// What the view knows.
+pub struct SharedState {
     pub state: State,
     /// The topics that are heard.
-    pub heard: Vec<Heard>,
+    pub heard: Vec<InputTopic>,
     /// The last message `status`.
     pub status: Status,
 }
 
 /// A command that a client has sent.
-pub struct Asked {
+pub struct ClientCommand {
     /// The number of its answer.
     pub number: u32,
-    /// What it asks for.
     pub command: Command,
-    /// Where the answer goes.
+    /// Receives the reply.
     pub answers: mpsc::Sender<String>,
 }
 
 impl Shared {
-    /// Nothing known but the state as it begins.
     pub fn new(
         state: State,
-        heard: Vec<Heard>,
+        heard: Vec<InputTopic>,
         settings: Settings,
-        commands: mpsc::Sender<Asked>,
+        commands: mpsc::Sender<ClientCommand>,
     ) -> Self {
         Self {
-            known: Mutex::new(Known {
+            known: Mutex::new(SharedState {
                 state,
                 heard,
                 status: Status::default(),
@@ -122,37 +112,35 @@ impl Shared {
         }
     }
 
-    /// What is known. Each message leaves it whole, so one that panicked elsewhere leaves a usable state.
-    pub fn known(&self) -> MutexGuard<'_, Known> {
+    /// Each message leaves the state consistent, so it outlives a panic.
+    pub fn known(&self) -> MutexGuard<'_, SharedState> {
         self.known.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Wakes the clients.
     pub fn wake(&self) {
         self.news.send_modify(|number| *number += 1);
     }
 
-    /// What wakes a client.
+    /// Wakes a client.
     pub fn news(&self) -> watch::Receiver<u64> {
         self.news.subscribe()
     }
 
-    /// What does not change.
     pub fn settings(&self) -> &Settings {
         &self.settings
     }
 
     /// Where commands go.
-    pub fn commands(&self) -> &mpsc::Sender<Asked> {
+    pub fn commands(&self) -> &mpsc::Sender<ClientCommand> {
         &self.commands
     }
 
-    /// How many clients are connected.
+    /// The number of connected clients.
     pub fn clients(&self) -> usize {
         self.clients.load(Ordering::Relaxed)
     }
 
-    /// Renews the message `status`.
+    /// Updates the message `status`.
     pub fn renew_status(&self) {
         let view = View {
             clients: self.clients(),
@@ -165,7 +153,7 @@ impl Shared {
         known.status.number += 1;
     }
 
-    /// A place for one more client, unless all are taken.
+    /// A place for one more client, if free.
     pub fn admit(self: &Arc<Self>) -> Option<Place> {
         let limit = self.settings.max_clients;
         let next = |clients: usize| (clients < limit).then_some(clients + 1);
@@ -175,7 +163,7 @@ impl Shared {
     }
 }
 
-/// The place of a client, given back when it is dropped.
+/// Freed when dropped.
 pub struct Place(Arc<Shared>);
 
 impl Drop for Place {
@@ -187,7 +175,7 @@ impl Drop for Place {
 /// Listens on an address.
 ///
 /// # Errors
-/// It is taken, or none of this machine's.
+/// The address is taken, or not of this machine.
 pub async fn listen(address: SocketAddr) -> Result<(TcpListener, SocketAddr), ViewError> {
     let refused = |reason| ViewError::Listen { address, reason };
     let listener = TcpListener::bind(address).await.map_err(refused)?;
@@ -215,7 +203,7 @@ fn router(shared: Arc<Shared>) -> Router {
     let mut router = Router::new().route("/socket", get(connect));
     for file in page::FILES {
         let page = ([(header::CONTENT_TYPE, file.media_type)], file.text);
-        // Viewers connect to the bare address.
+        // viewers connect to the bare address
         let serve = async move |sharing: Sharing,
                                 headers: HeaderMap,
                                 uri: Uri,
@@ -243,7 +231,7 @@ impl From<Refusal> for Response {
 type Sharing = Extracted<Arc<Shared>>;
 type Upgrade = Result<WebSocketUpgrade, WebSocketUpgradeRejection>;
 
-/// Refuses requests to other hosts and of other pages, and has browsers be strict with every answer.
+/// Refuses requests to other hosts and of other pages, and makes browsers strict.
 async fn of_own_page(Extracted(shared): Sharing, request: Request, next: Next) -> Response {
     let mut response = match check_origin(&shared.settings, request.headers()) {
         Ok(()) => next.run(request).await,
@@ -292,7 +280,7 @@ async fn with_token(Extracted(shared): Sharing, request: Request, next: Next) ->
     }
 }
 
-/// A picture that was seen, of the last minute or of the bag.
+/// A picture of the last minute or of the bag.
 async fn picture(
     Extracted(shared): Sharing,
     Path((source, stamp_ns, observed_ns, step)): Path<(String, i64, i64, u8)>,
@@ -311,15 +299,15 @@ async fn picture(
             let media_type = [(header::CONTENT_TYPE, picture.format.media_type())];
             (media_type, picture.data()).into_response()
         }
-        Ok(None) => (StatusCode::NOT_FOUND, "this picture is no longer kept").into_response(),
+        Ok(None) => (StatusCode::NOT_FOUND, "this picture has expired").into_response(),
         Err(reason) => (StatusCode::INTERNAL_SERVER_ERROR, reason).into_response(),
     }
 }
 
-/// The picture of a label, of the last minute or of the bag.
+/// Finds a picture of the last minute or of the bag.
 ///
 /// # Errors
-/// The bag cannot be read there, in words.
+/// The bag cannot be read there; the reason as text.
 pub async fn find(shared: &Shared, label: Label) -> Result<Option<Arc<Picture>>, String> {
     match &shared.settings.bag {
         Some(bag) => Arc::clone(bag).picture(label).await,
@@ -327,7 +315,6 @@ pub async fn find(shared: &Shared, label: Label) -> Result<Option<Arc<Picture>>,
     }
 }
 
-/// A client's socket.
 async fn connect(
     Extracted(shared): Sharing,
     headers: HeaderMap,
@@ -359,7 +346,7 @@ async fn connect(
         .protocols([spoken.name()])
         .max_message_size(longest_in)
         .max_frame_size(longest_in)
-        // Each message is sent at once.
+        // send each message at once
         .write_buffer_size(0)
         .max_write_buffer_size(2 * longest_out);
     let Some(place) = shared.admit() else {

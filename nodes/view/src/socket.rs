@@ -1,9 +1,9 @@
-//! One client.
+//! The socket of a client.
 
 use crate::{
     command::Numbered,
     cursor::Cursor,
-    server::{Asked, Shared},
+    server::{ClientCommand, Shared},
 };
 use axum::{
     Error,
@@ -16,22 +16,22 @@ use futures::{
 use std::time::Duration;
 use tokio::{sync::mpsc, time::MissedTickBehavior};
 
-/// How long a message may take to be sent. A client that takes longer stands still: it is let go, and its page connects
-/// again when it wakes.
+/// How long sending a message may take. A slower client has stalled: it is disconnected, and its page reconnects when
+/// it wakes.
 const SEND_LIMIT: Duration = Duration::from_secs(10);
-/// How often a client is asked whether it is still there.
+/// How often clients are pinged.
 pub const PING_PERIOD: Duration = Duration::from_secs(10);
-/// Answers to commands that may wait.
+/// The most waiting replies to commands.
 const ANSWERS: usize = 16;
-/// The shortest time from one delivery to the next: at a camera of 200 Hz, a client still gets 60 pictures a second.
+/// The shortest time between deliveries: 60 pictures a second, even with a camera of 200 Hz.
 const PACE: Duration = Duration::from_millis(16);
 
-/// Messages of a client that are no commands and are answered; with the next one it is let go, which can only mean harm.
+/// The most invalid messages of a client; then it is disconnected.
 const MALFORMED: usize = 20;
 
-/// Serves a client until it goes, stands still, or has sent too much that is no command.
+/// Serves a client until it leaves, stalls, or has sent too many invalid messages.
 pub async fn serve(socket: WebSocket, shared: &Shared) {
-    // So that it does not wait for the next one.
+    // so that it does not wait for the next one
     shared.renew_status();
     let (sink, stream) = socket.split();
     let (sender, answers) = mpsc::channel(ANSWERS);
@@ -40,20 +40,20 @@ pub async fn serve(socket: WebSocket, shared: &Shared) {
         ended = receive(stream, shared, sender) => ended,
     };
     if let Err(reason) = ended {
-        tracing::debug!("a client is let go: {reason}");
+        tracing::debug!("a client is disconnected: {reason}");
     }
 }
 
 /// Sends a message.
 ///
 /// # Errors
-/// The client is gone or stands still, in words.
+/// The client has gone or stalled; the reason as text.
 pub async fn deliver(
     sink: &mut SplitSink<WebSocket, Message>,
     message: Message,
 ) -> Result<(), String> {
     let sent = tokio::time::timeout(SEND_LIMIT, sink.send(message)).await;
-    sent.map_err(|_| "it stands still".to_owned())?
+    sent.map_err(|_| "it has stalled".to_owned())?
         .map_err(|error: Error| error.to_string())
 }
 
@@ -99,9 +99,9 @@ async fn receive(
     let mut refuse = |number, reason: &str| {
         malformed += 1;
         if malformed > MALFORMED {
-            return Err(format!("{malformed} messages were no commands; {reason}"));
+            return Err(format!("{malformed} messages were invalid; {reason}"));
         }
-        // A client that does not read them misses some.
+        // a client that does not read misses some replies
         answers.try_send(answer(number, Err(reason))).ok();
         Ok(())
     };
@@ -117,11 +117,11 @@ async fn receive(
                 };
                 let permission = shared.settings().permission;
                 let refused = if command.needs() > permission {
-                    Some("not permitted: the parameter control says what is")
+                    Some("not permitted: see the parameter control")
                 } else if shared.settings().bag.is_some() {
-                    Some("a bag is shown: there is nobody to tell")
+                    Some("not possible: the view shows a bag")
                 } else {
-                    let asked = Asked {
+                    let asked = ClientCommand {
                         number,
                         command,
                         answers: answers.clone(),
@@ -141,7 +141,7 @@ async fn receive(
     Ok(())
 }
 
-/// The answer to a command; without a number where the message had none.
+/// The reply to a command; without a number if the message had none.
 pub fn answer(number: Option<u32>, result: Result<&str, &str>) -> String {
     let (is_done, text) = match result {
         Ok(text) => (true, text),

@@ -1,4 +1,4 @@
-//! What the view knows: pure, told of messages with the time of their arrival, from live topics or from a bag.
+//! The view's state: pure, updated by messages with their times of arrival, from live topics or a bag.
 
 use crate::report::pairing::{Awaited, Pairing, Pairings};
 use crate::{
@@ -27,7 +27,7 @@ use wm_msgs::{
 };
 use wm_ros::Log;
 
-/// What is heard. The order is that of the page's table.
+/// A subscribed topic, in the order of the page's table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Topic {
     Camera,
@@ -61,35 +61,35 @@ impl Topic {
     }
 }
 
-/// Steps of a rollout that are distinguished, as in the report.
+/// The most steps of a rollout, as in the report.
 const STEP_LIMIT: u32 = 64;
-/// Actions are shown at most so often: a robot's may come at 500 Hz \[ns\].
+/// The shortest time between shown actions: a robot's may arrive at 500 Hz \[ns\].
 const ACTION_GAP_NS: i64 = 15_000_000;
-/// Offers of candidates that can still be chosen from.
+/// The last offers of candidates that clients can choose from.
 const MAX_OFFERS: usize = 8;
-/// Actions of an offer that is kept, over all candidates: each is some 100 bytes.
+/// The most actions of an offer, over all candidates: each has some 100 bytes.
 const MAX_OFFERED: usize = 16_384;
-/// Events of a live minute: some 15,000 at a camera of 30 Hz.
+/// Events of a live minute: about 15,000 with a camera of 30 Hz.
 const LIVE_BYTES: usize = 8 << 20;
 /// Events of a bag: an hour at 5 Hz.
 const BAG_BYTES: usize = 64 << 20;
 
-/// What is left out, by reason.
+/// Why a message is dropped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Left {
+pub enum DropReason {
     /// A predicted picture of which it cannot be told of which prediction it is.
     Unpaired,
     /// A prediction whose step or period is out of bounds.
     BadPrediction,
-    /// More candidates than are kept.
+    /// Candidates with too many actions.
     LargeOffer,
-    /// A transform that is none, that is older than the last one, or of one frame too many.
+    /// An invalid or outdated transform, or too many frames.
     BadTransform,
-    /// A fit that does not exist.
+    /// An unknown fit.
     BadFit,
 }
 
-impl Left {
+impl DropReason {
     /// As it is counted in the diagnostics.
     pub const fn reason(self) -> &'static str {
         match self {
@@ -101,7 +101,7 @@ impl Left {
         }
     }
 
-    /// In words.
+    /// For the log.
     pub const fn text(self) -> &'static str {
         match self {
             Self::Unpaired => {
@@ -119,20 +119,16 @@ impl Left {
     }
 }
 
-/// What the view knows.
 #[derive(Debug)]
 pub struct State {
-    /// Pictures; empty where they are read from a bag.
+    /// Empty if pictures are read from a bag.
     pub album: Album,
-    /// Events.
     pub journal: Journal,
     /// The nodes' diagnostics.
     pub nodes: Nodes,
-    /// What the executor does.
     pub executor: Option<Executor>,
-    /// How the camera sees, and where it is.
     pub scene: Scene,
-    /// How the model takes the camera's pictures; stretched until the decoder says otherwise.
+    /// How the model frames the camera's pictures; stretched until the decoder publishes it.
     pub fit: Fit,
     rates: BTreeMap<Topic, Rate>,
     pairings: Pairings,
@@ -142,7 +138,7 @@ pub struct State {
 }
 
 impl State {
-    /// Of live topics: the last minute, and at most `bytes` of pictures.
+    /// For live topics: the last minute, and at most `bytes` of pictures.
     pub fn live(bytes: usize) -> Self {
         Self::new(
             bytes,
@@ -153,7 +149,7 @@ impl State {
         )
     }
 
-    /// Of a bag: all of it, without the pictures.
+    /// For a bag: all events, without pictures.
     pub fn of_bag() -> Self {
         Self::new(
             0,
@@ -180,38 +176,38 @@ impl State {
         }
     }
 
-    /// Something came on a topic.
+    /// Counts a message of a topic.
     pub fn heard(&mut self, topic: Topic, now_ns: i64) {
         self.rates.entry(topic).or_default().arrived(now_ns);
     }
 
-    /// How often messages came on a topic.
+    /// The rate of messages on a topic.
     pub fn rate(&mut self, topic: Topic) -> &mut Rate {
         self.rates.entry(topic).or_default()
     }
 
-    /// Which picture it is that came with this stamp; none where it came before by the other transport, or where nobody can
-    /// tell.
+    /// The label of a picture with this stamp. `None` if it arrived before by the other transport, or its prediction is
+    /// unknown.
     ///
     /// # Errors
-    /// Why it is left out, where that is worth counting.
+    /// Why it is dropped, if that counts as a loss.
     pub fn label(
         &mut self,
         source: Source,
         stamp_ns: i64,
         now_ns: i64,
-    ) -> Result<Option<Label>, Left> {
+    ) -> Result<Option<Label>, DropReason> {
         self.heard(Topic::of(source), now_ns);
         match source {
             Source::Predicted => match self.pairings.pictured(stamp_ns, now_ns) {
                 Pairing::Found(awaited) => Ok(Some(Label {
                     source,
-                    // STEP_LIMIT holds it below 65.
+                    // STEP_LIMIT keeps it below 65
                     step: awaited.step as u8,
                     stamp_ns,
                     observed_ns: awaited.observed_ns,
                 })),
-                Pairing::Late => Err(Left::Unpaired),
+                Pairing::Late => Err(DropReason::Unpaired),
                 // Of a rollout that was under way when the view began, or that came raw too.
                 Pairing::Unknown => Ok(None),
             },
@@ -226,7 +222,7 @@ impl State {
         }
     }
 
-    /// Takes a picture whose label it gave.
+    /// Adds a labelled picture.
     pub fn picture(&mut self, picture: Arc<Picture>, now_ns: i64) {
         self.seen(&picture.label, now_ns);
         if picture.label.source == Source::Camera {
@@ -235,7 +231,7 @@ impl State {
         self.album.add(picture, now_ns);
     }
 
-    /// Tells of a picture that somebody else keeps.
+    /// Records a picture that the bag holds.
     pub fn seen(&mut self, label: &Label, now_ns: i64) {
         self.journal.add(&Event::picture(label), now_ns);
     }
@@ -244,13 +240,13 @@ impl State {
     ///
     /// # Errors
     /// Its step or period is out of bounds, or a time is invalid.
-    pub fn prediction(&mut self, prediction: &Prediction, now_ns: i64) -> Result<(), Left> {
+    pub fn prediction(&mut self, prediction: &Prediction, now_ns: i64) -> Result<(), DropReason> {
         self.heard(Topic::Predicted, now_ns);
         // A message of a node of this process was not decoded.
-        let nanos = |stamp: Time| stamp.checked_nanos().map_err(|_| Left::BadPrediction);
+        let nanos = |stamp: Time| stamp.checked_nanos().map_err(|_| DropReason::BadPrediction);
         let period_ns = prediction.step_period.checked_nanos().unwrap_or(0);
         if prediction.step == 0 || prediction.step > STEP_LIMIT || period_ns <= 0 {
-            return Err(Left::BadPrediction);
+            return Err(DropReason::BadPrediction);
         }
         nanos(prediction.ready_stamp)?;
         self.pairings.predicted(Awaited {
@@ -266,7 +262,6 @@ impl State {
         Ok(())
     }
 
-    /// A prediction's error.
     pub fn error(&mut self, error: &PredictionError, now_ns: i64) {
         self.heard(Topic::Errors, now_ns);
         if (1..=STEP_LIMIT).contains(&error.step) {
@@ -274,7 +269,6 @@ impl State {
         }
     }
 
-    /// An action of the robot.
     pub fn action(&mut self, action: &Action, now_ns: i64) {
         self.heard(Topic::Action, now_ns);
         let is_soon = |last_ns: i64| (0..ACTION_GAP_NS).contains(&now_ns.saturating_sub(last_ns));
@@ -290,13 +284,12 @@ impl State {
         self.journal.add(&Event::chunk(chunk), now_ns);
     }
 
-    /// A plan.
     pub fn plan(&mut self, plan: &Plan, now_ns: i64) {
         self.heard(Topic::Plan, now_ns);
         self.journal.add(&Event::plan(plan), now_ns);
     }
 
-    /// Shapes, a plan among them.
+    /// Markers, among them a plan's path.
     pub fn markers(&mut self, markers: &MarkerArray, now_ns: i64) {
         self.heard(Topic::Markers, now_ns);
         if let Some(way) = self.scene.way(markers) {
@@ -304,16 +297,15 @@ impl State {
         }
     }
 
-    /// How the model takes the camera's pictures.
+    /// How the model frames the camera's pictures.
     ///
     /// # Errors
     /// There is no such fit.
-    pub fn fit(&mut self, fit: &Text) -> Result<(), Left> {
-        self.fit = fit.data.parse().map_err(|_| Left::BadFit)?;
+    pub fn fit(&mut self, fit: &Text) -> Result<(), DropReason> {
+        self.fit = fit.data.parse().map_err(|_| DropReason::BadFit)?;
         Ok(())
     }
 
-    /// A goal.
     pub fn goal(&mut self, goal: &Goal, now_ns: i64) {
         self.heard(Topic::Goal, now_ns);
         self.journal.add(&Event::goal(goal), now_ns);
@@ -322,16 +314,16 @@ impl State {
     /// A policy's candidates.
     ///
     /// # Errors
-    /// They are more than are kept.
+    /// They have too many actions.
     pub fn candidates(
         &mut self,
         candidates: Arc<ActionCandidates>,
         now_ns: i64,
-    ) -> Result<(), Left> {
+    ) -> Result<(), DropReason> {
         self.heard(Topic::Candidates, now_ns);
         let chunks = candidates.chunks.iter();
         if chunks.map(|chunk| chunk.actions.len()).sum::<usize>() > MAX_OFFERED {
-            return Err(Left::LargeOffer);
+            return Err(DropReason::LargeOffer);
         }
         self.journal.add(&Event::candidates(&candidates), now_ns);
         if self.offers.len() == MAX_OFFERS {
@@ -341,32 +333,29 @@ impl State {
         Ok(())
     }
 
-    /// The chunk of a candidate that was offered.
+    /// The chunk of an offered candidate.
     pub fn offered(&self, stamp_ns: i64, index: usize) -> Option<&ActionChunk> {
         let is_it = |offer: &&Arc<ActionCandidates>| offer.header.stamp.to_nanos() == stamp_ns;
         let offer = self.offers.iter().rev().find(is_it)?;
         offer.chunks.get(index)
     }
 
-    /// What the candidates would do.
+    /// The predicted outcomes of the candidates.
     pub fn assessment(&mut self, assessment: &Assessment, now_ns: i64) {
         self.heard(Topic::Assessment, now_ns);
         self.journal.add(&Event::assessment(assessment), now_ns);
     }
 
-    /// What the executor does.
     pub fn executor(&mut self, status: &ExecutorStatus, now_ns: i64) {
         self.heard(Topic::Executor, now_ns);
         self.executor = Some(Executor::of(status, now_ns));
     }
 
-    /// How the nodes are.
     pub fn diagnostics(&mut self, array: &DiagnosticArray, now_ns: i64) {
         self.heard(Topic::Diagnostics, now_ns);
         self.nodes.update(array, now_ns);
     }
 
-    /// A record of the log.
     pub fn log(&mut self, log: &Log, now_ns: i64) {
         self.heard(Topic::Log, now_ns);
         self.journal.add(&Event::log(log), now_ns);
@@ -394,7 +383,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn a_predicted_picture_is_told_by_its_rollout_and_step() {
+    fn predicted_picture_is_identified_by_rollout_and_step() {
         let mut state = State::live(1 << 20);
         for observed in [0, STEP_NS] {
             for step in 1..=3 {
@@ -403,7 +392,7 @@ pub(crate) mod tests {
                     .unwrap();
             }
         }
-        // 2 steps ahead of the second observation, and 3 of the first, are of one moment: the newer counts.
+        // 2 steps after the second observation, and 3 after the first, are the same time: the newer counts
         let label = state.label(Source::Predicted, 3 * STEP_NS, STEP_NS + 90_000_000);
         let expected = Label {
             source: Source::Predicted,
@@ -416,11 +405,11 @@ pub(crate) mod tests {
         assert!(state.album.find(&expected).is_some());
         assert_eq!(state.label(Source::Predicted, 17, 18), Ok(None));
         let late = state.label(Source::Predicted, STEP_NS, 9 * STEP_NS);
-        assert_eq!(late, Err(Left::Unpaired));
+        assert_eq!(late, Err(DropReason::Unpaired));
     }
 
     #[test]
-    fn a_frame_that_comes_by_both_transports_counts_once() {
+    fn frame_on_both_transports_counts_once() {
         let mut state = State::live(1 << 20);
         assert!(state.label(Source::Camera, 5, 6).unwrap().is_some());
         assert_eq!(state.label(Source::Camera, 5, 7), Ok(None));
@@ -428,7 +417,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn what_is_out_of_bounds_is_left_out_by_name() {
+    fn out_of_bounds_values_are_dropped_by_name() {
         let mut state = State::live(1 << 20);
         for bad in [
             Prediction {
@@ -458,7 +447,7 @@ pub(crate) mod tests {
                 ..prediction(0, 1)
             },
         ] {
-            assert_eq!(state.prediction(&bad, 1), Err(Left::BadPrediction));
+            assert_eq!(state.prediction(&bad, 1), Err(DropReason::BadPrediction));
         }
         let chunk = ActionChunk {
             actions: vec![Action::default(); MAX_OFFERED],
@@ -471,7 +460,7 @@ pub(crate) mod tests {
                 ..ActionCandidates::default()
             })
         };
-        assert_eq!(state.candidates(offer(2), 1), Err(Left::LargeOffer));
+        assert_eq!(state.candidates(offer(2), 1), Err(DropReason::LargeOffer));
         assert_eq!(state.candidates(offer(1), 1), Ok(()));
         assert!(state.offered(7, 0).is_some() && state.offered(7, 1).is_none());
         assert!(state.offered(8, 0).is_none());

@@ -1,4 +1,4 @@
-//! How things are at this moment, as JSON: rates, nodes, executor, and what is missing.
+//! The current status as JSON: rates, nodes, executor, and missing inputs.
 
 use crate::{
     clip,
@@ -12,18 +12,18 @@ use wm_msgs::{
     wm_msgs::ExecutorStatus,
 };
 
-/// Nodes that are shown.
+/// The most nodes.
 const MAX_NODES: usize = 64;
-/// Figures of a node that are shown.
+/// The most values of a node.
 const MAX_VALUES: usize = 80;
 /// Bytes of a text of the diagnostics.
 const MAX_TEXT: usize = 600;
-/// A node that has said nothing for so long is forgotten \[ns\].
+/// A node that is silent for this long is forgotten \[ns\].
 const FORGOTTEN_NS: i64 = 60_000_000_000;
-/// A camera that has been silent for so long is missed \[ns\].
+/// A camera that is silent for this long is missing \[ns\].
 const SILENT_NS: i64 = 3_000_000_000;
 
-/// The nodes' diagnostics, the newest of each.
+/// The newest diagnostics of each node.
 #[derive(Debug, Default)]
 pub struct Nodes(BTreeMap<String, Node>);
 
@@ -36,7 +36,6 @@ struct Node {
 }
 
 impl Nodes {
-    /// Takes what nodes say of themselves.
     pub fn update(&mut self, array: &DiagnosticArray, now_ns: i64) {
         self.0
             .retain(|_, node| now_ns.saturating_sub(node.heard_ns) < FORGOTTEN_NS);
@@ -48,7 +47,7 @@ impl Nodes {
         }
     }
 
-    /// Whether a node of this name has said something, in whatever namespace.
+    /// Whether a node of this name has reported, in any namespace.
     fn has(&self, name: &str) -> bool {
         let is_it = |node: &String| node.rsplit('/').next() == Some(name);
         self.0.keys().any(is_it)
@@ -85,7 +84,7 @@ impl Node {
     }
 }
 
-/// What the executor does.
+/// The state of the executor.
 #[derive(Debug, Serialize)]
 pub struct Executor {
     state: &'static str,
@@ -99,7 +98,6 @@ pub struct Executor {
 }
 
 impl Executor {
-    /// As its status says.
     pub fn of(status: &ExecutorStatus, heard_ns: i64) -> Self {
         Self {
             state: match status.state {
@@ -138,32 +136,31 @@ struct TopicJson<'a> {
     age_ms: Option<i64>,
 }
 
-/// Something that the page would show, and is not there.
+/// An input of the page that is missing.
 #[derive(Debug, PartialEq, Eq, Serialize)]
-pub struct Missing {
-    /// Which panel it is of.
+pub struct MissingInput {
+    /// Its panel.
     panel: &'static str,
-    /// What is missing, and what to do.
+    /// The fault and the remedy.
     text: String,
 }
 
-/// A topic that is heard, or looked for in a bag.
+/// A topic that the view subscribes to, or reads from a bag.
 #[derive(Clone, Debug)]
-pub struct Heard {
+pub struct InputTopic {
     /// Which.
     pub topic: Topic,
     /// Its absolute name.
     pub name: String,
-    /// Publishers that there are; none where that means nothing, in a bag.
+    /// Number of publishers; `None` in a bag.
     pub publishers: Option<usize>,
 }
 
-/// What does not come from messages.
+/// Status that does not come from messages.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct View {
-    /// Clients that are connected.
     pub clients: usize,
-    /// Connections that were refused, because there were too many.
+    /// Connections refused because there were too many.
     pub refused: u64,
 }
 
@@ -175,7 +172,7 @@ struct Message<'a> {
     nodes: Vec<NodeJson<'a>>,
     executor: Option<&'a Executor>,
     executor_age_ms: Option<i64>,
-    missing: Vec<Missing>,
+    missing: Vec<MissingInput>,
     fit: Fit,
     kept_bytes: usize,
     kept_s: f64,
@@ -183,7 +180,7 @@ struct Message<'a> {
 }
 
 /// The message `status`.
-pub fn message(state: &mut State, heard: &[Heard], view: &View, now_ns: i64) -> String {
+pub fn message(state: &mut State, heard: &[InputTopic], view: &View, now_ns: i64) -> String {
     let missing = missing(state, heard, now_ns);
     let topics = heard.iter().map(|heard| {
         let rate = state.rate(heard.topic);
@@ -211,19 +208,19 @@ pub fn message(state: &mut State, heard: &[Heard], view: &View, now_ns: i64) -> 
         kept_s: state.album.span_ns() as f64 / 1e9,
         view,
     };
-    // Texts and numbers: it cannot fail.
+    // texts and numbers: it cannot fail
     serde_json::to_string(&message).unwrap_or_default()
 }
 
 /// What is missing, for whoever wonders why a panel is empty.
-fn missing(state: &mut State, heard: &[Heard], now_ns: i64) -> Vec<Missing> {
+fn missing(state: &mut State, heard: &[InputTopic], now_ns: i64) -> Vec<MissingInput> {
     let find = |topic: Topic| heard.iter().find(|heard| heard.topic == topic);
     let name = |topic: Topic| find(topic).map_or("", |heard| heard.name.as_str());
     let is_bag = |topic: Topic| find(topic).is_none_or(|heard| heard.publishers.is_none());
     let has_publisher = |topic: Topic| find(topic).is_some_and(|heard| heard.publishers > Some(0));
     let camera = name(Topic::Camera);
     let mut missing = Vec::new();
-    let mut miss = |panel, text| missing.push(Missing { panel, text });
+    let mut miss = |panel, text| missing.push(MissingInput { panel, text });
     let has_frames = state.rate(Topic::Camera).count() > 0;
     match (
         is_bag(Topic::Camera),
@@ -309,7 +306,7 @@ mod tests {
     use crate::{picture::Source, state::tests::prediction};
     use wm_msgs::diagnostic_msgs::KeyValue;
 
-    fn heard(publishers: Option<usize>) -> Vec<Heard> {
+    fn heard(publishers: Option<usize>) -> Vec<InputTopic> {
         let topics = [
             (Topic::Camera, "/camera/image_raw"),
             (Topic::Predicted, "/wm/predicted"),
@@ -317,7 +314,7 @@ mod tests {
             (Topic::Action, "/wm/action"),
             (Topic::Plan, "/wm/plan"),
         ];
-        let heard = |(topic, name): (Topic, &str)| Heard {
+        let heard = |(topic, name): (Topic, &str)| InputTopic {
             topic,
             name: name.to_owned(),
             publishers,
@@ -325,13 +322,13 @@ mod tests {
         topics.into_iter().map(heard).collect()
     }
 
-    fn text_of<'a>(missing: &'a [Missing], panel: &str) -> &'a str {
+    fn text_of<'a>(missing: &'a [MissingInput], panel: &str) -> &'a str {
         let found = missing.iter().find(|missing| missing.panel == panel);
         found.map_or("", |missing| &missing.text)
     }
 
     #[test]
-    fn what_is_missing_is_named_until_it_is_there() {
+    fn missing_inputs_are_named_until_they_arrive() {
         let mut state = State::live(1 << 20);
         let found = missing(&mut state, &heard(Some(0)), 0);
         assert!(
@@ -395,7 +392,7 @@ mod tests {
     }
 
     #[test]
-    fn the_page_learns_how_the_model_takes_pictures() {
+    fn page_receives_the_models_fit() {
         let mut state = State::live(0);
         let fit = |state: &mut State| {
             let message = message(state, &heard(Some(1)), &View::default(), 0);

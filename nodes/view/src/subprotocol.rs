@@ -1,9 +1,8 @@
-//! What a socket speaks.
+//! The protocol of a socket.
 
 use crate::foxglove;
 use axum::http::{HeaderMap, header};
 
-/// A subprotocol that the server speaks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Subprotocol {
     /// The page's own.
@@ -13,8 +12,7 @@ pub enum Subprotocol {
 }
 
 impl Subprotocol {
-    /// The one that a client's socket is to speak, of those that it offers; none where the server speaks none of them. A
-    /// client that offers the page's gets that.
+    /// Chooses one of the subprotocols that a client offers, the page's first; `None` if all are unknown.
     pub fn of(headers: &HeaderMap) -> Option<Self> {
         let offers = |name: &str| offered(headers).any(|offered| offered == name);
         if offers(Self::View.name()) {
@@ -24,7 +22,6 @@ impl Subprotocol {
         foxglove.find(|name| offers(name)).map(Self::Foxglove)
     }
 
-    /// Its name.
     pub const fn name(self) -> &'static str {
         match self {
             Self::View => "wm.view.v1",
@@ -45,7 +42,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_pages_own_comes_first_and_foxgloves_newer_one_next() {
+    fn own_subprotocol_precedes_foxgloves() {
         let of = |lists: &[&str]| {
             let mut headers = HeaderMap::new();
             for list in lists {

@@ -1,7 +1,7 @@
-//! Coordinate frames in each other, as tf tells them (REP 105): the tree that `/tf` and `/tf_static` grow, and poses between
-//! messages and values. Pure: stamps come from the messages.
+//! Coordinate frames from tf (REP 105): the tree of `/tf` and `/tf_static`, and conversion of poses. Pure: stamps come
+//! from the messages.
 
 pub mod pose;
 mod tree;
 
-pub use tree::{Frames, LeftOut, Unknown, bare};
+pub use tree::{Frames, LookupError, TransformError, bare};

@@ -1,8 +1,8 @@
-//! Latents between messages and numbers.
+//! Conversion of latents between messages and numbers.
 //!
-//! On the wire a latent is little-endian f32, f16 or bf16; within the nodes it is `Vec<f32>`, row-major, channels last.
-//! A latent of a different space, shape or length, or with a value that is not finite, is an error that names it: it
-//! never reaches a model.
+//! On the wire a latent is little-endian f32, f16 or bf16. In the nodes it is `Vec<f32>`, row-major, channels last. A
+//! latent of another space, shape or length, or with a value that is not finite, is an error that names it, and never
+//! reaches a model.
 
 use half::{bf16, f16};
 use thiserror::Error;
@@ -13,15 +13,15 @@ use wm_msgs::{
 };
 use wm_ros::Qos;
 
-/// Of latents between nodes.
+/// The QoS of latents between nodes.
 pub const LATENT_QOS: Qos = Qos::sensor_data();
 
-/// Type of one number on the wire.
+/// The number type on the wire.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum LatentDtype {
     /// IEEE 754 binary32.
     F32,
-    /// IEEE 754 binary16: the default, halves the traffic at an error far below the model's.
+    /// IEEE 754 binary16: the default; halves the traffic with an error far below the model's.
     #[default]
     F16,
     /// bfloat16: the range of f32, 8 bits of precision.
@@ -29,7 +29,7 @@ pub enum LatentDtype {
 }
 
 impl LatentDtype {
-    /// By its name in a parameter: `f32`, `f16` or `bf16`.
+    /// Parses `f32`, `f16` or `bf16`.
     pub fn parse(name: &str) -> Option<Self> {
         match name {
             "f32" => Some(Self::F32),
@@ -65,55 +65,45 @@ impl LatentDtype {
     }
 }
 
-/// Why a latent message cannot be used, or made.
+/// Why a latent message is invalid, or cannot be made.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
+#[expect(missing_docs, reason = "the messages explain variants and fields")]
 pub enum LatentError {
-    /// Another latent space.
     #[error(
         "latent of space \"{actual_name}\" ({actual_hash}); expected \"{expected_name}\" ({expected_hash})"
     )]
     Space {
-        /// Name that came.
         actual_name: String,
-        /// Hash that came.
         actual_hash: String,
-        /// Name expected.
         expected_name: String,
-        /// Hash expected.
         expected_hash: String,
     },
-    /// Another grid.
     #[error("latent of shape {actual:?}; expected {expected:?} (height, width, channels)")]
     Shape {
-        /// What came.
         actual: (u32, u32, u32),
-        /// What the space has.
         expected: (usize, usize, usize),
     },
-    /// No known type of number.
     #[error("latent dtype is {0}; expected 0 (f32), 1 (f16) or 2 (bf16)")]
     Dtype(u8),
-    /// Not as many numbers or bytes as the shape needs.
+    /// The number of values or bytes does not match the shape.
     #[error("latent data has {actual} {unit}; its shape and dtype need {expected}")]
     Length {
-        /// What came.
         actual: usize,
-        /// What is needed.
         expected: usize,
         /// `bytes` or `values`.
         unit: &'static str,
     },
-    /// Not a number, or infinite (in the dtype of the wire).
+    /// A value is not a number, or infinite in the wire's dtype.
     #[error("value {index} of the latent is not finite")]
     NotFinite {
-        /// Which one, in row-major order.
+        /// In row-major order.
         index: usize,
     },
 }
 
 impl LatentError {
-    /// One word for the drop counters.
+    /// The drop reason.
     pub fn reason(&self) -> &'static str {
         match self {
             Self::Space { .. } => "wrong_space",
@@ -122,10 +112,10 @@ impl LatentError {
     }
 }
 
-/// The message of a latent: `values` of `space`, row-major, channels last, in `dtype`.
+/// Encodes a latent: `values` of `space`, row-major, channels last, in `dtype`.
 ///
 /// # Errors
-/// [`LatentError::Length`]; [`LatentError::NotFinite`] where a value is not finite, or beyond what `dtype` holds.
+/// [`LatentError::Length`]; [`LatentError::NotFinite`] if a value is not finite, or beyond the range of `dtype`.
 pub fn encode_latent(
     values: &[f32],
     space: &LatentSpace,
@@ -161,6 +151,7 @@ pub fn encode_latent(
             return Err(LatentError::NotFinite { index });
         }
     }
+    // a side beyond 32 bits fits no message and no space
     let side = |value: usize| u32::try_from(value).unwrap_or(u32::MAX);
     Ok(Latent {
         header,
@@ -182,7 +173,7 @@ pub fn encode_latent(
 /// The values of a latent of `space`, row-major, channels last.
 ///
 /// # Errors
-/// [`LatentError`] names what does not fit.
+/// [`LatentError`] names the fault.
 pub fn decode_latent(latent: &Latent, space: &LatentSpace) -> Result<Vec<f32>, LatentError> {
     if latent.space.name != space.name || latent.space.hash != space.hash {
         return Err(LatentError::Space {
@@ -231,7 +222,7 @@ pub fn decode_latent(latent: &Latent, space: &LatentSpace) -> Result<Vec<f32>, L
     }
 }
 
-/// The data in words of N bytes; a remainder cannot be, the length is checked before.
+/// The data in words of N bytes. The length was checked before.
 fn words<const N: usize>(data: &[u8]) -> impl Iterator<Item = [u8; N]> {
     data.chunks_exact(N).filter_map(|word| word.try_into().ok())
 }
@@ -311,7 +302,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_dtype_cannot_hold_is_refused() {
+    fn values_beyond_the_dtype_are_refused() {
         let mut values = [0.0; 12];
         values[7] = 7e4;
         let encode = |dtype| encode_latent(&values, &space(), dtype, Header::default());
@@ -334,7 +325,7 @@ mod tests {
     proptest! {
         #[test]
         fn values_round_trip(values in prop::collection::vec(-100.0_f32..100.0, 12)) {
-            // Largest relative rounding: none, 2^-11, 2^-8; and f16's smallest step near zero.
+            // largest relative rounding: none, 2^-11, 2^-8; and f16's smallest step near zero
             for (dtype, relative) in [
                 (LatentDtype::F32, 0.0), (LatentDtype::F16, 1.0 / 2048.0), (LatentDtype::Bf16, 1.0 / 256.0),
             ] {
@@ -344,7 +335,7 @@ mod tests {
                     let tolerance = value.abs() * relative + if dtype == LatentDtype::F16 { 3e-8 } else { 0.0 };
                     prop_assert!((value - back).abs() <= tolerance, "{value} {back} {dtype:?}");
                 }
-                // What has been rounded once stays as it is.
+                // a second rounding changes nothing
                 prop_assert_eq!(encode_latent(&back, &space(), dtype, Header::default()).unwrap(), latent);
             }
         }

@@ -1,5 +1,5 @@
-//! Latents between ROS messages and values, with what is checked before one reaches a model; the two transports of an
-//! image topic; shapes for viewers; the lead that stamps may have; coordinate frames in each other, as tf publishes them.
+//! Conversions shared by the nodes: latents with the checks before a model, the two transports of an image topic,
+//! markers for viewers, the allowed lead of stamps, and coordinate frames from tf.
 
 pub mod frames;
 pub mod latent_message;

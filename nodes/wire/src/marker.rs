@@ -1,5 +1,5 @@
-//! Shapes for viewers, of positions in a frame. All nodes publish them on the topic `markers`, where a shape's `ns` says
-//! what it is, and each vanishes by itself: a viewer shows nothing that no node stands for any more.
+//! Markers for viewers. All nodes publish them on the topic `markers`, where a marker's `ns` names its meaning. Each
+//! vanishes after its lifetime, so a viewer shows nothing stale.
 
 use std::time::Duration;
 
@@ -13,23 +13,24 @@ use wm_msgs::{
 /// x, y and z \[m\].
 pub type Position = [f64; 3];
 
-/// Width of lines \[m\]: seen from across a table, and no thicker than a finger.
+/// Width of lines \[m\]: visible across a table, and thinner than a finger.
 const LINE_M: f64 = 0.003;
 
-/// What a shape belongs to, and how it is shown.
+/// The namespace and look of a marker.
 #[derive(Clone, Copy, Debug)]
 pub struct Style {
-    /// By which viewers show and hide it.
+    /// The namespace, by which viewers show and hide markers.
     pub ns: &'static str,
     /// Red, green, blue and opacity, 0 to 1.
     pub color: [f32; 4],
-    /// When it vanishes, unless it is renewed.
+    /// The marker vanishes after this time unless it is renewed.
     pub lifetime: Duration,
 }
 
 impl Style {
     fn marker(&self, header: Header, r#type: i32) -> Marker {
         let [r, g, b, a] = self.color;
+        // longer lifetimes mean forever
         let lifetime_ns = i64::try_from(self.lifetime.as_nanos()).unwrap_or(i64::MAX);
         Marker {
             header,
@@ -47,7 +48,7 @@ fn point([x, y, z]: Position) -> Point {
     Point { x, y, z }
 }
 
-/// A line from each position to the next.
+/// A line through all positions.
 pub fn path(header: Header, style: &Style, positions: &[Position]) -> Marker {
     Marker {
         scale: Vector3 {
@@ -76,7 +77,7 @@ pub fn ball(header: Header, style: &Style, middle: Position, radius_m: f64) -> M
     }
 }
 
-/// The twelve edges of a box along the axes, which hide nothing that is inside.
+/// The twelve edges of an axis-aligned box, through which its content stays visible.
 pub fn edges(header: Header, style: &Style, least: Position, most: Position) -> Marker {
     let corner = |bits: usize| {
         let mut corner = least;
@@ -87,7 +88,7 @@ pub fn edges(header: Header, style: &Style, least: Position, most: Position) -> 
         }
         point(corner)
     };
-    // From each corner along the axes on which it is the near one.
+    // from each corner along the axes of which it is the near end
     let points = (0..8_usize).flat_map(|from| {
         let axes = (0..3).filter(move |axis| from & (1 << axis) == 0);
         axes.flat_map(move |axis| [corner(from), corner(from | (1 << axis))])
@@ -113,7 +114,7 @@ mod tests {
     };
 
     #[test]
-    fn a_box_has_twelve_edges_along_the_axes_that_end_in_its_corners() {
+    fn box_has_twelve_axis_aligned_edges_between_its_corners() {
         let (least, most) = ([0.0, -1.0, 2.0], [1.0, 3.0, 2.5]);
         let marker = edges(Header::default(), &STYLE, least, most);
         assert_eq!(marker.r#type, Marker::LINE_LIST);
@@ -139,11 +140,11 @@ mod tests {
     }
 
     #[test]
-    fn shapes_have_the_style_and_a_pose_that_is_one() {
+    fn markers_have_the_style_and_a_valid_pose() {
         let marker = ball(Header::default(), &STYLE, [1.0, 2.0, 3.0], 0.1);
         assert_eq!((marker.ns.as_str(), marker.color.a), ("test", 0.25));
         assert_eq!(marker.lifetime.to_nanos(), 1_500_000_000);
-        // RViz refuses a quaternion of zeros.
+        // RViz refuses a quaternion of zeros
         assert_eq!(marker.pose.orientation.w, 1.0);
         assert_eq!((marker.scale.x, marker.scale.z), (0.2, 0.2));
         let line = path(Header::default(), &STYLE, &[[0.0; 3], [1.0; 3]]);

@@ -8,7 +8,7 @@ use wm_ros::{
 
 use wm_camera::camera_frame::CameraFrame;
 
-/// Which transports a node uses.
+/// The transports that a node uses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Transports {
     /// sensor_msgs/Image.
@@ -24,13 +24,13 @@ impl Transports {
         compressed: true,
     };
 
-    /// Those of the node's parameter `image_transport`; both, where it has none.
+    /// From the node's parameter `image_transport`; both if it has none.
     pub fn of(node: &Node) -> Self {
         let name: Result<String, _> = node.parameter("image_transport");
         name.map_or(Self::BOTH, |name| Self::named(&name))
     }
 
-    /// The parameter's choices leave no other name than these three.
+    /// The parameter allows only these three names.
     fn named(name: &str) -> Self {
         Self {
             raw: name != "compressed",
@@ -49,12 +49,12 @@ impl Field for Transports {
     }
 }
 
-/// The topic that carries the compressed images of `topic`. It is remapped with it.
+/// The topic of the compressed images of `topic`, remapped with it.
 fn compressed_of(node: &Node, topic: &str) -> Result<String, wm_ros::Error> {
     node.resolve_sibling(topic, "compressed")
 }
 
-/// A picture by each transport that is used.
+/// A picture for each used transport.
 #[derive(Clone, Debug, Default)]
 pub struct Pictures {
     /// sensor_msgs/Image.
@@ -63,17 +63,17 @@ pub struct Pictures {
     pub compressed: Option<CompressedImage>,
 }
 
-/// Publishers of an image topic and its sibling, as far as the parameter `image_transport` uses them.
+/// Publishers of an image topic and its sibling, as selected by the parameter `image_transport`.
 pub struct ImagePublisher {
     raw: Option<Publisher<Image>>,
     compressed: Option<Publisher<CompressedImage>>,
 }
 
 impl ImagePublisher {
-    /// Publishes a picture by the transports that are used.
+    /// Publishes a picture by the used transports.
     ///
     /// # Errors
-    /// As [`Publisher::publish`].
+    /// See [`Publisher::publish`].
     pub fn publish(&self, pictures: &Pictures) -> Result<(), wm_ros::Error> {
         if let (Some(raw), Some(publisher)) = (&pictures.raw, &self.raw) {
             publisher.publish(raw)?;
@@ -84,18 +84,18 @@ impl ImagePublisher {
         Ok(())
     }
 
-    /// The publisher of compressed pictures, where they are used.
+    /// The publisher of compressed pictures, if used.
     pub fn compressed(&self) -> Option<&Publisher<CompressedImage>> {
         self.compressed.as_ref()
     }
 
-    /// How many subscriptions are connected to either topic.
+    /// Subscriptions to either topic.
     pub fn subscribers(&self) -> usize {
         self.raw.as_ref().map_or(0, Publisher::subscribers)
             + self.compressed.as_ref().map_or(0, Publisher::subscribers)
     }
 
-    /// The absolute topics that are published, the compressed one first.
+    /// The absolute topics, the compressed one first.
     pub fn topics(&self) -> Vec<&str> {
         let compressed = self.compressed.as_ref().map(Publisher::topic);
         compressed
@@ -145,17 +145,17 @@ impl Endpoint for ImageSubscription {
     }
 }
 
-/// Frames of an image topic, by whichever transports are used.
+/// Frames of an image topic by the used transports.
 pub struct ImageSubscription {
     raw: Option<Subscription<Image>>,
     compressed: Option<Subscription<CompressedImage>>,
 }
 
 impl ImageSubscription {
-    /// Subscribes `topic` and its sibling.
+    /// Subscribes to `topic` and its sibling.
     ///
     /// # Errors
-    /// The graph refuses.
+    /// The subscription cannot be created.
     pub fn new(
         node: &Node,
         topic: &str,
@@ -168,11 +168,11 @@ impl ImageSubscription {
         Self::of(raw, compressed)
     }
 
-    /// Subscribes `topic` and its sibling, by the transports of the parameter `image_transport`, for an image that holds
-    /// until the next, as a goal does: one that was latched before comes too.
+    /// Subscribes to `topic` and its sibling by the transports of the parameter `image_transport`. For latched images,
+    /// such as goals: receives the last one too.
     ///
     /// # Errors
-    /// The graph refuses.
+    /// The subscription cannot be created.
     pub fn catching_up(node: &Node, topic: &str, qos: Qos) -> Result<Self, wm_ros::Error> {
         let Transports { raw, compressed } = Transports::of(node);
         let raw = raw.then(|| node.subscription_catching_up(topic, qos));
@@ -189,7 +189,7 @@ impl ImageSubscription {
         Ok(Self { raw, compressed })
     }
 
-    /// The absolute topics that are subscribed.
+    /// The absolute topics.
     pub fn topics(&self) -> Vec<&str> {
         let raw = self.raw.as_ref().map(Subscription::topic);
         raw.into_iter()
@@ -197,7 +197,7 @@ impl ImageSubscription {
             .collect()
     }
 
-    /// The next frame that is there already, by either transport.
+    /// A frame that has already arrived, by either transport.
     pub fn try_recv(&mut self) -> Option<Received<CameraFrame>> {
         let raw = self.raw.as_mut().and_then(Subscription::try_recv);
         if let Some(received) = raw {
@@ -218,7 +218,7 @@ impl ImageSubscription {
     }
 }
 
-/// Never, where the transport is not used.
+/// Waits forever if the transport is not used.
 async fn recv_from<M: wm_msgs::Message>(
     subscription: &mut Option<Subscription<M>>,
 ) -> Option<Received<M>> {

@@ -1,4 +1,4 @@
-//! Writes reports of made-up findings, to look at how they are shown.
+//! Writes reports of made-up findings, to check the layout.
 //!
 //! `cargo run -p wm_metrics --example sample_report -- FOLDER` writes `one.html`, `three.html`, `one.json`, `three.json`,
 //! `three.csv` and `MODEL.md`.

@@ -1,4 +1,4 @@
-//! How well classes are told: success from failure by a probe, and one rater's verdicts from another's.
+//! Metrics of classification: success against failure, and one rater against another.
 
 mod confusion;
 mod curve;

@@ -1,4 +1,4 @@
-//! How strongly two lists, or two tables, of numbers go together.
+//! Correlation of two lists or tables of numbers.
 
 mod canonical;
 mod pairs;

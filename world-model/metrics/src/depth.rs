@@ -1,27 +1,27 @@
-//! Error of depth that is known up to its scale, as a monocular network gives it.
+//! Error of depth of unknown scale, as monocular networks give it.
 //!
-//! Both figures are AbsRel, the mean of |d - d*| / d* over the pixels whose true depth is above [`LEAST_DEPTH`]; they
-//! differ in how the prediction is aligned before, and do not stand for each other. Pass the maps of one video one after
-//! another to align them together, as WorldArena does, or each frame alone.
+//! Both metrics are AbsRel, the mean of |d - d*| / d* over pixels with a true depth above [`LEAST_DEPTH`]. They align
+//! the prediction differently and are not interchangeable. Concatenate the maps of a video to align them together, as
+//! WorldArena does, or pass each frame alone.
 
 use crate::{
     MetricError,
     error::{finite, mean, same_length},
 };
 
-/// True depth up to which a pixel is left out \[unit of the depth\], as WorldArena.
+/// Pixels up to this true depth are skipped \[unit of the depth\], as in WorldArena.
 pub const LEAST_DEPTH: f64 = 1e-3;
 
-/// What WorldArena adds to the true depth before it divides.
+/// WorldArena adds this to the true depth in the division.
 const GUARD: f64 = 1e-6;
 
-/// AbsRel after the prediction is scaled to the median of the truth, both over all pixels, of an even number the lower of
-/// the middle two (PyTorch's `median`). The paper's "Depth AbsRel", which WorldArena computes so
+/// AbsRel after scaling the prediction to the true median over all pixels; an even count takes the lower middle value
+/// (PyTorch's `median`). The paper's "Depth AbsRel", as computed by WorldArena
 /// (`video_quality/WorldArena/depth_accuracy.py`).
 ///
 /// # Errors
-/// [`MetricError::Length`]; [`MetricError::Empty`] where no pixel counts; [`MetricError::NotFinite`];
-/// [`MetricError::Range`] where the predicted median is not above 0.
+/// [`MetricError::Length`]; [`MetricError::Empty`] if no pixel counts; [`MetricError::NotFinite`];
+/// [`MetricError::Range`] unless the predicted median is above 0.
 pub fn abs_rel_median_scaled(predicted: &[f32], truth: &[f32]) -> Result<f64, MetricError> {
     let (predicted, truth) = maps(predicted, truth)?;
     let (own, others) = (lower_median(&predicted), lower_median(&truth));
@@ -35,12 +35,11 @@ pub fn abs_rel_median_scaled(predicted: &[f32], truth: &[f32]) -> Result<f64, Me
     abs_rel(predicted.iter().map(|depth| depth * others / own), &truth)
 }
 
-/// AbsRel after the prediction has the scale and the shift that bring it closest to the truth in the mean square, over
-/// the pixels that count.
+/// AbsRel after the least-squares scale and shift of the prediction, over the counted pixels.
 ///
 /// # Errors
-/// [`MetricError::Length`]; [`MetricError::Empty`] where no pixel counts; [`MetricError::NotFinite`];
-/// [`MetricError::Constant`] where the prediction never varies.
+/// [`MetricError::Length`]; [`MetricError::Empty`] if no pixel counts; [`MetricError::NotFinite`];
+/// [`MetricError::Constant`] if the prediction is constant.
 pub fn abs_rel_scaled_and_shifted(predicted: &[f32], truth: &[f32]) -> Result<f64, MetricError> {
     let (predicted, truth) = maps(predicted, truth)?;
     let pairs = predicted
@@ -93,7 +92,6 @@ fn abs_rel(predicted: impl Iterator<Item = f64>, truth: &[f64]) -> Result<f64, M
     if count == 0 {
         return Err(MetricError::Empty);
     }
-    // Counts stay far below 2^52.
     Ok(sum / count as f64)
 }
 
@@ -104,7 +102,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_scaled_truth_has_no_error() {
+    fn scaled_truth_has_no_error() {
         let truth = [1.0, 2.0, 4.0, 8.0];
         let scaled = truth.map(|depth| depth * 3.0);
         assert!(abs_rel_median_scaled(&scaled, &truth).unwrap() < 1e-12);
@@ -114,14 +112,14 @@ mod tests {
     }
 
     #[test]
-    fn medians_are_the_lower_ones() {
-        // Medians 2 and 1: scaled, 1 2 and 3 stand against 1 1 and 5; the pixel without depth is left out.
+    fn median_of_even_count_is_the_lower() {
+        // Medians 2 and 1: scaled, 1 2 and 3 compare with 1 1 and 5; the pixel without depth is skipped.
         let found = abs_rel_median_scaled(&[2.0, 0.0, 4.0, 6.0], &[1.0, 0.0, 1.0, 5.0]).unwrap();
         assert!((found - (0.0 + 1.0 + 0.4) / 3.0).abs() < 1e-5, "{found}");
     }
 
     #[test]
-    fn what_has_no_error_is_named() {
+    fn undefined_errors_are_named() {
         assert_eq!(
             abs_rel_median_scaled(&[1.0], &[0.0]),
             Err(MetricError::Empty)

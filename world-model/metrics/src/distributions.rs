@@ -1,7 +1,8 @@
-//! Distances between two sets of feature vectors, for example a network's features of generated and of real frames.
+//! Distances between two sets of feature vectors, for example of generated and real frames.
 //!
-//! The network is the caller's: with Inception's 2048 features per frame [`frechet_distance`] is FID, with features of a
-//! video network per clip it is FVD; with V-JEPA's per clip [`maximum_mean_discrepancy`] is JEDi, with Inception's KID.
+//! The caller chooses the network. [`frechet_distance`] is FID with Inception's 2048 features per frame, and FVD with a
+//! video network's features per clip. [`maximum_mean_discrepancy`] is JEDi with V-JEPA's features per clip, and KID
+//! with Inception's.
 
 mod discrepancy;
 mod frechet;

@@ -1,10 +1,10 @@
 use thiserror::Error;
 
-/// Why a metric has no value.
+/// A metric without a value.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum MetricError {
-    /// The two images, or an image and its mask or flow, differ in size (width, height).
+    /// Two images, or an image and its mask or flow, differ in size.
     #[error("sizes differ: {first:?} against {second:?} (width, height)")]
     Size {
         /// Size of the first.
@@ -12,15 +12,15 @@ pub enum MetricError {
         /// Size of the second.
         second: (u32, u32),
     },
-    /// Smaller than the window of the metric.
+    /// An image smaller than the window of the metric.
     #[error("an image of {size:?} (width, height) is smaller than the window of {window}x{window}")]
     TooSmall {
-        /// The image's size.
+        /// Size of the image \[px\].
         size: (u32, u32),
-        /// The window's side.
+        /// Side of the window \[px\].
         window: u32,
     },
-    /// Nothing to count: no pixel, an empty mask, or no value.
+    /// No pixel, an empty mask, or no value.
     #[error("nothing to compare: the images, the mask, or the values are empty")]
     Empty,
     /// Two vectors of different length.
@@ -31,55 +31,54 @@ pub enum MetricError {
         /// Length of the second.
         second: usize,
     },
-    /// Fewer than the metric is defined for.
+    /// Too few samples for the metric.
     #[error("too few {what}: expected at least {expected}, got {actual}")]
     TooFew {
-        /// What there is too little of.
+        /// Name of the samples.
         what: &'static str,
-        /// The least that is enough.
+        /// Least number.
         expected: usize,
-        /// How many came.
+        /// Number found.
         actual: usize,
     },
-    /// NaN or infinite.
+    /// NaN or infinite values.
     #[error("expected finite {what}, but number {index} is not")]
     NotFinite {
-        /// Whose values.
+        /// Name of the values.
         what: &'static str,
-        /// The first such value, counted from 0.
+        /// Index of the first such value.
         index: usize,
     },
-    /// What must vary is the same everywhere.
+    /// A constant that must vary.
     #[error("expected {what} to vary, but all are equal")]
     Constant {
         /// What never varies.
         what: &'static str,
     },
-    /// Columns that are, or nearly are, sums of others.
+    /// Linearly dependent columns.
     #[error(
         "expected independent columns of the {what}, but they are linearly dependent: {columns} columns in {rows} rows"
     )]
     Singular {
-        /// Whose columns.
+        /// Name of the table.
         what: &'static str,
         /// Number of rows.
         rows: usize,
         /// Number of columns.
         columns: usize,
     },
-    /// Outside of what a setting or a value may be.
+    /// A setting or value out of range.
     #[error("expected {what} {expected}, got {actual}")]
     Range {
-        /// Which value.
+        /// Name of the value.
         what: &'static str,
-        /// What it may be.
+        /// Accepted range.
         expected: &'static str,
-        /// What came.
+        /// Value found.
         actual: String,
     },
 }
 
-/// That both hold as many values, and at least one.
 pub(crate) fn same_length(first: usize, second: usize) -> Result<(), MetricError> {
     if first != second {
         return Err(MetricError::Length { first, second });
@@ -90,7 +89,6 @@ pub(crate) fn same_length(first: usize, second: usize) -> Result<(), MetricError
     Ok(())
 }
 
-/// That there are enough.
 pub(crate) fn at_least(
     what: &'static str,
     expected: usize,
@@ -106,7 +104,6 @@ pub(crate) fn at_least(
     Ok(())
 }
 
-/// That no value is NaN or infinite.
 pub(crate) fn finite(
     what: &'static str,
     values: impl IntoIterator<Item = f64>,
@@ -117,7 +114,6 @@ pub(crate) fn finite(
     }
 }
 
-/// That not all values are equal.
 pub(crate) fn varying(what: &'static str, values: &[f64]) -> Result<(), MetricError> {
     match values.split_first() {
         Some((first, others)) if others.iter().any(|other| other != first) => Ok(()),
@@ -125,8 +121,7 @@ pub(crate) fn varying(what: &'static str, values: &[f64]) -> Result<(), MetricEr
     }
 }
 
-/// The mean; of nothing NaN, so that callers look at the length before.
+/// The mean; NaN if empty, so callers check the length first.
 pub(crate) fn mean(values: &[f64]) -> f64 {
-    // Counts stay far below 2^52.
     values.iter().sum::<f64>() / values.len() as f64
 }

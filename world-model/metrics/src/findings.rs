@@ -1,16 +1,16 @@
-//! What an evaluation found, and how it is told: figures, a report, comparisons, model cards.
+//! Results of evaluations, and their output: figures, reports, comparisons, model cards.
 //!
-//! | what | for whom |
+//! | item | purpose |
 //! | --- | --- |
-//! | [`json`] | programs: figures with intervals, what is absent and why, comparisons |
-//! | [`csv`] | spreadsheets: a row per model and figure |
-//! | [`html`] | people: one file with figures, curves, paths and pictures |
-//! | [`model_card`] | people who are to decide whether to use a model |
-//! | [`ClosedLoop`] | how often a planner succeeds on an arm |
-//! | [`compare`] | whether one model is better than another, over the same units |
+//! | [`json`] | for programs: figures with intervals, missing figures with reasons, comparisons |
+//! | [`csv`] | for spreadsheets: one row per model and figure |
+//! | [`html`] | for people: one file with figures, curves, paths and pictures |
+//! | [`model_card`] | for people who choose a model |
+//! | [`ClosedLoop`] | success rate of a planner on an arm |
+//! | [`compare`] | whether one model is better than another over the same units |
 //!
-//! Nothing here measures, reads or writes a file. Equal findings give equal bytes: no time, no random name, no order of a
-//! hash table. A figure that is not finite is never printed; it is told as absent.
+//! Nothing here measures or accesses files. Equal findings give equal bytes. Figures that are not finite are reported
+//! as missing, never printed.
 //!
 //! ```
 //! use crate::findings::{Better, Header, Metric, ModelFindings, Section, Suite};
@@ -53,7 +53,7 @@ mod number;
 mod section;
 mod suite;
 
-pub use card::{CardAbout, model_card};
+pub use card::{CardDetails, model_card};
 pub use closed_loop::{ClosedLoop, Episode, Percentiles, PlanTime};
 pub use comparison::{Comparison, Difference, Verdict, compare, compare_with_first};
 pub use csv::csv;
@@ -62,6 +62,6 @@ pub use html::html;
 pub use json::json;
 pub use model_findings::{Header, ModelFindings};
 pub use section::{
-    Absent, Better, Curve, Metric, Picture, Section, Series, TextTable, Trajectories,
+    AbsentFigure, Better, Curve, Metric, Picture, Section, Series, TextTable, Trajectories,
 };
 pub use suite::Suite;

@@ -1,13 +1,13 @@
-//! Image metrics: how similar a decoded prediction is to the camera's frame (the paper, appendix C.2).
+//! Image metrics: similarity of a decoded prediction to the camera's frame (the paper, appendix C.2).
 //!
-//! [`psnr`] and [`ssim`] are over 8-bit RGB with data range 255; [`masked_psnr`] counts only the pixels of a mask, since
-//! a still background flatters every other figure. Latent errors need no more than [`mean_squared_error`].
+//! [`psnr`] and [`ssim`] compare 8-bit RGB with data range 255. [`masked_psnr`] counts only the pixels of a mask, since
+//! a still background raises all other metrics. [`mean_squared_error`] serves latents.
 //!
-//! The paper's SSIM is "computed on luminance with a local window", which is [`ssim_luminance`]; [`ssim`] in colour over
-//! a uniform window is what scikit-image computes unless told otherwise. Neither stands for the other in a table.
+//! The paper's SSIM is "computed on luminance with a local window", which is [`ssim_luminance`]; [`ssim`] in colour
+//! with a uniform window is scikit-image's default. They are not interchangeable.
 //!
-//! SSIM is written here because the crate at hand (`image-compare`) fixes blocks of 8x8 that do not overlap, where the
-//! figures of the field have a window at every pixel.
+//! SSIM is written here because `image-compare` has fixed 8x8 blocks without overlap, while the usual definition has a
+//! window at every pixel.
 
 mod luminance;
 pub(crate) mod psnr;

@@ -1,10 +1,10 @@
-//! Figures and statistics of the paper's evaluation (appendices C and D), of plain numbers and pictures.
+//! Metrics and statistics of the paper's evaluation (appendices C and D), on numbers and pictures.
 //!
-//! Nothing here reads a file, runs a network or knows a tensor: what a network gave comes in as slices, tables and
-//! pictures. All sums are f64, and every result is the same whatever the number of threads and the run: what is drawn is
-//! drawn from ChaCha8 at a seed that the caller gives.
+//! Nothing here reads a file, runs a network or uses a tensor: outputs of networks arrive as slices, tables and
+//! pictures. Sums are f64; counts are far below 2^52, so their conversion is exact. Results do not depend on the number
+//! of threads; random numbers come from ChaCha8 with the caller's seed.
 //!
-//! | module | what |
+//! | module | content |
 //! | --- | --- |
 //! | [`images`] | PSNR, SSIM, mean squared error |
 //! | [`distributions`] | Fréchet distance (FID, FVD), maximum mean discrepancy (KID, JEDi) |
@@ -27,8 +27,8 @@
 //! # Ok::<(), wm_metrics::MetricError>(())
 //! ```
 //!
-//! Input that has no figure (nothing, too little, what never varies, NaN) gives a [`MetricError`], or `None` where only
-//! a part of the result is missing; no figure is NaN.
+//! Input without a defined result (empty, too few, constant, NaN) gives a [`MetricError`], or `None` if only a part of
+//! the result is undefined. No result is NaN.
 
 pub mod classification;
 pub mod correlation;

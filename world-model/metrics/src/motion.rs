@@ -1,5 +1,5 @@
-//! Motion of a clip from what networks gave: optical flow, point tracks, features and distances of its frames (the paper,
-//! appendix C.2 B, after VBench and WorldArena).
+//! Motion of a clip from the outputs of networks: optical flow, point tracks, features and distances of its frames (the
+//! paper, appendix C.2 B, after VBench and WorldArena).
 
 mod consistency;
 mod dynamics;

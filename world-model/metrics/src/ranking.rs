@@ -1,4 +1,4 @@
-//! Order among models, by one rater or by several (the paper, appendix C.1 B).
+//! Order of models by one or several raters (the paper, appendix C.1 B).
 
 mod consensus;
 mod ranks;

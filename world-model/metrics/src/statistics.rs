@@ -1,4 +1,4 @@
-//! How sure a figure is: intervals, and tests of a difference (the paper, appendix D.3).
+//! Uncertainty of metrics: intervals and tests of differences (the paper, appendix D.3).
 
 mod bootstrap;
 mod clustered;

@@ -5,8 +5,8 @@ use crate::{
     error::{at_least, finite},
 };
 
-/// Rows of finite numbers of one length: one row a sample (frame, clip, step), one column a feature or action
-/// dimension. It has at least one row and one column.
+/// A table of finite numbers with at least one row and column: one row per sample (frame, clip, step), one column per
+/// feature or action dimension.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Table {
     columns: usize,
@@ -14,11 +14,10 @@ pub struct Table {
 }
 
 impl Table {
-    /// Of values one row after another.
+    /// A table from values, row by row.
     ///
     /// # Errors
-    /// [`MetricError::Empty`]; [`MetricError::Length`] where the values fill no whole number of rows;
-    /// [`MetricError::NotFinite`].
+    /// [`MetricError::Empty`]; [`MetricError::Length`] unless the values fill whole rows; [`MetricError::NotFinite`].
     pub fn new(values: Vec<f64>, columns: usize) -> Result<Self, MetricError> {
         if values.is_empty() || columns == 0 {
             return Err(MetricError::Empty);
@@ -33,11 +32,10 @@ impl Table {
         Ok(Self { columns, values })
     }
 
-    /// Of rows, in their order; what a network gave as f32 needs no copy before.
+    /// A table from rows, for example f32 outputs of a network.
     ///
     /// # Errors
-    /// [`MetricError::Empty`]; [`MetricError::Length`] of the first row against one that differs;
-    /// [`MetricError::NotFinite`].
+    /// [`MetricError::Empty`]; [`MetricError::Length`] if rows differ in length; [`MetricError::NotFinite`].
     pub fn from_rows<R, V>(rows: impl IntoIterator<Item = R>) -> Result<Self, MetricError>
     where
         R: IntoIterator<Item = V>,
@@ -55,6 +53,7 @@ impl Table {
                 });
             }
         }
+        // Without rows, `new` reports 0 columns as empty.
         Self::new(values, columns.unwrap_or(0))
     }
 
@@ -70,12 +69,12 @@ impl Table {
         self.columns
     }
 
-    /// The rows, in their order.
+    /// The rows in order.
     pub fn iter(&self) -> std::slice::ChunksExact<'_, f64> {
         self.values.chunks_exact(self.columns)
     }
 
-    /// One column; empty where there is none of that number.
+    /// One column; empty for an unknown index.
     #[must_use]
     pub fn column(&self, column: usize) -> Vec<f64> {
         let values = self.iter().filter_map(|row| row.get(column));
@@ -111,7 +110,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rows_come_in_their_order() {
+    fn rows_keep_their_order() {
         let table = Table::from_rows([[1.0_f32, 2.0], [3.0, 4.0], [5.0, 6.0]]).unwrap();
         assert_eq!((table.rows(), table.columns()), (3, 2));
         assert_eq!(table.column(1), [2.0, 4.0, 6.0]);
@@ -119,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_table_is_named() {
+    fn invalid_tables_are_rejected() {
         let none: [[f64; 2]; 0] = [];
         assert_eq!(Table::from_rows(none), Err(MetricError::Empty));
         let ragged = Table::from_rows([vec![1.0], vec![1.0, 2.0]]);

@@ -1,20 +1,20 @@
-//! The paper's published numbers through this crate, as far as what is printed allows.
+//! The paper's published numbers, recomputed as far as possible.
 //!
-//! What comes out: +.098 and +.136 of "semantic - reconstruction" (means of V-JEPA 2.1, Web-DINO and SigLIP 2 minus means
-//! of VAE, VA-VAE and Cosmos); the "+-" of success rates, and each model's VLA interval, for N = 160 trials (20 tasks x 8,
-//! not the 80 of the text); the level means of the instructions; consensus rates that lie between their bounds. The
-//! interval [.025, .177] and p = .0129 fit each other and those 160 trials, shown by differences of 20 tasks that give both.
+//! Reproduced: +.098 and +.136 of "semantic - reconstruction" (means of V-JEPA 2.1, Web-DINO and SigLIP 2 minus means
+//! of VAE, VA-VAE and Cosmos); the "+-" of success rates and each model's VLA interval for N = 160 trials (20 tasks x
+//! 8, not the 80 of the text); the level means of the instructions; consensus rates within their bounds. The interval
+//! [.025, .177] and p = .0129 fit each other and the 160 trials: some differences of 20 tasks give both.
 //!
-//! What does not:
-//! - the differences of the 20 tasks at DiT-S are not printed, so that interval and p cannot be computed themselves;
-//! - -.0266 of CEM: the printed means give -.0213. VA-VAE's .097 lies near the low end of its own interval [.095, .120],
-//!   whose middle is .1075; with that it would be -.0248, still not -.0266;
-//! - "OOD SR pools distractor and instruction shifts" holds for four of six models. VAE's .303 and Web-DINO's .388 are not
-//!   the mean of their two printed rates (.244, .381); .303 is no count of 160 at all, but one of 320 (two
-//!   raters?), where the printed rates of each shift are InternVL's alone;
-//! - p < 5e-5 and p = .00015 look like 0 and 3 of 20 000 resamples; the samples are not printed;
-//! - Borda ranks are said to be of two raters, but some exceed what two raters can give; three raters can;
-//! - dynamic degrees above .76 at 6 px and flow scores below 1.7 px exclude each other if both are of the top 5 %.
+//! Not reproduced:
+//! - interval and p themselves: the differences of the 20 tasks at DiT-S are not printed;
+//! - -.0266 of CEM: the printed means give -.0213. VA-VAE's .097 lies near the low end of its own interval [.095,
+//!   .120], whose middle .1075 would give -.0248;
+//! - "OOD SR pools distractor and instruction shifts" holds for four of six models. VAE's .303 and Web-DINO's .388 are
+//!   not the mean of their two printed rates (.244, .381). .303 is not a count of 160, but one of 320 (two raters?),
+//!   although the printed rates of each shift are InternVL's alone;
+//! - p < 5e-5 and p = .00015 may be 0 and 3 of 20 000 resamples; the samples are not printed;
+//! - Borda ranks "of two raters" exceed the greatest sum of two raters; three raters can give them;
+//! - dynamic degrees above .76 at 6 px and flow scores below 1.7 px exclude each other if both use the top 5 %.
 
 #![allow(clippy::unwrap_used)]
 
@@ -25,8 +25,8 @@ use wm_metrics::statistics::{
     Bootstrap, Interval, Method, SignFlip, bootstrap_mean, sign_flip_test, standard_error_of_share,
 };
 
-/// tab:dits-bootstrap-policy-cem and tab:policy-perf, DiT-S: name; VLA SR and its interval; OOD SR and its interval; SR
-/// under distractors and under other instructions; CEM error and its interval.
+/// tab:dits-bootstrap-policy-cem and tab:policy-perf, DiT-S: name; VLA SR with interval; OOD SR with interval; SR under
+/// distractors and under other instructions; CEM error with interval.
 struct Row {
     vla: (f64, [f64; 2]),
     ood: (f64, [f64; 2]),
@@ -63,10 +63,10 @@ const SEMANTIC: [Row; 3] = [
     row((0.325, [0.256, 0.400]), (0.381, [0.306, 0.456]), [0.500, 0.263], (0.082, [0.071, 0.094])),
 ];
 
-/// Trials of a model: 20 tasks x 8.
+/// Trials per model: 20 tasks x 8.
 const TRIALS: usize = 160;
 
-/// Half of the last printed digit, and rounding.
+/// Half of the last printed digit.
 const PRINTED: f64 = 0.0005 + 1e-9;
 
 fn difference(of: impl Fn(&Row) -> f64) -> f64 {
@@ -83,7 +83,7 @@ fn successes(share: f64, trials: usize) -> usize {
 }
 
 #[test]
-fn families_differ_as_printed_but_in_cem() {
+fn family_differences_match_except_cem() {
     assert!((difference(|row| row.vla.0) - 0.098).abs() < PRINTED);
     assert!((difference(|row| row.ood.0) - 0.136).abs() < PRINTED);
     assert!((difference(|row| row.cem.0) + 0.0213).abs() < 0.0001);
@@ -92,9 +92,9 @@ fn families_differ_as_printed_but_in_cem() {
         let is_off = row.cem.0 == 0.097;
         if is_off { middle(row.cem.1) } else { row.cem.0 }
     });
-    // Printed digits leave less than 0.001 of a difference of means open.
+    // Printed digits leave an uncertainty below 0.001.
     assert!((mended + 0.0248).abs() < 0.0001 && (mended + 0.0266).abs() > 0.001);
-    // No other mean is so far from the middle of its interval.
+    // No other mean is as far from the middle of its interval.
     let far: Vec<f64> = all()
         .filter(|row| (row.cem.0 - middle(row.cem.1)).abs() > 0.002)
         .map(|row| row.cem.0)
@@ -103,7 +103,7 @@ fn families_differ_as_printed_but_in_cem() {
 }
 
 #[test]
-fn spreads_of_success_rates_are_of_160_and_of_80_trials() {
+fn printed_spreads_are_of_160_and_80_trials() {
     // tab:policy-perf: consensus SR of all nine models.
     let consensus = [
         (0.169, 0.030),
@@ -158,8 +158,8 @@ fn of_trials(share: f64) -> Interval {
 }
 
 #[test]
-fn intervals_of_vla_success_are_of_160_trials() {
-    // Within one trial, and the printed digits.
+fn printed_vla_intervals_are_of_160_trials() {
+    // One trial, and the printed digits.
     let trial = 1.0 / TRIALS as f64 + PRINTED;
     for row in all() {
         let (share, [low, high]) = row.vla;
@@ -170,7 +170,7 @@ fn intervals_of_vla_success_are_of_160_trials() {
 }
 
 #[test]
-fn ood_success_is_the_mean_of_both_shifts_in_four_of_six() {
+fn ood_success_pools_both_shifts_in_four_of_six() {
     let mean = |row: &Row| f64::midpoint(row.shifts[0], row.shifts[1]);
     let (pooled, others): (Vec<&Row>, Vec<&Row>) =
         all().partition(|row| (row.ood.0 - mean(row)).abs() < 2.0 * PRINTED);
@@ -186,7 +186,7 @@ fn ood_success_is_the_mean_of_both_shifts_in_four_of_six() {
 }
 
 #[test]
-fn interval_and_p_of_the_families_fit_each_other() {
+fn printed_interval_and_p_fit_each_other() {
     // Successes of 480 trials: 55 + 34 + 52 against 27 + 28 + 39.
     let units = |rows: &[Row; 3]| {
         rows.iter()
@@ -194,7 +194,7 @@ fn interval_and_p_of_the_families_fit_each_other() {
             .sum::<usize>()
     };
     assert_eq!((units(&SEMANTIC), units(&RECONSTRUCTION)), (141, 94));
-    // Not the paper's: twenty differences, in trials of 24, of the same sum that give its interval and its p.
+    // Example: twenty differences, in trials of 24, of the same sum that give the printed interval and p.
     let trials: [i32; 20] = [
         -5, -4, -2, -1, 0, 0, 0, 1, 2, 2, 2, 2, 2, 4, 4, 4, 6, 8, 10, 12,
     ];
@@ -206,19 +206,19 @@ fn interval_and_p_of_the_families_fit_each_other() {
     let found = bootstrap_mean(&differences, &Bootstrap::default()).unwrap();
     assert!((found.interval.low - 0.025).abs() < 0.003, "{found:?}");
     assert!((found.interval.high - 0.177).abs() < 0.003, "{found:?}");
-    // Trials that were independent of their task would give an interval a third narrower.
+    // Trials independent of their task would give an interval a third narrower.
     let variances = all().map(|row| row.vla.0 * (1.0 - row.vla.0));
     let width = 2.0 * 1.96 * (variances.sum::<f64>() / 9.0 / TRIALS as f64).sqrt();
     assert!(width < 0.72 * (0.177 - 0.025), "{width}");
 }
 
 #[test]
-fn borda_ranks_are_of_three_raters() {
+fn printed_borda_ranks_are_of_three_raters() {
     // tab:policy-perf, then tab:policy-full of DiT-S, -B and -L: models and the worst printed rank.
     for (models, worst) in [(9, 25), (12, 31), (4, 11), (8, 21)] {
         assert!(worst > 2 * models && worst <= 3 * models);
     }
-    // Three raters without ties give 3 n (n + 1) / 2; equal ranks of the better place give less.
+    // Three raters without ties give 3 n (n + 1) / 2; ties at the better rank give less.
     let sums = [
         (9, 25 + 23 + 16 + 6 + 8 + 21 + 11 + 9 + 15),
         (12, 31 + 28 + 20 + 7 + 9 + 26 + 13 + 16 + 13 + 21 + 10 + 16),
@@ -232,9 +232,9 @@ fn borda_ranks_are_of_three_raters() {
 }
 
 #[test]
-fn flow_scores_are_not_of_the_longest_vectors() {
-    // tab:world-arena-full, DiT-S: a pair counts as moving above 6 px, so that the mean over pairs of what is compared is
-    // at least 6 px times the dynamic degree, and the longest vectors of all pairs together are longer still.
+fn printed_flow_scores_are_not_of_the_longest_vectors() {
+    // tab:world-arena-full, DiT-S: a pair counts as moving above 6 px, so the mean over pairs is at least 6 px times the
+    // dynamic degree; the longest vectors of all pairs together are longer still.
     let (least_dynamic_degree, greatest_flow_score) = (0.765, 1.653);
     assert!(6.0 * least_dynamic_degree > 2.5 * greatest_flow_score);
 }

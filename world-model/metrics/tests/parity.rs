@@ -1,5 +1,5 @@
-//! Figures against those of the field's libraries (../fixtures/generate.py, versions beside it). The tolerance is 1e-9 of
-//! the figure, or absolute below 1, where a test does not say otherwise.
+//! Parity with the field's libraries (../fixtures/generate.py, versions beside it). Unless noted, the tolerance is
+//! 1e-9, relative above 1.
 
 #![allow(clippy::unwrap_used)]
 
@@ -47,12 +47,12 @@ fn assert_close(found: f64, expected: f64, tolerance: f64) {
     );
 }
 
-/// As `noise` of the generator.
+/// `noise` of the generator.
 fn noise(index: usize) -> f64 {
     ((index * 7919 + index * index * 104_729) % 1009) as f64 / 1009.0 - 0.5
 }
 
-/// As `table` of the generator.
+/// `table` of the generator.
 fn table(rows: usize, columns: usize, start: usize) -> Table {
     Table::new(
         (start..start + rows * columns).map(noise).collect(),
@@ -61,7 +61,7 @@ fn table(rows: usize, columns: usize, start: usize) -> Table {
     .unwrap()
 }
 
-/// As `features` of the generator.
+/// `features` of the generator.
 fn features(rows: usize, columns: usize, start: usize, shift: f64) -> Table {
     let plain = table(rows, columns, start);
     Table::from_rows(plain.iter().map(|row| {
@@ -73,7 +73,7 @@ fn features(rows: usize, columns: usize, start: usize, shift: f64) -> Table {
 }
 
 #[test]
-fn images_as_scikit_image() {
+fn images_match_scikit_image() {
     for case in golden("images").as_array().unwrap() {
         let [width, height] = [0, 1].map(|side| count(&case["size"][side]) as u32);
         let picture = |s: u32| {
@@ -97,8 +97,8 @@ fn images_as_scikit_image() {
 }
 
 #[test]
-fn frechet_distance_as_torchmetrics() {
-    // Eigenvalues of a matrix that is not symmetric, as torchmetrics takes them, lose half of the digits at 0.
+fn frechet_distance_matches_torchmetrics() {
+    // At 0, torchmetrics' eigenvalues of an asymmetric matrix lose half of the digits.
     for case in golden("distributions").as_array().unwrap() {
         let (rows, columns) = (&case["rows"], count(&case["columns"]));
         let a = Moments::of(&features(count(&rows[0]), columns, 0, 0.0)).unwrap();
@@ -112,7 +112,7 @@ fn frechet_distance_as_torchmetrics() {
 }
 
 #[test]
-fn discrepancies_as_torchmetrics_and_jedi() {
+fn discrepancies_match_torchmetrics_and_jedi() {
     for case in golden("distributions").as_array().unwrap() {
         let (rows, columns) = (&case["rows"], count(&case["columns"]));
         let of = |rows: [usize; 2], kernel, estimator| {
@@ -130,7 +130,7 @@ fn discrepancies_as_torchmetrics_and_jedi() {
 }
 
 #[test]
-fn correlations_as_scipy() {
+fn correlations_match_scipy() {
     for case in golden("correlations").as_array().unwrap() {
         let (x, y) = (numbers(&case["x"]), numbers(&case["y"]));
         let check = |found: Correlation, name: &str| {
@@ -146,7 +146,7 @@ fn correlations_as_scipy() {
 }
 
 #[test]
-fn canonical_correlations_as_a_decomposition_and_as_scikit_learn() {
+fn canonical_correlations_match_svd_and_scikit_learn() {
     for case in golden("canonical").as_array().unwrap() {
         let [rows, p, q] = ["rows", "p", "q"].map(|name| count(&case[name]));
         let x = features(rows, p, 100, 0.0);
@@ -161,7 +161,7 @@ fn canonical_correlations_as_a_decomposition_and_as_scikit_learn() {
         assert_eq!(found.correlations().len(), q);
         for (index, found) in found.correlations().iter().enumerate() {
             assert_close(*found, rho[index], 1e-9);
-            // Which approaches it by iteration.
+            // scikit-learn approaches it by iteration.
             assert_close(*found, sklearn[index], 1e-5);
         }
         let squares: f64 = rho.iter().map(|rho| rho * rho).sum();
@@ -170,7 +170,7 @@ fn canonical_correlations_as_a_decomposition_and_as_scikit_learn() {
 }
 
 #[test]
-fn classification_as_scikit_learn() {
+fn classification_matches_scikit_learn() {
     let case = golden("classification");
     let scores = numbers(&case["scores"]);
     let truth = case["truth"].as_array().unwrap();
@@ -200,7 +200,7 @@ fn classification_as_scikit_learn() {
 }
 
 #[test]
-fn ranks_as_scipy() {
+fn ranks_match_scipy() {
     let case = golden("ranks");
     let values = numbers(&case["values"]);
     for ties in [
@@ -216,7 +216,7 @@ fn ranks_as_scipy() {
 }
 
 #[test]
-fn statistics_as_scipy() {
+fn statistics_match_scipy() {
     let case = golden("statistics");
     let values = numbers(&case["values"]);
     assert_close(
@@ -224,7 +224,7 @@ fn statistics_as_scipy() {
         number(&case["standard_error"]),
         1e-12,
     );
-    // Other random numbers: the ends of 10 000 resamples scatter by about 0.02 standard errors, so a tenth of one is five
+    // Different random numbers: the ends of 10 000 resamples scatter by 0.02 standard errors; the tolerance is five
     // times that.
     let found = bootstrap_mean(&values, &Bootstrap::default()).unwrap();
     let expected = number(&case["bootstrap_standard_error"]);
@@ -250,7 +250,7 @@ fn statistics_as_scipy() {
 }
 
 #[test]
-fn sign_flips_as_scipy() {
+fn sign_flips_match_scipy() {
     let mut methods = Vec::new();
     for case in golden("statistics")["sign_flips"].as_array().unwrap() {
         let differences = numbers(&case["differences"]);
@@ -262,7 +262,7 @@ fn sign_flips_as_scipy() {
 }
 
 #[test]
-fn motion_and_depth_as_pytorch() {
+fn motion_and_depth_match_pytorch() {
     let case = golden("motion");
     let [width, height] = [0, 1].map(|side| count(&case["size"][side]));
     let single = |values: &[f64]| values.iter().map(|value| *value as f32).collect::<Vec<_>>();
@@ -277,7 +277,7 @@ fn motion_and_depth_as_pytorch() {
     let flow = Flow::new(width, height, plane(0), plane(1)).unwrap();
     let warped = warp(&picture, &flow).unwrap();
     for (found, expected) in warped.as_raw().iter().zip(numbers(&case["warped"])) {
-        // Rounded to 7 digits in the file, and to f32 here.
+        // Seven digits in the file, f32 here.
         assert_close(f64::from(*found), expected, 1e-6);
     }
     let frames = Table::from_rows(

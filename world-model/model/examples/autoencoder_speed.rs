@@ -9,10 +9,9 @@ use std::time::Instant;
 
 use candle_core::{DType, Device, Tensor};
 use wm_model::ops::{
-    ConvShape, Fused, GridSize, PackedConv, PackedFormat, conv2d_input_gradient,
-    conv2d_weight_gradient,
+    ConvShape, Fused, GridSize, PackedConv, conv2d_input_gradient, conv2d_weight_gradient,
 };
-use wm_model::{Autoencoder, AutoencoderConfig, Decoder as _, Encoder as _, Result};
+use wm_model::{Autoencoder, AutoencoderConfig, Decoder as _, Encoder as _, NumberFormat, Result};
 
 /// Seconds of the fastest of some runs.
 fn best(mut run: impl FnMut() -> Result<()>) -> Result<f64> {
@@ -41,7 +40,7 @@ fn convolution(name: &str, shape: ConvShape, size: usize) -> Result<()> {
         residual: None,
         relu: true,
     };
-    let packed = PackedConv::new(&shape, &weight, None, PackedFormat::F32)?;
+    let packed = PackedConv::new(&shape, &weight, None, NumberFormat::F32)?;
     let forward = best(|| packed.run(&input, grid, epilogue, &mut output).map(drop))?;
     let backward = best(|| {
         conv2d_input_gradient(

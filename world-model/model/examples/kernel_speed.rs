@@ -13,10 +13,8 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use gemm::Parallelism;
-use wm_model::ops::{
-    ConvShape, Fused, GridSize, PackedConv, PackedFormat, PackedLinear, peak_rate,
-};
-use wm_model::{Error, Result};
+use wm_model::ops::{ConvShape, Fused, GridSize, PackedConv, PackedLinear, peak_rate};
+use wm_model::{Error, NumberFormat, Result};
 
 /// (rows, inputs, outputs): of DiT-S, the pixel decoder, ViT-L, and a square.
 const LINEAR: [(usize, usize, usize); 9] = [
@@ -32,10 +30,10 @@ const LINEAR: [(usize, usize, usize); 9] = [
 ];
 /// (channels, side): of the convolutional encoders and decoders.
 const CONVOLUTIONS: [(usize, usize); 4] = [(512, 32), (512, 64), (256, 128), (128, 256)];
-const FORMATS: [(&str, PackedFormat); 3] = [
-    ("f32", PackedFormat::F32),
-    ("bf16", PackedFormat::Bf16),
-    ("int8", PackedFormat::Int8),
+const FORMATS: [(&str, NumberFormat); 3] = [
+    ("f32", NumberFormat::F32),
+    ("bf16", NumberFormat::Bf16),
+    ("int8", NumberFormat::Int8),
 ];
 const ROUNDS: usize = 12;
 
@@ -125,7 +123,7 @@ fn convolution((channels, side): (usize, usize)) -> Result<Vec<Case>> {
     let mut cases = Vec::new();
     for (format, packed) in FORMATS {
         // There is none of bytes.
-        if packed == PackedFormat::Int8 {
+        if packed == NumberFormat::Int8 {
             continue;
         }
         let packed = PackedConv::for_inference(&shape, &weight, None, packed)?;

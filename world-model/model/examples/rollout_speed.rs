@@ -8,7 +8,7 @@
 use std::time::Instant;
 
 use candle_core::{DType, Device, Tensor};
-use wm_model::{Result, sampler::Rollout, trained_folder::TrainedFolder};
+use wm_model::{Compute, Result, sampler::Rollout, trained_folder::TrainedFolder};
 
 const RUNS: usize = 30;
 const HORIZON: usize = 8;
@@ -23,7 +23,9 @@ fn percentile(times: &mut [f64], percent: usize) -> f64 {
 }
 
 fn main() -> Result<()> {
-    let model = TrainedFolder::named("tiny").world_model()?.transition;
+    let model = TrainedFolder::named("tiny")
+        .world_model(&Compute::default())?
+        .transition;
     let c = model.config();
     let context = Tensor::randn(
         0f32,

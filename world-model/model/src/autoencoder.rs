@@ -19,10 +19,6 @@ use crate::ops::GridSize;
 use crate::weights::{Precision, WeightsBuilder, hex};
 use crate::{Decoder, Encoder, Error, Framing, LatentSpace, Result, Weights};
 
-/// Name of the weights in a folder.
-const FILE: &str = "autoencoder.safetensors";
-/// Names of the published halves in a folder.
-const TAEF2_FILES: [&str; 2] = ["taef2_encoder.safetensors", "taef2_decoder.safetensors"];
 /// Height and width at which the published halves are used.
 const TAEF2_SIZE: (usize, usize) = (256, 256);
 /// Metadata entry with the configuration as JSON.
@@ -41,6 +37,11 @@ pub struct Autoencoder {
 }
 
 impl Autoencoder {
+    /// Name of the weights in a folder.
+    pub const FILE: &str = "autoencoder.safetensors";
+    /// Names of TAEF2's published halves in a folder, the encoder first.
+    pub const TAEF2_FILES: [&str; 2] = ["taef2_encoder.safetensors", "taef2_decoder.safetensors"];
+
     /// Opens a file that [`Autoencoder::save`] wrote, or a folder: of such a file called
     /// `autoencoder.safetensors`, or else of the published `taef2_encoder.safetensors` and
     /// `taef2_decoder.safetensors`, which are then used at 256x256.
@@ -52,8 +53,8 @@ impl Autoencoder {
         if !path.is_dir() {
             return Self::from_weights(Weights::open(path)?);
         }
-        let [encoder, decoder] = TAEF2_FILES.map(|name| path.join(name));
-        let whole = path.join(FILE);
+        let [encoder, decoder] = Self::TAEF2_FILES.map(|name| path.join(name));
+        let whole = path.join(Self::FILE);
         if !whole.exists() && encoder.exists() {
             return Self::from_taef2(Weights::open(encoder)?, Weights::open(decoder)?, TAEF2_SIZE);
         }

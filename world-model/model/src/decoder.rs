@@ -1,7 +1,9 @@
 //! The interface of every decoder.
 
 use candle_core::Tensor;
+use image::RgbImage;
 
+use crate::image::to_rgb;
 use crate::{LatentSpace, Result};
 
 /// Turns latents into images.
@@ -17,4 +19,13 @@ pub trait Decoder: Send + Sync {
     /// # Errors
     /// If `latents` has another shape than the space.
     fn decode(&self, latents: &Tensor) -> Result<Tensor>;
+
+    /// The picture of one normalised `latent`, row-major, channels last.
+    ///
+    /// # Errors
+    /// If the latent has another number of values than the space, or the decoder fails.
+    fn picture(&self, latent: &[f32]) -> Result<RgbImage> {
+        let latent = self.space().stack(&[latent])?;
+        to_rgb(&self.decode(&latent)?.squeeze(0)?)
+    }
 }

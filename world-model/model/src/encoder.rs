@@ -32,4 +32,12 @@ pub trait Encoder: Send + Sync {
     /// # Errors
     /// If `images` has another shape than the input size asks for.
     fn encode(&self, images: &Tensor) -> Result<Tensor>;
+
+    /// The latent of one image of [`Encoder::prepare`], row-major, channels last.
+    ///
+    /// # Errors
+    /// As [`Encoder::encode`].
+    fn values(&self, image: &Tensor) -> Result<Vec<f32>> {
+        Ok(self.encode(image)?.flatten_all()?.to_vec1()?)
+    }
 }

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::LatentSpace;
+use crate::{Kernels, LatentSpace, NumberFormat};
 
 /// Result with the error of this crate.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
@@ -135,6 +135,35 @@ pub enum Error {
     NotFinite {
         /// What the input is.
         what: &'static str,
+    },
+
+    /// A device cannot be used.
+    #[error("device {device}: {reason}")]
+    Device {
+        /// Its name.
+        device: String,
+        /// Why it cannot be used.
+        reason: String,
+    },
+
+    /// The kernels do not compute on a device.
+    #[error("engine {kernels} does not support {device}; use engine candle (--engine candle)")]
+    KernelsDevice {
+        /// The kernels.
+        kernels: Kernels,
+        /// Name of the device.
+        device: String,
+    },
+
+    /// The kernels do not compute in a number format.
+    #[error(
+        "engine {kernels} does not compute in {format}; use engine cpu (--engine cpu), on the CPU, or another dtype"
+    )]
+    KernelsFormat {
+        /// The kernels.
+        kernels: Kernels,
+        /// The number format of the weights.
+        format: NumberFormat,
     },
 
     /// A configuration value cannot be used.

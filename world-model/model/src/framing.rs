@@ -311,6 +311,7 @@ impl Framing {
 
     /// The sizes of one camera's picture in one of the size `from`, and in the encoder's.
     fn of(&self, from: PictureSize) -> Result<(PictureSize, PictureSize)> {
+        // No width is a multiple of so many views, so they are refused below.
         let views = u32::try_from(self.views).unwrap_or(u32::MAX);
         if !from.width.is_multiple_of(views) {
             return Err(fail(format!(

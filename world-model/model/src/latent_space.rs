@@ -2,8 +2,10 @@
 
 use std::fmt;
 
+use candle_core::Tensor;
 use serde::{Deserialize, Serialize};
 
+use crate::sampler::values::stacked;
 use crate::{Error, Result};
 
 /// What makes two latents comparable: who produced them and how they are laid out.
@@ -33,6 +35,18 @@ impl LatentSpace {
     /// Shape of one latent: (height, width, channels).
     pub fn shape(&self) -> (usize, usize, usize) {
         (self.height, self.width, self.channels)
+    }
+
+    /// Latents of this space, each row-major with channels last, as one tensor (n, h, w, C) on the CPU.
+    ///
+    /// # Errors
+    /// If one has another number of values.
+    pub fn stack(&self, latents: &[&[f32]]) -> Result<Tensor> {
+        stacked(
+            "a latent",
+            latents,
+            &[self.height, self.width, self.channels],
+        )
     }
 
     /// Checks that `other` is this same space.

@@ -1,6 +1,6 @@
 //! Tensor operations that the stock library is slow at.
 //!
-//! Those for training take tensors and the [`Engine`] that is to compute, and have exact gradients on both: our kernels,
+//! Those for training take tensors and the [`Kernels`](crate::Kernels) that compute, and have exact gradients on both kinds: our kernels,
 //! or candle's operations for other devices than the CPU and for reference. Those for inference
 //! ([`PackedLinear`], `block_attention`, `temporal_attention`) take plain slices, and weights that
 //! were packed once. Activations of convolutions are in NHWC order (image, row, column, channel).
@@ -10,11 +10,12 @@ pub(crate) mod activation;
 mod attention;
 pub(crate) mod block_attention;
 pub(crate) mod buffer;
+#[cfg(test)]
+mod comparison;
 mod conv;
 pub(crate) mod conv_layers;
 mod dense_attention;
 pub(crate) mod element;
-mod engine;
 pub(crate) mod exponential;
 pub(crate) mod gated_residual;
 mod group_norm;
@@ -48,8 +49,6 @@ pub use conv::{
 };
 pub use conv_layers::{Conv, ConvGradients, Tape};
 pub use dense_attention::{AttentionShape, HeadRows, ScoreMask, dense_attention};
-pub use element::PackedFormat;
-pub use engine::Engine;
 pub(crate) use gated_residual::gated_residual;
 pub use group_norm::{
     Activation, Normalisation, differentiable_group_norm, group_norm, group_normalisations,

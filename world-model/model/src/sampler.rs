@@ -29,6 +29,7 @@
 mod position;
 mod prepared;
 pub(crate) mod settings;
+pub(crate) mod values;
 mod window;
 
 use std::sync::Arc;
@@ -43,6 +44,7 @@ use crate::{Error, Result};
 pub use position::Position;
 pub use prepared::Prepared;
 pub use settings::{Sampler, shift_time};
+pub use values::Observed;
 use window::Window;
 
 /// What [`Rollout::next_given`] takes instead of what a prediction has by itself; by default nothing.
@@ -283,7 +285,8 @@ impl<'m> Rollout<'m> {
         let action = action.expanded(n)?;
         let levels = self.sampler.levels();
         let taus: Vec<Vec<f32>> = levels.iter().map(|tau| vec![*tau as f32; n]).collect();
-        // The last level is the clean frame's, which nothing is computed at.
+        // The last level is the clean frame's, at which nothing is computed.
+        debug_assert_eq!(taus.len(), self.sampler.steps + 1);
         let steps = taus.get(..self.sampler.steps).unwrap_or(&taus);
         let mut passes = self.window.passes(self.model, steps, &action)?;
         for (from, to) in levels.iter().zip(levels.iter().skip(1)) {

@@ -1,14 +1,13 @@
-//! The weights of a world model that the training wrote: the embedded default, or a folder.
+//! World models whose encoder and decoder are an autoencoder of this crate: the embedded default, or a folder.
 //!
-//! A folder holds `autoencoder.safetensors` and `transition.safetensors`, as the training writes them. In place of the
-//! former it may hold the published `taef2_encoder.safetensors` and `taef2_decoder.safetensors`; encoding and
-//! decoding then need no transition model beside them.
+//! The transition model, the inverse dynamics model and the probe of a folder are the files of their trainings beside the
+//! autoencoder; each of them may be missing.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use crate::{
-    Autoencoder, Error, LatentSpace, PictureSize, Place, Result, Weights, WorldModel,
-    ops::PackedFormat,
+    Autoencoder, Compute, Error, LatentSpace, NumberFormat, PictureSize, Result, Weights,
+    WorldModel,
     transition::{ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition},
 };
 use wm_motion::actions::ActionEncoding;
@@ -37,32 +36,67 @@ static EMBEDDED_TRANSITION: &[u8] = include_bytes!("../weights/tiny/transition.s
 static EMBEDDED_IDM: &[u8] = include_bytes!("../weights/tiny/idm.safetensors");
 static EMBEDDED_PROBE: &[u8] = include_bytes!("../weights/tiny/probe.safetensors");
 
-/// Where the training's weights are.
+/// The files of a world model.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum TrainedFolder {
     /// The default that is part of the program.
     Embedded,
     /// A folder of weights.
-    Folder(PathBuf),
+    Folder {
+        /// The folder, or the file of an autoencoder alone.
+        folder: PathBuf,
+        /// Encoder and decoder.
+        autoencoder: AutoencoderFiles,
+    },
+}
+
+/// The files of an autoencoder.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum AutoencoderFiles {
+    /// Both halves in one file, or a folder, as [`Autoencoder::open`] takes them.
+    Whole(PathBuf),
+    /// The published halves of TAEF2.
+    Taef2 {
+        /// The encoder's file and the decoder's.
+        halves: [PathBuf; 2],
+        /// Height and width of the pictures.
+        size: (usize, usize),
+    },
+}
+
+impl AutoencoderFiles {
+    fn open(&self) -> Result<Autoencoder> {
+        match self {
+            Self::Whole(path) => Autoencoder::open(path),
+            Self::Taef2 {
+                halves: [encoder, decoder],
+                size,
+            } => Autoencoder::from_taef2(Weights::open(encoder)?, Weights::open(decoder)?, *size),
+        }
+    }
 }
 
 impl TrainedFolder {
-    /// [`EMBEDDED`] is the default; anything else is a folder.
+    /// [`EMBEDDED`] is the default; any other name is a folder with the usual names of files, or the file of an
+    /// autoencoder.
     #[must_use]
     pub fn named(name: &str) -> Self {
         if name == EMBEDDED {
             Self::Embedded
         } else {
-            Self::Folder(PathBuf::from(name))
+            Self::Folder {
+                folder: PathBuf::from(name),
+                autoencoder: AutoencoderFiles::Whole(PathBuf::from(name)),
+            }
         }
     }
 
-    /// What [`Self::named`] makes it of.
+    /// Its name, for [`Self::named`].
     #[must_use]
     pub fn name(&self) -> String {
         match self {
             Self::Embedded => EMBEDDED.to_owned(),
-            Self::Folder(folder) => folder.display().to_string(),
+            Self::Folder { folder, .. } => folder.display().to_string(),
         }
     }
 
@@ -76,7 +110,7 @@ impl TrainedFolder {
                 "embedded autoencoder",
                 EMBEDDED_AUTOENCODER,
             )?),
-            Self::Folder(folder) => Autoencoder::open(folder),
+            Self::Folder { autoencoder, .. } => autoencoder.open(),
         }
     }
 
@@ -89,22 +123,10 @@ impl TrainedFolder {
         if *self == Self::Embedded {
             return Ok(Some(EMBEDDED_TRAINED_ON));
         }
-        match self.transition_trained_on()? {
+        let transition = self.weights(TRANSITION_FILE)?;
+        match transition_trained_on(transition.as_ref())? {
             Some(size) => Ok(Some(size)),
             None => Ok(self.autoencoder()?.config().trained_on),
-        }
-    }
-
-    /// The same of the transition model alone.
-    ///
-    /// # Errors
-    /// When the file is corrupt.
-    pub fn transition_trained_on(&self) -> Result<Option<PictureSize>> {
-        match self.weights(TRANSITION_FILE)? {
-            Some(weights) if weights.metadata(TRAINED_ON_KEY).is_some() => {
-                weights.json(TRAINED_ON_KEY).map(Some)
-            }
-            _ => Ok(None),
         }
     }
 
@@ -113,11 +135,11 @@ impl TrainedFolder {
     pub fn has_transition(&self) -> bool {
         match self {
             Self::Embedded => true,
-            Self::Folder(folder) => folder.join(TRANSITION_FILE).exists(),
+            Self::Folder { folder, .. } => folder.join(TRANSITION_FILE).exists(),
         }
     }
 
-    /// Another file that the training wrote, as [`IDM_FILE`]; `None` where there is none.
+    /// Another file of a training, as [`IDM_FILE`]; `None` if it does not exist.
     ///
     /// # Errors
     /// When it cannot be read.
@@ -129,10 +151,7 @@ impl TrainedFolder {
                 _ => return Ok(None),
             }
             .map(Some),
-            Self::Folder(folder) => match folder.join(file) {
-                path if path.is_file() => Weights::open(path).map(Some),
-                _ => Ok(None),
-            },
+            Self::Folder { folder, .. } => weights_in(folder, file),
         }
     }
 
@@ -144,24 +163,17 @@ impl TrainedFolder {
         match self {
             Self::Embedded => Weights::from_static("embedded transition", EMBEDDED_TRANSITION),
             // A file may be given in place of its folder.
-            Self::Folder(path) if path.is_file() => Weights::open(path),
-            Self::Folder(folder) => Weights::open(folder.join(TRANSITION_FILE)),
+            Self::Folder { folder, .. } if folder.is_file() => Weights::open(folder),
+            Self::Folder { folder, .. } => Weights::open(folder.join(TRANSITION_FILE)),
         }
     }
 
     /// Loads the transition model, and checks that it belongs to the autoencoder beside it.
     ///
     /// # Errors
-    /// As [`Self::autoencoder`]; and when the model was trained in another latent space.
-    pub fn world_model(&self) -> Result<WorldModel> {
-        self.world_model_on(&Place::default())
-    }
-
-    /// As [`Self::world_model`], for another place than the CPU's kernels.
-    ///
-    /// # Errors
-    /// As [`Self::world_model`]; and when the device has no memory for it.
-    pub fn world_model_on(&self, place: &Place) -> Result<WorldModel> {
+    /// As [`Self::autoencoder`]; when the model was trained in another latent space; and when the device cannot be used or
+    /// has no memory for it.
+    pub fn world_model(&self, compute: &Compute) -> Result<WorldModel> {
         let weights = self.transition()?;
         let space = self.autoencoder()?.space().clone();
         let trained_on: LatentSpace = weights.json(LATENT_SPACE_KEY)?;
@@ -176,8 +188,8 @@ impl TrainedFolder {
         let encoding: ActionEncoding = weights.json(ACTIONS_KEY)?;
         let hash = weights.identity(&[CONFIG_KEY, ACTIONS_KEY, LATENT_SPACE_KEY])?;
         let file = weights.file().to_owned();
-        let model = Transition::from_weights_on(weights, place)?;
-        let model = place.load(model, PackedFormat::F32)?;
+        let model = Transition::from_weights_on(weights, compute)?;
+        let model = compute.load(model, NumberFormat::F32)?;
         let config = model.config();
         let disagrees = |key: &str, reason: String| Error::Metadata {
             file: file.clone(),
@@ -213,6 +225,30 @@ impl TrainedFolder {
     }
 }
 
+/// The file `file` that a training wrote into `folder`; `None` if it does not exist.
+///
+/// # Errors
+/// When it cannot be read.
+pub fn weights_in(folder: &Path, file: &str) -> Result<Option<Weights>> {
+    match folder.join(file) {
+        path if path.is_file() => Weights::open(path).map(Some),
+        _ => Ok(None),
+    }
+}
+
+/// Size of the camera's pictures that a transition model was trained on; `None` if it is not known.
+///
+/// # Errors
+/// When its metadata is malformed.
+pub fn transition_trained_on(transition: Option<&Weights>) -> Result<Option<PictureSize>> {
+    match transition {
+        Some(weights) if weights.metadata(TRAINED_ON_KEY).is_some() => {
+            weights.json(TRAINED_ON_KEY).map(Some)
+        }
+        _ => Ok(None),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -221,7 +257,7 @@ mod tests {
     fn the_embedded_default_is_whole_small_and_of_one_latent_space() {
         let folder = TrainedFolder::named(EMBEDDED);
         let autoencoder = folder.autoencoder().unwrap();
-        let model = folder.world_model().unwrap();
+        let model = folder.world_model(&Compute::default()).unwrap();
         assert_eq!(&model.space, autoencoder.space());
         assert_eq!(model.hash.len(), 64);
         let config = model.transition.config();
@@ -261,8 +297,8 @@ mod tests {
             )
             .unwrap();
         std::fs::write(folder.path().join(TRANSITION_FILE), EMBEDDED_TRANSITION).unwrap();
-        let error = TrainedFolder::Folder(folder.path().to_owned())
-            .world_model()
+        let error = TrainedFolder::named(&folder.path().to_string_lossy())
+            .world_model(&Compute::default())
             .unwrap_err();
         assert!(error.to_string().contains("latent space"), "{error}");
     }

@@ -58,8 +58,8 @@ pub(crate) use values::Batched;
 
 pub use crate::ops::token_layers::WeightGradients;
 use crate::ops::token_layers::{Linear, TensorLayers};
-use crate::ops::{AttentionPattern, Axis, Engine, PackedFormat};
-use crate::{Error, Place, Result, Weights};
+use crate::ops::{AttentionPattern, Axis};
+use crate::{Compute, Error, Kernels, NumberFormat, Result, Weights};
 use block::run_clips;
 use condition::Condition;
 use embedding::{Embedding, Patches};
@@ -80,7 +80,7 @@ pub struct Transition {
     embedding: Embedding,
     network: Network<Linear>,
     spatial: Arc<AttentionPattern>,
-    engine: Engine,
+    kernels: Kernels,
     /// All tensors by their names, to be packed; layers share them.
     parameters: Arc<BTreeMap<String, Tensor>>,
     /// Where the gradients by the blocks' weights go, if not to candle.
@@ -110,7 +110,7 @@ impl Transition {
             embedding,
             network,
             spatial: Arc::new(spatial),
-            engine: Engine::default(),
+            kernels: Kernels::default(),
             parameters,
             gradients: None,
         })
@@ -131,7 +131,7 @@ impl Transition {
     #[must_use]
     pub fn plain(self) -> Self {
         Self {
-            engine: Engine::Candle,
+            kernels: Kernels::Candle,
             ..self
         }
     }
@@ -146,17 +146,17 @@ impl Transition {
     /// # Errors
     /// If the configuration or a tensor is missing or malformed, or there are tensors too many.
     pub fn from_weights(weights: Weights) -> Result<Self> {
-        Self::from_weights_on(weights, &Place::default())
+        Self::from_weights_on(weights, &Compute::default())
     }
 
-    /// As [`Self::from_weights`], with its tensors in `place`, in f32.
+    /// As [`Self::from_weights`], with its tensors on the device of `compute`, in f32.
     ///
     /// # Errors
     /// As [`Self::from_weights`]; and if the device has no memory for them.
-    pub fn from_weights_on(weights: Weights, place: &Place) -> Result<Self> {
+    pub(crate) fn from_weights_on(weights: Weights, compute: &Compute) -> Result<Self> {
         let config: TransitionConfig = weights.json(CONFIG_KEY)?;
         let model = Self::build(config, &mut |p| {
-            place.tensor(&weights.tensor(&p.name, &p.shape)?, DType::F32)
+            compute.tensor(&weights.tensor(&p.name, &p.shape)?, DType::F32)
         })?;
         weights.finish()?;
         Ok(model)
@@ -219,10 +219,10 @@ impl Transition {
             let reason = format!("{last}, expected 1 to {t}");
             return Err(Error::config("number of last frames", reason));
         }
-        let engine = self.engine;
+        let kernels = self.kernels;
         let temporal = Arc::new(pattern.attention(self.config.heads, self.config.head_dim())?);
         let patches = Patches::of(x, self.config.patch)?;
-        let mut layers = TensorLayers::new(engine, b);
+        let mut layers = TensorLayers::new(kernels, b);
         let tokens = self.embedding.tokens(&mut layers, &patches)?;
         let (tau, action) = (tau.flatten_all()?, action.flatten_to(1)?);
         let waves = self.embedding.waves(&tau)?;
@@ -234,7 +234,7 @@ impl Transition {
         let condition = condition.at(&mut layers, &waves, &action)?;
         let (patterns, activated) = ([&self.spatial, &temporal], &condition.activated);
         let tokens = match &self.gradients {
-            Some(gradients) if engine.takes_kernel(&tokens) => {
+            Some(gradients) if kernels.takes_kernel(&tokens) => {
                 let inputs = (&tokens, activated);
                 taped_blocks(blocks, inputs, patterns, last, gradients)?
             }
@@ -263,7 +263,7 @@ impl Transition {
     /// # Errors
     /// If its tensors cannot be read.
     pub fn pack(&self) -> Result<LoadedTransition> {
-        Ok(PackedTransition::new(self, PackedFormat::F32)?.into())
+        Ok(PackedTransition::new(self, NumberFormat::F32)?.into())
     }
 }
 

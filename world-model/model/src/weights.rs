@@ -162,7 +162,7 @@ impl Weights {
     ///
     /// # Errors
     /// [`Error::Metadata`] if it is not.
-    pub fn require_metadata(&self, key: &str) -> Result<&str> {
+    pub(crate) fn require_metadata(&self, key: &str) -> Result<&str> {
         self.metadata(key).ok_or_else(|| Error::Metadata {
             file: self.file.clone(),
             key: key.to_owned(),

@@ -7,8 +7,9 @@ use std::path::Path;
 
 use candle_core::{Device, Tensor};
 use serde_json::Value;
+use wm_model::NumberFormat;
 use wm_model::Weights;
-use wm_model::ops::{PackedFormat, RopeLayout};
+use wm_model::ops::RopeLayout;
 use wm_model::transition::{PackedTransition, TensorTransition, Transition, TransitionConfig};
 
 /// Difference allowed, as a part of the largest velocity.
@@ -111,17 +112,17 @@ fn velocities_are_those_of_pytorch() {
             ),
             (
                 "packed",
-                packed(PackedFormat::F32).forward(inputs.0, inputs.1, inputs.2),
+                packed(NumberFormat::F32).forward(inputs.0, inputs.1, inputs.2),
                 TOLERANCE,
             ),
             (
                 "packed in bf16",
-                packed(PackedFormat::Bf16).forward(inputs.0, inputs.1, inputs.2),
+                packed(NumberFormat::Bf16).forward(inputs.0, inputs.1, inputs.2),
                 BF16_TOLERANCE,
             ),
             (
                 "packed in int8",
-                packed(PackedFormat::Int8).forward(inputs.0, inputs.1, inputs.2),
+                packed(NumberFormat::Int8).forward(inputs.0, inputs.1, inputs.2),
                 INT8_TOLERANCE,
             ),
         ] {

@@ -1,17 +1,15 @@
-//! Between a robot's actions in physical units and the vectors that the transition model is conditioned on.
+//! Physical actions of a robot, and the model actions that condition the transition model.
 //!
-//! An [`ActionSpace`] describes what the values of an action are: names, units and kinds, 1 to 32 of them; Bridge V2's
-//! seven are the default. A model action belongs to one *model step*, which spans [`ActionEncoding::frame_skip`]
-//! intervals of the space's rate: what happens in each interval is scaled and clipped, and the model's rule
-//! ([`Accumulation`]) makes one vector of them, padded with zeros.
-//!
-//! What happens in an interval is [`crate::motion`]'s to say.
+//! An [`ActionSpace`] names the 1 to 32 values of an action with their units and kinds; Bridge V2's seven are the
+//! default. A model action belongs to one *model step* of [`ActionEncoding::frame_skip`] intervals of the space's rate.
+//! The motion in each interval ([`crate::motion`]) is scaled and clipped; the model's rule ([`Accumulation`]) combines
+//! the intervals into one vector, padded with zeros.
 
 mod encoding;
 mod error;
 mod kind;
 mod limits;
-mod note;
+mod metadata;
 mod space;
 mod survey;
 

@@ -1,58 +1,43 @@
-//! Actions as motion over time.
+//! Motion of a robot in an interval, from actions at any rate.
 //!
-//! An action is not a sample but a motion: a delta takes from its stamp until the next action, or for its period; a
-//! velocity and a state (a gripper's opening, a joint's position) hold until the next one. What a robot does in an
-//! interval is thus the same at 5, 10, 30 or 50 Hz: translations are summed, rotations composed, velocities integrated,
-//! the last state taken, and an action that lies in the interval in part counts in part.
+//! A delta takes from its stamp until the next action, or for its period. A velocity and a state (a gripper's opening,
+//! a joint's position) hold until the next one. So 5, 10, 30 and 50 Hz give the same motion: translations are summed,
+//! rotations composed, velocities integrated, the last state taken. An action partly inside the interval counts in
+//! part.
 //!
-//! [`Motion`] keeps what was taken ([`Motion::take`]) and what is announced ([`Motion::announce`]), and answers what
-//! happens between two moments ([`Motion::between`]). It knows no clock: stamps are nanoseconds of whatever clock stamped
-//! frames and actions. Nodes, env, evaluation and training all go through it.
-//!
-//! ```
-//! use wm_motion::{actions::ActionSpace, motion::{Motion, MotionSettings}};
-//!
-//! let space = ActionSpace::bridge();
-//! let mut motion = Motion::new(MotionSettings::of_period(33_333_333));
-//! for tick in 0..12_i64 {
-//!     // 1 mm along x, thirty times a second.
-//!     motion.take(tick * 33_333_333, [0.001, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0].into());
-//! }
-//! let interval = motion.between(&space, 0, 200_000_000).expect("actions are known there");
-//! assert!((interval.values[0] - 0.006).abs() < 1e-6);
-//! ```
+//! [`Motion`] records executed actions ([`Motion::take`]) and announced ones ([`Motion::announce`]), and computes the
+//! motion between two times ([`Motion::between`]).
 
-mod announced;
+mod chunks;
+mod executed;
 mod pace;
 mod piece;
 pub(crate) mod rotation;
-mod taken;
 
 use std::sync::Arc;
 
 use crate::actions::{ActionEncoding, ActionError, ActionSpace, ModelAction};
-use announced::Announced;
-pub use announced::{Chunk, ChunkMerging, MAX_CHUNK};
+use chunks::ChunkTimeline;
+pub use chunks::{Chunk, ChunkMerging, MAX_CHUNK};
+use executed::ExecutedActions;
 pub use pace::Pace;
 use piece::{Piece, integrate};
 pub use rotation::turn_between;
-use taken::Taken;
 
-/// How actions without a period of their own become motions.
+/// How long actions without a period of their own take.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MotionSettings {
-    /// How long a single action takes that nothing follows and nothing came before \[ns\].
+    /// Duration of a single action with no neighbours \[ns\].
     pub period_ns: i64,
-    /// Longest time that an action takes until the next one \[ns\]; a delta that is older has come to its end, and the
-    /// robot stands still.
+    /// Longest duration of an action \[ns\]; after it the robot stands still.
     pub longest_ns: i64,
-    /// How far back actions are kept \[ns\].
+    /// How long actions are kept \[ns\].
     pub keep_ns: i64,
 }
 
 impl MotionSettings {
-    /// Settings for a camera with `period_ns` between frames: an action takes as long, at most a second or five
-    /// periods, and a minute of them is kept.
+    /// Settings for a camera with `period_ns` between frames: an action takes one period, at most five periods or 1 s,
+    /// and is kept for a minute.
     pub fn of_period(period_ns: i64) -> Self {
         Self {
             period_ns,
@@ -62,93 +47,92 @@ impl MotionSettings {
     }
 }
 
-/// What happens in an interval.
+/// Motion in an interval.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Interval {
-    /// The change over the whole interval of each delta, the mean over its time of each velocity, and each state at its
-    /// end, in the units of the action space.
+    /// In the units of the action space: the total change of each delta, the mean of each velocity, and the final
+    /// state.
     pub values: Vec<f32>,
-    /// Whether actions speak of all of the interval. Otherwise the last one is assumed to go on in part of it.
+    /// Whether actions cover the interval. If not, the last action is held for part of it.
     pub is_given: bool,
 }
 
-/// What happens in a model step: its model action and what that was made of.
+/// The model action of a step, and the motion in its intervals.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StepAction {
     /// In model units.
     pub model: ModelAction,
-    /// What happens in each interval of the model's rate, oldest first.
+    /// Motion in each interval of the model's rate, oldest first.
     pub intervals: Vec<Interval>,
 }
 
 impl StepAction {
-    /// Whether actions speak of all of the step.
+    /// Whether actions cover all of the step.
     pub fn is_given(&self) -> bool {
         self.intervals.iter().all(|interval| interval.is_given)
     }
 }
 
-/// The actions of a robot as motion: what was taken, and what is announced after that.
+/// Executed and announced actions of a robot.
 #[derive(Clone, Debug)]
 pub struct Motion {
-    taken: Taken,
-    announced: Announced,
+    executed: ExecutedActions,
+    chunks: ChunkTimeline,
 }
 
 impl Motion {
-    /// No motion is known yet.
+    /// No actions yet.
     pub fn new(settings: MotionSettings) -> Self {
         Self {
-            taken: Taken::new(settings),
-            announced: Announced::new(settings.keep_ns),
+            executed: ExecutedActions::new(settings),
+            chunks: ChunkTimeline::new(settings.keep_ns),
         }
     }
 
-    /// The same, where overlapping announcements join by `merging`.
+    /// Merges overlapping announcements by `merging`.
     #[must_use]
     pub fn with_merging(mut self, merging: ChunkMerging) -> Self {
-        self.announced.set_merging(merging);
+        self.chunks.set_merging(merging);
         self
     }
 
-    /// From now on, keeps actions as far back as `keep_ns`.
+    /// Keeps actions for `keep_ns` from now on.
     pub fn keep_for(&mut self, keep_ns: i64) {
-        self.taken.keep_for(keep_ns);
-        self.announced.keep_for(keep_ns);
+        self.executed.keep_for(keep_ns);
+        self.chunks.keep_for(keep_ns);
     }
 
-    /// Takes note of an action that the robot took. One of the same stamp replaces the one before.
+    /// Records an executed action. One with the same stamp replaces the earlier one.
     pub fn take(&mut self, stamp_ns: i64, values: Arc<[f32]>) {
-        self.taken.insert(stamp_ns, values);
+        self.executed.insert(stamp_ns, values);
     }
 
-    /// Takes note of actions to come. They replace what was announced for the same time, or join it
-    /// ([`Self::with_merging`]); what was announced for the time before stays.
+    /// Records announced actions. They replace or join ([`Self::with_merging`]) earlier announcements for the same
+    /// time; those for an earlier time stay.
     pub fn announce(&mut self, chunk: Chunk, space: &ActionSpace) {
-        self.announced.set(chunk, space);
+        self.chunks.set(chunk, space);
     }
 
-    /// Stamp of the newest action that was taken.
+    /// Stamp of the newest executed action.
     pub fn newest_taken_ns(&self) -> Option<i64> {
-        self.taken.newest_ns()
+        self.executed.newest_ns()
     }
 
     /// Stamp of the newest announcement.
     pub fn announced_ns(&self) -> Option<i64> {
-        self.announced.stamp_ns()
+        self.chunks.stamp_ns()
     }
 
-    /// What happens from `from_ns` to `to_ns`; none where nothing is known of its beginning. What was taken wins over
-    /// what was announced, and beyond both the last action is held.
+    /// The motion from `from_ns` to `to_ns`; `None` if no action is known at its start. Executed actions win over
+    /// announced ones, and after both the last action is held.
     pub fn between(&self, space: &ActionSpace, from_ns: i64, to_ns: i64) -> Option<Interval> {
         integrate(space, &self.pieces(), from_ns, to_ns)
     }
 
-    /// The action of the model step from `from_ns` to `to_ns`: what happens in each interval of the model's rate, and the
-    /// model's own rule over them.
+    /// The action of the model step from `from_ns` to `to_ns`, by the model's rule over its intervals.
     ///
     /// # Errors
-    /// [`ActionError::Unknown`] where nothing is known of an interval's beginning, and those of
+    /// [`ActionError::Unknown`] if no action is known at the start of an interval, and those of
     /// [`ActionEncoding::encode_step`].
     pub fn step(
         &self,
@@ -180,37 +164,37 @@ impl Motion {
         })
     }
 
-    /// Keeps what lies within `margin_ns` of a moment that time jumped to.
+    /// Keeps the actions within `margin_ns` of a time that the clock jumped to.
     pub fn retain_around(&mut self, stamp_ns: i64, margin_ns: i64) {
-        self.taken.retain_around(stamp_ns, margin_ns);
-        self.announced.retain_around(stamp_ns, margin_ns);
+        self.executed.retain_around(stamp_ns, margin_ns);
+        self.chunks.retain_around(stamp_ns, margin_ns);
     }
 
-    /// Forgets everything.
+    /// Forgets all actions.
     pub fn clear(&mut self) {
-        self.taken.clear();
-        self.announced.clear();
+        self.executed.clear();
+        self.chunks.clear();
     }
 
-    /// All pieces in order and without overlap, the last one held without end.
+    /// All pieces in order, without overlap; the last one is held without end.
     fn pieces(&self) -> Vec<Piece> {
-        let mut taken = self.taken.pieces();
-        // An action takes until the next one, be that taken or announced.
-        if let Some(last) = taken.last_mut()
-            && let Some(next_ns) = self.announced.start_near(last.end_ns, last.span_ns / 4)
+        let mut executed = self.executed.pieces();
+        // An action takes until the next one, executed or announced.
+        if let Some(last) = executed.last_mut()
+            && let Some(next_ns) = self.chunks.start_near(last.end_ns, last.span_ns / 4)
         {
             last.end_ns = next_ns;
             last.span_ns = next_ns - last.start_ns;
         }
-        let mut pieces = match (taken.first(), taken.last()) {
+        let mut pieces = match (executed.first(), executed.last()) {
             (Some(first), Some(last)) => {
-                let mut pieces = self.announced.before(first.start_ns);
-                let after = self.announced.after(last.end_ns);
-                pieces.extend(taken);
+                let mut pieces = self.chunks.before(first.start_ns);
+                let after = self.chunks.after(last.end_ns);
+                pieces.extend(executed);
                 pieces.extend(after);
                 pieces
             }
-            _ => self.announced.after(i64::MIN),
+            _ => self.chunks.after(i64::MIN),
         };
         if let Some(last) = pieces.last() {
             let held = last.held();

@@ -4,55 +4,55 @@ use candle_core::{DType, Device, Tensor};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-/// The most dimensions that an array has: the frames of a batch.
+/// Most dimensions of an array: a batch of frames.
 const MOST_DIMENSIONS: usize = 5;
 
 /// A tensor of f32 as data, row-major.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "Parts")]
+#[serde(try_from = "RawArray")]
 pub struct Array {
     shape: Vec<usize>,
     values: Vec<f32>,
 }
 
-/// What others send.
+/// The serialised form, unchecked.
 #[derive(Deserialize)]
-struct Parts {
+struct RawArray {
     shape: Vec<usize>,
     values: Vec<f32>,
 }
 
-/// Values that are not as many as their shape says.
+/// A count of values that does not match the shape.
 #[derive(Debug, Error)]
 #[error(
     "an array of shape {shape:?} has {found} values; expected at most {MOST_DIMENSIONS} dimensions and their product"
 )]
-struct Misshapen {
+struct ShapeError {
     shape: Vec<usize>,
     found: usize,
 }
 
-impl TryFrom<Parts> for Array {
-    type Error = Misshapen;
+impl TryFrom<RawArray> for Array {
+    type Error = ShapeError;
 
-    fn try_from(Parts { shape, values }: Parts) -> Result<Self, Misshapen> {
+    fn try_from(RawArray { shape, values }: RawArray) -> Result<Self, ShapeError> {
         let product = |shape: &[usize]| {
             let mut sizes = shape.iter();
             sizes.try_fold(1_usize, |product, size| product.checked_mul(*size))
         };
         if shape.len() > MOST_DIMENSIONS || product(&shape) != Some(values.len()) {
             let found = values.len();
-            return Err(Misshapen { shape, found });
+            return Err(ShapeError { shape, found });
         }
         Ok(Self { shape, values })
     }
 }
 
 impl Array {
-    /// What a tensor holds.
+    /// Copies the values of a tensor.
     ///
     /// # Errors
-    /// Where it is not f32.
+    /// If the tensor is not f32.
     pub fn of(tensor: &Tensor) -> wm_model::Result<Self> {
         Ok(Self {
             shape: tensor.dims().to_vec(),
@@ -60,10 +60,10 @@ impl Array {
         })
     }
 
-    /// The tensor, on the CPU.
+    /// The tensor on the CPU.
     ///
     /// # Errors
-    /// None that is known of: its shape fits.
+    /// Those of candle; none is known, since the shape fits.
     pub fn tensor(&self) -> wm_model::Result<Tensor> {
         if self.values.is_empty() {
             let shape = self.shape.as_slice();
@@ -82,10 +82,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_a_shape_that_fits_is_an_array() {
+    fn shape_must_match_the_number_of_values() {
         let parts = |shape: &[usize], values: usize| {
             let (shape, values) = (shape.to_vec(), vec![1.0; values]);
-            Array::try_from(Parts { shape, values })
+            Array::try_from(RawArray { shape, values })
         };
         for (shape, values) in [(&[2, 3][..], 6), (&[], 1), (&[0, 7], 0)] {
             let array = parts(shape, values).unwrap();

@@ -12,11 +12,11 @@ use crate::{
     search::Search,
 };
 
-/// Which actions a search returns.
+/// The plan that a search returns.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Returned {
-    /// The candidate of least cost among all that were tried: the reference's choice.
+    /// The candidate of least cost, as in the reference.
     #[default]
     BestSeen,
     /// The mean of the last iteration's elites, rolled out once more for its cost.
@@ -24,23 +24,23 @@ pub enum Returned {
 }
 
 /// Settings of the cross-entropy method. The defaults of population, iterations and elites are those of the
-/// controllability metric; planning on a processor in real time wants fewer.
+/// controllability metric; real-time planning on a CPU needs fewer.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CemSettings {
-    /// Candidates an iteration.
+    /// Candidates per iteration.
     pub population: usize,
     /// Iterations.
     pub iterations: usize,
-    /// Candidates that the next Gaussian is fitted to.
+    /// Candidates that fit the next Gaussian.
     pub elites: usize,
-    /// Standard deviation of the first iteration, as a part of each value's range.
+    /// Standard deviation of the first iteration, as a share of each value's range.
     pub initial_std: f32,
     /// Least standard deviation \[model units\].
     pub std_floor: f32,
-    /// Whether proposals are candidates too. The metric only begins from the first one.
+    /// Whether proposals are candidates too; the metric uses the first one only as the first mean.
     pub try_proposals: bool,
-    /// Which actions are returned.
+    /// Which plan is returned.
     pub returned: Returned,
 }
 
@@ -61,18 +61,18 @@ impl Default for CemSettings {
 /// The cross-entropy method (architecture.md, *Planner*; the paper, appendix B).
 ///
 /// Each iteration draws a population from a diagonal Gaussian, applies the limits, rolls it out, and fits the next
-/// Gaussian to the elites (unbiased standard deviation, no less than the floor). Candidates whose cost is not finite are
-/// never elites and never returned. The first mean is the first proposal; no motion without one.
+/// Gaussian to the elites (unbiased standard deviation, no less than the floor). Candidates without a finite cost are
+/// never elites and never returned. The first mean is the first proposal, or no motion.
 #[derive(Clone, Debug)]
 pub struct Cem {
     settings: CemSettings,
 }
 
 impl Cem {
-    /// The method with these settings.
+    /// Checks the settings.
     ///
     /// # Errors
-    /// [`PlanError::Setting`] names what cannot serve.
+    /// [`PlanError::Setting`] names the first invalid setting.
     pub fn new(settings: CemSettings) -> Result<Self, PlanError> {
         check_positive("population", settings.population as f32)?;
         check_positive("iterations", settings.iterations as f32)?;
@@ -118,7 +118,7 @@ impl Planner for Cem {
             Vec::new()
         };
         for _ in 0..iterations {
-            // All are drawn before any is rolled out, so that the batch size does not change the plan.
+            // All are drawn first, so that the batch size does not change the plan.
             let mut candidates = std::mem::take(&mut known);
             let drawn = population.saturating_sub(candidates.len());
             candidates

@@ -1,4 +1,4 @@
-//! Which planner, by its name.
+//! Planners by name.
 
 use std::{fmt, str::FromStr, sync::Arc};
 
@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 use wm_zoo::idm::TrainedIdm;
 
 use crate::{
-    Cem, CemSettings, Icem, IcemSettings, Inverse, InverseSettings, Mppi, MppiSettings, PlanError,
-    Planner, Seeded,
+    Cem, CemSettings, Icem, IcemSettings, InversePlanner, InverseSettings, Mppi, MppiSettings,
+    PlanError, Planner, SeededSearch,
 };
 
 /// A planner, by name.
@@ -20,32 +20,32 @@ pub enum PlannerChoice {
     Icem,
     /// Model predictive path integral control.
     Mppi,
-    /// What the inverse dynamics model tells.
+    /// The actions of an inverse dynamics model, without search.
     Idm,
-    /// CEM from there.
+    /// CEM, from the actions of an inverse dynamics model.
     IdmCem,
-    /// iCEM from there.
+    /// iCEM, from the actions of an inverse dynamics model.
     IdmIcem,
-    /// MPPI from there.
+    /// MPPI, from the actions of an inverse dynamics model.
     IdmMppi,
 }
 
-/// Settings of all planners, of which one uses its own.
+/// Settings of all planners; each uses its own.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PlannerSettings {
-    /// Of CEM.
+    /// Cross-entropy method.
     pub cem: CemSettings,
-    /// Of iCEM.
+    /// Improved cross-entropy method.
     pub icem: IcemSettings,
-    /// Of MPPI.
+    /// Model predictive path integral control.
     pub mppi: MppiSettings,
-    /// Of the inverse dynamics model.
+    /// Inverse dynamics model.
     pub idm: InverseSettings,
 }
 
 impl PlannerChoice {
-    /// All of them.
+    /// All planners.
     pub const ALL: [Self; 7] = [
         Self::Cem,
         Self::Icem,
@@ -56,7 +56,7 @@ impl PlannerChoice {
         Self::IdmMppi,
     ];
 
-    /// Its name.
+    /// Name, as in parameters.
     pub fn name(self) -> &'static str {
         match self {
             Self::Cem => "cem",
@@ -69,7 +69,7 @@ impl PlannerChoice {
         }
     }
 
-    /// Whether it asks an inverse dynamics model.
+    /// Whether it needs an inverse dynamics model.
     pub fn needs_idm(self) -> bool {
         matches!(
             self,
@@ -77,8 +77,8 @@ impl PlannerChoice {
         )
     }
 
-    /// The planner that searches from nothing instead of from what the inverse dynamics model tells: for goals that are
-    /// no latents. None for the one that tells and does not search.
+    /// The search without an inverse dynamics model, for goals that are not latents; `None` for the planner that does
+    /// not search.
     pub fn unseeded(self) -> Option<Self> {
         match self {
             Self::Idm => None,
@@ -88,10 +88,10 @@ impl PlannerChoice {
         }
     }
 
-    /// The planner, for the latents (h, w, C) of `goals` in their order where it asks an inverse dynamics model.
+    /// The planner, with the goals' latents (h, w, C) in order for an inverse dynamics model.
     ///
     /// # Errors
-    /// [`PlanError::Setting`] names a setting that cannot serve, or that there is no inverse dynamics model.
+    /// [`PlanError::Setting`] names an invalid setting or the missing inverse dynamics model.
     pub fn build(
         self,
         settings: &PlannerSettings,
@@ -101,10 +101,10 @@ impl PlannerChoice {
         let inverse = || {
             let idm = idm.ok_or_else(|| {
                 PlanError::Setting(format!(
-                    "the planner {self} needs an inverse dynamics model, which the model has not (wm train idm)"
+                    "the planner {self} needs an inverse dynamics model; train one with wm train idm"
                 ))
             })?;
-            Inverse::new(Arc::clone(idm), settings.idm.clone(), goals.to_vec())
+            InversePlanner::new(Arc::clone(idm), settings.idm.clone(), goals.to_vec())
         };
         let search: Box<dyn Planner> = match self {
             Self::Idm => return Ok(Box::new(inverse()?)),
@@ -113,7 +113,7 @@ impl PlannerChoice {
             Self::Mppi | Self::IdmMppi => Box::new(Mppi::new(settings.mppi.clone())?),
         };
         if self.needs_idm() {
-            return Ok(Box::new(Seeded::new(self.name(), inverse()?, search)));
+            return Ok(Box::new(SeededSearch::new(self.name(), inverse()?, search)));
         }
         Ok(search)
     }
@@ -132,9 +132,7 @@ impl FromStr for PlannerChoice {
         let found = Self::ALL.into_iter().find(|choice| choice.name() == name);
         found.ok_or_else(|| {
             let names = Self::ALL.map(Self::name).join(", ");
-            PlanError::Setting(format!(
-                "there is no planner {name:?}; expected one of {names}"
-            ))
+            PlanError::Setting(format!("unknown planner {name:?}; expected one of {names}"))
         })
     }
 }

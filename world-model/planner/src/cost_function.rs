@@ -1,4 +1,4 @@
-//! What candidates cost, as data.
+//! The cost of candidates, in a form that can be sent to other processes.
 
 use serde::{Deserialize, Serialize};
 use wm_model::{
@@ -10,13 +10,13 @@ use crate::{
     Array, Costs, Objective, PlanError, PortableTerm, Problem, SearchSpace, TransitionDynamics,
 };
 
-/// The most steps of a plan that is costed for others.
+/// Most steps of a plan.
 const MOST_STEPS: usize = 64;
-/// The most terms of an objective that is evaluated for others.
+/// Most terms of an objective.
 const MOST_TERMS: usize = 64;
 
-/// The function from candidates to costs that one plan is searched with, as data: with the same transition model it gives
-/// the same costs in another process, bit for bit, where that one has the same kernels ([`crate::fingerprint`]).
+/// The serialisable function from candidates to costs for one plan. With the same transition model and kernels
+/// ([`crate::fingerprint`]), another process computes the same costs, bit for bit.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CostFunction {
     /// (1, T, h, w, C), see [`Position`].
@@ -35,7 +35,7 @@ pub struct CostFunction {
 }
 
 impl CostFunction {
-    /// The function of a problem of `horizon` steps.
+    /// The cost function of a problem with `horizon` steps.
     ///
     /// # Errors
     /// [`PlanError::NotPortable`] names a term that needs more than the transition model.
@@ -68,15 +68,15 @@ impl CostFunction {
         self.horizon * self.space.len()
     }
 
-    /// How many terms its costs have.
+    /// Number of terms.
     pub fn terms(&self) -> usize {
         self.terms.len()
     }
 
-    /// What computes it with a model.
+    /// Binds the function to a model.
     ///
     /// # Errors
-    /// [`PlanError`] names what does not fit the model or cannot serve.
+    /// [`PlanError`] names an invalid part, or one that does not fit the model.
     pub fn with<'m>(&self, model: &'m LoadedTransition) -> Result<Evaluator<'m>, PlanError> {
         let complain = |text: String| Err(PlanError::Setting(text));
         if !(1..=MOST_STEPS).contains(&self.horizon) {
@@ -94,11 +94,11 @@ impl CostFunction {
         let (own, given) = (model.config().action_dim, self.space.action_dim());
         if own != given {
             return complain(format!(
-                "the model's actions have {own} values, those of the search space {given}"
+                "the model's actions have {own} values, but those of the search space {given}"
             ));
         }
         let Ok(first_step) = usize::try_from(self.first_step) else {
-            return complain(format!("noise of step {}", self.first_step));
+            return complain(format!("invalid noise step {}", self.first_step));
         };
         let position = Position {
             context: self.context.tensor()?,
@@ -136,13 +136,14 @@ impl Evaluator<'_> {
     /// Costs of at least one candidate, each of steps x searched values within the limits.
     ///
     /// # Errors
-    /// [`PlanError::Setting`] where a candidate has not that many values or one is not finite, and the model's own.
+    /// [`PlanError::Setting`] for a candidate with the wrong number of values or a value that is not finite, and those
+    /// of the model.
     pub fn costs(&mut self, candidates: &[Vec<f32>]) -> Result<Costs, PlanError> {
         let expected = self.horizon * self.space.len();
         for candidate in candidates {
             if candidate.len() != expected || candidate.iter().any(|value| !value.is_finite()) {
                 return Err(PlanError::Setting(format!(
-                    "a candidate has {expected} finite values, not {candidate:?}"
+                    "expected {expected} finite values for a candidate, got {candidate:?}"
                 )));
             }
         }
@@ -232,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_made_of_the_data_costs_the_same_to_the_bit() {
+    fn deserialised_function_gives_equal_costs_to_the_bit() {
         for alignment in [ActionAlignment::WithFrame, ActionAlignment::WithResult] {
             let model = model(alignment);
             let (context, past) = (waves(&[1, 2, 4, 4, 4], 0.3), waves(&[1, 10], 0.9));
@@ -241,7 +242,7 @@ mod tests {
                 ..Sampler::default()
             };
             let mut rollout = Rollout::new(&model, &sampler, &context, Some(&past), 5).unwrap();
-            // Some steps are predicted before the plan begins.
+            // Some steps are predicted before the plan starts.
             for step in 0..3 {
                 rollout.next(&waves(&[1, 10], step as f32)).unwrap();
             }
@@ -267,7 +268,7 @@ mod tests {
                 let mut evaluator = function.with(&model).unwrap();
                 let again = evaluator.costs(&candidates).unwrap();
                 assert_eq!(bits(&again), bits(&own));
-                // Nor does it matter who is in a batch with whom.
+                // The cost does not depend on the other candidates of the batch.
                 let part = evaluator.costs(&candidates[3..]).unwrap();
                 assert_eq!(part.terms, own.terms[3..]);
                 assert_eq!((function.candidate_len(), function.terms()), (6, 6));
@@ -276,7 +277,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_fit_the_model_is_refused_by_name() {
+    fn mismatch_with_the_model_is_named() {
         let model = model(ActionAlignment::WithFrame);
         let context = waves(&[1, 1, 4, 4, 4], 0.3);
         let sampler = &model.config().sampler;
@@ -312,7 +313,10 @@ mod tests {
         let mut evaluator = sound.with(&model).unwrap();
         for candidate in [vec![0.0; 5], vec![f32::NAN; 6]] {
             let complaint = evaluator.costs(&[candidate]).unwrap_err().to_string();
-            assert!(complaint.contains("6 finite values"), "{complaint}");
+            assert!(
+                complaint.contains("expected 6 finite values"),
+                "{complaint}"
+            );
         }
     }
 }

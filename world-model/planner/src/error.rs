@@ -1,31 +1,31 @@
-//! Why there is no plan.
+//! Errors of planning.
 
 use thiserror::Error;
 
-/// Why there is no plan.
+/// A failed plan.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum PlanError {
-    /// A setting, a bound or a proposal that cannot serve.
+    /// An invalid setting, bound or proposal.
     #[error("planner: {0}")]
     Setting(String),
-    /// A term of the cost that no other process can work out.
+    /// A cost term that other processes cannot compute.
     #[error("planner: the term {term} of the cost needs more than the transition model")]
     NotPortable {
-        /// Its name.
+        /// Name of the term.
         term: &'static str,
     },
-    /// The model, or the goal's latent, does not fit.
+    /// A model or a goal's latent does not fit.
     #[error(transparent)]
     Model(#[from] wm_model::Error),
-    /// Not one candidate of an iteration had a finite cost.
+    /// No candidate of an iteration had a finite cost.
     #[error(
         "planner: none of the {candidates} candidates of iteration {iteration} has a finite cost"
     )]
     NoFiniteCost {
         /// The iteration, from 1.
         iteration: usize,
-        /// How many candidates were tried in it.
+        /// Candidates tried in it.
         candidates: usize,
     },
 }
@@ -54,7 +54,7 @@ pub(crate) fn check_share(name: &str, value: f32) -> Result<(), PlanError> {
     )))
 }
 
-/// Two elites are the fewest that have an unbiased standard deviation.
+/// Two elites are the fewest with an unbiased standard deviation.
 pub(crate) fn check_elites(elites: usize, population: usize) -> Result<(), PlanError> {
     if (2..=population).contains(&elites) {
         return Ok(());

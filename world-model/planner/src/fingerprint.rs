@@ -1,4 +1,4 @@
-//! Whether two processes compute the same.
+//! Whether two processes compute the same costs.
 
 use candle_core::{Device, Tensor};
 use sha2::{Digest as _, Sha256};
@@ -6,24 +6,23 @@ use wm_model::{sampler::Sampler, transition::LoadedTransition};
 
 use crate::{Dynamics as _, PlanError, Target, TransitionDynamics};
 
-/// Candidates of the trial: an odd number, so that tiles of all widths have a part in it.
+/// An odd number, so that tiles of all widths take part.
 const CANDIDATES: usize = 7;
-/// Steps of the trial, so that predictions are a context too.
+/// Two steps, so that a prediction becomes context.
 const STEPS: usize = 2;
 
-/// SHA-256 of latents and costs that the model predicts in a trial that is always the same. Two processes where it is equal
-/// have the same weights and round alike: which kernels run, and in which order sums are taken, differs between processors
-/// and builds.
+/// SHA-256 of latents and costs that the model predicts in a fixed trial. Processes with equal fingerprints have the
+/// same weights and round alike; kernels and the order of sums differ between processors and builds.
 ///
 /// # Errors
-/// Where the model fails.
+/// If the model fails.
 pub fn fingerprint(model: &LoadedTransition) -> Result<[u8; 32], PlanError> {
     let c = model.config();
     let (height, width, channels) = (c.latent_height, c.latent_width, c.channels);
     let context = numbers(&[1, 2, height, width, channels])?;
     let past = numbers(&[1, c.action_dim])?;
     let sampler = Sampler {
-        // One is not enough: only from the second on does the network see its own output.
+        // The network sees its own output from the second step on.
         steps: 2,
         ..c.sampler.clone()
     };
@@ -43,7 +42,7 @@ pub fn fingerprint(model: &LoadedTransition) -> Result<[u8; 32], PlanError> {
     Ok(hash.finalize().into())
 }
 
-/// Numbers from -1 to 1 that are the same everywhere: integers, divided.
+/// Fixed numbers from -1 to 1, exact on all machines.
 fn numbers(shape: &[usize]) -> Result<Tensor, PlanError> {
     let count = shape.iter().product::<usize>();
     // Below 2^24, exact in f32.
@@ -59,7 +58,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn it_is_the_same_for_the_same_model_only() {
+    fn fingerprint_identifies_the_model() {
         let model = |seed| {
             let config = TransitionConfig {
                 hidden: 64,

@@ -10,10 +10,10 @@ use crate::{
     PlanError, PlannedActions, Planner, Problem, Watch,
     error::{check_elites, check_positive, check_share},
     proposal::Proposal,
-    search::{Scored, Search},
+    search::{ScoredCandidate, Search},
 };
 
-/// Settings of iCEM. The defaults are for real-time planning on a processor.
+/// Settings of iCEM. The defaults are for real-time planning on a CPU.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct IcemSettings {
@@ -21,19 +21,19 @@ pub struct IcemSettings {
     pub population: usize,
     /// Iterations.
     pub iterations: usize,
-    /// Candidates that the next Gaussian is fitted to.
+    /// Candidates that fit the next Gaussian.
     pub elites: usize,
-    /// Standard deviation of the first iteration, as a part of each value's range.
+    /// Standard deviation of the first iteration, as a share of each value's range.
     pub initial_std: f32,
     /// Least standard deviation \[model units\].
     pub std_floor: f32,
-    /// Exponent beta of the noise's power spectrum over time, f^-beta: 0 is white, and the more, the smoother.
+    /// Exponent beta of the noise's power spectrum f^-beta over time: 0 is white; greater is smoother.
     pub noise_beta: f32,
-    /// By how much the population shrinks from one iteration to the next: n / decay, never below twice the elites.
+    /// Factor by which the population shrinks per iteration, never below twice the elites.
     pub decay: f32,
-    /// Share of the elites that are candidates of the next iteration too.
+    /// Share of the elites that are candidates of the next iteration.
     pub kept_elites: f32,
-    /// How much of the last Gaussian is kept when it is fitted anew.
+    /// Share of the last Gaussian in the new one.
     pub momentum: f32,
 }
 
@@ -53,18 +53,18 @@ impl Default for IcemSettings {
     }
 }
 
-/// iCEM: noise that is correlated over time, elites that stay in the race, a population that shrinks, and the mean as a
-/// candidate of the last iteration. Proposals are candidates of the first one. Returns the best candidate seen.
+/// iCEM: noise correlated over time, elites kept between iterations, a shrinking population, and the mean as a
+/// candidate of the last iteration. Proposals are candidates of the first iteration. Returns the best candidate seen.
 #[derive(Clone, Debug)]
 pub struct Icem {
     settings: IcemSettings,
 }
 
 impl Icem {
-    /// The method with these settings.
+    /// Checks the settings.
     ///
     /// # Errors
-    /// [`PlanError::Setting`] names what cannot serve.
+    /// [`PlanError::Setting`] names the first invalid setting.
     pub fn new(settings: IcemSettings) -> Result<Self, PlanError> {
         check_positive("population", settings.population as f32)?;
         check_positive("iterations", settings.iterations as f32)?;
@@ -114,12 +114,13 @@ impl Planner for Icem {
             }
             let size = (population.round() as usize).max(2 * settings.elites);
             while candidates.len() < size {
-                // Noise over the steps for each value, then read step by step.
+                // Noise over the steps for each value, read step by step.
                 let noise: Vec<Vec<f32>> = (0..space.len())
                     .map(|_| coloured.draw(&mut || StandardNormal.sample(&mut rng)))
                     .collect();
                 let mut values = (0..steps)
                     .flat_map(|step| noise.iter().filter_map(move |noise| noise.get(step)));
+                // `draw` takes one number per value: `values` never ends early.
                 let next = || values.next().copied().unwrap_or_default();
                 candidates.push(proposal.draw(next));
             }
@@ -128,9 +129,9 @@ impl Planner for Icem {
             };
             scored.truncate(settings.elites);
             proposal.fit(&scored, settings.momentum);
-            // At most the elites.
+            // At most the number of elites.
             let kept = (settings.kept_elites * settings.elites as f32).ceil() as usize;
-            let keep = |elite: &Scored| elite.actions.clone();
+            let keep = |elite: &ScoredCandidate| elite.actions.clone();
             known = scored.iter().take(kept).map(keep).collect();
             population /= settings.decay;
         }
@@ -156,10 +157,10 @@ struct ColouredNoise {
 
 impl ColouredNoise {
     fn new(steps: usize, beta: f32) -> Self {
-        // The lowest frequency that a plan has counts for the constant one too (Timmer and Koenig, 1995).
+        // The lowest frequency counts for the constant one too (Timmer and Koenig, 1995).
         let raw = (0..=steps / 2).map(|f| (f.max(1) as f32).powf(-beta / 2.0));
         let raw: Vec<f32> = raw.collect();
-        // Cosine and sine of one amplitude have its square for their variance at every step.
+        // Cosine and sine of one amplitude have its square as variance at every step.
         let power: f32 = raw.iter().map(|amplitude| amplitude * amplitude).sum();
         let amplitudes = raw.iter().map(|amplitude| amplitude / power.sqrt());
         Self {
@@ -168,7 +169,7 @@ impl ColouredNoise {
         }
     }
 
-    /// One number a step.
+    /// Draws one number per step.
     fn draw(&self, normal: &mut dyn FnMut() -> f32) -> Vec<f32> {
         let waves: Vec<(f32, f32)> = self
             .amplitudes
@@ -229,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn a_good_proposal_is_never_lost() {
+    fn good_proposal_is_kept() {
         let (space, objective) = (bounds(), objective(&[0.6, 0.3]));
         let mut point = Point::new(2);
         let mut problem = problem(&space, &mut point, &objective);
@@ -246,9 +247,9 @@ mod tests {
     }
 
     #[test]
-    fn elites_are_kept_for_the_next_plan_and_move_on_with_it() {
+    fn elites_are_kept_and_shifted_with_the_plan() {
         let found = plan(IcemSettings::default(), &[0.6, 0.3], 2);
-        // Three tenths of six elites, of which the best is the plan itself.
+        // Three tenths of six elites, the best of which is the plan itself.
         assert!(!found.elites.is_empty() && found.elites.len() <= 2);
         assert!(found.elites.iter().all(|elite| *elite != found.actions));
         let next = found.without(1).unwrap();
@@ -259,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_has_variance_one_and_is_the_smoother_the_greater_beta() {
+    fn noise_has_unit_variance_and_smoothness_grows_with_beta() {
         let mut rng = ChaCha8Rng::seed_from_u64(0);
         let mut correlation = |beta: f32| {
             let noise = ColouredNoise::new(8, beta);
@@ -277,7 +278,7 @@ mod tests {
     }
 
     #[test]
-    fn settings_are_refused_by_name() {
+    fn invalid_settings_are_named() {
         let refused = |settings| Icem::new(settings).unwrap_err().to_string();
         let decay = IcemSettings {
             decay: 0.5,

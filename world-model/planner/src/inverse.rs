@@ -1,4 +1,4 @@
-//! Asking an inverse dynamics model.
+//! Plans with an inverse dynamics model.
 
 use std::sync::Arc;
 
@@ -8,14 +8,14 @@ use wm_zoo::idm::TrainedIdm;
 
 use crate::{PlanError, PlannedActions, Planner, Problem, Watch, search::Search};
 
-/// The way from the observed latent to the goal's, of which an inverse dynamics model tells the actions.
+/// The path of latents whose actions an inverse dynamics model infers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Path {
-    /// The goal is asked for at each step anew, from the latent that the actions so far lead to in imagination.
+    /// At each step anew, from the imagined latent to the goal.
     #[default]
     Imagined,
-    /// Along the straight line from the observed latent to the goal's, in equal parts.
+    /// Along the straight line from the observed latent to the goal, in equal parts.
     Line,
 }
 
@@ -23,35 +23,34 @@ pub enum Path {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct InverseSettings {
-    /// The way whose actions are told.
+    /// The path whose actions are inferred.
     pub path: Path,
 }
 
-/// Tells the actions to a goal by an inverse dynamics model of one model step: one forward pass a step, and one rollout
-/// for the cost. It searches nothing, so it takes no seed; the goal must be a latent.
+/// Infers the actions to a goal with an inverse dynamics model of one model step: one forward pass per step, and one
+/// rollout for the cost. It does not search, so it needs no seed. Goals must be latents.
 #[derive(Clone)]
-pub struct Inverse {
+pub struct InversePlanner {
     idm: Arc<TrainedIdm>,
     settings: InverseSettings,
-    /// Of each step, the last ones for all that follow: (h, w, C) each.
+    /// Goals (h, w, C) by step; the last one is for all later steps.
     goals: Vec<Tensor>,
 }
 
-impl std::fmt::Debug for Inverse {
+impl std::fmt::Debug for InversePlanner {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Inverse")
+        f.debug_struct("InversePlanner")
             .field("settings", &self.settings)
             .field("goals", &self.goals.len())
             .finish_non_exhaustive()
     }
 }
 
-impl Inverse {
-    /// Plans to `goals`, latents (h, w, C) in the order in which they are to be reached; each is the goal of one step, and
-    /// the last one of all that follow.
+impl InversePlanner {
+    /// Plans to `goals`, latents (h, w, C) in order, one per step; the last one is for all later steps.
     ///
     /// # Errors
-    /// [`PlanError::Setting`] where the model tells several steps at once, or there is no goal.
+    /// [`PlanError::Setting`] if the model infers several steps at once, or `goals` is empty.
     pub fn new(
         idm: Arc<TrainedIdm>,
         settings: InverseSettings,
@@ -60,7 +59,7 @@ impl Inverse {
         let steps = idm.idm().horizon();
         if steps != 1 {
             return Err(PlanError::Setting(format!(
-                "an inverse dynamics model of one step is needed, not of {steps}"
+                "expected an inverse dynamics model of one step, got {steps} steps"
             )));
         }
         if goals.is_empty() {
@@ -75,18 +74,18 @@ impl Inverse {
         })
     }
 
-    /// The actions that the model tells, (k, searched values) within the limits.
-    pub(crate) fn tell(&self, problem: &mut Problem<'_>) -> Result<Vec<Vec<f32>>, PlanError> {
+    /// Infers the actions (k, searched values), within the limits.
+    pub(crate) fn infer(&self, problem: &mut Problem<'_>) -> Result<Vec<Vec<f32>>, PlanError> {
         let observed = problem.dynamics.start()?;
         let mut from = observed.clone();
-        let mut told: Vec<f32> = Vec::new();
+        let mut inferred: Vec<f32> = Vec::new();
         for step in 0..problem.horizon {
             let goal = self.goals.get(step).or(self.goals.last());
             let Some(goal) = goal else { break };
             let (before, to) = match self.settings.path {
                 Path::Imagined => (from.clone(), goal.clone()),
                 Path::Line => {
-                    // A plan has few steps.
+                    // A plan has few steps: exact in f64.
                     let at = |step: usize| -> Result<Tensor, PlanError> {
                         let share = step as f64 / problem.horizon as f64;
                         Ok(((&observed * (1.0 - share))? + (goal * share)?)?)
@@ -101,20 +100,20 @@ impl Inverse {
                 .forward(&pair)
                 .map_err(wm_model::Error::from)?;
             let action = action.flatten_all()?.to_vec1::<f32>()?;
-            told.extend(problem.space.searched(&action));
-            told = problem.space.limit(told);
+            inferred.extend(problem.space.searched(&action));
+            inferred = problem.space.limit(inferred);
             let is_last = step + 1 == problem.horizon;
             if self.settings.path == Path::Imagined && !is_last {
-                let latents = problem.rollout(std::slice::from_ref(&told))?;
+                let latents = problem.rollout(std::slice::from_ref(&inferred))?;
                 from = latents.get(0)?.get(step)?;
             }
         }
         let values = problem.space.len();
-        Ok(told.chunks_exact(values).map(<[f32]>::to_vec).collect())
+        Ok(inferred.chunks_exact(values).map(<[f32]>::to_vec).collect())
     }
 }
 
-impl Planner for Inverse {
+impl Planner for InversePlanner {
     fn name(&self) -> &'static str {
         "idm"
     }
@@ -125,9 +124,9 @@ impl Planner for Inverse {
         _: u64,
         watch: Watch<'_>,
     ) -> Result<PlannedActions, PlanError> {
-        let told = self.tell(problem)?;
+        let inferred = self.infer(problem)?;
         let mut search = Search::new(problem, watch)?;
-        search.iterate(vec![told.concat()])?;
+        search.iterate(vec![inferred.concat()])?;
         search.finish(None)
     }
 }

@@ -1,14 +1,13 @@
-//! Planning: which actions bring what the camera sees to a goal.
+//! Plans actions that bring the camera's view to a goal.
 //!
-//! A [`Problem`] says what may be chosen ([`SearchSpace`]), what comes of it ([`Dynamics`]) and what that costs
-//! ([`Objective`], a sum of named terms). A [`Planner`] solves it: [`Cem`], [`Icem`] and [`Mppi`] search, [`Inverse`] asks an
-//! inverse dynamics model, and [`Seeded`] searches from what another found. None of them holds a model, a clock or a
-//! robot; one seed gives one plan, whatever the size of the batches and the number of threads.
+//! A [`Problem`] consists of a [`SearchSpace`], the [`Dynamics`] and an [`Objective`] (a sum of named terms). A
+//! [`Planner`] solves it: [`Cem`], [`Icem`] and [`Mppi`] search, [`InversePlanner`] uses an inverse dynamics model, and
+//! [`SeededSearch`] searches from its actions. Planners own no model, clock or robot. One seed gives one plan, whatever
+//! the batch size and the number of threads.
 //!
-//! The transition model serves as the dynamics by [`TransitionDynamics`], which shares one cached context and one noise
-//! among all candidates. [`Workers`], processes with the same model, may cost some of the batches; a [`CostFunction`] is all
-//! that they need for it. Everything here is in model units; `wm_motion::actions::ActionEncoding` turns a plan into metres
-//! and radians.
+//! [`TransitionDynamics`] makes the transition model the dynamics; all candidates share one cached context and one
+//! noise. [`Workers`], processes with the same model, cost part of the batches with a [`CostFunction`]. All values are
+//! in model units; `wm_motion::actions::ActionEncoding` converts a plan to metres and radians.
 
 mod array;
 mod cem;
@@ -17,6 +16,7 @@ mod cost_function;
 mod dynamics;
 mod error;
 mod fingerprint;
+mod goals;
 mod icem;
 mod inverse;
 mod mppi;
@@ -45,8 +45,9 @@ pub use cost_function::{CostFunction, Evaluator};
 pub use dynamics::Dynamics;
 pub use error::PlanError;
 pub use fingerprint::fingerprint;
+pub use goals::{Goals, one_per_step};
 pub use icem::{Icem, IcemSettings};
-pub use inverse::{Inverse, InverseSettings, Path};
+pub use inverse::{InversePlanner, InverseSettings, Path};
 pub use mppi::{Mppi, MppiSettings};
 pub use objective::{
     ActionSize, Costs, GoalDistance, Objective, PortableTerm, Smoothness, Success, Target, Term,
@@ -55,11 +56,11 @@ pub use objective::{
 pub use planned::PlannedActions;
 pub use planner::Planner;
 pub use problem::{Problem, Progress, Watch};
-pub use seeded::Seeded;
+pub use seeded::SeededSearch;
 pub use space::{Coordinate, Range, SearchSpace};
 pub use spread::spread;
 pub use transition_dynamics::TransitionDynamics;
-pub use waypoint::{Arrival, Waypoint, latent_distance, timed};
-pub use weights::{Weights, one_a_step};
+pub use waypoint::{Arrival, Waypoint, goals_by_time};
+pub use weights::Weights;
 pub use workers::{Batch, Turn, WorkerCounts, WorkerPool, Workers};
 pub use workspace::{Workspace, WorkspaceAxis};

@@ -10,10 +10,10 @@ use crate::{
     PlanError, PlannedActions, Planner, Problem, Watch,
     error::check_positive,
     proposal::Proposal,
-    search::{Scored, Search},
+    search::{ScoredCandidate, Search},
 };
 
-/// Settings of MPPI. The defaults are for real-time planning on a processor.
+/// Settings of MPPI. The defaults are for real-time planning on a CPU.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct MppiSettings {
@@ -21,10 +21,10 @@ pub struct MppiSettings {
     pub population: usize,
     /// Iterations.
     pub iterations: usize,
-    /// Standard deviation of the noise, as a part of each value's range. It is the same in all iterations.
+    /// Standard deviation of the noise in all iterations, as a share of each value's range.
     pub std: f32,
-    /// Temperature lambda, as a part of the standard deviation of an iteration's costs: the lower, the more the best
-    /// candidates count alone.
+    /// Temperature lambda, as a share of the standard deviation of an iteration's costs. A lower one gives the best
+    /// candidates more weight.
     pub temperature: f32,
 }
 
@@ -40,18 +40,18 @@ impl Default for MppiSettings {
 }
 
 /// MPPI: the plan is the mean of all candidates, weighted by exp(-cost / lambda). Proposals are candidates of the first
-/// iteration, which is drawn about the first one. The weighted mean is rolled out in the end; what is returned is it or,
-/// where that is cheaper, the best candidate seen.
+/// iteration, whose mean is the first proposal. The final mean is rolled out; the cheaper of it and the best candidate
+/// is returned.
 #[derive(Clone, Debug)]
 pub struct Mppi {
     settings: MppiSettings,
 }
 
 impl Mppi {
-    /// The method with these settings.
+    /// Checks the settings.
     ///
     /// # Errors
-    /// [`PlanError::Setting`] names what cannot serve.
+    /// [`PlanError::Setting`] names the first invalid setting.
     pub fn new(settings: MppiSettings) -> Result<Self, PlanError> {
         check_positive("population", settings.population as f32)?;
         check_positive("iterations", settings.iterations as f32)?;
@@ -93,13 +93,13 @@ impl Planner for Mppi {
         }
         let mean = search.try_one(mean)?;
         let best = search.best_cost();
-        let is_best = |mean: &Scored| best.is_none_or(|best| mean.cost <= best);
+        let is_best = |mean: &ScoredCandidate| best.is_none_or(|best| mean.cost <= best);
         search.finish(mean.filter(is_best))
     }
 }
 
-/// exp(-cost / lambda), of sum 1.
-fn weights(scored: &[Scored], temperature: f32) -> Vec<f64> {
+/// Weights exp(-cost / lambda), normalised to sum 1.
+fn weights(scored: &[ScoredCandidate], temperature: f32) -> Vec<f64> {
     let least = scored.first().map_or(0.0, |best| f64::from(best.cost));
     // Counts stay far below 2^52.
     let count = scored.len() as f64;
@@ -119,7 +119,7 @@ mod tests {
     use crate::testing::{Point, bounds, objective, problem};
 
     #[test]
-    fn reaches_a_goal_and_repeats_itself() {
+    fn reaches_a_goal_deterministically() {
         let (space, objective) = (bounds(), objective(&[1.2, -0.6]));
         let settings = MppiSettings {
             iterations: 8,
@@ -139,9 +139,11 @@ mod tests {
     }
 
     #[test]
-    fn equal_costs_weigh_the_same_and_the_cheapest_weighs_most() {
+    fn cheapest_candidate_weighs_most() {
         let scored = |costs: &[f32]| {
-            let scored = costs.iter().map(|cost| Scored::of(*cost, vec![0.0]));
+            let scored = costs
+                .iter()
+                .map(|cost| ScoredCandidate::of(*cost, vec![0.0]));
             scored.collect::<Vec<_>>()
         };
         assert_eq!(weights(&scored(&[2.0, 2.0]), 0.3), [0.5, 0.5]);

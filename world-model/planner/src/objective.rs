@@ -1,4 +1,4 @@
-//! What a plan costs: a sum of named terms.
+//! The cost of a plan: a sum of named terms.
 
 mod action_size;
 mod goal_distance;
@@ -20,16 +20,16 @@ pub use workspace_margin::WorkspaceMargin;
 
 use crate::{PlanError, SearchSpace};
 
-/// A term of the cost. The objective weighs it.
+/// A term of the cost, unweighted.
 pub trait Term: Debug + Send + Sync {
     /// Its name, as in parameters and in `Plan.terms`.
     fn name(&self) -> &'static str;
 
-    /// What each of N candidates costs: `candidates` of steps x searched values within the limits of `space`, and the
-    /// `latents` (N, k, h, w, C) that they lead to. A cost may be NaN or infinite where a latent is.
+    /// Costs of N candidates: `candidates` of steps x searched values within the limits of `space`, and their `latents`
+    /// (N, k, h, w, C). A cost may be NaN or infinite where a latent is.
     ///
     /// # Errors
-    /// Where the latents do not fit, or a model fails.
+    /// If the latents do not fit, or a model fails.
     fn costs(
         &self,
         space: &SearchSpace,
@@ -37,10 +37,10 @@ pub trait Term: Debug + Send + Sync {
         latents: &Tensor,
     ) -> Result<Vec<f32>, PlanError>;
 
-    /// It as data, which another process makes the same term of; `None` where it needs more than the transition model.
+    /// The term in serialisable form; `None` if it needs more than the transition model.
     ///
     /// # Errors
-    /// Where its tensors cannot be read.
+    /// If a tensor cannot be read.
     fn portable(&self) -> wm_model::Result<Option<PortableTerm>> {
         Ok(None)
     }
@@ -52,17 +52,17 @@ pub struct Objective {
     terms: Vec<(f32, Box<dyn Term>)>,
 }
 
-/// What candidates cost.
+/// Costs of candidates.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Costs {
-    /// Of each candidate: the sum of its terms.
+    /// Sum of the terms, by candidate.
     pub total: Vec<f32>,
-    /// Of each candidate: its terms, weighted, in the objective's order.
+    /// Weighted terms, by candidate, in the objective's order.
     pub terms: Vec<Vec<f32>>,
 }
 
 impl Costs {
-    /// Costs whose `terms`, weighted, are these.
+    /// Costs from weighted `terms`.
     pub fn of_terms(terms: Vec<Vec<f32>>) -> Self {
         let total = terms.iter().map(|terms| terms.iter().sum()).collect();
         Self { total, terms }
@@ -70,12 +70,12 @@ impl Costs {
 }
 
 impl Objective {
-    /// The distance to a goal alone, which is the objective of the controllability metric.
+    /// The distance to a goal alone: the objective of the controllability metric.
     pub fn of(target: Target) -> Self {
         Self::default().and(1.0, GoalDistance::new(target))
     }
 
-    /// The same with another term of this weight; a weight of 0 leaves it out.
+    /// Adds a term with this weight; a weight of 0 drops it.
     #[must_use]
     pub fn and(mut self, weight: f32, term: impl Term + 'static) -> Self {
         if weight != 0.0 {
@@ -84,15 +84,15 @@ impl Objective {
         self
     }
 
-    /// Names of its terms.
+    /// Names of the terms.
     pub fn names(&self) -> impl Iterator<Item = &'static str> {
         self.terms.iter().map(|(_, term)| term.name())
     }
 
-    /// Its terms as data, with their weights.
+    /// The weighted terms in serialisable form.
     ///
     /// # Errors
-    /// [`PlanError::NotPortable`] names a term that has no such form.
+    /// [`PlanError::NotPortable`] names a term without such a form.
     pub fn portable(&self) -> Result<Vec<(f32, PortableTerm)>, PlanError> {
         let portable = |(weight, term): &(f32, Box<dyn Term>)| {
             let portable = term.portable()?;
@@ -102,10 +102,10 @@ impl Objective {
         self.terms.iter().map(portable).collect()
     }
 
-    /// The objective of such terms. Names are those that terms have by themselves.
+    /// The objective of serialised terms, with their default names.
     ///
     /// # Errors
-    /// [`PlanError::Setting`] names a number that cannot serve.
+    /// [`PlanError::Setting`] names an invalid number.
     pub fn of_portable(terms: &[(f32, PortableTerm)]) -> Result<Self, PlanError> {
         let weighted = |(weight, term): &(f32, PortableTerm)| {
             if !weight.is_finite() {
@@ -123,7 +123,7 @@ impl Objective {
     /// Costs of candidates; see [`Term::costs`].
     ///
     /// # Errors
-    /// [`PlanError::Setting`] without a term, and those of the terms.
+    /// [`PlanError::Setting`] if there are no terms, and those of the terms.
     pub fn costs(
         &self,
         space: &SearchSpace,
@@ -161,7 +161,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn terms_are_weighted_and_added_and_a_weight_of_zero_leaves_one_out() {
+    fn terms_are_weighted_and_zero_weights_dropped() {
         let space = SearchSpace::bounded(&[(-1.0, 1.0)], 1).unwrap();
         let latents =
             Tensor::zeros((2, 2, 1, 1, 1), candle_core::DType::F32, &Device::Cpu).unwrap();

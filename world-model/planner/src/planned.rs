@@ -1,29 +1,29 @@
-//! What a search found.
+//! The result of a plan.
 
-/// What a search found.
+/// The result of a plan.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlannedActions {
-    /// One action a model step, in model units, within all limits: (k, searched values).
+    /// One action per model step in model units, within all limits: (k, searched values).
     pub actions: Vec<Vec<f32>>,
     /// Cost of [`Self::actions`].
     pub cost: f32,
-    /// What each term of the objective has in it, weighted, in the objective's order.
+    /// Weighted terms of that cost, in the objective's order.
     pub terms: Vec<f32>,
     /// Least cost among the candidates of each iteration.
     pub iteration_costs: Vec<f32>,
-    /// Other good plans, the best first, for the next search to begin from as well; iCEM alone keeps some.
+    /// Other good plans, best first, as proposals for the next search; only iCEM has some.
     pub elites: Vec<Vec<Vec<f32>>>,
-    /// How many candidates were rolled out.
+    /// Candidates rolled out.
     pub candidates: usize,
-    /// How many of those had no finite cost and were left out.
+    /// Candidates without a finite cost.
     pub rejected: usize,
-    /// Whether the search was ended before its last iteration was complete.
+    /// Whether the search ended early.
     pub deadline_cut: bool,
 }
 
 impl PlannedActions {
-    /// What is left of the plan, and of its elites, when the first `passed` steps are over, going on with the last one: what
-    /// the next search begins from. None where nothing is left.
+    /// The plan and its elites after the first `passed` steps, extended with the last action: the proposals of the next
+    /// search. `None` if no step is left.
     pub fn without(&self, passed: usize) -> Option<Self> {
         let left = |actions: &Vec<Vec<f32>>| -> Option<Vec<Vec<f32>>> {
             let left = actions.get(passed..)?;
@@ -38,7 +38,7 @@ impl PlannedActions {
         })
     }
 
-    /// Plans to begin from, this one first.
+    /// Proposals for the next search, this plan first.
     pub fn proposals(&self) -> Vec<Vec<Vec<f32>>> {
         std::iter::once(&self.actions)
             .chain(&self.elites)

@@ -1,19 +1,19 @@
-//! A way to plan.
+//! The interface of all planners.
 
 use std::fmt::Debug;
 
 use crate::{PlanError, PlannedActions, Problem, Watch};
 
-/// A way to plan. Equal problems and seeds give equal plans.
+/// A planning method. Equal problems and seeds give equal plans.
 pub trait Planner: Debug + Send + Sync {
-    /// Its name, as in `Plan.planner`.
+    /// Name, as in `Plan.planner`.
     fn name(&self) -> &'static str;
 
-    /// Finds actions for `problem`. `watch` is told of the progress, and can end the search: there is a plan all the same
-    /// once a batch of candidates was tried.
+    /// Finds actions for `problem`. `watch` receives the progress and can end the search; a plan exists as soon as one
+    /// batch was rolled out.
     ///
     /// # Errors
-    /// [`PlanError::Setting`] where the problem cannot be, [`PlanError::NoFiniteCost`], and the model's own.
+    /// [`PlanError::Setting`] for an invalid problem, [`PlanError::NoFiniteCost`], and those of the model.
     fn plan(
         &self,
         problem: &mut Problem<'_>,

@@ -1,24 +1,24 @@
-//! The distribution that candidates are drawn from.
+//! The distribution of candidates.
 
-use crate::{Range, SearchSpace, search::Scored};
+use crate::{Range, SearchSpace, search::ScoredCandidate};
 
-/// Probability that a value which is one of two is never decided beyond, so that a search can still change its mind.
+/// Bounds the probability of a two-valued coordinate, so that the search can still change its value.
 const UNDECIDED: f32 = 0.02;
 
-/// A Gaussian for each value of a plan, all independent; for values that are one of two, the probability of the second.
+/// An independent Gaussian for each value of a plan; for a two-valued coordinate, the probability of its second value.
 #[derive(Clone, Debug)]
 pub(crate) struct Proposal {
     /// Steps x searched values.
     mean: Vec<f32>,
     std: Vec<f32>,
-    /// Of the searched values of a step.
+    /// Ranges of the searched values of one step.
     ranges: Vec<Range>,
     floor: f32,
 }
 
 impl Proposal {
-    /// A distribution about `plan` (steps x searched values), with `initial_std` as a part of each value's range, and
-    /// never less than `floor` \[model units\].
+    /// A distribution around `plan` (steps x searched values), with `initial_std` as a share of each value's range, at
+    /// least `floor` \[model units\].
     pub(crate) fn about(space: &SearchSpace, plan: &[f32], initial_std: f32, floor: f32) -> Self {
         let ranges: Vec<Range> = space.coordinates().iter().map(|c| c.range).collect();
         let (mut mean, mut std) = (Vec::new(), Vec::new());
@@ -29,7 +29,7 @@ impl Proposal {
                     mean.push(*value);
                     std.push(((high - low) * initial_std).max(floor));
                 }
-                // A plan that is known keeps a preference; without one both are as likely.
+                // A known plan is preferred; without one, both values are equally likely.
                 Range::Either(..) => {
                     let is_second = f32::from(u8::from(*value > (low + high) / 2.0));
                     mean.push(is_second * 0.5 + 0.25);
@@ -45,7 +45,7 @@ impl Proposal {
         }
     }
 
-    /// The candidate of standard normal `noise`, one number a value.
+    /// The candidate for standard normal `noise`, one number per value.
     pub(crate) fn draw(&self, mut noise: impl FnMut() -> f32) -> Vec<f32> {
         let parameters = self
             .mean
@@ -68,7 +68,7 @@ impl Proposal {
         values.collect()
     }
 
-    /// The middle of the distribution, as a plan.
+    /// The mean as a plan.
     pub(crate) fn middle(&self) -> Vec<f32> {
         let means = self.mean.iter().zip(self.ranges.iter().cycle());
         let values = means.map(|(mean, range)| match *range {
@@ -84,9 +84,9 @@ impl Proposal {
         values.collect()
     }
 
-    /// Moves to the mean and the unbiased standard deviation of at least two elites, keeping `momentum` of what it was;
-    /// sums in f64. Fewer say nothing about the spread, and change nothing.
-    pub(crate) fn fit(&mut self, elites: &[Scored], momentum: f32) {
+    /// Fits mean and unbiased standard deviation to at least two elites, keeping a `momentum` share of the old
+    /// distribution. Fewer elites have no spread and change nothing. Sums in f64.
+    pub(crate) fn fit(&mut self, elites: &[ScoredCandidate], momentum: f32) {
         if elites.len() < 2 {
             return;
         }
@@ -96,12 +96,23 @@ impl Proposal {
         self.move_to(elites, &weights, momentum, count / (count - 1.0));
     }
 
-    /// Moves to the mean and standard deviation of candidates by `weights` that sum to 1.
-    pub(crate) fn fit_weighted(&mut self, candidates: &[Scored], weights: &[f64], momentum: f32) {
+    /// Fits mean and standard deviation to candidates with `weights` of sum 1.
+    pub(crate) fn fit_weighted(
+        &mut self,
+        candidates: &[ScoredCandidate],
+        weights: &[f64],
+        momentum: f32,
+    ) {
         self.move_to(candidates, weights, momentum, 1.0);
     }
 
-    fn move_to(&mut self, candidates: &[Scored], weights: &[f64], momentum: f32, correction: f64) {
+    fn move_to(
+        &mut self,
+        candidates: &[ScoredCandidate],
+        weights: &[f64],
+        momentum: f32,
+        correction: f64,
+    ) {
         let ranges = self.ranges.iter().cycle();
         let parameters = self.mean.iter_mut().zip(&mut self.std).zip(ranges);
         for (index, ((mean, std), range)) in parameters.enumerate() {
@@ -138,7 +149,7 @@ impl Proposal {
     }
 }
 
-/// Probability that a standard normal number is below `value`; the logistic approximation, off by at most .01.
+/// Probability that a standard normal number is below `value`, by the logistic approximation (error at most 0.01).
 fn normal_below(value: f32) -> f32 {
     1.0 / (1.0 + (-1.702 * value).exp())
 }

@@ -1,31 +1,31 @@
-//! What all searches have in common: rolling candidates out, and keeping the best.
+//! The part common to all searches: rolls out candidates and keeps the best.
 
 use std::sync::Arc;
 
 use crate::{
     Batch, Costs, PlanError, PlannedActions, Problem, Progress, Turn, Watch, Workers,
-    workers::Alone,
+    workers::NoWorkers,
 };
 
-/// A search that goes on.
+/// A running search.
 pub(crate) struct Search<'s, 'p> {
     pub(crate) problem: &'s mut Problem<'p>,
     watch: Watch<'s>,
-    /// Iterations begun.
+    /// Iterations started.
     iteration: usize,
-    best: Option<Scored>,
+    best: Option<ScoredCandidate>,
     iteration_costs: Vec<f32>,
     candidates: usize,
     rejected: usize,
-    /// No more candidates are to be rolled out.
+    /// Whether the search has ended early.
     is_cut: bool,
-    /// Of the newest batch.
+    /// Standard deviation of the newest batch's costs.
     deviation: f32,
 }
 
-/// A candidate that was rolled out.
+/// A candidate with a finite cost.
 #[derive(Clone, Debug)]
-pub(crate) struct Scored {
+pub(crate) struct ScoredCandidate {
     pub(crate) cost: f32,
     terms: Vec<f32>,
     /// Steps x searched values, within the limits.
@@ -33,7 +33,7 @@ pub(crate) struct Scored {
 }
 
 #[cfg(test)]
-impl Scored {
+impl ScoredCandidate {
     pub(crate) fn of(cost: f32, actions: Vec<f32>) -> Self {
         Self {
             cost,
@@ -64,28 +64,28 @@ impl<'s, 'p> Search<'s, 'p> {
         self.problem.horizon * self.problem.space.len()
     }
 
-    /// The proposals, flat.
+    /// The proposals, flattened.
     pub(crate) fn proposals(&self) -> Vec<Vec<f32>> {
         let proposals = self.problem.proposals.iter();
         proposals.map(|proposal| proposal.concat()).collect()
     }
 
-    /// The plan to begin from, within the limits: the first proposal, or no motion.
+    /// The first proposal or no motion, within the limits.
     pub(crate) fn start(&self) -> Vec<f32> {
         let first = self.problem.proposals.first();
         let start = first.map_or_else(|| vec![0.0; self.len()], |proposal| proposal.concat());
         self.problem.space.limit(start)
     }
 
-    /// Rolls a population out and returns those with a finite cost, the cheapest first; equal costs keep their order.
-    /// `None` where the search was ended before the first batch of this iteration.
+    /// Rolls out a population and returns the candidates with a finite cost, cheapest first; ties keep their order.
+    /// `None` if the search ended before the first batch.
     ///
     /// # Errors
-    /// [`PlanError::NoFiniteCost`] where not one cost is finite.
+    /// [`PlanError::NoFiniteCost`] if no cost is finite.
     pub(crate) fn iterate(
         &mut self,
         population: Vec<Vec<f32>>,
-    ) -> Result<Option<Vec<Scored>>, PlanError> {
+    ) -> Result<Option<Vec<ScoredCandidate>>, PlanError> {
         if self.is_cut || (self.iteration > 0 && self.is_over()) {
             self.is_cut = true;
             return Ok(None);
@@ -100,15 +100,18 @@ impl<'s, 'p> Search<'s, 'p> {
             });
         };
         self.iteration_costs.push(least.cost);
-        let is_better = |best: &Scored| least.cost < best.cost;
+        let is_better = |best: &ScoredCandidate| least.cost < best.cost;
         if self.best.as_ref().is_none_or(is_better) {
             self.best = Some(least.clone());
         }
         Ok(Some(scored))
     }
 
-    /// Rolls one more candidate out, whatever the time: it may be what is returned. `None` where its cost is not finite.
-    pub(crate) fn try_one(&mut self, candidate: Vec<f32>) -> Result<Option<Scored>, PlanError> {
+    /// Rolls out one candidate regardless of time, since it may be returned. `None` if its cost is not finite.
+    pub(crate) fn try_one(
+        &mut self,
+        candidate: Vec<f32>,
+    ) -> Result<Option<ScoredCandidate>, PlanError> {
         let batch = vec![self.problem.space.limit(candidate)];
         let costs = self.problem.costs(&batch)?;
         Ok(self.scored(&batch, costs).pop())
@@ -119,9 +122,12 @@ impl<'s, 'p> Search<'s, 'p> {
         self.best.as_ref().map(|best| best.cost)
     }
 
-    /// The plan of `chosen`, or of the best candidate seen.
-    pub(crate) fn finish(self, chosen: Option<Scored>) -> Result<PlannedActions, PlanError> {
-        let Some(Scored {
+    /// The result: `chosen`, or the best candidate seen.
+    pub(crate) fn finish(
+        self,
+        chosen: Option<ScoredCandidate>,
+    ) -> Result<PlannedActions, PlanError> {
+        let Some(ScoredCandidate {
             cost,
             terms,
             actions,
@@ -145,8 +151,11 @@ impl<'s, 'p> Search<'s, 'p> {
         })
     }
 
-    /// Those of a population with a finite cost, in order, and how many were tried before the search was ended.
-    fn score(&mut self, population: Vec<Vec<f32>>) -> Result<(Vec<Scored>, usize), PlanError> {
+    /// The candidates with a finite cost in order, and the number tried.
+    fn score(
+        &mut self,
+        population: Vec<Vec<f32>>,
+    ) -> Result<(Vec<ScoredCandidate>, usize), PlanError> {
         let space = self.problem.space;
         let limited: Vec<Vec<f32>> = population
             .into_iter()
@@ -154,11 +163,11 @@ impl<'s, 'p> Search<'s, 'p> {
             .collect();
         let batches = limited.chunks(self.problem.batch).map(<[_]>::to_vec);
         let batches: Arc<[Batch]> = batches.collect();
-        let mut alone = Alone::default();
+        let mut no_workers = NoWorkers::default();
         let mut workers = self.problem.workers.take();
         let costed = match &mut workers {
             Some(workers) => self.cost(&batches, &mut **workers),
-            None => self.cost(&batches, &mut alone),
+            None => self.cost(&batches, &mut no_workers),
         };
         self.problem.workers = workers;
         let costed = costed?;
@@ -168,14 +177,14 @@ impl<'s, 'p> Search<'s, 'p> {
         Ok((costed.into_iter().flatten().flatten().collect(), tried))
     }
 
-    /// The candidates of each batch that have a finite cost; `None` for a batch before which the search was ended. Which
-    /// batches are costed here makes no difference but for the time.
+    /// The candidates with a finite cost of each batch; `None` for a batch after the end of the search. Who costs a
+    /// batch affects only the time.
     fn cost(
         &mut self,
         batches: &Arc<[Batch]>,
         workers: &mut dyn Workers,
-    ) -> Result<Vec<Option<Vec<Scored>>>, PlanError> {
-        let mut costed: Vec<Option<Vec<Scored>>> = vec![None; batches.len()];
+    ) -> Result<Vec<Option<Vec<ScoredCandidate>>>, PlanError> {
+        let mut costed: Vec<Option<Vec<ScoredCandidate>>> = vec![None; batches.len()];
         let mut left = batches.len();
         workers.offer(batches);
         while left > 0 {
@@ -203,14 +212,14 @@ impl<'s, 'p> Search<'s, 'p> {
         Ok(costed)
     }
 
-    /// Those of a batch with a finite cost.
-    fn scored(&mut self, batch: &[Vec<f32>], costs: Costs) -> Vec<Scored> {
-        let scored: Vec<Scored> = batch
+    /// The candidates of a batch with a finite cost.
+    fn scored(&mut self, batch: &[Vec<f32>], costs: Costs) -> Vec<ScoredCandidate> {
+        let scored: Vec<ScoredCandidate> = batch
             .iter()
             .zip(costs.total)
             .zip(costs.terms)
             .filter(|((_, cost), _)| cost.is_finite())
-            .map(|((actions, cost), terms)| Scored {
+            .map(|((actions, cost), terms)| ScoredCandidate {
                 cost,
                 terms,
                 actions: actions.clone(),
@@ -234,8 +243,8 @@ impl<'s, 'p> Search<'s, 'p> {
     }
 }
 
-/// Unbiased standard deviation of costs; 0 for fewer than two.
-fn deviation(scored: &[Scored]) -> f32 {
+/// Unbiased standard deviation of costs; 0 if fewer than two.
+fn deviation(scored: &[ScoredCandidate]) -> f32 {
     if scored.len() < 2 {
         return 0.0;
     }

@@ -1,18 +1,18 @@
-//! Searching from what another planner found.
+//! Searches from the actions of an inverse dynamics model.
 
-use crate::{Inverse, PlanError, PlannedActions, Planner, Problem, Watch};
+use crate::{InversePlanner, PlanError, PlannedActions, Planner, Problem, Watch};
 
-/// A search that begins from what an inverse dynamics model tells, and tries what is left of the last plan besides.
+/// A search whose first proposal comes from an inverse dynamics model, followed by the rest of the last plan.
 #[derive(Debug)]
-pub struct Seeded {
+pub struct SeededSearch {
     name: &'static str,
-    inverse: Inverse,
+    inverse: InversePlanner,
     search: Box<dyn Planner>,
 }
 
-impl Seeded {
-    /// The search under a `name` such as `idm+icem`.
-    pub fn new(name: &'static str, inverse: Inverse, search: Box<dyn Planner>) -> Self {
+impl SeededSearch {
+    /// `name` as in parameters, such as `idm+icem`.
+    pub fn new(name: &'static str, inverse: InversePlanner, search: Box<dyn Planner>) -> Self {
         Self {
             name,
             inverse,
@@ -21,7 +21,7 @@ impl Seeded {
     }
 }
 
-impl Planner for Seeded {
+impl Planner for SeededSearch {
     fn name(&self) -> &'static str {
         self.name
     }
@@ -32,8 +32,8 @@ impl Planner for Seeded {
         seed: u64,
         watch: Watch<'_>,
     ) -> Result<PlannedActions, PlanError> {
-        let told = self.inverse.tell(problem)?;
-        problem.proposals.insert(0, told);
+        let inferred = self.inverse.infer(problem)?;
+        problem.proposals.insert(0, inferred);
         self.search.plan(problem, seed, watch)
     }
 }

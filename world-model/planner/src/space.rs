@@ -1,34 +1,34 @@
-//! What a search may choose.
+//! The values that a search chooses, and their limits.
 
 use serde::{Deserialize, Serialize};
 
 use crate::{PlanError, Workspace};
 
-/// What a search may choose: some values of each model action, and the limits that hold for them.
+/// The searched values of each model action, and their limits.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "Parts")]
+#[serde(try_from = "RawSpace")]
 pub struct SearchSpace {
-    /// A model action (A); what is not searched is as in it.
+    /// A model action (A) with the values of unsearched coordinates.
     base: Vec<f32>,
     coordinates: Vec<Coordinate>,
-    /// The searched values of the action before the plan; rate limits hold from it on.
+    /// Searched values of the action before the plan, from which rate limits hold.
     previous: Option<Vec<f32>>,
     workspace: Option<Workspace>,
 }
 
-/// What others send.
+/// The serialised form, unchecked.
 #[derive(Deserialize)]
-struct Parts {
+struct RawSpace {
     base: Vec<f32>,
     coordinates: Vec<Coordinate>,
     previous: Option<Vec<f32>>,
     workspace: Option<Workspace>,
 }
 
-impl TryFrom<Parts> for SearchSpace {
+impl TryFrom<RawSpace> for SearchSpace {
     type Error = PlanError;
 
-    fn try_from(parts: Parts) -> Result<Self, PlanError> {
+    fn try_from(parts: RawSpace) -> Result<Self, PlanError> {
         let mut space = Self::new(parts.base, parts.coordinates)?;
         if let Some(workspace) = parts.workspace {
             space = space.within(workspace)?;
@@ -52,20 +52,20 @@ impl TryFrom<Parts> for SearchSpace {
 /// A searched value.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Coordinate {
-    /// Its place in a model action.
+    /// Index in a model action.
     pub index: usize,
-    /// What it may be.
+    /// Possible values.
     pub range: Range,
-    /// Greatest change from one step to the next \[model units\]; infinite for none.
+    /// Greatest change per step \[model units\]; infinite for no limit.
     pub rate: f32,
 }
 
-/// What a searched value may be, in model units.
+/// Possible values of a coordinate, in model units.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Range {
-    /// Anything from the first to the second.
+    /// All values from the first to the second.
     Between(f32, f32),
-    /// One of two, such as a gripper that is closed or open.
+    /// One of two values, such as a closed or open gripper.
     Either(f32, f32),
 }
 
@@ -92,10 +92,10 @@ impl Range {
 }
 
 impl SearchSpace {
-    /// A space of `coordinates`; the other values of a model action are those of `base` (A).
+    /// A space of `coordinates`; all other values of a model action come from `base` (A).
     ///
     /// # Errors
-    /// [`PlanError::Setting`] names what cannot serve.
+    /// [`PlanError::Setting`] names the first invalid part.
     pub fn new(base: Vec<f32>, coordinates: Vec<Coordinate>) -> Result<Self, PlanError> {
         let complain = |text: String| Err(PlanError::Setting(text));
         if coordinates.is_empty() {
@@ -132,10 +132,10 @@ impl SearchSpace {
         })
     }
 
-    /// A space of the first values of a model action of `action_dim` values, each between its bounds; the rest are zero.
+    /// Searches the first values of model actions of `action_dim` values, each within its bounds; the rest are zero.
     ///
     /// # Errors
-    /// [`PlanError::Setting`] names what cannot serve.
+    /// [`PlanError::Setting`] names the first invalid part.
     pub fn bounded(bounds: &[(f32, f32)], action_dim: usize) -> Result<Self, PlanError> {
         let coordinates = bounds.iter().enumerate().map(|(index, (low, high))| {
             let range = Range::Between(*low, *high);
@@ -148,10 +148,10 @@ impl SearchSpace {
         Self::new(vec![0.0; action_dim], coordinates.collect())
     }
 
-    /// The same after an `action` (A), which rate limits hold from.
+    /// Sets the `action` (A) before the plan, from which rate limits hold.
     ///
     /// # Errors
-    /// [`PlanError::Setting`] where its length does not fit.
+    /// [`PlanError::Setting`] if its length does not fit.
     pub fn after(self, action: &[f32]) -> Result<Self, PlanError> {
         let of = |c: &Coordinate| action.get(c.index).copied();
         let Some(previous) = self.coordinates.iter().map(of).collect::<Option<Vec<_>>>() else {
@@ -167,10 +167,10 @@ impl SearchSpace {
         })
     }
 
-    /// The same within a workspace.
+    /// Limits motion to a workspace.
     ///
     /// # Errors
-    /// [`PlanError::Setting`] where an axis names no searched value, or a number is not finite.
+    /// [`PlanError::Setting`] if an axis has no searched value, or a number is not finite.
     pub fn within(self, workspace: Workspace) -> Result<Self, PlanError> {
         for axis in &workspace.axes {
             let (low, high) = axis.range;
@@ -190,7 +190,7 @@ impl SearchSpace {
         })
     }
 
-    /// Searched values of an action.
+    /// Number of searched values.
     #[allow(clippy::len_without_is_empty)] // never empty
     pub fn len(&self) -> usize {
         self.coordinates.len()
@@ -206,17 +206,17 @@ impl SearchSpace {
         &self.coordinates
     }
 
-    /// The searched values of the action before the plan, where it is known.
+    /// Searched values of the action before the plan, if known.
     pub fn previous(&self) -> Option<&[f32]> {
         self.previous.as_deref()
     }
 
-    /// Where the end effector may be.
+    /// Limits of the end effector's position.
     pub fn workspace(&self) -> Option<&Workspace> {
         self.workspace.as_ref()
     }
 
-    /// The model action (A) of searched values.
+    /// The model action (A) with these searched values.
     pub fn whole(&self, action: &[f32]) -> Vec<f32> {
         let mut whole = self.base.clone();
         for (coordinate, value) in self.coordinates.iter().zip(action) {
@@ -227,14 +227,15 @@ impl SearchSpace {
         whole
     }
 
-    /// The searched values of a model action; zeros for those that it has not.
+    /// The searched values of a model action; 0 (no motion) for those beyond a shorter one, as of an inverse dynamics
+    /// model.
     pub fn searched(&self, whole: &[f32]) -> Vec<f32> {
         let of = |c: &Coordinate| whole.get(c.index).copied().unwrap_or_default();
         self.coordinates.iter().map(of).collect()
     }
 
-    /// The plan of steps x values nearest to `flat` that keeps all limits: bounds first, then rates, then the workspace,
-    /// which wins.
+    /// The plan (steps x values) nearest to `flat` within all limits. Bounds are applied first, then rates, then the
+    /// workspace, which wins.
     pub(crate) fn limit(&self, mut flat: Vec<f32>) -> Vec<f32> {
         let mut before = self.previous.clone();
         let mut positions: Vec<f64> = match &self.workspace {
@@ -249,7 +250,7 @@ impl SearchSpace {
                 *value = coordinate.range.nearest(*value);
                 let last = before.as_ref().and_then(|before| before.get(place));
                 if let (Range::Between(low, high), Some(last)) = (coordinate.range, last) {
-                    // What came before may lie outside the bounds, which win.
+                    // The earlier action may lie outside the bounds, which win.
                     let (least, most) = (last - coordinate.rate, last + coordinate.rate);
                     *value = value.clamp(least, most).clamp(low, high);
                 }
@@ -280,14 +281,14 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_searched_stays_as_it_is() {
+    fn unsearched_values_stay() {
         let space = SearchSpace::new(vec![7.0, 8.0, 9.0], vec![between(1, 1.0)]).unwrap();
         assert_eq!(space.whole(&[0.5]), [7.0, 0.5, 9.0]);
         assert_eq!(space.searched(&[1.0, 2.0, 3.0]), [2.0]);
     }
 
     #[test]
-    fn a_gripper_is_one_of_two() {
+    fn gripper_is_one_of_two_values() {
         let gripper = Coordinate {
             index: 0,
             range: Range::Either(-1.0, 1.0),
@@ -298,7 +299,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_moves_out_of_the_workspace_and_what_is_outside_may_come_back() {
+    fn workspace_blocks_leaving_and_allows_returning() {
         let axis = WorkspaceAxis {
             coordinate: 0,
             metres: 0.1,
@@ -317,7 +318,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_serve_is_named() {
+    fn invalid_parts_are_named() {
         let refused = |coordinates| SearchSpace::new(vec![0.0; 2], coordinates).unwrap_err();
         assert!(refused(vec![]).to_string().contains("nothing to search"));
         let far = refused(vec![between(2, 1.0)]).to_string();

@@ -1,13 +1,14 @@
-//! How sure the cost of a plan is.
+//! Uncertainty of a plan's cost.
 
 use candle_core::{Device, Tensor};
 
 use crate::{Objective, PlanError, SearchSpace, TransitionDynamics};
 
-/// Costs of one plan (k, searched values) under each of `seeds` of the sampler's noise: how far they are apart says how
-/// far the prediction can be trusted.
+/// Costs of one plan (k, searched values), one for each of the sampler's noise `seeds`. A wide spread means an
+/// uncertain prediction.
 ///
 /// # Errors
+/// If the plan does not fit the model, or the model fails.
 /// Where the plan does not fit the model, or the model fails.
 pub fn spread(
     dynamics: &TransitionDynamics<'_>,

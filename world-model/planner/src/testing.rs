@@ -1,5 +1,5 @@
 #![allow(clippy::unwrap_used, clippy::indexing_slicing)]
-//! A world simple enough to know what the best plan is.
+//! A world whose best plan is known.
 
 use candle_core::{Device, Tensor};
 
@@ -9,7 +9,7 @@ use crate::{Dynamics, Objective, Problem, SearchSpace, Target};
 pub(crate) struct Point {
     pub(crate) values: usize,
     pub(crate) largest_batch: usize,
-    /// The latent is NaN where the first action's first value is above this.
+    /// The latent is NaN if the first action's first value exceeds this.
     pub(crate) cliff: f32,
 }
 
@@ -66,13 +66,13 @@ pub(crate) fn bounds() -> SearchSpace {
     SearchSpace::bounded(&BOUNDS, 2).unwrap()
 }
 
-/// The distance to a place after the last step.
+/// The distance to a point after the last step.
 pub(crate) fn objective(goal: &[f32]) -> Objective {
     let goal = Tensor::from_vec(goal.to_vec(), (1, 1, goal.len()), &Device::Cpu).unwrap();
     Objective::of(Target::LastStep(goal))
 }
 
-/// Three steps.
+/// A problem of three steps.
 pub(crate) fn problem<'a>(
     space: &'a SearchSpace,
     point: &'a mut Point,

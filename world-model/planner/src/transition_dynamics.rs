@@ -10,22 +10,22 @@ use wm_model::{
 
 use crate::Dynamics;
 
-/// Rolls candidates out with the transition model, from one context whose keys and values are computed once, and with
-/// one noise a step that all candidates of all iterations share.
+/// Rolls out candidates with the transition model, from one context (keys and values are computed once) and one noise
+/// per step, shared by all candidates of all iterations.
 #[derive(Clone, Debug)]
 pub struct TransitionDynamics<'m> {
     start: Rollout<'m>,
     action_dim: usize,
-    /// The last predicted frame's own action (1, A), where it is known.
+    /// Own action (1, A) of the last predicted frame, if known.
     last: Option<Tensor>,
 }
 
 impl<'m> TransitionDynamics<'m> {
     /// Dynamics from the observed `context` (1, T, h, w, C), oldest first, with the `actions` (T - 1, A) between its
-    /// frames (none for T = 1), and the noise of `noise_seed`.
+    /// frames (`None` for T = 1), and the noise of `noise_seed`.
     ///
     /// # Errors
-    /// Where shapes do not fit the model, or a value is not finite.
+    /// If shapes do not fit the model, or a value is not finite.
     pub fn new(
         model: &'m LoadedTransition,
         sampler: &Sampler,
@@ -36,10 +36,10 @@ impl<'m> TransitionDynamics<'m> {
         Self::after(Rollout::new(model, sampler, context, actions, noise_seed)?)
     }
 
-    /// Dynamics that go on where a rollout is.
+    /// Dynamics that continue a rollout.
     ///
     /// # Errors
-    /// Where the model fails.
+    /// If the model fails.
     pub fn after(mut start: Rollout<'m>) -> Result<Self> {
         start.prepare()?;
         let action_dim = start.action_dim();
@@ -50,11 +50,10 @@ impl<'m> TransitionDynamics<'m> {
         })
     }
 
-    /// The same, whose last predicted frame carries this `action` (1, A) for its own. Without it the last searched one
-    /// goes on.
+    /// Sets the own `action` (1, A) of the last predicted frame. By default it repeats the last searched one.
     ///
     /// # Errors
-    /// Where the shape does not fit.
+    /// If the shape does not fit.
     pub fn ending_with(self, action: &Tensor) -> Result<Self> {
         if action.dims() != [1, self.action_dim] {
             return Err(Error::Shape {
@@ -69,22 +68,22 @@ impl<'m> TransitionDynamics<'m> {
         })
     }
 
-    /// The rollout that all candidates go on from.
+    /// The rollout that all candidates continue.
     pub(crate) fn rollout_from(&self) -> &Rollout<'m> {
         &self.start
     }
 
-    /// The action (1, A) that was given to [`Self::ending_with`].
+    /// The action (1, A) of [`Self::ending_with`].
     pub(crate) fn last_action(&self) -> Option<&Tensor> {
         self.last.as_ref()
     }
 }
 
 impl TransitionDynamics<'_> {
-    /// What one sequence of `actions` (1, k, A) leads to under the noise of each of N `seeds`: (N, k, h, w, C).
+    /// Latents (N, k, h, w, C) of one sequence of `actions` (1, k, A) under the noise of N `seeds`.
     ///
     /// # Errors
-    /// Where the shape does not fit, there is no seed, or the model fails.
+    /// If the shape does not fit, `seeds` is empty, or the model fails.
     pub fn rollout_under(&self, actions: &Tensor, seeds: &[u64]) -> Result<Tensor> {
         let noise: Vec<Noise> = seeds
             .iter()
@@ -98,7 +97,7 @@ impl TransitionDynamics<'_> {
         self.follow(self.start.candidates_under(&noise)?, &actions)
     }
 
-    /// Where `actions` (N, k, A) lead the N candidates of a rollout.
+    /// Latents of N candidates with `actions` (N, k, A).
     fn follow(&self, mut rollout: Rollout<'_>, actions: &Tensor) -> Result<Tensor> {
         let steps = actions.dim(1)?;
         let mut latents = Vec::with_capacity(steps);
@@ -106,7 +105,7 @@ impl TransitionDynamics<'_> {
         for step in 0..steps {
             let own = match &self.last {
                 Some(last) if step + 1 == steps => last.clone(),
-                // Without one, the last action goes on.
+                // By default the last action is repeated.
                 _ => at((step + 1).min(steps - 1))?,
             };
             let given = Given {
@@ -140,6 +139,7 @@ mod tests {
     use super::*;
     use crate::{Cem, CemSettings, Objective, Planner as _, Problem, SearchSpace, Target, spread};
     use wm_model::transition::{ActionAlignment, Transition, TransitionConfig};
+    use wm_model::{Compute, Kernels, NumberFormat};
 
     fn model() -> LoadedTransition {
         let config = TransitionConfig {
@@ -157,8 +157,8 @@ mod tests {
     }
 
     #[test]
-    fn the_last_frame_carries_the_action_that_is_known() {
-        // A model of which every frame carries the action that follows it, as the paper's do.
+    fn last_frame_carries_the_known_action() {
+        // Every frame carries the action that follows it, as in the paper.
         let config = TransitionConfig {
             action_alignment: ActionAlignment::WithFrame,
             ..model().config().clone()
@@ -191,16 +191,16 @@ mod tests {
         assert!(new().ending_with(&short).is_err());
     }
 
-    /// More candidates than are recorded, and few enough; over a window that fills up.
+    /// Enough candidates for both paths, over a window that fills up.
     #[test]
-    fn candidates_on_tensor_operations_go_where_those_on_kernels_go() {
+    fn tensor_operations_and_kernels_agree() {
         let config = TransitionConfig {
             max_frames: 4,
             ..model().config().clone()
         };
         let transition = Transition::random(config, 3).unwrap();
-        let place = wm_model::Place::tensors(Device::Cpu, true);
-        let on_tensors = place.load(transition.clone(), wm_model::ops::PackedFormat::F32);
+        let recording = Compute::on_cpu(Kernels::Candle).recording(true);
+        let on_tensors = recording.load(transition.clone(), NumberFormat::F32);
         let models = [transition.pack().unwrap(), on_tensors.unwrap()];
         let past = Tensor::zeros((1, 10), DType::F32, &Device::Cpu).unwrap();
         for candidates in [3, 2049] {
@@ -226,14 +226,14 @@ mod tests {
     }
 
     #[test]
-    fn the_cost_of_a_plan_is_that_of_its_own_rollout() {
+    fn plan_cost_equals_the_cost_of_its_rollout() {
         let (model, context) = (model(), context());
         let past = Tensor::zeros((1, 10), DType::F32, &Device::Cpu).unwrap();
         let sampler = &model.config().sampler;
         let mut dynamics =
             TransitionDynamics::new(&model, sampler, &context, Some(&past), 5).unwrap();
 
-        // A goal that the model itself can reach: where some action leads.
+        // A goal that the model can reach: the latent after some action.
         let mut truth = Rollout::new(&model, sampler, &context, Some(&past), 5).unwrap();
         let mut action = vec![0.0_f32; 10];
         action[..7].copy_from_slice(&[0.9, -0.6, 0.3, 0.2, -0.4, 0.1, 1.0]);

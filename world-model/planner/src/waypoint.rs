@@ -1,16 +1,17 @@
-//! Goals that are reached one after the other.
+//! Goals in sequence.
 
 use candle_core::Tensor;
 use serde::{Deserialize, Serialize};
 
 use crate::PlanError;
+use crate::goals::latent_distance;
 
-/// When a goal gives way to the next one.
+/// When to move on to the next goal.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Arrival {
-    /// A goal is reached when its mean squared latent distance is below this share of that to the goal after it.
+    /// A goal is reached when its mean squared latent distance is below this share of the distance to the next goal.
     pub share: f32,
-    /// Model steps after which the next one is tried all the same.
+    /// Model steps after which the next goal is tried anyway.
     pub steps: f32,
 }
 
@@ -23,21 +24,21 @@ impl Default for Arrival {
     }
 }
 
-/// How far one has come along several goals.
+/// Position in a sequence of goals.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Waypoint {
-    /// The goal to reach next.
+    /// Index of the current goal.
     pub index: usize,
-    /// For how many model steps it was tried.
+    /// Model steps spent on it.
     pub steps: f32,
 }
 
 impl Waypoint {
-    /// Where one is `passed` model steps later, in `latent` (h, w, C): past all goals that are reached or were tried for
-    /// too long, but never past the last of `goals`, (h, w, C) each.
+    /// The position `passed` model steps later, in `latent` (h, w, C): skips all `goals` (h, w, C) that are reached or
+    /// timed out, but never the last.
     ///
     /// # Errors
-    /// Where shapes differ.
+    /// If shapes differ.
     pub fn advance(
         self,
         passed: f32,
@@ -64,17 +65,9 @@ impl Waypoint {
     }
 }
 
-/// Mean squared error of two latents of one shape, in normalised units squared.
-///
-/// # Errors
-/// Where shapes differ.
-pub fn latent_distance(a: &Tensor, b: &Tensor) -> Result<f32, PlanError> {
-    Ok((a - b)?.sqr()?.mean_all()?.to_scalar::<f32>()?)
-}
-
 /// Which of several goals with times each of `horizon` model steps is to end at: the first one whose time has not passed
 /// by more than half a step at the step's end, else the last. `times_ns` and `begin_ns` count from the same moment.
-pub fn timed(times_ns: &[i64], begin_ns: i64, step_ns: i64, horizon: usize) -> Vec<usize> {
+pub fn goals_by_time(times_ns: &[i64], begin_ns: i64, step_ns: i64, horizon: usize) -> Vec<usize> {
     let last = times_ns.len().saturating_sub(1);
     let mut end_ns = begin_ns;
     let of_step = |_| {
@@ -96,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn goals_are_passed_when_they_are_reached_or_were_tried_often_enough() {
+    fn goals_are_passed_when_reached_or_timed_out() {
         let goals = [latent(1.0), latent(2.0), latent(3.0)];
         let arrival = Arrival {
             share: 0.3,
@@ -108,7 +101,7 @@ mod tests {
         assert_eq!(far, at(0, 1.0));
         let near = advance(far, 0.9);
         assert_eq!(near, at(1, 0.0));
-        // In vain, for two steps; then the last goal, which stays.
+        // Two steps without success, then the last goal, which stays.
         let mut now = near;
         for steps in [1.0, 2.0] {
             now = advance(now, 0.9);
@@ -128,10 +121,14 @@ mod tests {
     #[test]
     fn each_step_ends_at_the_goal_of_its_time() {
         let times = [400, 1200];
-        assert_eq!(timed(&times, 0, 400, 4), [0, 1, 1, 1]);
-        assert_eq!(timed(&times, 190, 400, 2), [0, 1], "half a step late");
-        assert_eq!(timed(&times, 250, 400, 2), [1, 1]);
-        assert_eq!(timed(&times, 9_000, 400, 1), [1]);
-        assert_eq!(timed(&[], 0, 400, 1), [0]);
+        assert_eq!(goals_by_time(&times, 0, 400, 4), [0, 1, 1, 1]);
+        assert_eq!(
+            goals_by_time(&times, 190, 400, 2),
+            [0, 1],
+            "half a step late"
+        );
+        assert_eq!(goals_by_time(&times, 250, 400, 2), [1, 1]);
+        assert_eq!(goals_by_time(&times, 9_000, 400, 1), [1]);
+        assert_eq!(goals_by_time(&[], 0, 400, 1), [0]);
     }
 }

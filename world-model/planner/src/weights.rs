@@ -1,16 +1,16 @@
-//! The usual objective, by its weights.
+//! The usual objective, by weights.
 
-use candle_core::Tensor;
+use candle_core::{Device, Tensor};
 use serde::{Deserialize, Serialize};
 
 use crate::{ActionSize, GoalDistance, Objective, PlanError, Smoothness, Target};
 
-/// Weights of the terms that most plans have; 0 leaves a term out.
+/// Weights of the usual terms; 0 drops a term.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Weights {
     /// Distance to the goal after the last step.
     pub goal: f32,
-    /// Mean distance to the goal over all steps, or to the goal of each.
+    /// Mean distance over all steps, each to its own goal.
     pub path: f32,
     /// Size of the actions.
     pub action: f32,
@@ -30,22 +30,25 @@ impl Default for Weights {
 }
 
 impl Weights {
-    /// The objective of a plan that is to be at `goals`, one latent (h, w, C) a model step, where `mask` (h, w) is above 0,
-    /// if there is one. Without goals, the terms of the actions alone.
+    /// The objective of a plan that is to be at `goals`, one latent (h, w, C) a model step, where `mask` (h, w; row-major) is
+    /// above 0, if there is one. Without goals, the terms of the actions alone.
     ///
     /// # Errors
-    /// Latents of different shapes, or a mask that [`GoalDistance::within`] refuses.
+    /// Latents of different shapes, or a mask that [`GoalDistance::within`] rejects.
     pub fn objective(
         &self,
         goals: &[Tensor],
-        mask: Option<&Tensor>,
+        mask: Option<&[f32]>,
     ) -> Result<Objective, PlanError> {
-        let within = |distance: GoalDistance| match mask {
-            Some(mask) => distance.within(mask),
-            None => Ok(distance),
-        };
         let mut objective = Objective::default();
         if let Some(last) = goals.last() {
+            let (height, width, _) = last.dims3()?;
+            let mask = mask.map(|mask| Tensor::from_slice(mask, (height, width), &Device::Cpu));
+            let mask = mask.transpose()?;
+            let within = |distance: GoalDistance| match &mask {
+                Some(mask) => distance.within(mask),
+                None => Ok(distance),
+            };
             let each = Target::EachStep(Tensor::stack(goals, 0)?);
             let last = Target::LastStep(last.clone());
             objective = objective
@@ -56,11 +59,4 @@ impl Weights {
             .and(self.action, ActionSize)
             .and(self.smoothness, Smoothness))
     }
-}
-
-/// The goals of `horizon` model steps, where each is reached by one step: the last one is that of all that follow.
-pub fn one_a_step(goals: &[Tensor], horizon: usize) -> Vec<Tensor> {
-    let last = goals.last();
-    let of_step = |step| goals.get(step).or(last).cloned();
-    (0..horizon).filter_map(of_step).collect()
 }

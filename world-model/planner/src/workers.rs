@@ -1,4 +1,4 @@
-//! Others who cost candidates, while the search does so itself.
+//! Processes that cost candidates beside the search.
 
 use std::{fmt::Debug, sync::Arc};
 
@@ -7,32 +7,32 @@ use crate::{Costs, Objective, SearchSpace, TransitionDynamics};
 /// Candidates that are costed together, each of steps x searched values within the limits.
 pub type Batch = Vec<Vec<f32>>;
 
-/// What a search does next about a population.
+/// The next action of a search on its population.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Turn {
-    /// It costs the batch of this index itself.
+    /// The search costs the batch of this index itself.
     Here(usize),
     /// A worker has costed the batch of this index.
     Answered(usize, Costs),
 }
 
-/// Workers for one plan. What they answer is what the search itself would have found, bit for bit.
+/// Workers for one plan. Their costs equal those of the search, bit for bit.
 pub trait Workers: Send {
-    /// Hands out the batches of a population.
+    /// Distributes the batches of a population.
     fn offer(&mut self, batches: &Arc<[Batch]>);
 
-    /// What the search does next; waits while workers have all that is left. Every batch comes at least once, and may come
-    /// again; `None` when nothing is left.
+    /// The next turn; blocks while workers hold all remaining batches. Every batch comes at least once, and may repeat.
+    /// `None` if no batch is left.
     fn next(&mut self) -> Option<Turn>;
 
-    /// Takes back what was handed out.
+    /// Reclaims the distributed batches.
     fn withdraw(&mut self);
 }
 
-/// Workers that are there for plan after plan.
+/// Workers that serve many plans.
 pub trait WorkerPool: Debug + Send + Sync {
-    /// Has them take part in a plan of `horizon` steps; `None` where none could: there are none, another plan has them, or
-    /// a term of the objective cannot be handed to them, which is counted.
+    /// Workers for a plan of `horizon` steps. `None` if there are none, another plan uses them, or a term of the
+    /// objective is not portable, which is counted.
     fn share(
         &self,
         dynamics: &TransitionDynamics<'_>,
@@ -41,39 +41,39 @@ pub trait WorkerPool: Debug + Send + Sync {
         horizon: usize,
     ) -> Option<Box<dyn Workers>>;
 
-    /// How they do.
+    /// Counters since the start.
     fn counts(&self) -> WorkerCounts;
 }
 
-/// How workers do.
+/// Counters of a worker pool.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct WorkerCounts {
-    /// Workers that take part now.
+    /// Workers in use now.
     pub taking_part: usize,
-    /// Workers that are there now, but would compute something else: another model, another version or processor.
+    /// Workers present now, but with another model, version or processor.
     pub refused: usize,
     /// Batches that workers have costed.
     pub answered: u64,
     /// Batches that a worker did not answer in time.
     pub timed_out: u64,
-    /// Batches that a worker answered too late to be of use.
+    /// Batches answered too late to be used.
     pub late: u64,
-    /// Batches that a worker refused, or answered by nonsense.
+    /// Batches that a worker rejected or answered wrongly.
     pub failed: u64,
-    /// Workers that went away.
+    /// Workers that disappeared.
     pub gone: u64,
-    /// Plans that no worker could take part in: a term of the cost that cannot be handed over.
+    /// Plans without workers because a cost term is not portable.
     pub unshared: u64,
 }
 
-/// Nobody but the search itself.
+/// No workers: the search costs all batches itself.
 #[derive(Debug, Default)]
-pub(crate) struct Alone {
+pub(crate) struct NoWorkers {
     next: usize,
     count: usize,
 }
 
-impl Workers for Alone {
+impl Workers for NoWorkers {
     fn offer(&mut self, batches: &Arc<[Batch]>) {
         (self.next, self.count) = (0, batches.len());
     }
@@ -95,7 +95,7 @@ mod tests {
         testing::{Point, bounds, objective, problem},
     };
 
-    /// Costs every other batch from the end, and answers some of them twice.
+    /// Costs every other batch from the end, and answers some twice.
     struct FromTheEnd {
         evaluate: Box<dyn FnMut(&Batch) -> Costs + Send>,
         turns: Vec<Turn>,
@@ -129,7 +129,7 @@ mod tests {
 
     const GOAL: &[f32] = &[0.7, -0.4];
 
-    /// Some candidates fall off it.
+    /// A world where some candidates have no finite cost.
     fn cliff() -> Point {
         Point {
             cliff: 0.8,
@@ -166,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn a_plan_does_not_depend_on_who_costs_what_and_in_which_order() {
+    fn plan_does_not_depend_on_workers() {
         let alone = plan(None);
         assert!(alone.rejected > 0);
         let mut workers = from_the_end();
@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_handed_out_is_taken_back_when_the_time_is_over() {
+    fn batches_are_reclaimed_at_the_deadline() {
         let (space, objective, mut point) = (bounds(), objective(GOAL), cliff());
         let mut workers = from_the_end();
         let mut problem = Problem {

@@ -1,11 +1,11 @@
-//! Where the end effector may be.
+//! The region of the end effector.
 
 use serde::{Deserialize, Serialize};
 
-/// A box that planned motion stays within. Translations are taken along the axes of the frame of the actions.
+/// A box for planned motion, along the axes of the actions' frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Workspace {
-    /// One for each axis that a searched value moves along.
+    /// One axis per searched value that moves along it.
     pub axes: Vec<WorkspaceAxis>,
 }
 
@@ -16,15 +16,15 @@ pub struct WorkspaceAxis {
     pub coordinate: usize,
     /// Motion of a model step for a value of 1 \[m\].
     pub metres: f64,
-    /// Where the end effector is when the plan begins \[m\].
+    /// Position at the start of the plan \[m\].
     pub position: f64,
     /// Least and greatest position \[m\].
     pub range: (f64, f64),
 }
 
 impl WorkspaceAxis {
-    /// The value nearest to `value` that keeps the position within the range, and the position that it leads to. From
-    /// outside, only motion towards the range is kept.
+    /// The value nearest to `value` that keeps the position within the range, and the resulting position. From outside,
+    /// only motion towards the range is allowed.
     pub(crate) fn keep(&self, position: f64, value: f32) -> (f32, f64) {
         let (low, high) = self.range;
         let next = position + f64::from(value) * self.metres;
@@ -35,7 +35,7 @@ impl WorkspaceAxis {
         (((kept - position) / self.metres) as f32, kept)
     }
 
-    /// How far `position` is beyond the range narrowed by `margin` on both sides \[m\].
+    /// Distance of `position` beyond the range narrowed by `margin` on both sides \[m\].
     pub(crate) fn beyond(&self, position: f64, margin: f64) -> f64 {
         let (low, high) = self.range;
         (low + margin - position)

@@ -1,5 +1,5 @@
 //! What the inputs of a model's matrices are like: measured once, on the pictures and actions of a bag, for
-//! [`Precision::Int8`](crate::Precision::Int8).
+//! [`NumberFormat::Int8`](wm_model::NumberFormat::Int8).
 //!
 //! A model folder that [records](crate::folder::DescribedFolder::recorded) computes in f32 and notes, for every matrix and
 //! every input of it, the largest absolute value. They are kept in the file [`FILE`] beside its `model.json`, where loading
@@ -244,10 +244,10 @@ impl Calibration {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use wm_model::ops::PackedFormat;
+    use wm_model::NumberFormat;
 
     fn linear(inputs: usize) -> PackedLinear {
-        PackedLinear::new(&vec![1.0; inputs], None, (1, inputs), PackedFormat::F32).unwrap()
+        PackedLinear::new(&vec![1.0; inputs], None, (1, inputs), NumberFormat::F32).unwrap()
     }
 
     fn origin() -> Origin {

@@ -129,7 +129,7 @@ impl Checkpoint {
     }
 
     /// Names of the tensors of floating-point numbers, sorted.
-    pub fn float_names(&self) -> impl Iterator<Item = &str> {
+    pub(crate) fn float_names(&self) -> impl Iterator<Item = &str> {
         self.entries
             .iter()
             .filter(|(_, entry)| entry.element.is_float())
@@ -147,7 +147,8 @@ impl Checkpoint {
     }
 
     /// Number format of the tensor `name`, if there is one.
-    pub fn element(&self, name: &str) -> Option<Element> {
+    #[cfg(test)]
+    fn element(&self, name: &str) -> Option<Element> {
         self.entries.get(name).map(|entry| entry.element)
     }
 
@@ -220,7 +221,7 @@ impl Checkpoint {
     }
 
     /// The first of `names` that is a part; the whole if none is.
-    pub fn first_part(&self, names: &[&str]) -> Self {
+    pub(crate) fn first_part(&self, names: &[&str]) -> Self {
         names
             .iter()
             .find_map(|name| self.part(name))
@@ -277,6 +278,7 @@ impl Checkpoint {
         let bytes = self.bytes.as_slice();
         let (count, length) = SAMPLES;
         for sample in bytes.chunks(bytes.len().div_ceil(count).max(length)) {
+            // The last sample may be shorter.
             hash.update(sample.get(..length).unwrap_or(sample));
         }
         format!("{:x}", hash.finalize())

@@ -19,25 +19,26 @@ mod transition;
 mod vit;
 
 use serde::Serialize;
+use wm_model::Kernels;
 
 use crate::loader::Requested;
 use crate::svae::SvaeConfig;
 use crate::vae::{CosmosConfig, PixelDecoderConfig, SdVaeConfig, VaVaeConfig};
 use crate::vit::{SiglipVisionConfig, VjepaConfig, WebDinoConfig};
-use crate::{Engine, Error, Loader, Result};
+use crate::{Error, Loader, Result};
 
-pub use adapter::adapter;
-pub use autoencoder::{
+pub(crate) use adapter::adapter;
+pub(crate) use autoencoder::{
     cosmos_decoder, cosmos_encoder, pixel_decoder, sd3_decoder, sd3_encoder, va_vae_decoder,
     va_vae_encoder,
 };
-pub(crate) use probe::pooled_probe;
-pub use probe::{siglip2_text, success_probe};
-pub use transition::{CLIP_FRAMES, transition, transition_of};
-pub use vit::{siglip2, vjepa, web_dino};
+pub(crate) use probe::{pooled_probe, siglip2_text, success_probe};
+pub(crate) use transition::transition;
+pub use transition::{CLIP_FRAMES, transition_of};
+pub(crate) use vit::{siglip2, vjepa, web_dino};
 
 /// Side of the frames that costs are counted for, in pixels.
-pub const FRAME_SIDE: usize = 256;
+pub(crate) const FRAME_SIDE: usize = 256;
 
 /// Number of an action's values in the published models.
 const ACTIONS: usize = 10;
@@ -53,12 +54,12 @@ pub struct Cost {
 
 impl Cost {
     /// Parameters in millions.
-    pub fn millions(self) -> f64 {
+    pub(crate) fn millions(self) -> f64 {
         self.parameters as f64 / 1e6
     }
 
     /// Operations for one frame in thousands of millions.
-    pub fn gflops(self) -> f64 {
+    pub(crate) fn gflops(self) -> f64 {
         self.operations as f64 / 1e9
     }
 }
@@ -173,6 +174,7 @@ impl Row {
 
     /// Operations for one frame of all parts together.
     pub fn operations(&self) -> usize {
+        // A model without an adapter computes nothing there.
         let adapter = self.adapter.unwrap_or_default();
         let parts = [self.encoder, adapter, self.dit, self.decoder];
         parts.iter().map(|part| part.operations).sum()
@@ -200,7 +202,7 @@ fn count<M>(
     load: impl FnOnce(&Loader<'_>) -> Result<M>,
     operations: impl Fn(&Requested) -> usize,
 ) -> Result<Cost> {
-    let loader = Loader::skeleton(Engine::Candle);
+    let loader = Loader::skeleton(Kernels::Candle);
     load(&loader)?;
     Ok(Cost {
         parameters: loader.parameters(),

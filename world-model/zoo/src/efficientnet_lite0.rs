@@ -49,9 +49,9 @@ const STAGES: [(usize, usize, usize, usize); 5] = [
 /// Which feature is taken.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct EfficientNetLite0Config {
+pub(crate) struct EfficientNetLite0Config {
     /// The block, counted from 0, whose output is the feature: 8, 9 or 10.
-    pub block: usize,
+    pub(crate) block: usize,
 }
 
 impl Default for EfficientNetLite0Config {
@@ -62,7 +62,7 @@ impl Default for EfficientNetLite0Config {
 
 /// The network.
 #[derive(Clone, Debug)]
-pub struct EfficientNetLite0 {
+pub(crate) struct EfficientNetLite0 {
     stem: Convolution,
     blocks: Vec<Block>,
     dtype: DType,
@@ -73,7 +73,7 @@ impl EfficientNetLite0 {
     ///
     /// # Errors
     /// If there is no such block; [`Loader::finish`] reports missing tensors.
-    pub fn load(config: &EfficientNetLite0Config, loader: &Loader<'_>) -> Result<Self> {
+    pub(crate) fn load(config: &EfficientNetLite0Config, loader: &Loader<'_>) -> Result<Self> {
         if !(8..=10).contains(&config.block) {
             let reason = format!("{}, expected 8, 9 or 10", config.block);
             return Err(wm_model::Error::config("block", reason).into());
@@ -123,7 +123,7 @@ impl EfficientNetLite0 {
     ///
     /// # Errors
     /// If the picture has another shape.
-    pub fn encode(&self, image: &Tensor) -> Result<Tensor> {
+    pub(crate) fn encode(&self, image: &Tensor) -> Result<Tensor> {
         let image = Normalisation::IMAGENET.apply(image)?.to_dtype(self.dtype)?;
         let mut x = relu6(&self.stem.forward(&image)?)?;
         for block in &self.blocks {
@@ -200,13 +200,13 @@ fn relu6(x: &Tensor) -> Result<Tensor> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Engine;
     use candle_core::Device;
+    use wm_model::Kernels;
 
     #[test]
     fn every_feature_is_a_sixteenth_of_the_picture() {
         for block in 8..=10 {
-            let loader = Loader::skeleton(Engine::Cpu);
+            let loader = Loader::skeleton(Kernels::Cpu);
             let config = EfficientNetLite0Config { block };
             let model = EfficientNetLite0::load(&config, &loader).unwrap();
             assert_eq!(model.blocks.len(), block + 1);
@@ -218,7 +218,7 @@ mod tests {
     #[test]
     fn another_block_is_refused() {
         let config = EfficientNetLite0Config { block: 11 };
-        let loader = Loader::skeleton(Engine::Cpu);
+        let loader = Loader::skeleton(Kernels::Cpu);
         let message = EfficientNetLite0::load(&config, &loader).unwrap_err();
         assert!(message.to_string().contains("11"), "{message}");
     }

@@ -3,9 +3,6 @@
 use std::fmt;
 use std::path::PathBuf;
 
-use crate::device::DeviceName;
-use crate::{Engine, Precision};
-
 /// Result with the error of this crate.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
@@ -88,35 +85,6 @@ pub enum Error {
         misshapen: Vec<Misshapen>,
         /// What the file has and the model does not know.
         unexpected: Vec<String>,
-    },
-
-    /// A device cannot be used.
-    #[error("device {device}: {reason}")]
-    Device {
-        /// Which one.
-        device: DeviceName,
-        /// Why not.
-        reason: String,
-    },
-
-    /// An engine does not compute on a device.
-    #[error("engine {engine} does not support {device}; use engine candle (--engine candle)")]
-    EngineDevice {
-        /// The engine.
-        engine: Engine,
-        /// Where it was to compute.
-        device: String,
-    },
-
-    /// An engine does not compute in a number format.
-    #[error(
-        "engine {engine} does not compute in {precision}; use engine cpu (--engine cpu), on the CPU, or another dtype"
-    )]
-    EnginePrecision {
-        /// The engine.
-        engine: Engine,
-        /// The number format that weights were to be in.
-        precision: Precision,
     },
 
     /// A part of a model folder cannot be used.

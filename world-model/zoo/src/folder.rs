@@ -1,4 +1,4 @@
-//! A world model as a folder of published checkpoints: `model.json` says what is in it and how it fits together.
+//! A world model as a folder: its `model.json` names the parts, their configurations and their files.
 //!
 //! ```json
 //! {
@@ -23,6 +23,9 @@
 //! }
 //! ```
 //!
+//! With the encoder and decoder `autoencoder` or `taef2`, a folder has one of this project's own models: {"kind":
+//! "autoencoder", "weights": "autoencoder.safetensors"}. The configuration is in the weights.
+//!
 //! [`Description`] has every field. Names of files are relative to the folder; a `config` is an object or the name of a
 //! JSON file. A transition with several `views` has as many pictures, and latents, side by side along the width.
 //!
@@ -31,7 +34,7 @@
 //! as f32), normalisation, picture size, fit (unless it is `stretch`), views and number format: not over file formats, nor
 //! what else a file holds.
 //!
-//! Encoder, decoder and transition model compute where a [`Place`] says, everything else on the CPU.
+//! Encoder, decoder and transition model compute on the device of a [`Compute`], everything else on the CPU.
 
 mod decoder;
 mod description;
@@ -39,6 +42,7 @@ mod encoder;
 mod fit;
 mod native;
 mod open;
+mod own;
 mod probe;
 mod random;
 mod source;
@@ -53,13 +57,15 @@ use sha2::{Digest as _, Sha256};
 use wm_model::WorldModel;
 use wm_model::autoencoder::Normalisation;
 use wm_model::transition::{Transition, TransitionConfig};
-use wm_model::{Decoder, Encoder, LatentSpace, Place};
+use wm_model::{Compute, Decoder, Encoder, LatentSpace, NumberFormat};
 use wm_motion::actions::ActionEncoding;
 
 pub use description::{
     Configuration, DecoderPart, Description, Part, ProbePart, Statistics, TextPart, TransitionPart,
 };
 pub use native::NativeDecoder;
+pub use own::describe_autoencoder;
+pub(crate) use own::{REQUIRED_FROM, open_own};
 pub use random::write_random_weights;
 pub use summary::{PartSummary, Stepping, Summary};
 
@@ -68,7 +74,7 @@ use crate::kinds::{DitConfig, load_transition};
 use crate::loader::Requested;
 use crate::success_probe::SuccessClassifier;
 use crate::svae::{Svae, SvaeConfig};
-use crate::{Compute, Error, Precision, Result, TransitionTensors};
+use crate::{Error, Result, TransitionTensors};
 use decoder::{DecoderConfig, FolderDecoder};
 use encoder::{EncoderConfig, FolderEncoder, canonical};
 use fit::{check_decoder, check_transition, latent};
@@ -104,7 +110,7 @@ struct Pictures {
     adapter: Option<Opened<SvaeConfig>>,
 }
 
-/// An open model folder, checked as a whole; values are read when a part is asked for.
+/// An open folder of published networks, checked as a whole; each part reads its values when it is loaded.
 #[derive(Debug)]
 pub struct DescribedFolder {
     /// Its path, as it was opened.
@@ -115,12 +121,12 @@ pub struct DescribedFolder {
     normalisation: Normalisation,
     pictures: Option<Pictures>,
     transition: Option<Opened<Dynamics>>,
-    /// What a transition that is not described was trained on.
+    /// The latent space of the training, for a transition beside the description.
     trained_on: Option<LatentSpace>,
     /// Camera views side by side.
     views: usize,
     probe: Option<Probe>,
-    /// What is known of the inputs of its matrices.
+    /// Ranges of the inputs of its matrices.
     known: KnownInputs,
     /// Rows, columns and channels of a latent, all views together.
     latent: [usize; 3],
@@ -130,7 +136,7 @@ pub struct DescribedFolder {
 
 impl DescribedFolder {
     /// Whether `folder` is a model of this form.
-    pub fn is_one(folder: &Path) -> bool {
+    pub(crate) fn is_one(folder: &Path) -> bool {
         folder.join(FILE).is_file()
     }
 
@@ -217,7 +223,7 @@ impl DescribedFolder {
             latent,
             space: OnceLock::new(),
         };
-        if opened.description.dtype == Precision::Int8 {
+        if opened.description.dtype == NumberFormat::Int8 {
             opened.known = opened.calibrated(&folder)?;
         }
         Ok(opened)
@@ -252,11 +258,11 @@ impl DescribedFolder {
         sources
     }
 
-    /// The same, whose parts compute in f32 and note what their matrices are multiplied with, for
+    /// The same, whose parts compute in f32 and record the inputs of their matrices, for
     /// [`Self::calibration`].
     pub fn recorded(mut self) -> Self {
         self.known = KnownInputs::Recorded(RangeRecorder::default());
-        self.description.dtype = Precision::F32;
+        self.description.dtype = NumberFormat::F32;
         // It may be of another number format.
         self.space = OnceLock::new();
         self
@@ -268,15 +274,15 @@ impl DescribedFolder {
             Some(calibration) => KnownInputs::Calibrated(calibration),
             None => KnownInputs::Nothing,
         };
-        self.description.dtype = Precision::Int8;
+        self.description.dtype = NumberFormat::Int8;
         self.space = OnceLock::new();
         self
     }
 
-    /// What was noted since it is [recorded](Self::recorded).
+    /// The ranges since it is [recorded](Self::recorded).
     ///
     /// # Errors
-    /// If that is nothing, or not finite.
+    /// If no input was recorded, or one is not finite.
     pub fn calibration(&self, origin: Origin) -> Result<Calibration> {
         let KnownInputs::Recorded(recorder) = &self.known else {
             let reason = "the model does not record".to_owned();
@@ -292,7 +298,7 @@ impl DescribedFolder {
         &self.name
     }
 
-    /// What its `model.json` says.
+    /// Its `model.json`.
     pub fn description(&self) -> &Description {
         &self.description
     }
@@ -310,10 +316,10 @@ impl DescribedFolder {
     }
 
     /// The space that its latents are in with weights of this number format.
-    fn space_in(&self, precision: Precision) -> Result<LatentSpace> {
+    fn space_in(&self, format: NumberFormat) -> Result<LatentSpace> {
         self.space_of(
             self.description.name.clone(),
-            (self.latent, precision),
+            (self.latent, format),
             self.adapter.as_ref(),
             &self.normalisation,
         )
@@ -326,10 +332,10 @@ impl DescribedFolder {
     /// If a value is not finite.
     pub(crate) fn space_of_training(&self, trained_on: &LatentSpace) -> Result<LatentSpace> {
         let own = self.space()?;
-        if own.hash == trained_on.hash || self.description.dtype == Precision::F32 {
+        if own.hash == trained_on.hash || self.description.dtype == NumberFormat::F32 {
             return Ok(own);
         }
-        let trained = self.space_in(Precision::F32)?;
+        let trained = self.space_in(NumberFormat::F32)?;
         Ok(match trained.hash == trained_on.hash {
             true => trained,
             false => own,
@@ -339,25 +345,14 @@ impl DescribedFolder {
     /// Loads encoder and adapter.
     ///
     /// # Errors
-    /// If a value is not finite.
-    pub fn encoder(&self) -> Result<Box<dyn Encoder>> {
-        self.encoder_on(&Place::default())
-    }
-
-    /// As [`Self::encoder`], to compute at `place`.
-    ///
-    /// # Errors
-    /// If a value is not finite, or the device has no memory for it.
-    pub fn encoder_on(&self, place: &Place) -> Result<Box<dyn Encoder>> {
-        let compute = self.compute(place)?;
+    /// If a value is not finite, or the device cannot be used or has no memory for it.
+    pub fn encoder(&self, compute: &Compute) -> Result<Box<dyn Encoder>> {
+        let compute = self.in_own_format(compute)?;
         Ok(Box::new(FolderEncoder {
-            network: self
-                .encoder
-                .source
-                .load_at(&compute, &self.known, |loader| {
-                    self.encoder.config.load(loader)
-                })?,
-            device: place.device().clone(),
+            network: self.encoder.source.load(&compute, &self.known, |loader| {
+                self.encoder.config.load(loader)
+            })?,
+            device: compute.device()?.clone(),
             adapter: load_adapter(self.adapter.as_ref(), &compute, &self.known)?,
             normalisation: self.normalisation.clone(),
             image: self.description.image,
@@ -370,25 +365,17 @@ impl DescribedFolder {
     /// Loads the decoder; `None` where the model has none.
     ///
     /// # Errors
-    /// If a value is not finite.
-    pub fn decoder(&self) -> Result<Option<Box<dyn Decoder>>> {
-        self.decoder_on(&Place::default())
-    }
-
-    /// As [`Self::decoder`], to compute at `place`.
-    ///
-    /// # Errors
-    /// If a value is not finite, or the device has no memory for it.
-    pub fn decoder_on(&self, place: &Place) -> Result<Option<Box<dyn Decoder>>> {
+    /// If a value is not finite, or the device cannot be used or has no memory for it.
+    pub fn decoder(&self, compute: &Compute) -> Result<Option<Box<dyn Decoder>>> {
         let Some(Pictures { decoder, adapter }) = &self.pictures else {
             return Ok(None);
         };
-        let compute = self.compute(place)?;
+        let compute = self.in_own_format(compute)?;
         Ok(Some(Box::new(FolderDecoder {
             network: decoder
                 .source
-                .load_at(&compute, &self.known, |loader| decoder.config.load(loader))?,
-            device: place.device().clone(),
+                .load(&compute, &self.known, |loader| decoder.config.load(loader))?,
+            device: compute.device()?.clone(),
             adapter: load_adapter(adapter.as_ref(), &compute, &self.known)?,
             normalisation: self.normalisation.clone(),
             upsampling: decoder.config.upsampling()?,
@@ -425,14 +412,16 @@ impl DescribedFolder {
         } = &transition.config;
         let mut tensors = BTreeMap::new();
         let nothing = KnownInputs::Nothing;
-        transition.source.load(Precision::F32, &nothing, |loader| {
-            Transition::build(config.clone(), &mut |parameter| {
-                let tensor = loader.tensor(&parameter.name, &parameter.shape)?;
-                tensors.insert(parameter.name.clone(), tensor.clone());
-                Ok(tensor)
+        transition
+            .source
+            .load(&Compute::default(), &nothing, |loader| {
+                Transition::build(config.clone(), &mut |parameter| {
+                    let tensor = loader.tensor(&parameter.name, &parameter.shape)?;
+                    tensors.insert(parameter.name.clone(), tensor.clone());
+                    Ok(tensor)
+                })?;
+                Ok(())
             })?;
-            Ok(())
-        })?;
         Ok(TransitionTensors {
             config: config.clone(),
             encoding: encoding.clone(),
@@ -443,16 +432,9 @@ impl DescribedFolder {
     /// Loads the transition model.
     ///
     /// # Errors
-    /// If there is none, a value is not finite, or it was trained on latents of another space.
-    pub fn world_model(&self) -> Result<WorldModel> {
-        self.world_model_on(&Place::default())
-    }
-
-    /// As [`Self::world_model`], to compute at `place`.
-    ///
-    /// # Errors
-    /// As [`Self::world_model`]; or that the device has no memory for it.
-    pub fn world_model_on(&self, place: &Place) -> Result<WorldModel> {
+    /// If there is none, a value is not finite, it was trained on latents of another space, or the device cannot be used or
+    /// has no memory for it.
+    pub fn world_model(&self, compute: &Compute) -> Result<WorldModel> {
         let transition = self.described_transition()?;
         let Dynamics {
             config, encoding, ..
@@ -461,9 +443,9 @@ impl DescribedFolder {
         if let Some(trained_on) = &self.trained_on {
             trained_on.require(&self.space_of_training(trained_on)?)?;
         }
-        let compute = self.compute(place)?;
-        let model = transition.source.load_at(&compute, &self.known, |loader| {
-            load_transition(config.clone(), loader, place)
+        let compute = self.in_own_format(compute)?;
+        let model = transition.source.load(&compute, &self.known, |loader| {
+            load_transition(config.clone(), loader, &compute)
         })?;
         let mut hash = Sha256::new();
         let settings = (config, encoding, &space, self.description.dtype);
@@ -484,14 +466,14 @@ impl DescribedFolder {
     /// # Errors
     /// If a value is not finite, or the tokenizer is not one, or not of the text tower.
     pub fn probe(&self) -> Result<Option<SuccessClassifier>> {
-        let precision = self.description.dtype;
-        let load = |probe: &Probe| probe.load(precision, &self.known, self.normalisation.clone());
+        let compute = self.in_own_format(&Compute::default())?;
+        let load = |probe: &Probe| probe.load(&compute, &self.known, self.normalisation.clone());
         self.probe.as_ref().map(load).transpose()
     }
 
-    /// In the number format of the model.
-    fn compute(&self, place: &Place) -> Result<Compute> {
-        Compute::at(place, self.description.dtype)
+    /// `compute` in the number format of the model.
+    fn in_own_format(&self, compute: &Compute) -> Result<Compute> {
+        Ok(compute.clone().with_format(self.description.dtype)?)
     }
 }
 
@@ -501,7 +483,7 @@ fn load_adapter(
     known: &KnownInputs,
 ) -> Result<Option<Svae>> {
     let load = |Opened { source, config, .. }: &Opened<SvaeConfig>| {
-        source.load_at(compute, known, |loader| Svae::load(config, loader))
+        source.load(compute, known, |loader| Svae::load(config, loader))
     };
     adapter.map(load).transpose()
 }

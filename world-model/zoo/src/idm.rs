@@ -120,7 +120,7 @@ impl IdmConfig {
     }
 
     /// Hidden width of the feed-forward networks.
-    pub fn mlp_width(&self) -> usize {
+    pub(crate) fn mlp_width(&self) -> usize {
         self.mlp.unwrap_or(4 * self.hidden)
     }
 
@@ -264,16 +264,16 @@ impl Idm {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Engine;
     use candle_core::Device;
+    use wm_model::Kernels;
 
     #[test]
     fn the_papers_has_the_published_size() {
-        let loader = Loader::skeleton(Engine::Candle);
+        let loader = Loader::skeleton(Kernels::Candle);
         Idm::load(&IdmConfig::paper(1024, 1), &loader).unwrap();
         assert_eq!(loader.parameters(), 19_838_983);
         // Three more actions: three queries and three temporal embeddings.
-        let loader = Loader::skeleton(Engine::Candle);
+        let loader = Loader::skeleton(Kernels::Candle);
         Idm::load(&IdmConfig::paper(1024, 4), &loader).unwrap();
         assert_eq!(loader.parameters(), 19_838_983 + 6 * 512);
     }
@@ -293,7 +293,7 @@ mod tests {
     #[test]
     fn a_small_one_has_the_shape_of_its_configuration() {
         for patch in [1, 2] {
-            let loader = Loader::skeleton(Engine::Candle);
+            let loader = Loader::skeleton(Kernels::Candle);
             let model = Idm::load(&small(patch), &loader).unwrap();
             let shape = (2, 4, 2 * patch, 3 * patch, 4);
             let latents = Tensor::ones(shape, DType::F32, &Device::Cpu).unwrap();
@@ -312,7 +312,7 @@ mod tests {
             grid: [1, 2],
             ..small(2)
         };
-        let model = Idm::load(&config, &Loader::skeleton(Engine::Candle)).unwrap();
+        let model = Idm::load(&config, &Loader::skeleton(Kernels::Candle)).unwrap();
         let values = Tensor::arange(0.0_f32, 16.0, &Device::Cpu).unwrap();
         let patches = model.patches(&values.reshape((1, 2, 2, 4, 1)).unwrap());
         let first = patches.unwrap().narrow(1, 0, 1).unwrap().flatten_all();

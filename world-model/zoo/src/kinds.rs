@@ -6,17 +6,17 @@
 //! | `web-dino` | Hugging Face's config.json (Dinov2) | `image` | `latent` |
 //! | `siglip2` | Hugging Face's config.json (Siglip) | `image` | `latent` |
 //! | `siglip2-text` | Hugging Face's config.json (Siglip) | `input_ids` (B,L), maybe `text_mask` (B,L) | `features` (B,L,D) |
-//! | `vjepa2.1` | [`VjepaConfig`](crate::vit::VjepaConfig) | `image` | `latent` |
+//! | `vjepa2.1` | `VjepaConfig` (`vit/vjepa.rs`) | `image` | `latent` |
 //! | `sd3-vae`, `sd3-vae-decoder` | diffusers' config.json (AutoencoderKL) | `image` or `latent` | `latent` or `image` |
-//! | `va-vae`, `va-vae-decoder` | [`VaVaeConfig`](crate::vae::VaVaeConfig) | the same | the same |
-//! | `cosmos-ci16x16`, `cosmos-ci16x16-decoder` | [`CosmosConfig`](crate::vae::CosmosConfig) | the same | the same |
-//! | `svae` | [`SvaeConfig`](crate::svae::SvaeConfig) | `features` (N,h,w,D), or `latent` to decode | `latent` (N,h,w,d), `features` |
-//! | `pixel` | [`PixelDecoderConfig`](crate::vae::PixelDecoderConfig) | `latent` | `image` |
+//! | `va-vae`, `va-vae-decoder` | `VaVaeConfig` (`vae/va_vae.rs`) | the same | the same |
+//! | `cosmos-ci16x16`, `cosmos-ci16x16-decoder` | `CosmosConfig` (`vae/cosmos.rs`) | the same | the same |
+//! | `svae` | [`SvaeConfig`](crate::SvaeConfig) | `features` (N,h,w,D), or `latent` to decode | `latent` (N,h,w,d), `features` |
+//! | `pixel` | [`PixelDecoderConfig`](crate::PixelDecoderConfig) | `latent` | `image` |
 //! | `idm` | [`IdmConfig`](crate::idm::IdmConfig) | `latents` (B,k+1,h,w,D) | `actions` (B,k,7) |
 //! | `success-probe` | [`SuccessProbeConfig`](crate::success_probe::SuccessProbeConfig) | `latents` (B,T,h,w,D), `text` (B,L,D'), maybe `text_mask` (B,L) | `logit` (B) |
 //! | `linear-probe`, `temporal-probe` | [`LinearProbeConfig`](crate::pooled_probe::LinearProbeConfig), [`TemporalProbeConfig`](crate::pooled_probe::TemporalProbeConfig) | `latents` (B,T,h,w,D) | `logit` (B) |
 //! | `progress-probe` | [`ProgressProbeConfig`](crate::pooled_probe::ProgressProbeConfig) | `latents` (B,T,h,w,D) | `progress` (B,T) |
-//! | `efficientnet-lite0` | [`EfficientNetLite0Config`](crate::efficientnet_lite0::EfficientNetLite0Config) | `image` | `block_8` up to the configured block |
+//! | `efficientnet-lite0` | `EfficientNetLite0Config` (`efficientnet_lite0.rs`) | `image` | `block_8` up to the configured block |
 //!
 //! An `image` is (N,H,W,3) in 0..1, a `latent` (N,h,w,D). Everything is f32 but `input_ids`, which are integers.
 
@@ -32,6 +32,7 @@ use std::str::FromStr;
 
 use candle_core::{Device, Tensor};
 use serde::de::DeserializeOwned;
+use wm_model::Compute;
 
 pub use dit::{DitConfig, Head};
 pub(crate) use dit::{build as build_dit, build_transition, load_transition};
@@ -39,7 +40,7 @@ pub use loaded::Loaded;
 pub use rollout::{RolloutOptions, rollout};
 
 use crate::checkpoint::Average;
-use crate::{Checkpoint, Compute, Error, Result};
+use crate::{Checkpoint, Error, Result};
 use inputs::is_finite;
 
 /// Tensors by name.

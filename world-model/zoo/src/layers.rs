@@ -15,21 +15,20 @@ mod linear;
 mod rms_norm;
 mod upsample;
 
-pub use activation::{Activation, gelu_exact, gelu_tanh, silu};
-pub use attention::attention;
-pub use conv2d::{Conv2d, ConvSpec, Padding};
+pub(crate) use activation::{Activation, gelu_exact};
+pub(crate) use attention::attention;
+pub(crate) use conv2d::{Conv2d, ConvSpec, Padding};
 pub use dropout::Dropout;
-pub use group_norm::GroupNorm;
-pub use layer_norm::LayerNorm;
-pub use linear::Linear;
-pub use rms_norm::rms_norm;
-pub use upsample::upsample_nearest_2x;
+pub(crate) use group_norm::GroupNorm;
+pub(crate) use layer_norm::LayerNorm;
+pub(crate) use linear::Linear;
+pub(crate) use rms_norm::rms_norm;
+pub(crate) use upsample::upsample_nearest_2x;
 
 use candle_core::{DType, Tensor};
-
-use crate::Engine;
+use wm_model::Kernels;
 
 /// Whether the kernels of [`wm_model::ops`] are to compute `x`, and can.
-pub(crate) fn takes_kernels(engine: Engine, x: &Tensor) -> bool {
-    engine == Engine::Cpu && x.dtype() == DType::F32 && x.device().is_cpu()
+pub(crate) fn takes_kernels(kernels: Kernels, x: &Tensor) -> bool {
+    kernels == Kernels::Cpu && x.dtype() == DType::F32 && x.device().is_cpu()
 }

@@ -1,76 +1,69 @@
 //! The model library: every architecture of the paper, loadable from the checkpoints that its authors published.
 //!
-//! | What | Module |
+//! | Model | Item |
 //! |---|---|
-//! | Convolutional autoencoders, the pixel decoder | [`vae`] |
-//! | Vision transformers | [`vit`] |
-//! | The S-VAE adapter | [`svae`] |
+//! | Convolutional autoencoders, vision transformers, EfficientNet-Lite0 | [`kinds`] |
+//! | The pixel decoder | [`PixelDecoder`] |
+//! | The S-VAE adapter | [`Svae`] |
+//! | A small semantic encoder | [`WebDino`] |
 //! | Inverse dynamics, success probes | [`idm`], [`success_probe`], [`pooled_probe`] |
-//! | EfficientNet-Lite0 | [`efficientnet_lite0`] |
 //! | LPIPS | [`lpips`] |
 //! | A whole world model of these, for the nodes | [`folder`] |
 //! | The transition model (DiT) | [`wm_model::transition`], configured by [`kinds`] |
 //!
-//! A [`Checkpoint`] is an open file of tensors, a [`Loader`] hands them to a model by their published names and tells
-//! of everything that does not fit, and a [`Compute`] says what computes, and where. [`kinds`] runs any of the models on
+//! A [`Checkpoint`] is an open file of tensors. A [`Loader`] gives them to a model by their published names and reports
+//! all that do not fit, for the device, number format and kernels of a [`Compute`](wm_model::Compute). [`kinds`] runs any of the models on
 //! a file of tensors, [`cost`] counts parameters and operations.
 //!
 //! ```
-//! use wm_zoo::{Engine, Loader};
-//! use wm_zoo::vae::{PixelDecoder, PixelDecoderConfig};
+//! use wm_model::Kernels;
+//! use wm_zoo::{Loader, PixelDecoder, PixelDecoderConfig};
 //!
 //! # fn main() -> wm_zoo::Result<()> {
-//! // Without weights: what a model would ask of a checkpoint.
-//! let loader = Loader::skeleton(Engine::Cpu);
+//! // Without weights: the tensors that a model needs.
+//! let loader = Loader::skeleton(Kernels::Cpu);
 //! PixelDecoder::load(&PixelDecoderConfig::paper(), &loader)?;
 //! assert_eq!((loader.parameters() as f64 / 1e6).round(), 177.0);
 //! # Ok(())
 //! # }
 //! ```
 //!
-//! Nothing here trains, but a network whose tensors are variables ([`Loader::supplied`]) propagates gradients to them.
-//! Not here either: sampling and planning (`wm_model`), files of other formats than safetensors and torch's, and
+//! The crate does not train, but a network whose tensors are variables ([`Loader::supplied`]) propagates gradients to
+//! them. Elsewhere: sampling and planning (`wm_model`), files of other formats than safetensors and torch's, and
 //! downloads (`wm model fetch`).
 
 mod error;
 mod model_folder;
-mod placed_model;
-mod placement;
-mod precision;
 mod sizes;
 mod unfinished;
 
 pub mod calibration;
 pub mod checkpoint;
-pub mod compute;
 pub mod cost;
-pub mod device;
 pub mod folder;
 pub mod kinds;
-pub mod layers;
 pub mod loader;
 pub mod packed_cache;
 
-pub mod efficientnet_lite0;
+mod efficientnet_lite0;
 pub mod idm;
+mod layers;
 pub mod lpips;
 pub mod pooled_probe;
 pub mod success_probe;
-pub mod svae;
-pub mod vae;
-pub mod vit;
+mod svae;
+mod vae;
+mod vit;
 
 pub use calibration::Calibration;
 pub use checkpoint::Checkpoint;
-pub use compute::Compute;
-pub use device::DeviceName;
 pub use error::{Error, Misshapen, Result};
+pub use layers::Dropout;
 pub use loader::{Loader, Supply};
 pub use model_folder::{ModelFolder, TransitionTensors};
 pub use packed_cache::PackedCache;
-pub use placed_model::PlacedModel;
-pub use placement::Placement;
-pub use precision::Precision;
+pub use svae::{Svae, SvaeConfig};
 pub use unfinished::Unfinished;
-pub use wm_model::ops::Engine;
+pub use vae::{PixelDecoder, PixelDecoderConfig};
+pub use vit::{WebDino, WebDinoConfig};
 pub use wm_model::trained_folder::{IDM_FILE, PROBE_FILE};

@@ -1,4 +1,4 @@
-//! Handing a checkpoint's tensors to a model.
+//! Tensors of a checkpoint for a model.
 
 use std::cell::RefCell;
 use std::collections::BTreeSet;
@@ -6,36 +6,35 @@ use std::fmt::{self, Display};
 use std::rc::Rc;
 
 use candle_core::{DType, Device, Tensor};
-use wm_model::Weights;
-use wm_model::ops::{PackedFormat, PackedLinear};
+use wm_model::ops::PackedLinear;
 use wm_model::transition::PackedSource;
+use wm_model::{Compute, Kernels, NumberFormat, Weights};
 
 use crate::calibration::{InputRanges, RangeRecorder};
 use crate::layers::{Conv2d, ConvSpec, GroupNorm, LayerNorm, Linear};
 use crate::packed_cache::{PackedCache, Session};
-use crate::{Checkpoint, Compute, Engine, Error, Misshapen, Precision, Result};
+use crate::{Checkpoint, Error, Misshapen, Result};
 
 /// Gives tensors by name and shape, below one place in the checkpoint's tree of names.
 ///
-/// Clones and descendants share one account of what was asked for. A tensor that is missing or has another shape is
-/// noted there and zeros are given in its place, so that [`Loader::finish`] can tell of everything at once: call it
-/// before the model is used.
+/// Clones and descendants share one account of the requests. A tensor that is missing or has another shape is noted
+/// there and replaced by zeros. [`Loader::finish`] reports all of them at once: call it before the model is used.
 ///
-/// On the CPU a loader for bf16 gives the rounded values as f32, which the engine packs as bf16 again where that halves
+/// On the CPU a loader for bf16 gives the rounded values as f32, which the kernels pack as bf16 again where that halves
 /// the memory that is read; sums and activations are f32. Vectors (biases, scales, statistics) are not rounded there:
 /// they are a hundredth of the values, and each is off in all places of an output alike. On other devices it gives bf16
 /// tensors.
 ///
-/// A loader for int8 rounds what is asked for as a Linear, when it is packed, to 8 bits, or to bf16 where it is
+/// A loader for int8 rounds the matrix of a Linear, when it is packed, to 8 bits, or to bf16 if it is
 /// [sensitive](Loader::sensitive). Tensors it gives as f32.
 #[derive(Clone, Debug)]
 pub struct Loader<'a> {
     source: Source<'a>,
     /// Where in the tree, with a dot at the end; empty at the root.
     prefix: String,
-    engine: Engine,
+    kernels: Kernels,
     /// Format that values are rounded to.
-    precision: Precision,
+    format: NumberFormat,
     device: Device,
     /// Whether values are read from `source`, or only names and shapes.
     reads: bool,
@@ -43,19 +42,19 @@ pub struct Loader<'a> {
     is_sensitive: bool,
     /// Where packed weights are looked up and kept.
     session: Option<Rc<RefCell<Session>>>,
-    /// What is known of the inputs of its Linears.
+    /// Calibrated ranges of the inputs of its Linears.
     ranges: Option<&'a InputRanges>,
-    /// What notes the inputs of its Linears.
+    /// Records the inputs of its Linears.
     recorder: Option<(&'a RangeRecorder, &'static str)>,
     account: Rc<RefCell<Account>>,
 }
 
-/// What gives tensors that are in no checkpoint, as the variables of a training.
+/// A source of tensors other than a checkpoint, as the variables of a training.
 pub trait Supply {
     /// Tensor `name` of `shape`: f32, where the model is to compute.
     ///
     /// # Errors
-    /// Whatever keeps it from that.
+    /// If the source has no such tensor.
     fn supply(&self, name: &str, shape: &[usize]) -> Result<Tensor>;
 }
 
@@ -87,7 +86,7 @@ impl fmt::Debug for Source<'_> {
     }
 }
 
-/// A tensor that a model asked for.
+/// A tensor that a model requested.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Requested {
     /// Its name, from the root.
@@ -103,11 +102,11 @@ impl Requested {
     }
 }
 
-/// What was asked for so far.
+/// The requests so far.
 #[derive(Debug, Default)]
 struct Account {
     used: BTreeSet<String>,
-    /// What is in `used`, in order.
+    /// The tensors of `used`, in order.
     requested: Vec<Requested>,
     ignored: Vec<String>,
     missing: Vec<String>,
@@ -115,7 +114,7 @@ struct Account {
 }
 
 impl Account {
-    /// Notes that the tensor `path` was asked for.
+    /// Notes a request of the tensor `path`.
     fn note(&mut self, path: &str, shape: &[usize]) {
         // Twice the same tensor counts once: networks may share weights.
         if self.used.insert(path.to_owned()) {
@@ -133,7 +132,7 @@ impl PackedSource for Loader<'_> {
         name: &str,
         shape: (usize, usize),
         is_biased: bool,
-        format: PackedFormat,
+        format: NumberFormat,
     ) -> wm_model::Result<PackedLinear> {
         Ok(self.packed_linear(name, shape, is_biased, format)?)
     }
@@ -142,28 +141,23 @@ impl PackedSource for Loader<'_> {
         Ok(self.values(name, shape)?)
     }
 
-    fn format(&self) -> PackedFormat {
+    fn format(&self) -> NumberFormat {
         self.matrix_format()
     }
 }
 
 impl<'a> Loader<'a> {
-    /// Gives `source`'s tensors, on the CPU, rounded to `precision`.
+    /// Gives `source`'s tensors on the device of `compute`, rounded to its number format.
     ///
     /// # Errors
-    /// If the engine does not compute in that precision.
-    pub fn new(source: &'a Checkpoint, engine: Engine, precision: Precision) -> Result<Self> {
-        Ok(Self::on(source, &Compute::on_cpu(engine, precision)?))
-    }
-
-    /// Gives `source`'s tensors on the device of `compute`, rounded to its precision.
-    pub fn on(source: &'a Checkpoint, compute: &Compute) -> Self {
+    /// If the device cannot be opened.
+    pub fn new(source: &'a Checkpoint, compute: &Compute) -> Result<Self> {
         let loader = Self {
             source: Source::Checkpoint(source),
             prefix: String::new(),
-            engine: compute.engine(),
-            precision: compute.precision(),
-            device: compute.device().clone(),
+            kernels: compute.kernels(),
+            format: compute.format(),
+            device: compute.device()?.clone(),
             reads: true,
             is_sensitive: false,
             session: None,
@@ -171,17 +165,17 @@ impl<'a> Loader<'a> {
             recorder: None,
             account: Rc::default(),
         };
-        match PackedCache::of_process() {
+        Ok(match PackedCache::of_process() {
             Some(cache) => loader.cached(cache),
             None => loader,
-        }
+        })
     }
 
     /// The same, with packed weights from `cache`, and kept there.
     pub(crate) fn cached(self, cache: PackedCache) -> Self {
         let session = match self.source {
-            Source::Checkpoint(source) if self.engine == Engine::Cpu && self.device.is_cpu() => {
-                Session::new(cache, source, self.precision)
+            Source::Checkpoint(source) if self.kernels == Kernels::Cpu && self.device.is_cpu() => {
+                Session::new(cache, source, self.format)
             }
             _ => None,
         };
@@ -191,7 +185,7 @@ impl<'a> Loader<'a> {
         }
     }
 
-    /// The same, whose Linears are quantised with what is known of their inputs: of use in [`Precision::Int8`].
+    /// The same, whose Linears are quantised with calibrated ranges of their inputs, for [`NumberFormat::Int8`].
     pub(crate) fn with_ranges(self, ranges: &'a InputRanges) -> Self {
         if let Some(session) = &self.session {
             session.borrow_mut().distinguish(ranges);
@@ -202,7 +196,7 @@ impl<'a> Loader<'a> {
         }
     }
 
-    /// The same, whose Linears note their inputs in `recorder` when they compute, as those of `part`.
+    /// The same, whose Linears record their inputs in `recorder` under `part` when they compute.
     pub(crate) fn recorded(self, recorder: &'a RangeRecorder, part: &'static str) -> Self {
         Self {
             recorder: Some((recorder, part)),
@@ -210,22 +204,22 @@ impl<'a> Loader<'a> {
         }
     }
 
-    /// Looks at names and shapes of `source`'s tensors and gives zeros, as a [`Loader::skeleton`] does: what a model asks
-    /// of this checkpoint, and by [`Loader::finish`] whether it is there, without reading a value.
-    pub fn survey(source: &'a Checkpoint) -> Self {
+    /// Looks at names and shapes of `source`'s tensors and gives zeros, as a [`Loader::skeleton`] does: the tensors that a
+    /// model needs and, by [`Loader::finish`], whether the checkpoint has them, without reading a value.
+    pub(crate) fn survey(source: &'a Checkpoint) -> Self {
         Self {
             source: Source::Checkpoint(source),
-            ..Self::skeleton(Engine::Candle)
+            ..Self::skeleton(Kernels::Candle)
         }
     }
 
-    /// A loader without a checkpoint. Every tensor that is asked for is one zero, repeated, which takes no memory.
-    pub fn skeleton(engine: Engine) -> Loader<'static> {
+    /// A loader without a checkpoint. Each tensor is one repeated zero, which takes no memory.
+    pub fn skeleton(kernels: Kernels) -> Loader<'static> {
         Loader {
             source: Source::Nothing,
             prefix: String::new(),
-            engine,
-            precision: Precision::F32,
+            kernels,
+            format: NumberFormat::F32,
             device: Device::Cpu,
             reads: false,
             is_sensitive: false,
@@ -236,13 +230,13 @@ impl<'a> Loader<'a> {
         }
     }
 
-    /// Gives what `supply` has for each name, on the CPU, in f32. Plain operations ([`Engine::Candle`]) propagate
+    /// Gives the tensors of `supply`, on the CPU, in f32. Plain operations ([`Kernels::Candle`]) propagate
     /// gradients to it. Names are those of the published checkpoints.
-    pub fn supplied(supply: &'a dyn Supply, engine: Engine) -> Self {
+    pub fn supplied(supply: &'a dyn Supply, kernels: Kernels) -> Self {
         Self {
             source: Source::Supply(supply),
             reads: true,
-            ..Self::skeleton(engine)
+            ..Self::skeleton(kernels)
         }
     }
 
@@ -255,14 +249,14 @@ impl<'a> Loader<'a> {
     }
 
     /// The same place, for tensors that are to keep the values of the checkpoint: given as f32, not rounded.
-    pub fn unrounded(&self) -> Self {
+    pub(crate) fn unrounded(&self) -> Self {
         Self {
-            precision: Precision::F32,
+            format: NumberFormat::F32,
             ..self.clone()
         }
     }
 
-    /// The same place, for [sensitive](PackedFormat::sensitive) Linears.
+    /// The same place, for [sensitive](NumberFormat::sensitive) Linears.
     pub fn sensitive(&self) -> Self {
         Self {
             is_sensitive: true,
@@ -270,9 +264,9 @@ impl<'a> Loader<'a> {
         }
     }
 
-    /// What is to compute the model.
-    pub fn engine(&self) -> Engine {
-        self.engine
+    /// The kernels of the model.
+    pub fn kernels(&self) -> Kernels {
+        self.kernels
     }
 
     /// The format of the tensors that it gives, and that layers take and give.
@@ -280,21 +274,20 @@ impl<'a> Loader<'a> {
         if self.device.is_cpu() {
             DType::F32
         } else {
-            self.precision.dtype()
+            self.format.dtype()
         }
     }
 
-    /// What weights that it gives as tensors are to be packed in.
-    pub(crate) fn format(&self) -> PackedFormat {
-        self.precision.packed().sensitive()
+    /// The format in which the CPU's kernels pack the weights that it gives as tensors.
+    pub(crate) fn format(&self) -> NumberFormat {
+        self.format.sensitive()
     }
 
-    /// What matrices that it gives as Linears are packed in.
-    fn matrix_format(&self) -> PackedFormat {
-        let format = self.precision.packed();
+    /// The format of the matrices of its Linears.
+    fn matrix_format(&self) -> NumberFormat {
         match self.is_sensitive {
-            true => format.sensitive(),
-            false => format,
+            true => self.format.sensitive(),
+            false => self.format,
         }
     }
 
@@ -303,7 +296,7 @@ impl<'a> Loader<'a> {
         &self.device
     }
 
-    /// Whether the checkpoint has a tensor `name` here. A skeleton has none; what is supplied has all.
+    /// Whether the checkpoint has a tensor `name` here. A skeleton has no tensor; a supply has each.
     pub fn has(&self, name: &str) -> bool {
         match self.source {
             Source::Checkpoint(source) => source.contains(&self.path(name)),
@@ -312,7 +305,7 @@ impl<'a> Loader<'a> {
         }
     }
 
-    /// Shape of the checkpoint's tensor `name` here, if there is one. Without a checkpoint there is none.
+    /// Shape of the checkpoint's tensor `name` here, if the checkpoint has it.
     pub fn shape(&self, name: &str) -> Option<&'a [usize]> {
         match self.source {
             Source::Checkpoint(source) => source.shape(&self.path(name)),
@@ -323,8 +316,7 @@ impl<'a> Loader<'a> {
     /// Tensor `name`, which has to be of `shape`.
     ///
     /// # Errors
-    /// If its values cannot be read, or one is not finite. That it is missing or has another shape is told by
-    /// [`Loader::finish`].
+    /// If its values cannot be read, or one is not finite. [`Loader::finish`] reports missing tensors and other shapes.
     pub fn tensor(&self, name: &str, shape: &[usize]) -> Result<Tensor> {
         let path = self.path(name);
         let mut account = self.account.borrow_mut();
@@ -337,7 +329,7 @@ impl<'a> Loader<'a> {
         match source.shape(&path) {
             Some(found) if found == shape && !self.reads => self.zeros(shape),
             Some(found) if found == shape => {
-                let tensor = source.tensor(&path, self.precision_of(shape))?;
+                let tensor = source.tensor(&path, self.dtype_of(shape))?;
                 Ok(tensor.to_device(&self.device)?.to_dtype(self.dtype())?)
             }
             Some(found) => {
@@ -359,7 +351,7 @@ impl<'a> Loader<'a> {
     ///
     /// # Errors
     /// As [`Loader::tensor`].
-    pub fn linear(&self, name: &str, inputs: usize, outputs: usize) -> Result<Linear> {
+    pub(crate) fn linear(&self, name: &str, inputs: usize, outputs: usize) -> Result<Linear> {
         self.linear_with(name, (outputs, inputs), true)
     }
 
@@ -367,7 +359,12 @@ impl<'a> Loader<'a> {
     ///
     /// # Errors
     /// As [`Loader::tensor`].
-    pub fn linear_no_bias(&self, name: &str, inputs: usize, outputs: usize) -> Result<Linear> {
+    pub(crate) fn linear_no_bias(
+        &self,
+        name: &str,
+        inputs: usize,
+        outputs: usize,
+    ) -> Result<Linear> {
         self.linear_with(name, (outputs, inputs), false)
     }
 
@@ -381,7 +378,12 @@ impl<'a> Loader<'a> {
         }
         let weight = self.tensor(&weight, &weight_shape)?;
         let bias = is_biased.then(|| self.tensor(&format!("{name}.bias"), &[shape.0]));
-        Linear::new(weight, bias.transpose()?, self.engine, self.matrix_format())
+        Linear::new(
+            weight,
+            bias.transpose()?,
+            self.kernels,
+            self.matrix_format(),
+        )
     }
 
     /// The Linear `name`, packed in `format`: `name.weight` of `shape` and, if `is_biased`, `name.bias`.
@@ -390,7 +392,7 @@ impl<'a> Loader<'a> {
         name: &str,
         shape: (usize, usize),
         is_biased: bool,
-        format: PackedFormat,
+        format: NumberFormat,
     ) -> Result<PackedLinear> {
         let (weight, weight_shape) = (format!("{name}.weight"), [shape.0, shape.1]);
         if let Some(source) = self.packs(&weight, &weight_shape) {
@@ -407,7 +409,7 @@ impl<'a> Loader<'a> {
         let Source::Checkpoint(source) = self.source else {
             return None;
         };
-        let is_packed = self.reads && self.engine == Engine::Cpu && self.device.is_cpu();
+        let is_packed = self.reads && self.kernels == Kernels::Cpu && self.device.is_cpu();
         let fits = source.shape(&self.path(name)) == Some(shape);
         (is_packed && fits).then_some(source)
     }
@@ -419,7 +421,7 @@ impl<'a> Loader<'a> {
         name: &str,
         shape: (usize, usize),
         is_biased: bool,
-        format: PackedFormat,
+        format: NumberFormat,
     ) -> Result<PackedLinear> {
         let weight = self.path(&format!("{name}.weight"));
         self.account.borrow_mut().note(&weight, &[shape.0, shape.1]);
@@ -439,7 +441,7 @@ impl<'a> Loader<'a> {
         weight: &str,
         shape: (usize, usize),
         bias: Option<&[f32]>,
-        format: PackedFormat,
+        format: NumberFormat,
     ) -> Result<PackedLinear> {
         let mut session = self.session.as_ref().map(|session| session.borrow_mut());
         if let Some(session) = &mut session
@@ -448,9 +450,9 @@ impl<'a> Loader<'a> {
             return Ok(packed);
         }
         let smoothing = self.ranges.and_then(|ranges| ranges.smoothing(weight));
-        let is_rounded = self.precision == Precision::Bf16;
+        let is_rounded = self.format == NumberFormat::Bf16;
         let packed = source.with_values(weight, is_rounded, |values| match smoothing {
-            Some(smoothing) if format == PackedFormat::Int8 => {
+            Some(smoothing) if format == NumberFormat::Int8 => {
                 PackedLinear::quantised(values, bias, shape, Some(smoothing))
             }
             _ => PackedLinear::new(values, bias, shape, format),
@@ -471,17 +473,17 @@ impl<'a> Loader<'a> {
     ///
     /// # Errors
     /// As [`Loader::tensor`].
-    pub fn layer_norm(&self, name: &str, width: usize, eps: f64) -> Result<LayerNorm> {
+    pub(crate) fn layer_norm(&self, name: &str, width: usize, eps: f64) -> Result<LayerNorm> {
         let scale = self.tensor(&format!("{name}.weight"), &[width])?;
         let shift = self.tensor(&format!("{name}.bias"), &[width])?;
-        Ok(LayerNorm::new(scale, shift, eps, self.engine))
+        Ok(LayerNorm::new(scale, shift, eps, self.kernels))
     }
 
     /// The group normalisation `name`: `name.weight` and `name.bias` (channels).
     ///
     /// # Errors
     /// As [`Loader::tensor`], or if `groups` does not divide `channels`.
-    pub fn group_norm(
+    pub(crate) fn group_norm(
         &self,
         name: &str,
         groups: usize,
@@ -490,39 +492,39 @@ impl<'a> Loader<'a> {
     ) -> Result<GroupNorm> {
         let scale = self.tensor(&format!("{name}.weight"), &[channels])?;
         let shift = self.tensor(&format!("{name}.bias"), &[channels])?;
-        GroupNorm::new((scale, shift), groups, eps, self.engine)
+        GroupNorm::new((scale, shift), groups, eps, self.kernels)
     }
 
     /// The convolution `name`: `name.weight` (outputs, inputs, kernel, kernel) and `name.bias` (outputs).
     ///
     /// # Errors
     /// As [`Loader::tensor`].
-    pub fn conv2d(&self, name: &str, spec: ConvSpec) -> Result<Conv2d> {
+    pub(crate) fn conv2d(&self, name: &str, spec: ConvSpec) -> Result<Conv2d> {
         let weight = self.tensor(&format!("{name}.weight"), &spec.weight_shape())?;
         let bias = self.tensor(&format!("{name}.bias"), &[spec.outputs])?;
-        Conv2d::new(spec, &weight, bias, self.engine, self.format())
+        Conv2d::new(spec, &weight, bias, self.kernels, self.format())
     }
 
     /// As [`Loader::conv2d`], of a picture that is first doubled in both directions ([`Conv2d::doubling`]).
     ///
     /// # Errors
     /// As [`Loader::tensor`].
-    pub fn doubling_conv2d(&self, name: &str, spec: ConvSpec) -> Result<Conv2d> {
+    pub(crate) fn doubling_conv2d(&self, name: &str, spec: ConvSpec) -> Result<Conv2d> {
         let weight = self.tensor(&format!("{name}.weight"), &spec.weight_shape())?;
         let bias = self.tensor(&format!("{name}.bias"), &[spec.outputs])?;
-        Conv2d::doubling(spec, &weight, bias, self.engine, self.format())
+        Conv2d::doubling(spec, &weight, bias, self.kernels, self.format())
     }
 
     /// Tensors here whose names start with `prefix` may be in the checkpoint without being used.
-    pub fn ignore(&self, prefix: &str) {
+    pub(crate) fn ignore(&self, prefix: &str) {
         self.account.borrow_mut().ignored.push(self.path(prefix));
     }
 
-    /// Checks that the model got what it asked for, and asked for everything there is. Integer tensors are buffers
-    /// (counters, positions) that nothing here needs: none is missed.
+    /// Checks that the checkpoint has each requested tensor, and that the model requested each tensor of the checkpoint.
+    /// Integer tensors are buffers (counters, positions) that no model here needs: they may stay unused.
     ///
     /// # Errors
-    /// [`Error::Tensors`], with all that does not fit.
+    /// [`Error::Tensors`], with all differences.
     pub fn finish(&self) -> Result<()> {
         let Source::Checkpoint(source) = self.source else {
             return Ok(());
@@ -555,23 +557,23 @@ impl<'a> Loader<'a> {
         })
     }
 
-    /// How many values were asked for so far, by this loader, its clones and its descendants.
+    /// Number of values that this loader, its clones and its descendants have requested so far.
     pub fn parameters(&self) -> usize {
         let account = self.account.borrow();
         account.requested.iter().map(Requested::count).sum()
     }
 
     /// All tensors that were requested so far, each once, in order.
-    pub fn requested(&self) -> Vec<Requested> {
+    pub(crate) fn requested(&self) -> Vec<Requested> {
         self.account.borrow().requested.clone()
     }
 
     /// Format that the values of a tensor of this shape are rounded to.
-    fn precision_of(&self, shape: &[usize]) -> DType {
+    fn dtype_of(&self, shape: &[usize]) -> DType {
         if self.device.is_cpu() && shape.len() < 2 {
             DType::F32
         } else {
-            self.precision.dtype()
+            self.format.dtype()
         }
     }
 

@@ -69,6 +69,7 @@ impl Lpips {
         {
             let name = format!("features.{index}.weight");
             let found = trunk.shape(&name);
+            // A missing tensor is an error of `tensor`.
             let outputs = found.and_then(|shape| shape.first().copied()).unwrap_or(0);
             let expected = [outputs, inputs, kernel, kernel];
             let weight = tensor(trunk, &name, &expected)?;

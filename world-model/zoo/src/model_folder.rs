@@ -4,59 +4,117 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use candle_core::Tensor;
-use wm_model::trained_folder::{EMBEDDED, IDM_FILE, PROBE_FILE, TrainedFolder};
+use wm_model::trained_folder::{
+    EMBEDDED, IDM_FILE, PROBE_FILE, TRANSITION_FILE, TrainedFolder, transition_trained_on,
+    weights_in,
+};
 use wm_model::transition::{
     ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition, TransitionConfig,
 };
 use wm_model::{
-    Autoencoder, Decoder, Encoder, Fit, LatentSpace, PictureSize, Place, Weights, WorldModel,
+    Autoencoder, Compute, Decoder, Encoder, Fit, Kernels, LatentSpace, PictureSize, Weights,
+    WorldModel,
 };
 use wm_motion::actions::ActionEncoding;
 
-use crate::folder::{DescribedFolder, NativeDecoder};
+use crate::folder::{DescribedFolder, NativeDecoder, REQUIRED_FROM, open_own};
 use crate::idm::TrainedIdm;
 use crate::success_probe::SuccessClassifier;
-use crate::{Engine, Error, Result, Unfinished};
+use crate::{Error, Result, Unfinished};
 
-/// The tensors of a transition model, and what it is.
+/// The tensors and the configuration of a transition model.
 #[derive(Clone, Debug)]
 pub struct TransitionTensors {
     /// Sizes and conventions.
     pub config: TransitionConfig,
-    /// What its actions are.
+    /// How physical actions become its actions.
     pub encoding: ActionEncoding,
     /// All parameters by name.
     pub tensors: BTreeMap<String, Tensor>,
 }
 
-/// What a node's parameter `model` names: the files of a world model, checked as far as names and shapes go. Its parts are
-/// loaded when they are asked for; [`ModelFolder::world_model`] gives the [`WorldModel`].
+/// A world model by its name, as the parameter `model` of a node gives it: files whose names and shapes are checked, and
+/// a [`Compute`] for its parts. Each part is loaded at its request; [`ModelFolder::world_model`] gives the [`WorldModel`].
+///
+/// Encoder, decoder and transition model take and give tensors of the CPU, on every device. The probe and the inverse
+/// dynamics model are small: they compute on the CPU.
 #[derive(Debug)]
-pub enum ModelFolder {
-    /// The embedded default, or a folder that the training wrote.
+pub struct ModelFolder {
+    files: Files,
+    compute: Compute,
+}
+
+#[derive(Debug)]
+enum Files {
+    /// The embedded default, or a folder whose encoder and decoder are an autoencoder.
     Trained(TrainedFolder),
-    /// A folder of published checkpoints with a `model.json`.
+    /// A folder of published networks.
     Described(Box<DescribedFolder>),
 }
 
 impl ModelFolder {
-    /// Opens `tiny`, the embedded default, a folder, or the file of an autoencoder.
+    /// Opens `tiny`, the embedded default, a folder, or the file of an autoencoder, to compute with the CPU's kernels.
     ///
     /// # Errors
-    /// As [`Self::require`] and [`DescribedFolder::open`]; a folder without `model.json` tells of what is missing when a
-    /// part is asked for.
+    /// As [`Self::require`] and [`DescribedFolder::open`]; missing weights of an autoencoder's folder are an error of the
+    /// part that needs them.
     pub fn open(name: &str) -> Result<Self> {
         Self::require(name)?;
-        if name != EMBEDDED && DescribedFolder::is_one(Path::new(name)) {
-            return Ok(Self::Described(Box::new(DescribedFolder::open(name)?)));
-        }
-        Ok(Self::Trained(TrainedFolder::named(name)))
+        let path = Path::new(name);
+        let files = if name == EMBEDDED || path.is_file() {
+            Files::Trained(TrainedFolder::named(name))
+        } else if !DescribedFolder::is_one(path) {
+            tracing::warn!(
+                "{name}: no model.json, which wm {REQUIRED_FROM} will need; `wm model convert {name}` writes it"
+            );
+            Files::Trained(TrainedFolder::named(name))
+        } else {
+            match open_own(path)? {
+                Some(folder) => Files::Trained(folder),
+                None => Files::Described(Box::new(DescribedFolder::open(name)?)),
+            }
+        };
+        Ok(Self {
+            files,
+            compute: Compute::default(),
+        })
     }
 
-    /// Holds a name against what is on the disk, without opening a file.
+    /// The same, to compute on the device and with the kernels of `compute`; a folder with a `model.json` has a number
+    /// format of its own. Each part opens the device apart, so that parts in several threads do not wait for each other.
+    #[must_use]
+    pub fn on(self, compute: Compute) -> Self {
+        Self { compute, ..self }
+    }
+
+    /// The folder of published networks; `None` for another model.
+    pub fn described(&self) -> Option<&DescribedFolder> {
+        match &self.files {
+            Files::Trained(_) => None,
+            Files::Described(folder) => Some(folder),
+        }
+    }
+
+    /// The same, to keep.
+    pub fn into_described(self) -> Option<DescribedFolder> {
+        match self.files {
+            Files::Trained(_) => None,
+            Files::Described(folder) => Some(*folder),
+        }
+    }
+
+    /// The embedded default, or a folder whose encoder and decoder are an autoencoder; `None` for another model.
+    pub fn trained(&self) -> Option<&TrainedFolder> {
+        match &self.files {
+            Files::Trained(folder) => Some(folder),
+            Files::Described(_) => None,
+        }
+    }
+
+    /// Checks that a name is that of a model, without opening a file.
     ///
     /// # Errors
-    /// [`Error::NoModel`] for a path where there is nothing, and a folder without a `model.json` or any weights.
+    /// [`Error::NoModel`] for a path that does not exist, and for a folder without a `model.json` and weights.
     pub fn require(name: &str) -> Result<()> {
         let path = Path::new(name);
         let found = if name == EMBEDDED || path.is_file() || DescribedFolder::is_one(path) {
@@ -72,11 +130,11 @@ impl ModelFolder {
         Err(Error::NoModel { name, found })
     }
 
-    /// What it was opened by.
+    /// The name by which it was opened.
     pub fn name(&self) -> String {
-        match self {
-            Self::Trained(folder) => folder.name(),
-            Self::Described(folder) => folder.name().to_owned(),
+        match &self.files {
+            Files::Trained(folder) => folder.name(),
+            Files::Described(folder) => folder.name().to_owned(),
         }
     }
 
@@ -85,9 +143,9 @@ impl ModelFolder {
     /// # Errors
     /// Names missing and wrong weights.
     pub fn space(&self) -> Result<LatentSpace> {
-        match self {
-            Self::Trained(folder) => Ok(folder.autoencoder()?.space().clone()),
-            Self::Described(folder) => folder.space(),
+        match &self.files {
+            Files::Trained(folder) => Ok(folder.autoencoder()?.space().clone()),
+            Files::Described(folder) => folder.space(),
         }
     }
 
@@ -96,9 +154,9 @@ impl ModelFolder {
     /// # Errors
     /// Names missing and wrong weights.
     pub fn fit(&self) -> Result<Fit> {
-        match self {
-            Self::Trained(folder) => Ok(folder.autoencoder()?.config().fit),
-            Self::Described(folder) => Ok(folder.description().fit),
+        match &self.files {
+            Files::Trained(folder) => Ok(folder.autoencoder()?.config().fit),
+            Files::Described(folder) => Ok(folder.description().fit),
         }
     }
 
@@ -108,11 +166,11 @@ impl ModelFolder {
     /// # Errors
     /// Names missing and wrong weights.
     pub fn trained_on(&self) -> Result<Option<PictureSize>> {
-        match self {
-            Self::Trained(folder) => Ok(folder.trained_on()?),
-            Self::Described(folder) => {
-                let trained = TrainedFolder::Folder(folder.name().into());
-                let own = trained.transition_trained_on()?;
+        match &self.files {
+            Files::Trained(folder) => Ok(folder.trained_on()?),
+            Files::Described(folder) => {
+                let transition = weights_in(Path::new(folder.name()), TRANSITION_FILE)?;
+                let own = transition_trained_on(transition.as_ref())?;
                 Ok(own.or(folder.description().trained_on))
             }
         }
@@ -120,68 +178,54 @@ impl ModelFolder {
 
     /// The space of its latents for what was trained on `trained_on`, perhaps in another number format.
     fn space_of_training(&self, trained_on: &LatentSpace) -> Result<LatentSpace> {
-        match self {
-            Self::Trained(_) => self.space(),
-            Self::Described(folder) => folder.space_of_training(trained_on),
+        match &self.files {
+            Files::Trained(_) => self.space(),
+            Files::Described(folder) => folder.space_of_training(trained_on),
         }
     }
 
     /// Loads the encoder.
     ///
     /// # Errors
-    /// Names missing and wrong weights.
+    /// Names missing and wrong weights; or the device cannot be used or has no memory for it.
     pub fn encoder(&self) -> Result<Box<dyn Encoder>> {
-        self.encoder_on(&Place::default())
-    }
-
-    /// As [`Self::encoder`], to compute at `place`.
-    ///
-    /// # Errors
-    /// As [`Self::encoder`]; or that the device has no memory for it.
-    pub fn encoder_on(&self, place: &Place) -> Result<Box<dyn Encoder>> {
-        match self {
-            Self::Trained(folder) => match place.engine() {
-                Engine::Cpu => Ok(Box::new(folder.autoencoder()?)),
-                Engine::Candle => Ok(Box::new(on_tensors(folder, place)?)),
+        let compute = self.compute.apart();
+        match &self.files {
+            Files::Trained(folder) => match compute.kernels() {
+                Kernels::Cpu => Ok(Box::new(folder.autoencoder()?)),
+                Kernels::Candle => Ok(Box::new(on_tensors(folder, &compute)?)),
             },
-            Self::Described(folder) => folder.encoder_on(place),
+            Files::Described(folder) => folder.encoder(&compute),
         }
     }
 
-    /// Loads the decoder; `None` where the model has none.
+    /// Loads the decoder; `None` if the model has none.
     ///
     /// # Errors
-    /// Names missing and wrong weights.
+    /// Names missing and wrong weights; or the device cannot be used or has no memory for it.
     pub fn decoder(&self) -> Result<Option<Box<dyn Decoder>>> {
-        self.decoder_on(&Place::default())
-    }
-
-    /// As [`Self::decoder`], to compute at `place`.
-    ///
-    /// # Errors
-    /// As [`Self::decoder`]; or that the device has no memory for it.
-    pub fn decoder_on(&self, place: &Place) -> Result<Option<Box<dyn Decoder>>> {
-        match self {
-            Self::Trained(folder) => match place.engine() {
-                Engine::Cpu => Ok(Some(Box::new(folder.autoencoder()?))),
-                Engine::Candle => Ok(Some(Box::new(on_tensors(folder, place)?))),
+        let compute = self.compute.apart();
+        match &self.files {
+            Files::Trained(folder) => match compute.kernels() {
+                Kernels::Cpu => Ok(Some(Box::new(folder.autoencoder()?))),
+                Kernels::Candle => Ok(Some(Box::new(on_tensors(folder, &compute)?))),
             },
-            Self::Described(folder) => folder.decoder_on(place),
+            Files::Described(folder) => folder.decoder(&compute),
         }
     }
 
     /// Whether there is a transition model; without one a model encodes and decodes only.
     pub fn has_transition(&self) -> bool {
-        match self {
-            Self::Trained(folder) => folder.has_transition(),
-            Self::Described(folder) => folder.has_transition(),
+        match &self.files {
+            Files::Trained(folder) => folder.has_transition(),
+            Files::Described(folder) => folder.has_transition(),
         }
     }
 
-    /// Refuses a model that cannot predict, for those who need one that can. Reads no weights.
+    /// Refuses a model without a transition model. Reads no weights.
     ///
     /// # Errors
-    /// [`Error::NoTransition`], which says what to do about it.
+    /// [`Error::NoTransition`], with the command that adds one.
     pub fn require_transition(&self) -> Result<()> {
         match self.has_transition() {
             true => Ok(()),
@@ -189,7 +233,7 @@ impl ModelFolder {
         }
     }
 
-    /// The parts whose training has not taken its last step.
+    /// The parts whose training is unfinished.
     ///
     /// # Errors
     /// If a mark cannot be read.
@@ -202,47 +246,39 @@ impl ModelFolder {
         }
     }
 
-    /// How the transition model takes actions, read without loading the model; `None` if there is no transition model.
+    /// How physical actions become the transition model's, read without loading it; `None` if there is no transition model.
     ///
     /// # Errors
     /// When its file is missing or corrupt.
     pub fn action_encoding(&self) -> Result<Option<ActionEncoding>> {
-        match self {
-            Self::Trained(folder) if folder.has_transition() => {
+        match &self.files {
+            Files::Trained(folder) if folder.has_transition() => {
                 Ok(Some(folder.transition()?.json(ACTIONS_KEY)?))
             }
-            Self::Trained(_) => Ok(None),
-            Self::Described(folder) => Ok(folder.action_encoding().cloned()),
+            Files::Trained(_) => Ok(None),
+            Files::Described(folder) => Ok(folder.action_encoding().cloned()),
         }
     }
 
-    /// Loads the transition model with what is needed to use it.
+    /// Loads the transition model with its latent space and its actions.
     ///
     /// # Errors
-    /// [`Error::NoTransition`], or what is missing or wrong in the weights.
+    /// [`Error::NoTransition`]; names missing and wrong weights; or the device cannot be used or has no memory for it.
     pub fn world_model(&self) -> Result<WorldModel> {
-        self.world_model_on(&Place::default())
-    }
-
-    /// As [`Self::world_model`], to compute at `place`.
-    ///
-    /// # Errors
-    /// As [`Self::world_model`]; or that the device has no memory for it.
-    pub fn world_model_on(&self, place: &Place) -> Result<WorldModel> {
         self.require_transition()?;
-        match self {
-            Self::Trained(folder) => Ok(folder.world_model_on(place)?),
-            Self::Described(folder) => folder.world_model_on(place),
+        match &self.files {
+            Files::Trained(folder) => Ok(folder.world_model(&self.compute.apart())?),
+            Files::Described(folder) => folder.world_model(&self.compute.apart()),
         }
     }
 
-    /// The tensors of the transition model, by their published names: what a training begins from.
+    /// The tensors of the transition model, by their published names: the start of a fine-tuning.
     ///
     /// # Errors
     /// Names missing and wrong weights.
     pub fn transition_tensors(&self) -> Result<TransitionTensors> {
-        match self {
-            Self::Trained(folder) => {
+        match &self.files {
+            Files::Trained(folder) => {
                 let weights = folder.transition()?;
                 let config: TransitionConfig = weights.json(CONFIG_KEY)?;
                 let mut tensors = BTreeMap::new();
@@ -259,16 +295,16 @@ impl ModelFolder {
                     tensors,
                 })
             }
-            Self::Described(folder) => folder.transition_tensors(),
+            Files::Described(folder) => folder.transition_tensors(),
         }
     }
 
-    /// Loads the success probe and what reads instructions for it; `None` where the model has none.
+    /// Loads the success probe and the reader of its instructions; `None` if the model has none.
     ///
     /// # Errors
-    /// Names what is missing or wrong in its files.
+    /// If a file of it is missing or invalid.
     pub fn probe(&self) -> Result<Option<SuccessClassifier>> {
-        if let Self::Described(folder) = self
+        if let Files::Described(folder) = &self.files
             && let Some(probe) = folder.probe()?
         {
             return Ok(Some(probe));
@@ -283,21 +319,21 @@ impl ModelFolder {
         }
     }
 
-    /// Loads the decoder of its adapter; `None` where its latents are the encoder's own.
+    /// Loads the decoder of its adapter; `None` if its latents are the encoder's own.
     ///
     /// # Errors
     /// Names missing and wrong weights.
     pub fn native_decoder(&self) -> Result<Option<NativeDecoder>> {
-        match self {
-            Self::Trained(_) => Ok(None),
-            Self::Described(folder) => folder.native_decoder(),
+        match &self.files {
+            Files::Trained(_) => Ok(None),
+            Files::Described(folder) => folder.native_decoder(),
         }
     }
 
-    /// Loads the inverse dynamics model; `None` where the model has none.
+    /// Loads the inverse dynamics model; `None` if the model has none.
     ///
     /// # Errors
-    /// Names what is missing or wrong in its file, or the space that it was trained on.
+    /// If its file is invalid, or it was trained on another latent space.
     pub fn idm(&self) -> Result<Option<TrainedIdm>> {
         let Some(weights) = self.weights(IDM_FILE)? else {
             return Ok(None);
@@ -307,20 +343,19 @@ impl ModelFolder {
         Ok(Some(idm))
     }
 
-    /// A file of the training's in it, as [`IDM_FILE`]; `None` where there is none.
+    /// A file of a training in the folder, as [`IDM_FILE`]; `None` if it does not exist.
     ///
     /// # Errors
-    /// When it cannot be read.
+    /// If it cannot be read.
     pub fn weights(&self, file: &str) -> Result<Option<Weights>> {
-        Ok(match self {
-            Self::Trained(folder) => folder.weights(file)?,
-            Self::Described(folder) => TrainedFolder::Folder(folder.name().into()).weights(file)?,
+        Ok(match &self.files {
+            Files::Trained(folder) => folder.weights(file)?,
+            Files::Described(folder) => weights_in(Path::new(folder.name()), file)?,
         })
     }
 }
 
-/// Whether the training may have written a part of a model there. A folder that cannot be listed is taken for one, so
-/// that opening it says why.
+/// Whether a folder has weights of a training. A folder that cannot be listed counts too: opening it gives the reason.
 fn has_weights(folder: &Path) -> bool {
     let is_weights = |file: &Path| file.extension().is_some_and(|is| is == "safetensors");
     std::fs::read_dir(folder).map_or(true, |mut entries| {
@@ -328,8 +363,8 @@ fn has_weights(folder: &Path) -> bool {
     })
 }
 
-fn on_tensors(folder: &TrainedFolder, place: &Place) -> Result<Autoencoder> {
-    Ok(folder.autoencoder()?.on_tensors(place.device())?)
+fn on_tensors(folder: &TrainedFolder, compute: &Compute) -> Result<Autoencoder> {
+    Ok(folder.autoencoder()?.on_tensors(compute.device()?)?)
 }
 
 #[cfg(test)]

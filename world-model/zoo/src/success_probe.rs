@@ -2,7 +2,7 @@
 //!
 //! Paper: appendix B.7, "VLA success classifier probe"; layer by layer in `docs/architecture.md#success-probe`. It
 //! reads a whole episode of an encoder's latents, pooled to 4x4 tokens a frame, and the features of the instruction's
-//! tokens ([`crate::vit::siglip_text`]), and gives one logit. [`SuccessClassifier`] is all of it together: words and
+//! tokens (`vit/siglip_text.rs`), and gives one logit. [`SuccessClassifier`] is all of it together: words and
 //! latents in, a probability out.
 //!
 //! Each block is attention within a frame, attention over time at each place, attention to the text and a SwiGLU
@@ -211,8 +211,8 @@ impl SuccessProbe {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use crate::Engine;
     use candle_core::Device;
+    use wm_model::Kernels;
 
     /// A tokenizer.json of eleven words, in the form of Gemma's but for its model.
     pub(crate) const TOKENIZER: &str = include_str!("success_probe/tokenizer/words.json");
@@ -233,7 +233,7 @@ pub(crate) mod tests {
     #[test]
     fn a_small_one_gives_a_logit_an_episode() {
         for affine in [false, true] {
-            let loader = Loader::skeleton(Engine::Candle);
+            let loader = Loader::skeleton(Kernels::Candle);
             let probe = SuccessProbe::load(&small(affine), &loader).unwrap();
             let latents = Tensor::ones((3, 4, 5, 7, 6), DType::F32, &Device::Cpu).unwrap();
             let text = Tensor::ones((3, 2, 12), DType::F32, &Device::Cpu).unwrap();
@@ -246,7 +246,7 @@ pub(crate) mod tests {
 
     #[test]
     fn parameters_are_those_of_the_description() {
-        let loader = Loader::skeleton(Engine::Candle);
+        let loader = Loader::skeleton(Kernels::Candle);
         SuccessProbe::load(&SuccessProbeConfig::paper(1024, 64), &loader).unwrap();
         let d = 384;
         let block = 3 * 4 * d * d + (d * 2048 + 2048) + (1024 * d + d);
@@ -256,7 +256,7 @@ pub(crate) mod tests {
 
     #[test]
     fn an_episode_too_long_is_refused() {
-        let loader = Loader::skeleton(Engine::Candle);
+        let loader = Loader::skeleton(Kernels::Candle);
         let probe = SuccessProbe::load(&small(false), &loader).unwrap();
         let latents = Tensor::zeros((1, 6, 4, 4, 6), DType::F32, &Device::Cpu).unwrap();
         let text = Tensor::zeros((1, 2, 12), DType::F32, &Device::Cpu).unwrap();

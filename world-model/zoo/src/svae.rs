@@ -199,7 +199,7 @@ fn block(config: &SvaeConfig, loader: &Loader<'_>) -> Result<Block> {
             projections: Projections::Separate(Box::new(separate)),
             out: loader.linear("attention.output.dense", width, width)?,
             heads: config.heads,
-            engine: loader.engine(),
+            kernels: loader.kernels(),
         },
         attention_scale: None,
         mlp_norm: loader.layer_norm("layernorm_after", width, BLOCK_EPS)?,
@@ -215,12 +215,12 @@ fn block(config: &SvaeConfig, loader: &Loader<'_>) -> Result<Block> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Engine;
+    use wm_model::Kernels;
 
     #[test]
     fn the_papers_adapters_have_the_published_sizes() {
         for (features, parameters) in [(1024, 38_110_400), (1152, 46_412_352)] {
-            let loader = Loader::skeleton(Engine::Candle);
+            let loader = Loader::skeleton(Kernels::Candle);
             Svae::load(&SvaeConfig::paper(features), &loader).unwrap();
             assert_eq!(loader.parameters(), parameters);
         }
@@ -230,7 +230,7 @@ mod tests {
     fn a_small_one_has_the_shape_of_its_configuration() {
         let json = r#"{"features": 32, "latent": 6, "heads": 4, "layers": 2, "ffn": 20}"#;
         let config: SvaeConfig = serde_json::from_str(json).unwrap();
-        let model = Svae::load(&config, &Loader::skeleton(Engine::Candle)).unwrap();
+        let model = Svae::load(&config, &Loader::skeleton(Kernels::Candle)).unwrap();
         let features = Tensor::zeros((2, 3, 5, 32), DType::F32, &Device::Cpu).unwrap();
         assert_eq!(model.encode(&features).unwrap().dims(), [2, 3, 5, 6]);
         assert_eq!(model.forward(&features).unwrap().dims(), [2, 3, 5, 32]);
@@ -244,7 +244,7 @@ mod tests {
             heads: 12,
             ..SvaeConfig::paper(1024)
         };
-        let fault = Svae::load(&config, &Loader::skeleton(Engine::Candle)).unwrap_err();
+        let fault = Svae::load(&config, &Loader::skeleton(Kernels::Candle)).unwrap_err();
         assert!(fault.to_string().contains("heads = 12"), "{fault}");
     }
 }

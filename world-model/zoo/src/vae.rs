@@ -17,19 +17,19 @@
 //! Not here: sampling from the predicted distribution, tiling of large images, training.
 
 mod blocks;
-pub mod cosmos;
-pub mod haar;
+pub(crate) mod cosmos;
+pub(crate) mod haar;
 mod naming;
-pub mod pixel_decoder;
-pub mod sd3;
+pub(crate) mod pixel_decoder;
+pub(crate) mod sd3;
 mod seam;
 mod tower;
-pub mod va_vae;
+pub(crate) mod va_vae;
 
 #[cfg(test)]
 mod tests;
 
-pub use cosmos::{CosmosConfig, CosmosDecoder, CosmosEncoder};
+pub(crate) use cosmos::{CosmosConfig, CosmosDecoder, CosmosEncoder};
 pub use pixel_decoder::{PixelDecoder, PixelDecoderConfig};
-pub use sd3::{SdVaeConfig, SdVaeDecoder, SdVaeEncoder};
-pub use va_vae::{VaVaeConfig, VaVaeDecoder, VaVaeEncoder};
+pub(crate) use sd3::{SdVaeConfig, SdVaeDecoder, SdVaeEncoder};
+pub(crate) use va_vae::{VaVaeConfig, VaVaeDecoder, VaVaeEncoder};

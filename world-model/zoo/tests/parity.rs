@@ -8,18 +8,19 @@ use std::path::{Path, PathBuf};
 
 use candle_core::{DType, Device, Tensor};
 use wm_model::sampler::Sampler;
+use wm_model::{Compute, Kernels, NumberFormat};
+use wm_zoo::Checkpoint;
 use wm_zoo::kinds::{Kind, RolloutOptions, Tensors, forward, rollout};
-use wm_zoo::{Checkpoint, Compute, Engine, Precision};
 
 /// Number formats of the weights, each with the error allowed.
 ///
 /// f32 leaves room for sums in another order, bf16 for its 8 bits; both are the task's bounds. Those of int8 are what
 /// `docs/models.md` promises: weights are random here, and there is no calibration.
-const PRECISIONS: [(Precision, RelativeError); 3] = [
-    (Precision::F32, RelativeError::both(1e-4)),
-    (Precision::Bf16, RelativeError::both(2e-2)),
+const PRECISIONS: [(NumberFormat, RelativeError); 3] = [
+    (NumberFormat::F32, RelativeError::both(1e-4)),
+    (NumberFormat::Bf16, RelativeError::both(2e-2)),
     (
-        Precision::Int8,
+        NumberFormat::Int8,
         RelativeError {
             of_norm: 3e-2,
             of_largest: 5e-2,
@@ -105,16 +106,15 @@ impl Fixture {
     }
 
     /// Everything that differs from PyTorch, one line each; empty if nothing does.
-    fn faults(&self, (precision, tolerance): &(Precision, RelativeError)) -> Vec<String> {
+    fn faults(&self, (format, tolerance): &(NumberFormat, RelativeError)) -> Vec<String> {
         let mut faults = Vec::new();
-        for compute in computes(*precision) {
+        for compute in computes(*format) {
             let compared = self.outputs(&compute).and_then(|all| {
                 let expected = self.tensors("output.safetensors")?;
                 let found = all.iter().map(|found| compare(found, &expected));
                 found.collect::<Outcome<Vec<_>>>()
             });
-            let (engine, device) = (compute.engine(), compute.device().location());
-            let label = format!("{} with {engine} on {device:?} in {precision}", self.name());
+            let label = format!("{} with {compute}", self.name());
             match compared {
                 Ok(errors) => {
                     for (output, error) in errors.iter().flatten() {
@@ -131,24 +131,23 @@ impl Fixture {
     }
 }
 
-/// Every engine on the CPU and, in a build for it, the first GPU, as far as they compute in this precision.
-fn computes(precision: Precision) -> Vec<Compute> {
-    if precision == Precision::Int8 {
-        return vec![Compute::on_cpu(Engine::Cpu, precision).unwrap()];
-    }
-    let on_cpu =
-        [Engine::Candle, Engine::Cpu].map(|engine| Compute::on_cpu(engine, precision).unwrap());
+/// All kernels on the CPU and, in a build for it, the first GPU, if they compute in this number format.
+fn computes(format: NumberFormat) -> Vec<Compute> {
+    let on_cpu = [Kernels::Candle, Kernels::Cpu].map(Compute::on_cpu);
     #[cfg(not(feature = "cuda"))]
     let on_gpu = None;
     #[cfg(feature = "cuda")]
-    let on_gpu = match wm_zoo::DeviceName::Cuda(0).open() {
-        Ok(device) => Some(Compute::new(Engine::Candle, device, precision).unwrap()),
-        Err(missing) => {
+    let on_gpu = {
+        let gpu: Compute = "cuda".parse().unwrap();
+        let missing = gpu.device().err();
+        if let Some(missing) = &missing {
             eprintln!("GPU: skipped, {missing}");
-            None
         }
+        missing.is_none().then_some(gpu)
     };
-    on_cpu.into_iter().chain(on_gpu).collect()
+    let all = on_cpu.into_iter().chain(on_gpu);
+    all.filter_map(|compute| compute.with_format(format).ok())
+        .collect()
 }
 
 fn text(error: impl std::fmt::Display) -> String {
@@ -232,9 +231,9 @@ fn fixtures() -> Vec<Fixture> {
         .collect()
 }
 
-fn assert_parity(precision: &(Precision, RelativeError)) {
+fn assert_parity(format: &(NumberFormat, RelativeError)) {
     let fixtures = fixtures();
-    let faults: Vec<String> = fixtures.iter().flat_map(|f| f.faults(precision)).collect();
+    let faults: Vec<String> = fixtures.iter().flat_map(|f| f.faults(format)).collect();
     let count = faults.len();
     assert!(faults.is_empty(), "{count} faults:\n{}", faults.join("\n"));
 }

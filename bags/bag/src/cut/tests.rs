@@ -9,7 +9,7 @@ use crate::QosProfile;
 const START_NS: u64 = 1_700_000_000_000_000_000;
 const SECOND_NS: u64 = 1_000_000_000;
 
-/// Ten seconds of one text a second, and an instruction that holds: given at once, and again in the sixth second.
+/// Ten seconds with one text per second; a latched instruction in the first and in the seventh.
 fn bag(scratch: &TempDir) -> PathBuf {
     let dir = scratch.path().join("bag");
     let mut writer = BagWriter::create(
@@ -38,7 +38,7 @@ fn bag(scratch: &TempDir) -> PathBuf {
     dir
 }
 
-/// Topic, text, log time in seconds after the bag's start.
+/// Topic, text and log time \[s after the start\].
 fn contents(bag: &Path) -> Vec<(String, String, f64)> {
     let reader = BagReader::open(bag).unwrap();
     assert!(reader.warnings().is_empty(), "{:?}", reader.warnings());
@@ -58,7 +58,7 @@ fn row(topic: &str, text: &str, seconds: f64) -> (String, String, f64) {
 }
 
 #[test]
-fn a_part_has_its_messages_and_what_holds_at_its_start() {
+fn part_starts_with_latched_messages() {
     let scratch = TempDir::new().unwrap();
     let old = bag(&scratch);
     let new = scratch.path().join("new");
@@ -89,11 +89,11 @@ fn a_part_has_its_messages_and_what_holds_at_its_start() {
         .stored_messages(|messages| messages)
         .map(|message| message.unwrap().header.sequence)
         .collect();
-    assert_eq!(sequences, [1, 3, 4], "as they were");
+    assert_eq!(sequences, [1, 3, 4], "sequence numbers stay");
 }
 
 #[test]
-fn times_and_topics_select() {
+fn times_and_topics_select_messages() {
     let scratch = TempDir::new().unwrap();
     let old = bag(&scratch);
     let new = scratch.path().join("new");
@@ -125,10 +125,10 @@ fn times_and_topics_select() {
     };
     let (start, end) = (CutStart::After(Duration::from_secs(60)), CutEnd::End);
     assert!(failure(start, end, &only_text).contains("has no messages from"));
-    let absent = TopicFilter::new(vec!["/absent".into()], None, vec![], None).unwrap();
-    let error = failure(CutStart::Beginning, CutEnd::End, &absent);
+    let missing = TopicFilter::new(vec!["/missing".into()], None, vec![], None).unwrap();
+    let error = failure(CutStart::Beginning, CutEnd::End, &missing);
     assert!(
-        error.contains("/absent") && error.contains("/text"),
+        error.contains("/missing") && error.contains("/text"),
         "{error}"
     );
 }

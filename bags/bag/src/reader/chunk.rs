@@ -1,4 +1,4 @@
-//! Records out of the bytes of a chunk, or of a stretch of a file that has no chunks.
+//! Records in the bytes of a chunk, or of a segment of a file without chunks.
 
 use std::io::Read as _;
 
@@ -7,10 +7,10 @@ use mcap::records::{ChunkHeader, Record, op};
 
 use super::record::parse;
 
-/// No record, and no chunk before or after decompression, may be larger than this. rosbag2's largest preset makes
-/// chunks of 4 MiB, and a chunk holds at least one message, so that this is room for a very large message.
+/// Limit of a record, and of a chunk before and after decompression. Chunks of rosbag2's largest preset have 4 MiB; one
+/// with a very large message still fits.
 pub(crate) const MAX_RECORD_BYTES: u64 = 256 << 20;
-/// Opcode and length before each record.
+/// Size of the opcode and length before each record's body.
 pub(crate) const RECORD_HEADER_BYTES: u64 = 9;
 
 /// A record within a buffer.
@@ -19,7 +19,7 @@ pub(crate) struct RawRecord {
     pub body: Bytes,
 }
 
-/// Walks the records of a buffer. Ends with one error if the buffer ends within a record.
+/// Iterates over the records of a buffer. Ends with one error if the buffer ends within a record.
 pub(crate) struct Records {
     bytes: Bytes,
 }
@@ -49,20 +49,20 @@ impl Iterator for Records {
                 "a record claims {length} bytes where {available} are left"
             )));
         }
-        // `length` is at most the buffer's, so that it fits.
+        // Fits: `length` is at most the buffer's size.
         self.bytes = body.split_off(length as usize);
         Some(Ok(RawRecord { opcode, body }))
     }
 }
 
-/// Opcode and length of the body, in bytes, from the front of a record.
+/// Opcode and body length \[bytes\] of the record at the front of `bytes`.
 pub(crate) fn record_header(bytes: &[u8]) -> Option<(u8, u64)> {
     let (&opcode, rest) = bytes.split_first()?;
     Some((opcode, u64::from_le_bytes(*rest.first_chunk::<8>()?)))
 }
 
-/// The records of a chunk, from the chunk record's body: decompressed, and held against length and CRC.
-pub(crate) fn decompressed(chunk_body: &[u8]) -> Result<Bytes, String> {
+/// Decompresses a chunk record's body, and checks its length and CRC.
+pub(crate) fn decompress(chunk_body: &[u8]) -> Result<Bytes, String> {
     let Record::Chunk { header, data } = parse(op::CHUNK, chunk_body)? else {
         return Err("it is not a chunk".to_owned());
     };
@@ -74,11 +74,11 @@ pub(crate) fn decompressed(chunk_body: &[u8]) -> Result<Bytes, String> {
     }
     let records = match header.compression.as_str() {
         "" => data.into_owned(),
-        "zstd" => bounded(
+        "zstd" => read_bounded(
             zstd::stream::read::Decoder::new(&*data).map_err(|error| format!("zstd: {error}"))?,
             &header,
         )?,
-        "lz4" => bounded(
+        "lz4" => read_bounded(
             lz4::Decoder::new(&*data).map_err(|error| format!("lz4: {error}"))?,
             &header,
         )?,
@@ -94,7 +94,7 @@ pub(crate) fn decompressed(chunk_body: &[u8]) -> Result<Bytes, String> {
             records.len()
         ));
     }
-    // A CRC of 0 says that the writer made none.
+    // 0 means that the writer computed no CRC.
     let crc = crc32fast::hash(&records);
     if header.uncompressed_crc != 0 && crc != header.uncompressed_crc {
         return Err(format!(
@@ -105,8 +105,8 @@ pub(crate) fn decompressed(chunk_body: &[u8]) -> Result<Bytes, String> {
     Ok(records.into())
 }
 
-/// Decompresses at most one byte more than the chunk claims, so that a small file cannot fill the memory.
-fn bounded(decoder: impl std::io::Read, header: &ChunkHeader) -> Result<Vec<u8>, String> {
+/// Decompresses at most one byte more than the chunk claims, to bound the memory.
+fn read_bounded(decoder: impl std::io::Read, header: &ChunkHeader) -> Result<Vec<u8>, String> {
     let mut records = Vec::new();
     decoder
         .take(header.uncompressed_size + 1)
@@ -120,7 +120,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn records_end_with_one_error_when_cut() {
+    fn truncated_buffer_ends_with_one_error() {
         let mut bytes = vec![op::MESSAGE];
         bytes.extend(3u64.to_le_bytes());
         bytes.extend([1, 2, 3]);
@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lying_chunk_is_refused() {
+    fn chunk_with_wrong_size_is_rejected() {
         for (size, compression) in [
             (u64::MAX, ""),
             (MAX_RECORD_BYTES + 1, "zstd"),
@@ -154,7 +154,7 @@ mod tests {
             body.extend(compression.as_bytes());
             body.extend(4u64.to_le_bytes());
             body.extend([0; 4]);
-            assert!(decompressed(&body).is_err(), "{size} {compression}");
+            assert!(decompress(&body).is_err(), "{size} {compression}");
         }
     }
 }

@@ -1,7 +1,7 @@
-//! The indexes of a file's chunks, compared with each other.
+//! Consistency of the indexes of a file's chunks.
 //!
-//! Three places name the times of a chunk: its own header, the summary's chunk index, and the message indexes after it,
-//! which name each message. If they agree, the chunk itself is not read for the index.
+//! Three places name the times of a chunk: its header, the summary's chunk index, and the message indexes after it. If they
+//! agree, the chunk itself is not read.
 
 use std::{
     collections::BTreeSet,
@@ -16,26 +16,26 @@ use super::{
     record::parse,
 };
 
-/// Opcode, length, and the two times at the front of a chunk.
+/// Size of opcode, length and the two times at the front of a chunk.
 const FRONT_BYTES: usize = RECORD_HEADER_BYTES as usize + 16;
 
-/// A chunk with the times of its header and of the summary.
+/// A chunk in the summary, compared with its header.
 pub(super) struct IndexedChunk {
-    /// First byte of the chunk, and the one after it.
+    /// First byte of the chunk, and its end.
     pub chunk: (u64, u64),
-    /// The same with its message indexes.
+    /// First byte of the chunk, and the end of its message indexes.
     pub place: (u64, u64),
     pub compression: String,
     start_ns: u64,
     end_ns: u64,
-    /// Whether the chunk's header has the times of the summary.
-    is_agreed: bool,
+    /// Whether header and summary have the same times.
+    is_consistent: bool,
 }
 
 /// Reads the headers of these chunks, which lie within the file and do not overlap.
 ///
 /// # Errors
-/// The outer: the file cannot be read. The inner: a chunk of the summary is not in the file, with its place.
+/// The outer: the file cannot be read. The inner: the summary lists a chunk that the file does not have.
 pub(super) fn read(
     file: &mut (impl Read + Seek),
     chunks: &[ChunkIndex],
@@ -64,13 +64,13 @@ pub(super) fn read(
             compression: chunk.compression.clone(),
             start_ns: chunk.message_start_time,
             end_ns: chunk.message_end_time,
-            is_agreed: (time(FRONT_BYTES - 16), time(FRONT_BYTES - 8)) == times,
+            is_consistent: (time(FRONT_BYTES - 16), time(FRONT_BYTES - 8)) == times,
         });
     }
     Ok(Ok(all))
 }
 
-/// Fills the buffer; false where the file ends before.
+/// Fills the buffer; false if the file ends earlier.
 fn read_whole(file: &mut impl Read, buffer: &mut [u8]) -> std::io::Result<bool> {
     match file.read_exact(buffer) {
         Ok(()) => Ok(true),
@@ -79,8 +79,8 @@ fn read_whole(file: &mut impl Read, buffer: &mut [u8]) -> std::io::Result<bool> 
     }
 }
 
-/// The messages that the index at this byte names, in the order of the chunk: offset in the chunk, channel and log time
-/// \[ns\]. None if there is no such index, or a damaged one.
+/// The messages in the index at byte `at`, in the order of the chunk: offset in the chunk, channel, log time \[ns\].
+/// `None` if the index is missing or damaged.
 fn message_index(
     file: &mut (impl Read + Seek),
     at: u64,
@@ -89,7 +89,7 @@ fn message_index(
     if length == 0 || length > MAX_RECORD_BYTES {
         return Ok(None);
     }
-    // Within the file, as the summary's chunks are.
+    // Fits: bounded by MAX_RECORD_BYTES.
     let mut bytes = vec![0; length as usize];
     file.seek(SeekFrom::Start(at))?;
     if !read_whole(file, &mut bytes)? {
@@ -114,7 +114,7 @@ fn message_index(
 }
 
 impl IndexedChunk {
-    /// Takes the messages over into the index; false, and nothing is taken, if the indexes do not agree.
+    /// Adds the chunk to the index; false, and no change, if the indexes differ.
     ///
     /// # Errors
     /// The file cannot be read.
@@ -123,7 +123,7 @@ impl IndexedChunk {
         file: &mut (impl Read + Seek),
         index: &mut FileIndex,
     ) -> std::io::Result<bool> {
-        if !self.is_agreed {
+        if !self.is_consistent {
             return Ok(false);
         }
         let (at, end) = (self.chunk.1, self.place.1);
@@ -152,8 +152,8 @@ impl IndexedChunk {
         Ok(true)
     }
 
-    /// Whether the summary has the times of the chunk's messages.
-    pub fn has_times_of(&self, read: &Segment) -> bool {
-        self.is_agreed && (self.start_ns, self.end_ns) == (read.start_ns, read.end_ns)
+    /// Whether the summary has the times of the chunk's messages, read as `segment`.
+    pub fn has_times_of(&self, segment: &Segment) -> bool {
+        self.is_consistent && (self.start_ns, self.end_ns) == (segment.start_ns, segment.end_ns)
     }
 }

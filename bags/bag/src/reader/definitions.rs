@@ -6,7 +6,7 @@ use std::{
 
 use mcap::records::{self, Record};
 
-/// The schemas and channels of a file, as its records define them. The first definition of an id holds, as MCAP wants.
+/// The schemas and channels of a file. As MCAP specifies, the first definition of an id counts.
 #[derive(Debug, Default)]
 pub(crate) struct Definitions {
     schemas: HashMap<u16, Arc<mcap::Schema<'static>>>,
@@ -14,7 +14,7 @@ pub(crate) struct Definitions {
 }
 
 impl Definitions {
-    /// Takes a schema or a channel over; any other record changes nothing.
+    /// Adds a schema or a channel; ignores other records.
     pub fn add(&mut self, record: Record<'_>) {
         match record {
             Record::Schema { header, data } => {
@@ -39,7 +39,7 @@ impl Definitions {
         self.channels.keys().copied()
     }
 
-    /// A channel with its schema, where that is known.
+    /// A channel, with its schema if that is defined.
     pub fn channel(&self, id: u16) -> Option<Arc<mcap::Channel<'static>>> {
         let channel = self.channels.get(&id)?;
         Some(Arc::new(mcap::Channel {

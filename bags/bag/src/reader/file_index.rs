@@ -15,18 +15,18 @@ use crate::{
     schema::{absolute, with_absolute_name},
 };
 
-/// A part of a file that is read in one go.
+/// A part of a file that is read at once.
 #[derive(Clone, Debug)]
 pub(super) struct Segment {
     pub place: SegmentPlace,
-    /// Log times of the first and the last message \[ns\].
+    /// Log times of the earliest and the latest message \[ns\].
     pub start_ns: u64,
     pub end_ns: u64,
-    /// The channels of its messages; none if that is not known.
+    /// The channels of its messages; `None` if unknown.
     pub channels: Option<Box<[u16]>>,
 }
 
-/// Where a segment is.
+/// The place of a segment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum SegmentPlace {
     /// Bytes of an MCAP file: a chunk, or messages outside chunks.
@@ -36,10 +36,11 @@ pub(super) enum SegmentPlace {
 }
 
 impl SegmentPlace {
-    /// A number that says in errors where it is.
+    /// The place in errors: the first byte or row.
     pub fn offset(self) -> u64 {
         match self {
             Self::Bytes { offset, .. } => offset,
+            // Negative row ids are valid in sqlite3; errors show 0.
             Self::Rows { first, .. } => u64::try_from(first).unwrap_or(0),
         }
     }
@@ -56,29 +57,29 @@ pub(super) struct Channel {
 
 /// A channel that is skipped.
 #[derive(Clone, Debug)]
-pub(super) struct Skipped {
+pub(super) struct SkippedChannel {
     pub topic: String,
     pub reason: String,
     pub messages: u64,
 }
 
-/// The places of the messages of one file, and its channels.
+/// The channels of one file, and the places of their messages.
 #[derive(Debug)]
 pub(super) struct FileIndex {
     pub file: StoredFile,
     pub size_bytes: u64,
     /// By channel id; several channels may share a topic.
     pub channels: BTreeMap<u16, Channel>,
-    /// Those that cannot be read, by channel id.
-    pub skipped: BTreeMap<u16, Skipped>,
-    /// Messages of channels that the file does not define, by channel id.
+    /// Unreadable channels, by channel id.
+    pub skipped: BTreeMap<u16, SkippedChannel>,
+    /// Number of messages of undefined channels, by channel id.
     undefined: BTreeMap<u16, u64>,
-    /// The readable channels as the file defines them, for copies.
+    /// The read_topic channels as the file defines them, for copies.
     pub definitions: BTreeMap<u16, Arc<mcap::Channel<'static>>>,
     /// The text of each schema, by its id.
     schemas: HashMap<u16, Arc<Schema>>,
     pub segments: Vec<Segment>,
-    /// The first and the last log time \[ns\].
+    /// First and last log time \[ns\].
     pub span: Option<(u64, u64)>,
     pub times: Times,
     pub passes: Passes,
@@ -89,7 +90,7 @@ pub(super) struct FileIndex {
 }
 
 impl FileIndex {
-    /// The index of a file before anything is read.
+    /// An index without contents.
     pub fn empty(file: &StoredFile, size_bytes: u64, storage: &'static str) -> Self {
         Self {
             file: file.clone(),
@@ -108,31 +109,31 @@ impl FileIndex {
         }
     }
 
-    /// The file's name.
+    /// The path of the file.
     pub fn path(&self) -> &Path {
         &self.file.path
     }
 
-    /// Adds a channel; an unreadable one is skipped by name.
+    /// Adds a channel; an unreadable one is skipped and named.
     pub fn add_channel(&mut self, channel: &Arc<mcap::Channel<'static>>) {
         let id = channel.id;
         if self.channels.contains_key(&id) || self.skipped.contains_key(&id) {
             return;
         }
-        // A definition that comes after its first messages.
+        // A definition may come after its first messages.
         let earlier = self.undefined.remove(&id).unwrap_or(0);
-        match self.readable(channel) {
+        match self.read_topic(channel) {
             Ok(mut topic) => {
                 topic.message_count = earlier;
                 let decoding = Arc::new(Decoding::new(&topic.type_name, &topic.schema));
                 let is_latched = topic.is_latched();
-                let readable = Channel {
+                let read_topic = Channel {
                     topic,
                     decoding,
                     is_latched,
                     times: ChannelTimes::default(),
                 };
-                self.channels.insert(id, readable);
+                self.channels.insert(id, read_topic);
                 self.definitions.insert(id, with_absolute_name(channel));
             }
             Err(reason) => {
@@ -144,11 +145,11 @@ impl FileIndex {
         }
     }
 
-    /// Skips a channel.
+    /// Removes a channel and names the reason.
     pub fn skip(&mut self, id: u16, topic: &str, reason: String) {
         self.definitions.remove(&id);
         let known = self.channels.remove(&id);
-        let skipped = Skipped {
+        let skipped = SkippedChannel {
             topic: topic.to_owned(),
             reason,
             messages: known.map_or(0, |channel| channel.topic.message_count),
@@ -156,15 +157,18 @@ impl FileIndex {
         self.skipped.insert(id, skipped);
     }
 
-    /// The channel's topic, or why its messages cannot be read.
-    fn readable(&mut self, channel: &mcap::Channel<'static>) -> Result<TopicInfo, String> {
+    /// The channel's topic.
+    ///
+    /// # Errors
+    /// The reason why its messages cannot be read.
+    fn read_topic(&mut self, channel: &mcap::Channel<'static>) -> Result<TopicInfo, String> {
         let schema = channel.schema.as_ref();
         let name = schema.map(|schema| schema.name.as_str());
         let (encoding, type_name) = MessageEncoding::of_channel(&channel.message_encoding, name)?;
         let (id, schema_encoding, data) = schema.map_or((0, "", &[][..]), |schema| {
             (schema.id, schema.encoding.as_str(), &*schema.data)
         });
-        // One copy of a definition, however many channels have it.
+        // Channels of the same type share one copy of the definition.
         let shared = self.schemas.entry(id).or_insert_with(|| {
             let text = match encoding {
                 MessageEncoding::Cdr => String::from_utf8_lossy(data).into_owned(),
@@ -187,7 +191,7 @@ impl FileIndex {
         })
     }
 
-    /// Counts a message, in the order of the file.
+    /// Counts the next message of the file.
     pub fn count(&mut self, channel_id: u16, log_time_ns: u64) {
         if let Some(channel) = self.channels.get_mut(&channel_id) {
             channel.topic.message_count += 1;
@@ -204,7 +208,7 @@ impl FileIndex {
         }
     }
 
-    /// The warnings about its channels.
+    /// Warnings about channels.
     pub fn channel_warnings(&self) -> impl Iterator<Item = BagWarning> + '_ {
         let skipped = self
             .skipped

@@ -14,21 +14,21 @@ use super::{
     chunk::{MAX_RECORD_BYTES, RECORD_HEADER_BYTES, record_header},
     chunk_index,
     file_index::FileIndex,
-    record::rest,
+    record::bytes_after_fields,
     scan::Scan,
     sqlite,
-    stored_file::StoredFile,
+    stored_file::{SQLITE_MAGIC, StoredFile},
 };
 use crate::{BagError, BagWarning};
 
-/// Indexes a file, by its summary if it has one that holds, else by reading all of it once.
+/// Indexes a file by its summary if that is consistent, otherwise by reading all of it.
 pub(super) fn index(stored: &StoredFile) -> Result<(FileIndex, Vec<BagWarning>), BagError> {
     let path = stored.path.as_path();
     let io = |source| BagError::io(path, source);
     let mut file = stored.file().map_err(io)?;
     file.seek(SeekFrom::Start(0)).map_err(io)?;
     let size_bytes = file.metadata().map_err(io)?.len();
-    if check_magic(&mut file, path, size_bytes)? == Storage::Sqlite {
+    if detect_storage(&mut file, path, size_bytes)? == Storage::Sqlite {
         return sqlite::index(stored, size_bytes);
     }
     let mut index = FileIndex::empty(stored, size_bytes, "mcap");
@@ -48,24 +48,28 @@ pub(super) fn index(stored: &StoredFile) -> Result<(FileIndex, Vec<BagWarning>),
                 index.add_channel(channel);
             }
             let places: Vec<(u64, u64)> = chunks.iter().map(|chunk| chunk.place).collect();
-            let mut doubtful = 0;
+            let mut inconsistent = 0;
             for chunk in chunks {
                 index.compressions.insert(chunk.compression.clone());
                 if !chunk.take(&mut scan.file, &mut index).map_err(io)? {
-                    let before = index.segments.len();
-                    scan.chunk_at(chunk.chunk, &mut index)?;
-                    let read = index.segments.get(before);
+                    let previous = index.segments.len();
+                    scan.scan_chunk(chunk.chunk, &mut index)?;
+                    let read = index.segments.get(previous);
                     if read.is_some_and(|read| !chunk.has_times_of(read)) {
-                        doubtful += 1;
+                        inconsistent += 1;
                     }
                 }
             }
-            scan.outside(&mut index, places)?;
-            warnings.extend(differences(&index, summary.stats.as_ref(), doubtful));
+            scan.scan_gaps(&mut index, places)?;
+            warnings.extend(find_differences(
+                &index,
+                summary.stats.as_ref(),
+                inconsistent,
+            ));
         }
         (_, no_summary) => {
             let has_end = has_end_magic(&mut scan.file, size_bytes).map_err(io)?;
-            let outcome = scan.everything(&mut index)?;
+            let outcome = scan.scan_all(&mut index)?;
             if !has_end || !outcome.reached_end {
                 let lost_bytes = size_bytes.saturating_sub(outcome.end);
                 warnings.push(BagWarning::Truncated {
@@ -86,16 +90,16 @@ pub(super) fn index(stored: &StoredFile) -> Result<(FileIndex, Vec<BagWarning>),
     Ok((index, all))
 }
 
-/// The differences between the summary and the messages. `doubtful`: chunks whose indexes contradict each other.
-fn differences(
+/// Differences between summary and messages. `inconsistent`: number of chunks whose indexes differ.
+fn find_differences(
     index: &FileIndex,
     stats: Option<&Statistics>,
-    doubtful: usize,
+    inconsistent: usize,
 ) -> Option<BagWarning> {
     let mut differences = Vec::new();
-    if doubtful > 0 {
+    if inconsistent > 0 {
         differences.push(format!(
-            "the times of {doubtful} chunk(s) differ from their messages'"
+            "the times of {inconsistent} chunk(s) differ from their messages'"
         ));
     }
     let readable = index
@@ -108,10 +112,10 @@ fn differences(
         if stats.message_count != counted {
             let named = stats.message_count;
             differences.push(format!(
-                "it counts {named} messages, the file holds {counted}"
+                "it counts {named} messages, the file has {counted}"
             ));
         }
-        // Skipped messages have times too.
+        // The summary's times include skipped messages.
         let named = (stats.message_start_time, stats.message_end_time);
         if index.skipped.is_empty() && index.span.is_some_and(|span| span != named) {
             differences.push("its first and last log times are not those of the messages".into());
@@ -123,15 +127,14 @@ fn differences(
     })
 }
 
-/// The storage of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Storage {
     Mcap,
     Sqlite,
 }
 
-/// The storage of a bag's file, by its first bytes.
-pub(crate) fn check_magic(
+/// Detects the storage of a bag's file by its first bytes.
+pub(crate) fn detect_storage(
     file: &mut File,
     path: &Path,
     size_bytes: u64,
@@ -154,7 +157,7 @@ pub(crate) fn check_magic(
     };
     if front.starts_with(MAGIC) {
         Ok(Storage::Mcap)
-    } else if front.starts_with(b"SQLite format 3") {
+    } else if front.starts_with(SQLITE_MAGIC) {
         Ok(Storage::Sqlite)
     } else if front.starts_with(b"#ROSBAG") {
         not_a_bag("it is a ROS 1 bag; convert it with `rosbags-convert`")
@@ -175,8 +178,8 @@ fn has_end_magic(file: &mut BufReader<File>, size_bytes: u64) -> std::io::Result
     Ok(end == MAGIC)
 }
 
-/// Whether the summary holds only what a summary may hold. The library reads every record that it finds there, an
-/// attachment or a whole chunk too, and trusts the lengths in them.
+/// Checks the summary's records. The library would read any record there, such as an attachment or a chunk, and trust
+/// its lengths.
 fn check_summary_records(
     file: &mut BufReader<File>,
     size_bytes: u64,
@@ -226,12 +229,12 @@ fn check_summary_records(
                 "the record at byte {at} (opcode {opcode}, {length} bytes) is not allowed there"
             )));
         }
-        // Bounded by the file's size, so that it fits.
+        // Fits: bounded by MAX_RECORD_BYTES.
         let mut body = vec![0; length as usize];
         file.read_exact(&mut body)?;
-        if rest(opcode, &body).is_none() {
+        if bytes_after_fields(opcode, &body).is_none() {
             return Ok(Err(format!(
-                "a length in the record at byte {at} (opcode {opcode}) leads out of it"
+                "a length in the record at byte {at} (opcode {opcode}) exceeds it"
             )));
         }
         at += RECORD_HEADER_BYTES + length;
@@ -239,7 +242,7 @@ fn check_summary_records(
     Ok(Ok(()))
 }
 
-/// The file's summary. None if it has none that says where the messages are; the inner error says why it is wrong.
+/// The file's summary; `None` if it is missing or has no index. The inner error is its fault.
 fn read_summary(
     file: &mut BufReader<File>,
     size_bytes: u64,
@@ -250,7 +253,7 @@ fn read_summary(
     file.seek(SeekFrom::Start(0))?;
     let options = SummaryReaderOptions::default()
         .with_file_size(size_bytes)
-        // Bounds fit the address space of the 64-bit targets that ROS 2 has.
+        // Fits: ROS 2 supports only 64-bit targets.
         .with_record_length_limit(MAX_RECORD_BYTES as usize);
     let mut reader = SummaryReader::new_with_options(options);
     while let Some(event) = reader.next_event() {
@@ -295,12 +298,12 @@ fn read_summary(
         ranges.push((chunk.chunk_start_offset, end));
     }
     ranges.sort_unstable();
-    let mut before = 0;
+    let mut previous = 0;
     for (at, end) in ranges {
-        if at < before {
+        if at < previous {
             return Ok(Err(format!("it puts two chunks at byte {at}")));
         }
-        before = end;
+        previous = end;
     }
     let described = summary.channels.len() as u64;
     if described != u64::from(stats.channel_count) {

@@ -11,30 +11,30 @@ use mcap::records::{MessageHeader, Record, op};
 use wm_msgs::Message;
 
 use super::{
-    chunk::{Records, decompressed},
+    chunk::{Records, decompress},
     file_index::{Channel, FileIndex, Segment, SegmentPlace},
     payload,
     record::parse,
     sqlite::Rows,
 };
-use crate::{BagError, Latched, MessageEncoding, Schema, decoding::Decoding};
+use crate::{BagError, LatchedMessages, MessageEncoding, Schema, decoding::Decoding};
 
 /// A message of a bag.
 #[derive(Clone, Debug)]
 pub struct BagMessage {
-    /// The topic's full name.
+    /// The full name of the topic.
     pub topic: Arc<str>,
-    /// The type, as `package/msg/Type`; of protobuf as `package.Type`.
+    /// The type: `package/msg/Type`, for protobuf `package.Type`.
     pub type_name: Arc<str>,
-    /// How `data` is encoded.
+    /// Encoding of `data`.
     pub encoding: MessageEncoding,
-    /// The type's definition, as the bag carries it.
+    /// The type's definition in the bag.
     pub schema: Arc<Schema>,
-    /// When it was recorded, in ns since the epoch.
+    /// Time of recording, in ns since the epoch.
     pub log_time_ns: u64,
-    /// When it was published, in ns since the epoch; many recorders repeat the log time.
+    /// Time of publication, in ns since the epoch; many recorders repeat the log time.
     pub publish_time_ns: u64,
-    /// CDR with its 4-byte header, or protobuf, as it was recorded; decompressed, if rosbag2 compressed it.
+    /// CDR with its 4-byte header, or protobuf, as recorded; messages that rosbag2 compressed are decompressed.
     pub data: Bytes,
     decoding: Arc<Decoding>,
 }
@@ -66,11 +66,11 @@ impl BagMessage {
         }
     }
 
-    /// The message as a Rust type, by the definition that the bag carries: fields are matched by name
-    /// ([`wm_msgs::Mapping`]). If the bag has no definition, the bytes have to be exactly a value of the type.
+    /// Decodes the message by the definition in the bag: fields are matched by name ([`wm_msgs::Mapping`]). If the bag has no
+    /// definition, the bytes must be exactly a value of `M`.
     ///
     /// # Errors
-    /// The bag names another type, its definition does not fit, or the bytes are not of it.
+    /// The bag has another type, its definition does not fit, or the bytes are invalid.
     pub fn decode<M: Message>(&self) -> Result<M, BagError> {
         let expected = M::ros_name();
         if *self.type_name != expected {
@@ -84,7 +84,7 @@ impl BagMessage {
     }
 }
 
-/// Where a message comes in the iteration: by log time, then by its place in the bag.
+/// Sort key of a message: log time, then its place in the bag.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct Place {
     log_time_ns: u64,
@@ -93,13 +93,13 @@ struct Place {
     number: usize,
 }
 
-/// Most bytes of messages that wait for their turn: chunks that cover the same time are all read at once, and each may
-/// hold a quarter of this.
-const WAITING_BYTES: usize = 1 << 30;
+/// Limit of queued messages \[bytes\]: chunks that overlap in time are all read at once, and each may have a quarter of
+/// this.
+const QUEUE_BYTES: usize = 1 << 30;
 
-/// A message that waits for its turn; a copy, so that it does not keep its chunk in memory.
+/// A message in the queue; a copy, so that its chunk can be freed.
 #[derive(Debug)]
-struct Waiting {
+struct QueuedMessage {
     place: Place,
     channel_id: u16,
     sequence: u32,
@@ -107,7 +107,7 @@ struct Waiting {
     data: Bytes,
 }
 
-impl Waiting {
+impl QueuedMessage {
     fn header(&self) -> MessageHeader {
         MessageHeader {
             channel_id: self.channel_id,
@@ -118,21 +118,21 @@ impl Waiting {
     }
 }
 
-impl PartialEq for Waiting {
+impl PartialEq for QueuedMessage {
     fn eq(&self, other: &Self) -> bool {
         self.place == other.place
     }
 }
 
-impl Eq for Waiting {}
+impl Eq for QueuedMessage {}
 
-impl PartialOrd for Waiting {
+impl PartialOrd for QueuedMessage {
     fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
         Some(self.cmp(other))
     }
 }
 
-impl Ord for Waiting {
+impl Ord for QueuedMessage {
     fn cmp(&self, other: &Self) -> std::cmp::Ordering {
         self.place.cmp(&other.place)
     }
@@ -140,36 +140,35 @@ impl Ord for Waiting {
 
 /// The messages of a bag in log-time order; see [`BagReader::messages`](crate::BagReader::messages).
 ///
-/// Chunks are read when the time comes to the first message in them, and dropped after the last. An error names the
-/// damaged chunk; the messages of the others still come after it.
+/// A chunk is read when the iteration reaches its first message, and freed after its last. An error names a damaged
+/// chunk; iteration then continues with other chunks.
 #[derive(Debug)]
 pub struct Messages {
     index: Arc<Vec<FileIndex>>,
-    /// Number of the file and of the segment in it; the next one to read is the last.
+    /// Unread segments (file, segment), latest first.
     ahead: Vec<(usize, usize)>,
-    waiting: BinaryHeap<Reverse<Waiting>>,
-    waiting_bytes: usize,
-    /// The file that was read last.
-    open: Option<(usize, Open)>,
+    queue: BinaryHeap<Reverse<QueuedMessage>>,
+    queue_bytes: usize,
+    /// The last file read.
+    open: Option<(usize, OpenFile)>,
     topics: Option<HashSet<String>>,
     starting_at_ns: u64,
     ending_before_ns: Option<u64>,
-    /// The messages of latched topics that came, of a bag with several files.
-    latched: Latched<Came>,
+    /// Latched messages so far, if the bag has several files.
+    latched: LatchedMessages<LatchedOriginal>,
 }
 
-/// A message that came, by what a repetition of it has too.
+/// A latched message, by the values that its repetition shares.
 #[derive(Clone, Debug)]
-struct Came {
+struct LatchedOriginal {
     file: usize,
     sequence: u32,
     publish_time_ns: u64,
     data: Bytes,
 }
 
-/// A file that is open.
 #[derive(Debug)]
-enum Open {
+enum OpenFile {
     Mcap(Arc<File>),
     Sqlite(Rows),
 }
@@ -202,17 +201,17 @@ impl Messages {
                 .into_iter()
                 .map(|(_, file, segment)| (file, segment))
                 .collect(),
-            waiting: BinaryHeap::new(),
-            waiting_bytes: 0,
+            queue: BinaryHeap::new(),
+            queue_bytes: 0,
             open: None,
             topics: None,
             starting_at_ns: 0,
             ending_before_ns: None,
-            latched: Latched::default(),
+            latched: LatchedMessages::default(),
         }
     }
 
-    /// Keeps the segments ahead that may hold a wanted message.
+    /// Skips the segments without a wanted message.
     fn retain(&mut self, may_hold: impl Fn(&FileIndex, &Segment) -> bool) {
         let index = &self.index;
         self.ahead.retain(|(file, segment)| {
@@ -222,7 +221,7 @@ impl Messages {
         });
     }
 
-    /// Only the messages of these topics. To be called before the first message is taken.
+    /// Limits the iteration to these topics. Call before taking the first message.
     #[must_use]
     pub fn only_topics<S: AsRef<str>>(mut self, topics: impl IntoIterator<Item = S>) -> Self {
         let topics: HashSet<String> = topics
@@ -232,7 +231,7 @@ impl Messages {
         self.retain(|file, segment| {
             let wanted = |id| match file.channels.get(id) {
                 Some(channel) => topics.contains(&*channel.topic.name),
-                // A message without a channel is damage, which is named.
+                // Messages without a channel must be reported as damage.
                 None => !file.skipped.contains_key(id),
             };
             segment
@@ -244,8 +243,8 @@ impl Messages {
         self
     }
 
-    /// Only the messages at or after this log time, in ns since the epoch. Chunks before it are not read. To be
-    /// called before the first message is taken.
+    /// Limits the iteration to messages at or after this log time, in ns since the epoch; earlier chunks are not read. Call
+    /// before taking the first message.
     #[must_use]
     pub fn starting_at(mut self, log_time_ns: u64) -> Self {
         self.starting_at_ns = log_time_ns;
@@ -253,7 +252,16 @@ impl Messages {
         self
     }
 
-    /// Reads a segment and puts its messages among those that wait.
+    /// Limits the iteration to messages before this log time, in ns since the epoch; later chunks are not read. Call before
+    /// taking the first message.
+    #[must_use]
+    pub fn ending_before(mut self, log_time_ns: u64) -> Self {
+        self.ending_before_ns = Some(log_time_ns);
+        self.retain(|_, segment| segment.start_ns < log_time_ns);
+        self
+    }
+
+    /// Reads a segment into the queue.
     fn load(&mut self, file: usize, number: usize) -> Result<(), BagError> {
         let index = Arc::clone(&self.index);
         let Some((file_index, segment)) = index
@@ -267,19 +275,20 @@ impl Messages {
             offset: segment.place.offset(),
             reason,
         };
-        // The other messages of the segment are read all the same.
+        // Faulty messages do not prevent reading the others of the segment.
         let mut problems = Problems::default();
         let wants = |messages: &Self, problems: &mut Problems, header: &MessageHeader| {
             let Some(channel) = file_index.channels.get(&header.channel_id) else {
                 if !file_index.skipped.contains_key(&header.channel_id) {
                     let id = header.channel_id;
-                    problems.add(|| format!("it has a message of the unknown channel {id}"));
+                    problems.add(|| format!("it has a message of the undefined channel {id}"));
                 }
                 return false;
             };
             if !(segment.start_ns..=segment.end_ns).contains(&header.log_time) {
                 problems.add(|| {
-                    "the file's indexes deny the log time of a message, which may come late".into()
+                    "the log time of a message is outside the indexed range, so it may be out of order"
+                        .into()
                 });
             }
             header.log_time >= messages.starting_at_ns
@@ -297,7 +306,7 @@ impl Messages {
                 let mut outer = Records::new(bytes.clone());
                 let records = match outer.next() {
                     Some(Ok(record)) if record.opcode == op::CHUNK => {
-                        Records::new(decompressed(&record.body).map_err(damaged)?)
+                        Records::new(decompress(&record.body).map_err(damaged)?)
                     }
                     _ => Records::new(bytes),
                 };
@@ -311,7 +320,7 @@ impl Messages {
                             if wants(self, &mut problems, &header) {
                                 let data = Bytes::copy_from_slice(&data);
                                 let place = (file, number, place);
-                                self.wait(file_index, segment, place, (header, data))?;
+                                self.enqueue(file_index, segment, place, (header, data))?;
                             }
                         }
                         Ok(_) => {}
@@ -325,7 +334,7 @@ impl Messages {
                 for (place, (header, data)) in found.into_iter().enumerate() {
                     if wants(self, &mut problems, &header) {
                         let place = (file, number, place);
-                        self.wait(file_index, segment, place, (header, data))?;
+                        self.enqueue(file_index, segment, place, (header, data))?;
                     }
                 }
             }
@@ -340,25 +349,25 @@ impl Messages {
         }
     }
 
-    /// Puts a message among those that wait.
-    fn wait(
+    /// Adds a message to the queue.
+    fn enqueue(
         &mut self,
         file_index: &FileIndex,
         segment: &Segment,
         (file, number, place): (usize, usize, usize),
         (header, data): (MessageHeader, Bytes),
     ) -> Result<(), BagError> {
-        // What it costs to keep a message, however short.
-        let waiting_bytes = self.waiting_bytes + size_of::<Waiting>() + data.len();
-        if waiting_bytes > WAITING_BYTES {
+        // Each queued message has a fixed cost.
+        let queue_bytes = self.queue_bytes + size_of::<QueuedMessage>() + data.len();
+        if queue_bytes > QUEUE_BYTES {
             return Err(BagError::Overlap {
                 path: file_index.path().to_owned(),
                 offset: segment.place.offset(),
-                limit: WAITING_BYTES,
+                limit: QUEUE_BYTES,
             });
         }
-        self.waiting_bytes = waiting_bytes;
-        self.waiting.push(Reverse(Waiting {
+        self.queue_bytes = queue_bytes;
+        self.queue.push(Reverse(QueuedMessage {
             place: Place {
                 log_time_ns: header.log_time,
                 file,
@@ -373,7 +382,7 @@ impl Messages {
         Ok(())
     }
 
-    /// Bytes of an MCAP file.
+    /// Reads bytes of an MCAP file.
     fn bytes(
         &mut self,
         number: usize,
@@ -382,54 +391,42 @@ impl Messages {
     ) -> Result<Bytes, BagError> {
         let io = |source| BagError::io(index.path(), source);
         let file = match &self.open {
-            Some((known, Open::Mcap(file))) if *known == number => Arc::clone(file),
+            Some((known, OpenFile::Mcap(file))) if *known == number => Arc::clone(file),
             _ => {
                 let file = Arc::new(index.file.file().map_err(io)?);
-                self.open = Some((number, Open::Mcap(Arc::clone(&file))));
+                self.open = Some((number, OpenFile::Mcap(Arc::clone(&file))));
                 file
             }
         };
-        // The index holds segments to MAX_RECORD_BYTES or to one record and a stretch, and within the file.
+        // Fits: the index bounds segments by MAX_RECORD_BYTES, or one record and STRETCH_BYTES, and by the file.
         let mut bytes = vec![0; length as usize];
         file.read_exact_at(&mut bytes, offset).map_err(io)?;
         Ok(bytes.into())
     }
 
-    /// The rows of an sqlite3 file.
     fn rows(&mut self, number: usize, index: &FileIndex) -> Result<&Rows, BagError> {
-        if !matches!(&self.open, Some((known, Open::Sqlite(_))) if *known == number) {
+        if !matches!(&self.open, Some((known, OpenFile::Sqlite(_))) if *known == number) {
             let rows = Rows::open(&index.file)?;
-            self.open = Some((number, Open::Sqlite(rows)));
+            self.open = Some((number, OpenFile::Sqlite(rows)));
         }
         match &self.open {
-            Some((_, Open::Sqlite(rows))) => Ok(rows),
+            Some((_, OpenFile::Sqlite(rows))) => Ok(rows),
             _ => Err(BagError::Empty {
                 path: index.path().to_owned(),
                 reason: "it cannot be opened again",
             }),
         }
     }
-}
 
-impl Messages {
-    /// Only the messages before this log time, in ns since the epoch. Chunks after it are not read. To be called
-    /// before the first message is taken.
-    #[must_use]
-    pub fn ending_before(mut self, log_time_ns: u64) -> Self {
-        self.ending_before_ns = Some(log_time_ns);
-        self.retain(|_, segment| segment.start_ns < log_time_ns);
-        self
-    }
-
-    fn next_waiting(&mut self) -> Option<Result<Waiting, BagError>> {
+    fn next_queued(&mut self) -> Option<Result<QueuedMessage, BagError>> {
         loop {
-            // Every chunk that begins at or before the next message may hold one that comes earlier.
+            // Chunks that begin at or before the next message may have an earlier one.
             while let Some((file, number)) = self.ahead.last().copied() {
                 let file_index = self.index.get(file);
                 let segment = file_index.and_then(|file| file.segments.get(number));
                 let start_ns = segment.map_or(0, |segment| segment.start_ns);
                 let due = self
-                    .waiting
+                    .queue
                     .peek()
                     .is_none_or(|Reverse(next)| start_ns <= next.place.log_time_ns);
                 if !due {
@@ -440,17 +437,16 @@ impl Messages {
                     return Some(Err(error));
                 }
             }
-            let Reverse(next) = self.waiting.pop()?;
-            self.waiting_bytes -= size_of::<Waiting>() + next.data.len();
+            let Reverse(next) = self.queue.pop()?;
+            self.queue_bytes -= size_of::<QueuedMessage>() + next.data.len();
             if !self.is_repeated(&next) {
-                return Some(self.plain(next));
+                return Some(self.decompress_message(next));
             }
         }
     }
 
-    /// Whether a later file begins with this message once more: its sequence number, publish time and bytes are those of
-    /// one that came before.
-    fn is_repeated(&mut self, next: &Waiting) -> bool {
+    /// Whether this message repeats a latched message of an earlier file: same sequence number, publish time and bytes.
+    fn is_repeated(&mut self, next: &QueuedMessage) -> bool {
         if self.index.len() < 2 {
             return false;
         }
@@ -461,7 +457,7 @@ impl Messages {
         };
         let name = &channel.topic.name;
         let is_moved = next.publish_time_ns != next.place.log_time_ns;
-        let is_same = |known: &Came| {
+        let is_same = |known: &LatchedOriginal| {
             known.file < next.place.file
                 && known.sequence == next.sequence
                 && known.publish_time_ns == next.publish_time_ns
@@ -474,19 +470,19 @@ impl Messages {
         if is_moved && came {
             return true;
         }
-        let message = Came {
+        let message = LatchedOriginal {
             file: next.place.file,
             sequence: next.sequence,
             publish_time_ns: next.publish_time_ns,
             data: next.data.clone(),
         };
-        self.latched.keep(name, &next.data, message);
+        self.latched.add(name, &next.data, message);
         false
     }
 
-    /// The message, decompressed if rosbag2 compressed it by itself.
-    fn plain(&self, mut next: Waiting) -> Result<Waiting, BagError> {
-        if let Some(data) = payload::decompressed(&next.data) {
+    /// Decompresses the message if rosbag2 compressed it.
+    fn decompress_message(&self, mut next: QueuedMessage) -> Result<QueuedMessage, BagError> {
+        if let Some(data) = payload::decompress(&next.data) {
             let file = self.index.get(next.place.file);
             let channel = file.and_then(|file| file.channels.get(&next.channel_id));
             next.data = data.map_err(|reason| BagError::Message {
@@ -503,7 +499,7 @@ impl Iterator for Messages {
     type Item = Result<BagMessage, BagError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        let next = match self.next_waiting()? {
+        let next = match self.next_queued()? {
             Ok(next) => next,
             Err(error) => return Some(Err(error)),
         };
@@ -514,17 +510,16 @@ impl Iterator for Messages {
     }
 }
 
-/// A message with what the file says of it, for who copies it.
+/// A message with its header in the file, for copies.
 #[derive(Debug)]
 pub(crate) struct StoredMessage {
-    /// Number of its file in the bag.
+    /// Number of the file in the bag.
     pub file: usize,
     /// Channel, sequence number and times.
     pub header: MessageHeader,
     pub data: Bytes,
 }
 
-/// [`Messages`] as the files hold them.
 #[derive(Debug)]
 pub(crate) struct StoredMessages(pub Messages);
 
@@ -532,7 +527,7 @@ impl Iterator for StoredMessages {
     type Item = Result<StoredMessage, BagError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        let next = self.0.next_waiting()?;
+        let next = self.0.next_queued()?;
         Some(next.map(|next| StoredMessage {
             file: next.place.file,
             header: next.header(),

@@ -1,36 +1,36 @@
-//! The passes of the recorder's clock over a recording: a new one begins where the clock is set back.
+//! Passes of the recorder's clock: a new pass begins when the clock steps back.
 //!
-//! A topic whose own log times step back shows it. Log times of the whole file prove nothing: some writers store one
-//! topic after the other. Latched topics prove nothing either, since recorders repeat them in later files.
+//! The evidence is a topic whose own log times step back. Log times of the whole file are no evidence: some writers store
+//! one topic after another. Nor are latched topics, since recorders repeat them in later files.
 
 use std::{collections::BTreeMap, sync::Arc};
 
 use super::times::{GAP_NS, Times};
 
-/// Passes that are kept; later ones count as one, which then overlaps itself.
+/// Limit of passes; later ones are merged into the last one, which then counts twice.
 const MOST_PASSES: usize = 256;
 
 /// The log times of a channel.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct ChannelTimes {
     first_ns: Option<u64>,
-    /// Number of the pass, counted from 1, and the latest log time in it \[ns\].
+    /// Number of the last pass (from 1), and the latest log time in it \[ns\].
     latest: (usize, u64),
 }
 
-/// The passes of one file, or of all files so far.
+/// The passes of one file or of several.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Passes {
     all: Vec<Times>,
-    /// Of all files: the latest log time of each topic in the last pass \[ns\].
+    /// For several files: the latest log time of each topic in the last pass \[ns\].
     latest_ns: BTreeMap<Arc<str>, u64>,
 }
 
-/// Spans of log time \[ns\], first and last, in order.
+/// Spans of log time (first and last \[ns\]), in order.
 pub(crate) type Spans = Vec<(u64, u64)>;
 
 impl Passes {
-    /// Takes the next message of a file.
+    /// Adds the next message of a file.
     pub fn take(&mut self, channel: &mut ChannelTimes, log_time_ns: u64) {
         let (pass, latest_ns) = channel.latest;
         let is_open = pass > 0 && pass == self.all.len();
@@ -49,7 +49,7 @@ impl Passes {
         channel.latest = (self.all.len(), before_ns.max(log_time_ns));
     }
 
-    /// Takes the next file, with its topics.
+    /// Adds the next file, with its topics.
     pub fn append<'a>(
         &mut self,
         next: &Self,
@@ -79,18 +79,17 @@ impl Passes {
         }
     }
 
-    /// The spans that one pass covers without a gap, and the spans that several passes cover.
+    /// The spans that exactly one pass covers without a gap, and the spans that several passes cover.
     pub fn spans(&self) -> (Spans, Spans) {
-        // Ends are the first nanosecond after a span.
+        // Ends are exclusive.
         let mut edges: Vec<(u128, i32)> = Vec::new();
         for stretch in self.all.iter().flat_map(Times::stretches) {
             edges.push((u128::from(stretch.start_ns), 1));
             edges.push((u128::from(stretch.end_ns) + 1, -1));
         }
         if self.all.len() == MOST_PASSES {
-            // The last one may be several.
-            let last = self.all.last().map(Times::stretches).unwrap_or_default();
-            for stretch in last {
+            // The last pass may contain several.
+            for stretch in self.all.last().into_iter().flat_map(Times::stretches) {
                 edges.push((u128::from(stretch.start_ns), 1));
                 edges.push((u128::from(stretch.end_ns) + 1, -1));
             }
@@ -125,7 +124,7 @@ mod tests {
 
     const S: u64 = 1_000_000_000;
 
-    /// The spans of a file with these messages: topic and log time \[s\].
+    /// The spans of a file with these messages (topic, log time \[s\]).
     fn spans(messages: &[(usize, u64)]) -> (Spans, Spans) {
         let mut passes = Passes::default();
         let mut channels = [ChannelTimes::default(); 3];
@@ -146,30 +145,30 @@ mod tests {
     }
 
     #[test]
-    fn a_gap_separates_two_spans() {
+    fn gap_separates_spans() {
         let found = spans(&seconds((100..110).chain(150..160)));
         assert_eq!(found, (s(&[(100, 109), (150, 159)]), vec![]));
     }
 
     #[test]
-    fn a_clock_set_back_doubles_the_overlap() {
+    fn backward_clock_step_doubles_the_overlap() {
         let found = spans(&seconds((100..161).chain(140..201)));
         let unbroken = vec![(100 * S, 140 * S - 1), (160 * S + 1, 200 * S)];
         assert_eq!(found, (unbroken, s(&[(140, 160)])));
-        // Without an overlap the two are no neighbours still.
+        // Without an overlap there are still two spans.
         let found = spans(&seconds((100..106).chain(88..100)));
         assert_eq!(found, (s(&[(88, 99), (100, 105)]), vec![]));
     }
 
     #[test]
-    fn topics_stored_one_after_the_other_are_one_span() {
+    fn topics_stored_in_sequence_are_one_span() {
         let mut messages: Vec<(usize, u64)> = (100..160).map(|second| (0, second)).collect();
         messages.extend((100..160).map(|second| (1, second)));
         assert_eq!(spans(&messages), (s(&[(100, 159)]), vec![]));
     }
 
     #[test]
-    fn one_message_without_a_time_doubles_nothing() {
+    fn message_at_time_zero_doubles_nothing() {
         let mut messages = seconds(100..130);
         messages.insert(30, (0, 0));
         let (unbroken, doubled) = spans(&messages);
@@ -179,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn many_steps_take_bounded_memory_and_double_everything() {
+    fn many_clock_steps_take_bounded_memory() {
         let mut messages = Vec::new();
         for _ in 0..2 * MOST_PASSES {
             messages.extend([(0, 100), (0, 105), (0, 111), (0, 120)]);
@@ -194,7 +193,7 @@ mod tests {
     }
 
     proptest! {
-        /// A message is in a span of one kind, in whichever file it is.
+        /// Each message is in an unbroken or a doubled span, whatever its file.
         #[test]
         fn each_message_is_in_one_span(
             times in prop::collection::vec((0usize..3, 0u64..120), 1..60), at in 0usize..60,
@@ -219,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_set_back_between_files_begins_a_pass() {
+    fn backward_clock_step_between_files_begins_a_pass() {
         let names: [Arc<str>; 2] = ["/a".into(), "/b".into()];
         let mut all = Passes::default();
         for start in [100, 200, 150] {

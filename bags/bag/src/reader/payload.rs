@@ -1,13 +1,13 @@
-//! Messages that rosbag2 compressed one by one (`compression_mode: MESSAGE`).
+//! Messages that rosbag2 compressed individually (`compression_mode: MESSAGE`).
 
 use bytes::Bytes;
 use std::io::Read as _;
 
 use super::{chunk::MAX_RECORD_BYTES, stored_file::ZSTD_MAGIC};
 
-/// The message in a zstd frame; none if the bytes are not such a frame. CDR begins with a zero byte, so that no message
-/// looks like one, and the bag's metadata need not say it: a file may have been copied out of its folder.
-pub(crate) fn decompressed(data: &[u8]) -> Option<Result<Bytes, String>> {
+/// Decompresses a zstd frame; `None` if the bytes are not one. The bag's metadata is not needed: CDR begins with a zero
+/// byte, so that a plain message never looks like a frame.
+pub(crate) fn decompress(data: &[u8]) -> Option<Result<Bytes, String>> {
     if !data.starts_with(&ZSTD_MAGIC) {
         return None;
     }
@@ -33,17 +33,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_message_is_decompressed_within_a_limit() {
-        assert!(decompressed(&Bytes::from_static(&[0, 1, 0, 0, 9])).is_none());
+    fn message_is_decompressed_within_a_limit() {
+        assert!(decompress(&Bytes::from_static(&[0, 1, 0, 0, 9])).is_none());
         let frame = |bytes: &[u8]| Bytes::from(zstd::bulk::compress(bytes, 1).unwrap());
-        let message = decompressed(&frame(b"\0\x01\0\0text")).unwrap().unwrap();
+        let message = decompress(&frame(b"\0\x01\0\0text")).unwrap().unwrap();
         assert_eq!(&message[..], b"\0\x01\0\0text");
         let cut = frame(&[7; 1000]);
-        assert!(decompressed(&cut.slice(..cut.len() - 2)).unwrap().is_err());
+        assert!(decompress(&cut.slice(..cut.len() - 2)).unwrap().is_err());
         let bomb = frame(&vec![0; MAX_RECORD_BYTES as usize + 1]);
         assert!(bomb.len() < 100_000);
         assert!(
-            decompressed(&bomb)
+            decompress(&bomb)
                 .unwrap()
                 .unwrap_err()
                 .contains("bytes after")

@@ -1,40 +1,38 @@
-//! One MCAP record, parsed after every length in it was compared with its size.
+//! Parses MCAP records after checking every length in them.
 
 use mcap::{
     parse_record,
     records::{Record, op},
 };
 
-/// A part of a record's body.
+/// A field of a record's body.
 enum Part {
-    /// So many bytes.
+    /// A fixed number of bytes.
     Fixed(usize),
-    /// As many bytes as the four before them say.
+    /// Bytes after their number (4 bytes).
     Text,
-    /// As [`Text`](Self::Text), with pairs of texts in it.
+    /// As [`Text`](Self::Text), with pairs of texts as content.
     Map,
-    /// As many bytes as the eight before them say.
+    /// Bytes after their number (8 bytes).
     Long,
 }
 
-/// Parses a record. The library allocates as many bytes as a length within the record says, before it reads them: each is
-/// held to the record's size here.
+/// Parses a record. The library allocates memory by the lengths in the record before it reads, so they are checked first.
 ///
 /// # Errors
-/// A length that leads out of the record, or a field that is invalid.
+/// A length exceeds the record, or a field is invalid.
 pub(crate) fn parse(opcode: u8, body: &[u8]) -> Result<Record<'_>, String> {
-    if rest(opcode, body).is_none() {
+    if bytes_after_fields(opcode, body).is_none() {
         let size = body.len();
         return Err(format!(
-            "a length in the record (opcode {opcode:#04x}) leads beyond its {size} bytes"
+            "a length in the record (opcode {opcode:#04x}) exceeds its {size} bytes"
         ));
     }
     parse_record(opcode, body).map_err(|error| error.to_string())
 }
 
-/// The bytes after the fields of a record's opcode; none if a length in it leads out of the body. Of opcodes without fields
-/// that are known, nothing.
-pub(crate) fn rest(opcode: u8, body: &[u8]) -> Option<&[u8]> {
+/// The bytes after the fields of a record; `None` if a length exceeds the body. Empty for opcodes without known fields.
+pub(crate) fn bytes_after_fields(opcode: u8, body: &[u8]) -> Option<&[u8]> {
     use Part::{Fixed, Long, Map, Text};
     let parts: &[Part] = match opcode {
         op::HEADER => &[Text, Text],
@@ -61,11 +59,11 @@ pub(crate) fn rest(opcode: u8, body: &[u8]) -> Option<&[u8]> {
     for part in parts {
         left = match part {
             Fixed(length) => left.get(*length..)?,
-            Text => text(left)?.1,
+            Text => split_text(left)?.1,
             Map => {
-                let (mut pairs, behind) = text(left)?;
+                let (mut pairs, behind) = split_text(left)?;
                 while !pairs.is_empty() {
-                    pairs = text(pairs)?.1;
+                    pairs = split_text(pairs)?.1;
                 }
                 behind
             }
@@ -78,8 +76,8 @@ pub(crate) fn rest(opcode: u8, body: &[u8]) -> Option<&[u8]> {
     Some(left)
 }
 
-/// A text and the bytes after it.
-fn text(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
+/// Splits off a text with its length.
+fn split_text(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     let (length, behind) = bytes.split_first_chunk::<4>()?;
     behind.split_at_checked(usize::try_from(u32::from_le_bytes(*length)).ok()?)
 }
@@ -89,7 +87,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// A channel: two ids, topic, encoding, one pair of metadata.
+    /// A channel record's body: two ids, topic, encoding, one pair of metadata.
     fn channel() -> Vec<u8> {
         let mut body = vec![1, 0, 1, 0];
         let mut text = |text: &str| {
@@ -107,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn a_length_is_held_to_the_record() {
+    fn length_beyond_the_record_is_rejected() {
         let whole = channel();
         assert!(
             matches!(parse(op::CHANNEL, &whole), Ok(Record::Channel(c)) if c.metadata["key"] == "va")
@@ -117,14 +115,14 @@ mod tests {
             let mut lying = whole.clone();
             lying[at..at + 4].copy_from_slice(&[255; 4]);
             let error = parse(op::CHANNEL, &lying).unwrap_err();
-            assert!(error.contains("leads beyond its 38 bytes"), "{error}");
+            assert!(error.contains("exceeds its 38 bytes"), "{error}");
         }
     }
 
     proptest! {
-        /// A record or an error, whatever the bytes; none takes more memory than they have.
+        /// Any bytes give a record or an error, within memory of their size.
         #[test]
-        fn any_bytes_give_a_record_or_an_error(opcode in any::<u8>(), body in prop::collection::vec(any::<u8>(), 0..80)) {
+        fn parser_survives_arbitrary_bytes(opcode in any::<u8>(), body in prop::collection::vec(any::<u8>(), 0..80)) {
             parse(opcode, &body).ok();
         }
     }

@@ -1,4 +1,7 @@
 //! Finding the messages of a file by walking its records.
+//!
+//! `mcap::sans_io::LinearReader` is not used. It gives no offsets of records, which segments need; it starts at the front of
+//! a file, and the gaps between indexed chunks do not; it reads attachments whole; and it ends at the first damaged record.
 
 use std::{
     collections::BTreeSet,
@@ -14,29 +17,29 @@ use mcap::{
 };
 
 use super::{
-    chunk::{MAX_RECORD_BYTES, RECORD_HEADER_BYTES, Records, decompressed, record_header},
+    chunk::{MAX_RECORD_BYTES, RECORD_HEADER_BYTES, Records, decompress, record_header},
     definitions::Definitions,
     file_index::{FileIndex, Segment, SegmentPlace},
     record::parse,
 };
 use crate::{BagError, BagWarning};
 
-/// Messages outside chunks are read in stretches of about this size.
-const STRETCH_BYTES: u64 = 1 << 20;
+/// Size of a segment of messages outside chunks, approximately.
+const SEGMENT_BYTES: u64 = 1 << 20;
 
-/// Damaged places of a file that are reported one by one; a file of nothing else could fill the memory.
-const MOST_REPORTED: u64 = 100;
+/// Limit of warnings with details about damaged places, which bounds the memory.
+const REPORTS_LIMIT: u64 = 100;
 
-/// The end of a scan.
+/// The result of a scan.
 pub(super) struct ScanEnd {
-    /// The end of the last whole record.
+    /// End of the last whole record.
     pub end: u64,
-    /// Whether the record that ends the data, or the footer, was met.
+    /// Whether the record at the end of the data, or the footer, was found.
     pub reached_end: bool,
 }
 
-/// Messages outside chunks that are being gathered.
-struct Stretch {
+/// A segment to which messages are still added.
+struct OpenSegment {
     offset: u64,
     length: u64,
     start_ns: u64,
@@ -44,27 +47,27 @@ struct Stretch {
     channels: BTreeSet<u16>,
 }
 
-impl From<Stretch> for Segment {
-    fn from(stretch: Stretch) -> Self {
+impl From<OpenSegment> for Segment {
+    fn from(open: OpenSegment) -> Self {
         Self {
             place: SegmentPlace::Bytes {
-                offset: stretch.offset,
-                length: stretch.length,
+                offset: open.offset,
+                length: open.length,
             },
-            start_ns: stretch.start_ns,
-            end_ns: stretch.end_ns,
-            channels: Some(stretch.channels.into_iter().collect()),
+            start_ns: open.start_ns,
+            end_ns: open.end_ns,
+            channels: Some(open.channels.into_iter().collect()),
         }
     }
 }
 
-/// Walks the records of a file.
+/// Indexes the records of a file.
 pub(super) struct Scan<'a> {
     pub file: BufReader<File>,
     path: &'a Path,
     size_bytes: u64,
     definitions: Definitions,
-    stretch: Option<Stretch>,
+    open: Option<OpenSegment>,
     warnings: Vec<BagWarning>,
     damaged_places: u64,
 }
@@ -76,35 +79,40 @@ impl<'a> Scan<'a> {
             path,
             size_bytes,
             definitions: Definitions::default(),
-            stretch: None,
+            open: None,
             warnings: Vec::new(),
             damaged_places: 0,
         }
     }
 
-    /// Reads the whole file: channels, counts, segments.
-    pub fn everything(&mut self, index: &mut FileIndex) -> Result<ScanEnd, BagError> {
-        self.range(MAGIC.len() as u64, self.size_bytes, index)
+    /// Indexes the whole file.
+    pub fn scan_all(&mut self, index: &mut FileIndex) -> Result<ScanEnd, BagError> {
+        self.scan_range(MAGIC.len() as u64, self.size_bytes, index)
     }
 
-    /// Finds the messages in no chunk that the summary lists, in the gaps between those: from byte to byte, in order. A file
-    /// whose chunks touch each other, as most do, costs nothing here.
-    pub fn outside(
+    /// Indexes messages outside the summary's chunks (from byte to byte, in order). Files whose chunks are adjacent, as usual,
+    /// cost nothing.
+    pub fn scan_gaps(
         &mut self,
         index: &mut FileIndex,
         chunks: impl IntoIterator<Item = (u64, u64)>,
     ) -> Result<(), BagError> {
         let mut from = MAGIC.len() as u64;
         for (start, end) in chunks {
-            self.range(from, start, index)?;
+            self.scan_range(from, start, index)?;
             from = end;
         }
-        self.range(from, self.size_bytes, index)?;
+        self.scan_range(from, self.size_bytes, index)?;
         Ok(())
     }
 
-    /// Walks the records from one byte to another.
-    fn range(&mut self, from: u64, to: u64, index: &mut FileIndex) -> Result<ScanEnd, BagError> {
+    /// Indexes the records between two bytes.
+    fn scan_range(
+        &mut self,
+        from: u64,
+        to: u64,
+        index: &mut FileIndex,
+    ) -> Result<ScanEnd, BagError> {
         let io = |source| BagError::io(self.path, source);
         let mut at = from;
         let mut reached_end = false;
@@ -135,7 +143,7 @@ impl<'a> Scan<'a> {
             }
             let wanted = matches!(opcode, op::MESSAGE | op::CHUNK | op::SCHEMA | op::CHANNEL);
             if !wanted {
-                // Attachments, metadata and indexes may be large; they are stepped over.
+                // Attachments, metadata and indexes may be large.
                 self.skip(length)?;
             } else if length > MAX_RECORD_BYTES {
                 self.skip(length)?;
@@ -146,22 +154,20 @@ impl<'a> Scan<'a> {
                     ),
                 );
             } else {
-                let body = self.body(length)?;
-                self.top_record(opcode, body, (at, end), index);
+                let body = self.read_body(length)?;
+                self.index_top_record(opcode, body, (at, end), index);
             }
             at = end;
         }
-        index
-            .segments
-            .extend(self.stretch.take().map(Segment::from));
+        index.segments.extend(self.open.take().map(Segment::from));
         Ok(ScanEnd {
             end: at,
             reached_end,
         })
     }
 
-    /// The next bytes, of a record whose length was held to the file and to [`MAX_RECORD_BYTES`].
-    fn body(&mut self, length: u64) -> Result<Bytes, BagError> {
+    /// Reads a record's body, whose length is bounded by the file and by [`MAX_RECORD_BYTES`].
+    fn read_body(&mut self, length: u64) -> Result<Bytes, BagError> {
         let mut body = vec![0; length as usize];
         let read = self.file.read_exact(&mut body);
         read.map_err(|source| BagError::io(self.path, source))?;
@@ -169,14 +175,14 @@ impl<'a> Scan<'a> {
     }
 
     fn skip(&mut self, length: u64) -> Result<(), BagError> {
-        // The record ends within the file, so that its length fits.
+        // Fits: the record ends within the file.
         self.file
             .seek_relative(length as i64)
             .map_err(|source| BagError::io(self.path, source))
     }
 
-    /// Reads the chunk from one byte to another, on which the file's indexes disagree.
-    pub fn chunk_at(
+    /// Indexes the chunk between two bytes by its messages, because the file's indexes differ.
+    pub fn scan_chunk(
         &mut self,
         (at, end): (u64, u64),
         index: &mut FileIndex,
@@ -184,15 +190,15 @@ impl<'a> Scan<'a> {
         let from = SeekFrom::Start(at + RECORD_HEADER_BYTES);
         let found = self.file.seek(from);
         found.map_err(|source| BagError::io(self.path, source))?;
-        let body = self.body(end - at - RECORD_HEADER_BYTES)?;
-        self.top_record(op::CHUNK, body, (at, end), index);
+        let body = self.read_body(end - at - RECORD_HEADER_BYTES)?;
+        self.index_top_record(op::CHUNK, body, (at, end), index);
         Ok(())
     }
 
-    /// The faults of the file that the scan found.
+    /// The faults that the scan found.
     pub fn into_warnings(self) -> Vec<BagWarning> {
         let mut warnings = self.warnings;
-        if let Some(places) = self.damaged_places.checked_sub(MOST_REPORTED)
+        if let Some(places) = self.damaged_places.checked_sub(REPORTS_LIMIT)
             && places > 0
         {
             warnings.push(BagWarning::MoreDamaged {
@@ -205,7 +211,7 @@ impl<'a> Scan<'a> {
 
     fn warn(&mut self, offset: u64, reason: String) {
         self.damaged_places += 1;
-        if self.damaged_places > MOST_REPORTED {
+        if self.damaged_places > REPORTS_LIMIT {
             return;
         }
         self.warnings.push(BagWarning::Damaged {
@@ -215,8 +221,8 @@ impl<'a> Scan<'a> {
         });
     }
 
-    /// A record at the top level of the file, from one byte to another.
-    fn top_record(
+    /// Indexes a top-level record between two bytes.
+    fn index_top_record(
         &mut self,
         opcode: u8,
         body: Bytes,
@@ -224,33 +230,31 @@ impl<'a> Scan<'a> {
         index: &mut FileIndex,
     ) {
         if opcode != op::CHUNK {
-            if let Some((channel, log_time_ns)) = self.record(opcode, &body, at, index) {
-                self.extend_stretch(at, end, (channel, log_time_ns), index);
+            if let Some((channel, log_time_ns)) = self.index_record(opcode, &body, at, index) {
+                self.extend_segment(at, end, (channel, log_time_ns), index);
             }
             return;
         }
-        index
-            .segments
-            .extend(self.stretch.take().map(Segment::from));
+        index.segments.extend(self.open.take().map(Segment::from));
         let header = match parse(op::CHUNK, &body) {
             Ok(Record::Chunk { header, .. }) => header,
             Ok(_) => return,
             Err(error) => return self.warn(at, error),
         };
         index.compressions.insert(header.compression);
-        let mut chunk = Stretch {
+        let mut chunk = OpenSegment {
             offset: at,
             length: end - at,
             start_ns: u64::MAX,
             end_ns: 0,
             channels: BTreeSet::new(),
         };
-        match decompressed(&body) {
+        match decompress(&body) {
             Ok(records) => {
                 for record in Records::new(records) {
                     match record {
                         Ok(record) => {
-                            let found = self.record(record.opcode, &record.body, at, index);
+                            let found = self.index_record(record.opcode, &record.body, at, index);
                             if let Some((channel, log_time_ns)) = found {
                                 chunk.channels.insert(channel);
                                 chunk.start_ns = chunk.start_ns.min(log_time_ns);
@@ -263,7 +267,7 @@ impl<'a> Scan<'a> {
             }
             Err(reason) => {
                 self.warn(at, reason);
-                // It is named again where it would be read.
+                // Reading reports the damage again at its place.
                 let (one, other) = (header.message_start_time, header.message_end_time);
                 index.segments.push(Segment {
                     place: SegmentPlace::Bytes {
@@ -277,14 +281,13 @@ impl<'a> Scan<'a> {
                 return;
             }
         }
-        // One without a readable message has nothing to be read.
         if !chunk.channels.is_empty() {
             index.segments.push(chunk.into());
         }
     }
 
-    /// A schema, channel or message; gives channel and log time of a message.
-    fn record(
+    /// Adds a schema, channel or message to the index; returns channel and log time of a message.
+    fn index_record(
         &mut self,
         opcode: u8,
         body: &[u8],
@@ -312,23 +315,23 @@ impl<'a> Scan<'a> {
         None
     }
 
-    /// Adds a message outside chunks to the stretch that is being gathered.
-    fn extend_stretch(
+    /// Adds a message outside chunks to the open segment.
+    fn extend_segment(
         &mut self,
         at: u64,
         end: u64,
         (channel, log_time_ns): (u16, u64),
         index: &mut FileIndex,
     ) {
-        match &mut self.stretch {
-            Some(stretch) if end - stretch.offset <= STRETCH_BYTES => {
-                stretch.length = end - stretch.offset;
-                stretch.start_ns = stretch.start_ns.min(log_time_ns);
-                stretch.end_ns = stretch.end_ns.max(log_time_ns);
-                stretch.channels.insert(channel);
+        match &mut self.open {
+            Some(open) if end - open.offset <= SEGMENT_BYTES => {
+                open.length = end - open.offset;
+                open.start_ns = open.start_ns.min(log_time_ns);
+                open.end_ns = open.end_ns.max(log_time_ns);
+                open.channels.insert(channel);
             }
             full => {
-                let next = Stretch {
+                let next = OpenSegment {
                     offset: at,
                     length: end - at,
                     start_ns: log_time_ns,

@@ -1,7 +1,7 @@
-//! sqlite3 files of rosbag2 (`.db3`), of each version of its schema: `topics` and `messages`, since version 4 (ROS 2 Iron)
-//! `message_definitions` too.
+//! sqlite3 files of rosbag2 (`.db3`), in each version of its schema: `topics` and `messages`, since version 4 (ROS 2 Iron)
+//! also `message_definitions`.
 //!
-//! A file is opened as one that does not change: no lock, no journal and no other file is made beside it.
+//! Files are opened as immutable: without a lock, a journal or other new files.
 
 use std::{
     collections::{BTreeMap, BTreeSet, HashMap},
@@ -23,13 +23,13 @@ use super::{
 };
 use crate::{BagError, BagWarning, QOS_KEY, Schema, SchemaEncoding, TYPE_HASH_KEY, definitions};
 
-/// Rows are read in segments of about so many bytes of messages, and at most so many rows.
+/// Limits of a segment: message bytes and rows.
 const SEGMENT_BYTES: u64 = 1 << 20;
 const SEGMENT_ROWS: usize = 1024;
-/// More topics than this are refused; channels are numbered as in MCAP.
-const MOST_TOPICS: usize = 60_000;
+/// Limit of topics, because channel ids have 16 bits.
+const TOPICS_LIMIT: usize = 60_000;
 
-/// A topic as the file has it.
+/// A row of the table `topics`.
 struct Topic {
     id: i64,
     name: String,
@@ -39,11 +39,10 @@ struct Topic {
     type_hash: String,
 }
 
-/// An open file.
 #[derive(Debug)]
 pub(super) struct Rows {
     connection: Connection,
-    /// Number of the channel of each topic id; from 1 on.
+    /// Channel id (from 1) of each topic id.
     channels: HashMap<i64, u16>,
 }
 
@@ -55,12 +54,12 @@ impl Rows {
             reason: error.to_string(),
         };
         let connection = connect(stored).map_err(wrong)?;
-        let topics = topics(&connection).map_err(wrong)?;
-        if topics.len() > MOST_TOPICS {
+        let topics = read_topics(&connection).map_err(wrong)?;
+        if topics.len() > TOPICS_LIMIT {
             return Err(BagError::Sqlite {
                 path: stored.path.clone(),
                 reason: format!(
-                    "expected at most {MOST_TOPICS} topics, got {}",
+                    "expected at most {TOPICS_LIMIT} topics, got {}",
                     topics.len()
                 ),
             });
@@ -84,13 +83,14 @@ impl Rows {
             let mut rows = statement.query([first, last])?;
             let mut messages = Vec::new();
             while let Some(row) = rows.next()? {
-                // Rows without a time or data are named when the file is indexed.
+                // The index reports rows without a time or data.
                 let (Some(log_time), Some(data)) = (log_time_ns(row)?, data(row)?) else {
                     continue;
                 };
                 let header = MessageHeader {
+                    // 0 is the id of no channel: rows of unknown topics are reported as undefined.
                     channel_id: self.channels.get(&row.get(1)?).copied().unwrap_or(0),
-                    // The number is 32 bits wide in MCAP, and may wrap.
+                    // Wraps: sequence numbers of MCAP have 32 bits.
                     sequence: row.get::<_, i64>(0)? as u32,
                     log_time,
                     publish_time: log_time,
@@ -108,7 +108,7 @@ fn connect(stored: &StoredFile) -> rusqlite::Result<Connection> {
         | OpenFlags::SQLITE_OPEN_URI
         | OpenFlags::SQLITE_OPEN_NO_MUTEX;
     let connection = match stored.copy() {
-        // A copy of ours, with the journal that the recorder left.
+        // The temporary copy may change: sqlite3 applies the journal.
         Some(copy) if stored.has_journal() => {
             let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
             Connection::open_with_flags(copy, flags)?
@@ -119,16 +119,16 @@ fn connect(stored: &StoredFile) -> rusqlite::Result<Connection> {
     connection.set_db_config(DbConfig::SQLITE_DBCONFIG_TRUSTED_SCHEMA, false)?;
     connection.set_limit(
         rusqlite::limits::Limit::SQLITE_LIMIT_LENGTH,
-        // Fits: a quarter of 2^30.
+        // Fits: 2^28.
         MAX_RECORD_BYTES as i32,
     )?;
     Ok(connection)
 }
 
-/// The file as a URI that says that it does not change.
+/// The URI of an immutable file.
 fn uri(path: &Path) -> String {
     let plain = |byte: &u8| byte.is_ascii_alphanumeric() || b"/._-".contains(byte);
-    // Two slashes at the front would begin with a host.
+    // Two slashes at the front would start a host.
     let path: PathBuf = path.components().collect();
     let bytes = path.as_os_str().as_bytes().iter();
     let text: String = bytes
@@ -140,8 +140,8 @@ fn uri(path: &Path) -> String {
     format!("file:{text}?immutable=1")
 }
 
-/// The columns of a table; none if the table does not exist. A view could compute anything.
-fn columns(connection: &Connection, table: &str) -> rusqlite::Result<BTreeSet<String>> {
+/// The columns of a table; empty if it does not exist. Views are ignored, since they could compute anything.
+fn column_names(connection: &Connection, table: &str) -> rusqlite::Result<BTreeSet<String>> {
     let is_table: i64 = connection.query_row(
         "SELECT count(*) FROM sqlite_schema WHERE type = 'table' AND name = ?1 AND sql LIKE 'CREATE TABLE%'",
         [table],
@@ -155,9 +155,9 @@ fn columns(connection: &Connection, table: &str) -> rusqlite::Result<BTreeSet<St
     names.collect()
 }
 
-fn topics(connection: &Connection) -> rusqlite::Result<Vec<Topic>> {
-    let has = columns(connection, "topics")?;
-    // Older versions lack them.
+fn read_topics(connection: &Connection) -> rusqlite::Result<Vec<Topic>> {
+    let has = column_names(connection, "topics")?;
+    // Older versions lack these columns.
     let optional = |name: &'static str| if has.contains(name) { name } else { "NULL" };
     let query = format!(
         "SELECT id, name, type, serialization_format, {}, {} FROM topics ORDER BY id",
@@ -167,6 +167,7 @@ fn topics(connection: &Connection) -> rusqlite::Result<Vec<Topic>> {
     let mut statement = connection.prepare(&query)?;
     let topics = statement.query_map([], |row| {
         let text = |column| -> rusqlite::Result<String> {
+            // NULL, as in columns that older versions lack.
             Ok(row.get::<_, Option<String>>(column)?.unwrap_or_default())
         };
         Ok(Topic {
@@ -181,9 +182,9 @@ fn topics(connection: &Connection) -> rusqlite::Result<Vec<Topic>> {
     topics.collect()
 }
 
-/// The definitions that the file carries, by type.
-fn carried(connection: &Connection) -> rusqlite::Result<BTreeMap<String, Schema>> {
-    if columns(connection, "message_definitions")?.is_empty() {
+/// The definitions in the file, by type.
+fn read_definitions(connection: &Connection) -> rusqlite::Result<BTreeMap<String, Schema>> {
+    if column_names(connection, "message_definitions")?.is_empty() {
         return Ok(BTreeMap::new());
     }
     let mut statement = connection.prepare(
@@ -202,7 +203,7 @@ fn carried(connection: &Connection) -> rusqlite::Result<BTreeMap<String, Schema>
     Ok(definitions)
 }
 
-/// The time of a row; none for one that MCAP cannot hold.
+/// The time of a row; `None` if it is missing or negative.
 fn log_time_ns(row: &Row<'_>) -> rusqlite::Result<Option<u64>> {
     let time: Option<i64> = row.get(2)?;
     Ok(time.and_then(|time| u64::try_from(time).ok()))
@@ -215,7 +216,7 @@ fn data<'a>(row: &'a Row<'_>) -> rusqlite::Result<Option<&'a [u8]>> {
     })
 }
 
-/// Indexes a file by reading all but its messages once.
+/// Indexes a file by one pass over its rows without their data.
 pub(super) fn index(
     stored: &StoredFile,
     size_bytes: u64,
@@ -227,7 +228,7 @@ pub(super) fn index(
         path: stored.path.clone(),
         reason: error.to_string(),
     };
-    if columns(&rows.connection, "messages")
+    if column_names(&rows.connection, "messages")
         .map_err(wrong)?
         .is_empty()
     {
@@ -236,20 +237,20 @@ pub(super) fn index(
             reason: "it is an sqlite3 file without a table of messages".to_owned(),
         });
     }
-    add_channels(&rows, &first_messages(&rows), &mut index).map_err(wrong)?;
-    walk(&rows, &mut index, &mut warnings);
+    add_channels(&rows, &read_first_messages(&rows), &mut index).map_err(wrong)?;
+    index_rows(&rows, &mut index, &mut warnings);
     Ok((index, warnings))
 }
 
-/// The first message of each channel; none of those that cannot be read.
-fn first_messages(rows: &Rows) -> HashMap<u16, Bytes> {
+/// The first message of each channel, if readable.
+fn read_first_messages(rows: &Rows) -> HashMap<u16, Bytes> {
     let ids = || -> rusqlite::Result<Vec<(i64, i64)>> {
         let query = "SELECT topic_id, min(id) FROM messages GROUP BY topic_id";
         let mut statement = rows.connection.prepare(query)?;
         let ids = statement.query_map([], |row| Ok((row.get(0)?, row.get(1)?)))?;
         ids.collect()
     };
-    // What cannot be read is reported by the walk over all rows.
+    // Read errors are reported by `index_rows`.
     let mut first = HashMap::new();
     for (topic, id) in ids().into_iter().flatten() {
         if let (Some(channel), Ok(mut messages)) = (rows.channels.get(&topic), rows.read(id, id))
@@ -261,7 +262,7 @@ fn first_messages(rows: &Rows) -> HashMap<u16, Bytes> {
     first
 }
 
-/// A segment that is being gathered: its channels, rows and bytes.
+/// A segment to which rows are still added.
 struct OpenSegment {
     segment: Segment,
     channels: BTreeSet<u16>,
@@ -279,8 +280,8 @@ impl From<OpenSegment> for Segment {
     }
 }
 
-/// Finds the segments, and counts the messages.
-fn walk(rows: &Rows, index: &mut FileIndex, warnings: &mut Vec<BagWarning>) {
+/// Finds the segments and counts the messages.
+fn index_rows(rows: &Rows, index: &mut FileIndex, warnings: &mut Vec<BagWarning>) {
     let mut unusable = (0_u64, 0_i64);
     let mut open: Option<OpenSegment> = None;
     let mut read = || -> rusqlite::Result<()> {
@@ -296,6 +297,7 @@ fn walk(rows: &Rows, index: &mut FileIndex, warnings: &mut Vec<BagWarning>) {
                 unusable.1 = id;
                 continue;
             };
+            // Lengths are never negative.
             let bytes = u64::try_from(row.get::<_, i64>(3)?).unwrap_or(0);
             let channel = rows.channels.get(&row.get(1)?).copied().unwrap_or(0);
             index.count(channel, log_time_ns);
@@ -336,6 +338,7 @@ fn walk(rows: &Rows, index: &mut FileIndex, warnings: &mut Vec<BagWarning>) {
     let mut warn = |row: i64, reason: String| {
         warnings.push(BagWarning::Damaged {
             file: index.file.path.clone(),
+            // Negative row ids are valid in sqlite3; warnings show 0.
             offset: u64::try_from(row).unwrap_or(0),
             reason,
         });
@@ -364,12 +367,12 @@ fn add_channels(
     first: &HashMap<u16, Bytes>,
     index: &mut FileIndex,
 ) -> rusqlite::Result<()> {
-    let carried = carried(&rows.connection)?;
+    let definitions = read_definitions(&rows.connection)?;
     let prefixes = definitions::prefixes();
-    for (topic, number) in topics(&rows.connection)?.into_iter().zip(1_u16..) {
-        let schema = match carried.get(&topic.type_name) {
+    for (topic, number) in read_topics(&rows.connection)?.into_iter().zip(1_u16..) {
+        let schema = match definitions.get(&topic.type_name) {
             Some(schema) => schema.clone(),
-            // Versions before 4 carry none: that of this machine, if it fits.
+            // Versions before 4 have no definitions: use the one of this machine, if it fits.
             None => definitions::definition(&topic.type_name, &prefixes)
                 .filter(|schema| fits(schema, &topic.type_name, first.get(&number)))
                 .unwrap_or_else(definitions::unknown),
@@ -394,13 +397,12 @@ fn add_channels(
     Ok(())
 }
 
-/// Whether a message is one of this definition; true without a message, or if the definition has fields whose layout
-/// is not known.
+/// Whether a message fits a definition; true without a message, or for fields of unknown layout.
 fn fits(schema: &Schema, type_name: &str, message: Option<&Bytes>) -> bool {
     let Some(message) = message else {
         return true;
     };
-    let message = match payload::decompressed(message) {
+    let message = match payload::decompress(message) {
         Some(Ok(plain)) => plain,
         Some(Err(_)) => return false,
         None => message.clone(),

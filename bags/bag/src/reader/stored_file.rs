@@ -1,4 +1,4 @@
-//! The files of a bag as bytes: plain, compressed by rosbag2, or with an sqlite3 journal.
+//! The files of a bag: plain, compressed by rosbag2, or with an sqlite3 journal.
 
 use std::{
     fs::{self, File},
@@ -13,38 +13,38 @@ use crate::{BagError, BagWarning};
 
 /// First bytes of a zstd frame.
 pub(crate) const ZSTD_MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
-/// The folder of decompressed files if `TMPDIR` is not set: on a disk, which `/tmp` often is not.
+/// Folder of decompressed files if `TMPDIR` is not set: on a disk, unlike `/tmp` on many machines.
 const TEMPORARY: &str = "/var/tmp";
-/// Bytes that are decompressed at a time.
+/// Size of a decompression step \[bytes\].
 const STEP_BYTES: usize = 1 << 20;
 
 /// First bytes of an sqlite3 file.
-const SQLITE_MAGIC: &[u8] = b"SQLite format 3";
-/// Endings of the journals beside an sqlite3 file whose writer was killed.
+pub(super) const SQLITE_MAGIC: &[u8] = b"SQLite format 3";
+/// Endings of the journals that a killed writer leaves next to an sqlite3 file.
 const JOURNALS: [&str; 2] = ["-wal", "-journal"];
 
-/// A file of a bag, ready to be read at any place.
+/// A file of a bag, ready for reading.
 #[derive(Clone, Debug)]
 pub(crate) struct StoredFile {
-    /// Its name, for the user: that of the compressed file, if it is one.
+    /// Path for messages to the user: of the compressed file, if it is one.
     pub path: PathBuf,
     copy: Option<Arc<Copy>>,
 }
 
-/// A temporary file that is read in place of a file of a bag. It is removed with this value.
+/// A temporary file that replaces a file of a bag. Dropping it deletes the file.
 #[derive(Debug)]
 struct Copy {
     file: File,
-    /// Where sqlite3 finds it, and its folder.
+    /// Path and folder, if sqlite3 must open it by name.
     named: Option<(PathBuf, TempDir)>,
     has_journal: bool,
 }
 
 impl StoredFile {
-    /// Opens a file, and decompresses it if it is a zstd frame.
+    /// Opens a file; decompresses it if it is a zstd frame.
     ///
     /// # Errors
-    /// It cannot be read, or there is no room for its content.
+    /// The file cannot be read, or the folder for temporary files is full.
     pub fn open(path: &Path) -> Result<(Self, Option<BagWarning>), BagError> {
         let io = |source| BagError::io(path, source);
         let mut file = File::open(path).map_err(io)?;
@@ -64,7 +64,7 @@ impl StoredFile {
         Ok((opened, warning))
     }
 
-    /// The file, for reads at given places: its position is shared.
+    /// The file. Its position is shared, so use positioned reads.
     pub fn file(&self) -> io::Result<File> {
         match &self.copy {
             Some(copy) => copy.file.try_clone(),
@@ -72,13 +72,13 @@ impl StoredFile {
         }
     }
 
-    /// Path of the copy that is read in place of an sqlite3 file.
+    /// Path of the temporary copy of an sqlite3 file.
     pub fn copy(&self) -> Option<&Path> {
         let copy = self.copy.as_ref()?.named.as_ref();
         copy.map(|(path, _)| path.as_path())
     }
 
-    /// Whether the copy has a journal, which sqlite3 takes over.
+    /// Whether the copy has a journal, which sqlite3 applies.
     pub fn has_journal(&self) -> bool {
         self.copy.as_ref().is_some_and(|copy| copy.has_journal)
     }
@@ -101,7 +101,7 @@ fn no_room(path: &Path, folder: &Path, source: &io::Error) -> BagError {
     }
 }
 
-/// The journals beside an sqlite3 file.
+/// The journals next to an sqlite3 file.
 fn journals(path: &Path) -> Vec<PathBuf> {
     let beside = |ending: &&str| {
         let mut name = path.as_os_str().to_owned();
@@ -113,15 +113,17 @@ fn journals(path: &Path) -> Vec<PathBuf> {
     all.filter(is_filled).collect()
 }
 
-/// Copies an sqlite3 file and its journal: sqlite3 applies the journal when it opens a file, and the bag must not change.
+/// Copies an sqlite3 file and its journal: sqlite3 applies the journal on opening, and the bag must not change.
 fn copy_with_journal(path: &Path) -> Result<(Copy, BagWarning), BagError> {
     let folder = temporary_folder();
     let no_room = |source: io::Error| no_room(path, &folder, &source);
     let temporary = TempDir::new_in(&folder).map_err(no_room)?;
+    // `StoredFile::open` has opened a file at this path.
     let name = path.file_name().unwrap_or_default();
     let named = temporary.path().join(name);
     let mut bytes = fs::copy(path, &named).map_err(no_room)?;
     for journal in journals(path) {
+        // `journals` returns files only.
         let name = journal.file_name().unwrap_or_default();
         bytes += fs::copy(&journal, temporary.path().join(name)).map_err(no_room)?;
     }
@@ -139,8 +141,7 @@ fn copy_with_journal(path: &Path) -> Result<(Copy, BagWarning), BagError> {
     Ok((copy, warning))
 }
 
-/// Decompresses a file, a step at a time. What comes before damage, or before the end of a cut
-/// file, is kept.
+/// Decompresses a file. If it is damaged or ends early, the part before that is kept.
 fn decompress(path: &Path) -> Result<(Copy, BagWarning), BagError> {
     let io = |source| BagError::io(path, source);
     let folder = temporary_folder();
@@ -156,6 +157,7 @@ fn decompress(path: &Path) -> Result<(Copy, BagWarning), BagError> {
         match decoder.read(&mut step) {
             Ok(0) => break None,
             Ok(read) => {
+                // `Read` never returns more than the buffer's size.
                 let read = step.get(..read).unwrap_or_default();
                 is_sqlite |= bytes == 0 && read.starts_with(SQLITE_MAGIC);
                 output.write_all(read).map_err(no_room)?;
@@ -180,20 +182,20 @@ fn decompress(path: &Path) -> Result<(Copy, BagWarning), BagError> {
     };
     let copy = Copy {
         file: File::open(&named).map_err(no_room)?,
-        // Without a name, the file ends with this process, however that ends; sqlite3 wants a name.
+        // Without a name, the file is deleted when this process ends, in any way; sqlite3 needs a name.
         named: is_sqlite.then_some((named, temporary)),
         has_journal: false,
     };
     Ok((copy, warning))
 }
 
-/// The files of a folder that a recorder numbers, in that order (`bag_2` before `bag_10`), and those that are left out.
+/// The files of a recorder in a folder, in numeric order (`bag_2` before `bag_10`), and warnings about skipped ones.
 ///
-/// A killed recorder with file compression leaves its open file uncompressed; one that is killed while it
-/// compresses leaves a file twice, of which the compressed one may be cut.
+/// A recorder with file compression that is killed leaves its open file uncompressed. If it is killed while it compresses,
+/// it leaves a file in both forms, of which the compressed one may be incomplete.
 ///
 /// # Errors
-/// There is none, or the folder cannot be read.
+/// The folder has no such file, or cannot be read.
 pub(crate) fn numbered_files(dir: &Path) -> Result<(Vec<PathBuf>, Vec<BagWarning>), BagError> {
     let mut files = Vec::new();
     let mut warnings = Vec::new();
@@ -209,7 +211,7 @@ pub(crate) fn numbered_files(dir: &Path) -> Result<(Vec<PathBuf>, Vec<BagWarning
     files.sort();
     let mut kept: Vec<(String, PathBuf)> = Vec::new();
     for (_, stem, _, path) in files {
-        // The plain file comes first, and MCAP before sqlite3.
+        // Plain files are preferred, and MCAP to sqlite3.
         if kept.last().is_some_and(|(last, _)| *last == stem) {
             warnings.push(BagWarning::Twice { file: path });
         } else {
@@ -225,14 +227,14 @@ pub(crate) fn numbered_files(dir: &Path) -> Result<(Vec<PathBuf>, Vec<BagWarning
     Ok((kept.into_iter().map(|(_, path)| path).collect(), warnings))
 }
 
-/// Whether a file of this name is one of a bag: MCAP or sqlite3, compressed by rosbag2 or not.
+/// Whether this is the name of a bag's file: MCAP or sqlite3, compressed by rosbag2 or not.
 #[must_use]
 pub fn is_bag_file(path: &Path) -> bool {
     storage_stem(path).is_some()
 }
 
-/// The file that is read in place of this one, if both are in the folder: the same file of a bag in another form. A recorder
-/// that is killed while it compresses leaves both.
+/// Another form of this file in the same folder that is read instead. A recorder that is killed while it compresses
+/// leaves both.
 #[must_use]
 pub fn preferred_form(path: &Path) -> Option<PathBuf> {
     let (stem, rank) = storage_stem(path)?;
@@ -241,7 +243,7 @@ pub fn preferred_form(path: &Path) -> Option<PathBuf> {
     paths.find(|path| path.is_file())
 }
 
-/// Endings of a bag's files. If several files share a stem, the first in this order is read.
+/// Endings of a bag's files, in order of preference.
 const ENDINGS: [&str; 6] = [
     ".mcap",
     ".mcap.zstd",
@@ -251,7 +253,7 @@ const ENDINGS: [&str; 6] = [
     ".db3.zst",
 ];
 
-/// Name of a bag's file without its endings, and its rank among files of that name; none for other files.
+/// Name of a bag's file without ending, and the index of its ending; `None` for other files.
 fn storage_stem(path: &Path) -> Option<(String, usize)> {
     let name = path.file_name()?.to_string_lossy();
     ENDINGS.iter().enumerate().find_map(|(rank, ending)| {
@@ -260,8 +262,8 @@ fn storage_stem(path: &Path) -> Option<(String, usize)> {
     })
 }
 
-/// A file that `metadata.yaml` lists: by its name within the folder, as rosbag2 does it for bags that were moved; or, if
-/// somebody has decompressed or compressed it since, the file of that name.
+/// A file that `metadata.yaml` lists, searched by its name in the folder, since bags are moved (as rosbag2 does), or by
+/// that name after compression or decompression.
 pub(crate) fn listed_file(dir: &Path, listed: &Path) -> Option<PathBuf> {
     let name = listed.file_name()?.to_string_lossy().into_owned();
     let plain = name
@@ -285,7 +287,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn files_of_a_bag_are_known_by_their_names() {
+    fn files_of_a_bag_are_recognised_by_name() {
         for name in [
             "a.mcap",
             "a/b_0.mcap.zstd",

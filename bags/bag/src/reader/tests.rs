@@ -11,7 +11,7 @@ use crate::{BagWriter, Compression, QosProfile, WriterOptions, type_schema};
 
 const START_NS: u64 = 1_700_000_000_000_000_000;
 
-/// CDR of a text that is told apart from all others.
+/// CDR of a distinct text.
 fn text(number: u64) -> Vec<u8> {
     wm_msgs::cdr::to_bytes(&Text {
         data: format!("message {number} {}", "x".repeat(number as usize % 50)),
@@ -19,13 +19,13 @@ fn text(number: u64) -> Vec<u8> {
     .unwrap()
 }
 
-/// A bag of `count` texts on two topics, in small chunks that overlap in time.
+/// Writes a bag with `count` texts on two topics, in small chunks that overlap in time.
 fn write_bag(dir: &Path, count: u64, options: WriterOptions) -> Vec<(u64, Bytes)> {
     let mut writer = BagWriter::create(dir, options).unwrap();
     let schema = type_schema::<Text>();
     let mut written = Vec::new();
     for number in 0..count {
-        // Every fourth message was stamped late: out of order across chunks.
+        // Every fourth message is late: out of order across chunks.
         let log_time_ns = START_NS
             + if number % 4 == 0 {
                 number.saturating_sub(20)
@@ -90,7 +90,7 @@ fn messages_come_in_log_time_order_with_their_bytes() {
         );
         assert!(
             reader.index[0].segments.len() > 10,
-            "the test wants many chunks"
+            "the test needs many chunks"
         );
         let counts: Vec<(&str, u64)> = reader
             .topics()
@@ -106,7 +106,7 @@ fn messages_come_in_log_time_order_with_their_bytes() {
 }
 
 #[test]
-fn topics_and_start_filter() {
+fn topics_and_start_limit_messages() {
     let scratch = TempDir::new().unwrap();
     let dir = scratch.path().join("bag");
     let written = write_bag(&dir, 100, small_chunks(Compression::None));
@@ -134,7 +134,7 @@ fn topics_and_start_filter() {
 }
 
 #[test]
-fn typed_messages_and_qos_survive() {
+fn typed_messages_and_qos_survive_a_round_trip() {
     let scratch = TempDir::new().unwrap();
     let dir = scratch.path().join("bag");
     let mut writer = BagWriter::create(&dir, WriterOptions::default()).unwrap();
@@ -173,7 +173,7 @@ fn typed_messages_and_qos_survive() {
     assert_eq!(qos("/task/success"), QosProfile::latched());
     assert_eq!(qos("/silent"), QosProfile::sensor_data());
     assert_eq!(qos("/text"), QosProfile::reliable());
-    // As ROS 2 Kilted installs it in share/std_msgs/msg/String.json.
+    // From ROS 2 Kilted: share/std_msgs/msg/String.json.
     let text_hash = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18";
     let hash = |reader: &BagReader, topic| reader.topic(topic).unwrap().type_hash.to_string();
     assert_eq!(hash(&reader, "/text"), text_hash);
@@ -201,7 +201,7 @@ fn typed_messages_and_qos_survive() {
 }
 
 #[test]
-fn the_same_messages_give_the_same_bytes() {
+fn same_messages_give_same_bytes() {
     let scratch = TempDir::new().unwrap();
     let bytes = |name: &str| {
         let dir = scratch.path().join(name).join("bag");
@@ -215,7 +215,7 @@ fn the_same_messages_give_the_same_bytes() {
 }
 
 #[test]
-fn a_killed_writer_loses_at_most_the_open_chunk() {
+fn killed_writer_loses_at_most_the_open_chunk() {
     let scratch = TempDir::new().unwrap();
     let dir = scratch.path().join("bag");
     let options = WriterOptions {
@@ -234,7 +234,7 @@ fn a_killed_writer_loses_at_most_the_open_chunk() {
             )
             .unwrap();
     }
-    // What kill -9 does: nothing in the process runs any more, buffers included.
+    // Like kill -9: no destructor runs, and buffers are lost.
     std::mem::forget(writer);
     let reader = BagReader::open(&dir).unwrap();
     assert!(reader.truncated());
@@ -243,12 +243,12 @@ fn a_killed_writer_loses_at_most_the_open_chunk() {
             .warnings()
             .contains(&BagWarning::NoMetadata { dir: dir.clone() })
     );
-    // Chunks of 1 s are closed by their eleventh message: 3 of them, 5 messages in the open one.
+    // Chunks of 1 s are closed by their eleventh message: 3 chunks, and 5 messages in the open one.
     assert_eq!(reader.message_count(), 33);
     assert_eq!(reader.messages().map(Result::unwrap).count(), 33);
 }
 
-/// An MCAP file from the library itself, with options that our writer does not use.
+/// An MCAP file of the library's writer, with options that ours does not use.
 fn foreign_file(options: WriteOptions, messages: u64) -> Vec<u8> {
     let mut writer = options.create(Cursor::new(Vec::new())).unwrap();
     let schema = writer
@@ -340,7 +340,7 @@ fn several_files_are_one_bag() {
 }
 
 #[test]
-fn bad_input_is_named() {
+fn invalid_input_is_named() {
     let scratch = TempDir::new().unwrap();
     let at = |name: &str| scratch.path().join(name);
     let message = |path: &Path| BagReader::open(path).unwrap_err().to_string();
@@ -385,7 +385,7 @@ fn bad_input_is_named() {
 }
 
 #[test]
-fn a_bag_without_messages_opens() {
+fn bag_without_messages_opens() {
     let scratch = TempDir::new().unwrap();
     let dir = scratch.path().join("bag");
     BagWriter::create(&dir, WriterOptions::default())
@@ -405,7 +405,7 @@ fn a_bag_without_messages_opens() {
 }
 
 #[test]
-fn a_damaged_chunk_is_named_and_the_others_are_read() {
+fn damaged_chunk_is_named_and_others_are_read() {
     let scratch = TempDir::new().unwrap();
     let dir = scratch.path().join("bag");
     write_bag(&dir, 200, small_chunks(Compression::None));
@@ -434,13 +434,12 @@ fn a_damaged_chunk_is_named_and_the_others_are_read() {
     );
 }
 
-/// One MCAP record.
 fn record(opcode: u8, body: &[u8]) -> Vec<u8> {
     let length = (body.len() as u64).to_le_bytes();
     [&[opcode][..], &length, body].concat()
 }
 
-/// A file of `data` records and of `summary` records, with header, footer and magic around them.
+/// A file of these data and summary records, with header, footer and magic.
 fn crafted(data: &[u8], summary: &[u8]) -> Vec<u8> {
     let front = [
         mcap::MAGIC,
@@ -459,10 +458,10 @@ fn crafted(data: &[u8], summary: &[u8]) -> Vec<u8> {
 }
 
 #[test]
-fn a_summary_with_foreign_records_is_not_believed() {
+fn summary_with_foreign_records_is_ignored() {
     let scratch = TempDir::new().unwrap();
     let path = scratch.path().join("crafted.mcap");
-    // An attachment whose body is too short for its checksum: the library would index out of bounds.
+    // An attachment too short for its checksum: the library would index out of bounds.
     fs::write(&path, crafted(&[], &record(0x09, &[0; 32]))).unwrap();
     let reader = BagReader::open(&path).unwrap();
     let warnings: Vec<String> = reader.warnings().iter().map(ToString::to_string).collect();
@@ -475,7 +474,7 @@ fn a_summary_with_foreign_records_is_not_believed() {
 }
 
 #[test]
-fn a_file_of_damage_fills_no_memory_with_complaints() {
+fn warnings_about_damage_are_bounded() {
     let scratch = TempDir::new().unwrap();
     let path = scratch.path().join("crafted.mcap");
     fs::write(&path, crafted(&record(0x05, &[0; 3]).repeat(250), &[])).unwrap();
@@ -488,7 +487,7 @@ fn a_file_of_damage_fills_no_memory_with_complaints() {
     }));
 }
 
-/// Opens a file of these bytes, reads all it can, and holds it against what was written.
+/// Opens a file of these bytes, reads all messages, and compares them with the written ones.
 fn survives(
     scratch: &Path,
     bytes: &[u8],
@@ -503,7 +502,7 @@ fn survives(
     for message in reader.messages().flatten() {
         prop_assert!(
             written.contains(&message.data),
-            "a message that nobody wrote"
+            "a message that was never written"
         );
         read += 1;
     }
@@ -511,7 +510,7 @@ fn survives(
 }
 
 #[test]
-fn a_bag_cut_at_any_byte_gives_its_whole_chunks() {
+fn bag_cut_at_any_byte_keeps_whole_chunks() {
     let scratch = TempDir::new().unwrap();
     let dir = scratch.path().join("bag");
     let written: HashSet<Bytes> = write_bag(&dir, 24, small_chunks(Compression::Zstd))
@@ -535,7 +534,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
     #[test]
-    fn a_cut_bag_yields_only_whole_messages(
+    fn damaged_bag_gives_only_whole_messages(
         count in 1u64..80,
         chunk_size in 1u64..2000,
         cut in 0.0f64..1.0,
@@ -548,7 +547,7 @@ proptest! {
         let mut bytes = fs::read(only_mcap(&dir)).unwrap();
         let place = |share: f64| (share * bytes.len() as f64) as usize;
         survives(scratch.path(), &bytes[..place(cut)], &written)?;
-        // Damage as well as truncation: the CRC of each chunk catches what is in it.
+        // Damage and truncation: the CRC of each chunk detects damage in it.
         let flips: Vec<(usize, u8)> = flips.into_iter().map(|(share, bits)| (place(share), bits)).collect();
         for (at, bits) in flips {
             bytes[at] ^= bits;
@@ -557,9 +556,9 @@ proptest! {
     }
 }
 
-/// What a power cut leaves of a `metadata.yaml` that was renamed before it was on the disk, and other damage.
+/// A power cut may leave a `metadata.yaml` that was renamed before its bytes were on the disk.
 #[test]
-fn a_damaged_metadata_does_not_hide_the_messages() {
+fn damaged_metadata_does_not_hide_messages() {
     let scratch = TempDir::new().unwrap();
     let dir = scratch.path().join("bag");
     let written = write_bag(&dir, 50, small_chunks(Compression::None));

@@ -1,49 +1,48 @@
-//! When messages were logged: the stretches of time that they cover, the gaps between those, and steps back.
+//! Log times of messages: continuous stretches, gaps and backward steps.
 
-/// A pause between messages that is longer than this is a gap \[ns\].
+/// A longer pause between messages is a gap \[ns\].
 pub(crate) const GAP_NS: u64 = 10_000_000_000;
-/// Messages that are further from all others than this are not part of the recording \[ns\]: a stamp of zero, or a clock
-/// that was not set.
+/// Messages further than this from all others have an invalid stamp and are not part of the recording \[ns\].
 const APART_NS: u64 = 86_400_000_000_000;
-/// Between these times a robot's clock is set \[ns\].
+/// A clock outside these times is not set \[ns\].
 const YEAR_2000_NS: u64 = 946_684_800_000_000_000;
 const YEAR_2100_NS: u64 = 4_102_444_800_000_000_000;
-/// Stretches that are kept; with more, the smallest gaps between them are forgotten.
+/// Limit of stretches; beyond it, those with the smallest gaps between them are merged.
 const MOST_STRETCHES: usize = 4096;
 
-/// Messages that follow each other without a gap.
+/// Messages without a gap between them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Stretch {
-    /// Log times of the first and the last message \[ns\].
+    /// Log times of the earliest and the latest message \[ns\].
     pub start_ns: u64,
     pub end_ns: u64,
     pub messages: u64,
 }
 
-/// A step back of the log times, in the order of the file.
+/// A backward step of the log times, in the order of the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct StepBack {
     pub from_ns: u64,
     pub to_ns: u64,
 }
 
-/// The log times of messages, as they were written one after the other.
+/// The log times of messages, in the order of writing.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Times {
-    /// Behind the open one; in no order.
+    /// Finished stretches, unsorted.
     closed: Vec<Stretch>,
     open: Option<Stretch>,
-    /// 0 stands for [`GAP_NS`].
+    /// The largest gap that was merged; 0 if none \[ns\].
     forgotten_ns: u64,
     first_ns: Option<u64>,
-    /// The latest log time since the last step.
+    /// The latest log time since the last backward step.
     latest_ns: u64,
     steps: u64,
     first_step: Option<StepBack>,
 }
 
 impl Times {
-    /// Takes the next message.
+    /// Adds the next message.
     pub fn push(&mut self, log_time_ns: u64) {
         self.step_to(log_time_ns, log_time_ns);
         let gap_ns = self.gap_ns();
@@ -64,13 +63,13 @@ impl Times {
                 };
                 self.closed.extend(open.replace(next));
                 if self.closed.len() > MOST_STRETCHES {
-                    self.forget();
+                    self.merge_closed();
                 }
             }
         }
     }
 
-    /// Takes the messages of the next file.
+    /// Adds the messages of the next file.
     pub fn append(&mut self, next: &Self) {
         if let Some(first_ns) = next.first_ns {
             self.step_to(first_ns, next.latest_ns);
@@ -81,7 +80,7 @@ impl Times {
         self.closed.extend(next.open);
         self.forgotten_ns = self.forgotten_ns.max(next.forgotten_ns);
         if self.closed.len() > MOST_STRETCHES {
-            self.forget();
+            self.merge_closed();
         }
     }
 
@@ -89,7 +88,7 @@ impl Times {
         self.forgotten_ns.max(GAP_NS)
     }
 
-    /// Goes on with messages from one log time to another.
+    /// Continues with messages between these log times.
     fn step_to(&mut self, first_ns: u64, latest_ns: u64) {
         let is_first = self.first_ns.is_none();
         self.first_ns.get_or_insert(first_ns);
@@ -105,30 +104,30 @@ impl Times {
         }
     }
 
-    /// Merges stretches until there are few again.
-    fn forget(&mut self) {
+    /// Merges stretches until half the limit remains.
+    fn merge_closed(&mut self) {
         while self.closed.len() > MOST_STRETCHES / 2 {
-            self.closed = merged(std::mem::take(&mut self.closed), self.gap_ns());
+            self.closed = merge(std::mem::take(&mut self.closed), self.gap_ns());
             if self.closed.len() > MOST_STRETCHES / 2 {
                 self.forgotten_ns = self.gap_ns().saturating_mul(2);
             }
         }
     }
 
-    /// The stretches in order, with gaps between them.
+    /// The stretches, sorted.
     pub fn stretches(&self) -> Vec<Stretch> {
         let all = self.closed.iter().copied().chain(self.open);
-        merged(all.collect(), self.gap_ns())
+        merge(all.collect(), self.gap_ns())
     }
 
-    /// How often the log times step back by more than a gap, and the first such step.
+    /// The number of backward steps larger than a gap, and the first of them.
     pub fn steps_back(&self) -> (u64, Option<StepBack>) {
         (self.steps, self.first_step)
     }
 }
 
-/// The stretches in order, those merged that are no further from each other than this.
-fn merged(mut stretches: Vec<Stretch>, gap_ns: u64) -> Vec<Stretch> {
+/// Sorts stretches, and merges those with at most this gap between them.
+fn merge(mut stretches: Vec<Stretch>, gap_ns: u64) -> Vec<Stretch> {
     stretches.sort_by_key(|stretch| stretch.start_ns);
     let mut all: Vec<Stretch> = Vec::new();
     for next in stretches {
@@ -143,12 +142,12 @@ fn merged(mut stretches: Vec<Stretch>, gap_ns: u64) -> Vec<Stretch> {
     all
 }
 
-/// The recording itself: of the parts that are more than a day from each other, the one with the most messages. Gives the
-/// part, and the messages that are not in it.
-pub(crate) fn main_part(stretches: &[Stretch]) -> Option<(Stretch, u64)> {
+/// The recording itself: the part with the most messages among parts more than a day apart. Returns the part and the
+/// number of messages outside it.
+pub(crate) fn find_main_part(stretches: &[Stretch]) -> Option<(Stretch, u64)> {
     let total: u64 = stretches.iter().map(|stretch| stretch.messages).sum();
-    let parts = merged(stretches.to_vec(), APART_NS);
-    // Of two with as many, the one of a clock that was set.
+    let parts = merge(stretches.to_vec(), APART_NS);
+    // On a tie, the part with a set clock wins.
     let is_set = |part: &Stretch| part.start_ns >= YEAR_2000_NS && part.end_ns <= YEAR_2100_NS;
     let main = parts
         .into_iter()
@@ -171,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn late_messages_are_neither_gap_nor_step() {
+    fn late_message_is_neither_gap_nor_step() {
         let times = of(&[T0 + 5 * S, T0, T0 + 3 * S, T0 + 9 * S]);
         let whole = Stretch {
             start_ns: T0,
@@ -183,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_is_set_back_is_a_step_and_a_gap() {
+    fn backward_clock_step_is_a_step_and_a_gap() {
         let back = T0 - 7200 * S;
         let times = of(&[T0, T0 + S, back, back + S, back + 2 * S]);
         assert_eq!(times.stretches().len(), 2);
@@ -200,21 +199,21 @@ mod tests {
     }
 
     #[test]
-    fn the_recording_is_where_most_messages_are() {
+    fn recording_is_the_part_with_most_messages() {
         for outlier in [0, u64::MAX] {
             let times = of(&[outlier, T0, T0 + S, T0 + 100 * S]);
-            let (main, others) = main_part(&times.stretches()).unwrap();
+            let (main, others) = find_main_part(&times.stretches()).unwrap();
             assert_eq!((main.start_ns, main.end_ns, others), (T0, T0 + 100 * S, 1));
         }
         for outlier in [0, u64::MAX] {
-            let (main, _) = main_part(&of(&[outlier, T0]).stretches()).unwrap();
+            let (main, _) = find_main_part(&of(&[outlier, T0]).stretches()).unwrap();
             assert_eq!(main.start_ns, T0, "of two with one message each");
         }
-        assert_eq!(main_part(&[]), None);
+        assert_eq!(find_main_part(&[]), None);
     }
 
     #[test]
-    fn many_gaps_take_no_more_memory_than_some() {
+    fn many_gaps_take_bounded_memory() {
         let mut times = Times::default();
         (0..100_000).for_each(|number| times.push(number * 11 * S));
         assert!(times.closed.len() <= MOST_STRETCHES);
@@ -223,9 +222,9 @@ mod tests {
     }
 
     proptest! {
-        /// The order in which messages were written changes the steps, never the stretches.
+        /// The order of writing changes the steps, never the stretches.
         #[test]
-        fn stretches_depend_on_no_order(times in prop::collection::vec(0u64..200, 1..40), turn in 0usize..40) {
+        fn stretches_do_not_depend_on_order(times in prop::collection::vec(0u64..200, 1..40), turn in 0usize..40) {
             let mut turned: Vec<u64> = times.iter().map(|s| s * S).collect();
             let straight = of(&turned).stretches();
             let turn = turn % turned.len();

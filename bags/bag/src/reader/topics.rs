@@ -10,8 +10,8 @@ use crate::{
     writer::REPEATED_PREFIX,
 };
 
-/// The topics of all files, by name. Of a topic with two types, the channels of the type with fewer messages are left out.
-pub(super) fn merged(index: &mut [FileIndex]) -> BTreeMap<Arc<str>, TopicInfo> {
+/// The topics of all files, by name. If a topic has several types, the channels of the less frequent types are skipped.
+pub(super) fn merge_topics(index: &mut [FileIndex]) -> BTreeMap<Arc<str>, TopicInfo> {
     let mut types: BTreeMap<Arc<str>, Vec<(Arc<str>, u64)>> = BTreeMap::new();
     for channel in index.iter().flat_map(|file| file.channels.values()) {
         let (topic, counts) = (&channel.topic, types.entry(Arc::clone(&channel.topic.name)));
@@ -22,10 +22,10 @@ pub(super) fn merged(index: &mut [FileIndex]) -> BTreeMap<Arc<str>, TopicInfo> {
         }
     }
     for (name, counts) in types.iter().filter(|(_, counts)| counts.len() > 1) {
-        // Of two with as many, the first.
+        // On a tie, the first type wins.
         let main = counts.iter().rev().max_by_key(|(_, count)| *count);
         if let Some((main, _)) = main {
-            leave_out_others(index, name, main);
+            skip_other_types(index, name, main);
         }
     }
     let mut topics: BTreeMap<Arc<str>, TopicInfo> = BTreeMap::new();
@@ -46,7 +46,7 @@ pub(super) fn merged(index: &mut [FileIndex]) -> BTreeMap<Arc<str>, TopicInfo> {
     topics
 }
 
-fn leave_out_others(index: &mut [FileIndex], name: &str, main: &str) {
+fn skip_other_types(index: &mut [FileIndex], name: &str, main: &str) {
     for file in index {
         let others: Vec<(u16, String)> = file
             .channels
@@ -66,8 +66,8 @@ fn leave_out_others(index: &mut [FileIndex], name: &str, main: &str) {
     }
 }
 
-/// Counts the messages with which later files begin once more as one with the first.
-pub(super) fn take_repeated(
+/// Subtracts latched messages that later files repeat from the counts.
+pub(super) fn subtract_repetitions(
     topics: &mut BTreeMap<Arc<str>, TopicInfo>,
     metadata: &Metadata,
     files: usize,
@@ -83,7 +83,7 @@ pub(super) fn take_repeated(
     }
 }
 
-/// Adds what only `metadata.yaml` knows: topics without a message, and QoS and type hashes that the files do not name.
+/// Adds topics without messages, and missing QoS profiles and type hashes, from `metadata.yaml`.
 pub(super) fn add_from_metadata(
     topics: &mut BTreeMap<Arc<str>, TopicInfo>,
     metadata: &Metadata,
@@ -123,7 +123,10 @@ pub(super) fn add_from_metadata(
     }
 }
 
-/// A topic without a message, or why its messages could not be read.
+/// A topic without messages.
+///
+/// # Errors
+/// The reason why its messages could not be read.
 fn silent_topic(
     listed: &TopicMetadata,
     name: Arc<str>,
@@ -147,12 +150,12 @@ fn silent_topic(
     })
 }
 
-/// The profiles as YAML: since version 9 they are a list, before that a text.
+/// The profiles as YAML text: metadata has a list since version 9, a text earlier.
 fn qos_text(listed: &TopicMetadata) -> String {
     match &listed.offered_qos_profiles {
         serde_yaml_ng::Value::Null => String::new(),
         serde_yaml_ng::Value::String(text) => text.clone(),
-        // What was read from YAML has a YAML form.
+        // Cannot fail: the value was read from YAML.
         profiles => serde_yaml_ng::to_string(profiles).unwrap_or_default(),
     }
 }

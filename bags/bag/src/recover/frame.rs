@@ -1,18 +1,18 @@
-//! Whether bytes are framed as a record, determined without the lengths, which may be damaged.
+//! Recognises records by their content, since their lengths may be damaged.
 
 use mcap::records::op;
 
-use crate::reader::record::rest;
+use crate::reader::record::bytes_after_fields;
 
-/// Bytes of a record's body that tell whether it is framed as a chunk.
+/// Number of bytes that identify a chunk's body.
 pub(super) const CHUNK_PREFIX: usize = 48;
-/// The fixed part of a message's body: channel, sequence number, two times.
+/// Size of the fixed part of a message's body: channel, sequence number, two times.
 pub(super) const MESSAGE_PREFIX: u64 = 22;
 
-/// Whether a body of `length` bytes that begins so is a chunk's: the lengths within agree with it, and its compression
-/// is one that MCAP knows. No other record looks like it, whatever its opcode says.
+/// Whether a body of `length` bytes with this prefix is a chunk's: its inner lengths agree with `length`, and MCAP knows
+/// its compression. No other record passes, whatever its opcode.
 pub(super) fn is_chunk(prefix: &[u8], length: u64) -> bool {
-    // Times, size, CRC, then the compression's name and the records, each after its length.
+    // Times, size, CRC; then compression name and records, each after its length.
     const TO_COMPRESSION: usize = 8 + 8 + 8 + 4;
     let Some((&name_length, rest)) = prefix
         .get(TO_COMPRESSION..)
@@ -32,10 +32,9 @@ pub(super) fn is_chunk(prefix: &[u8], length: u64) -> bool {
         && u64::from_le_bytes(*records).checked_add(before_records) == Some(length)
 }
 
-/// Whether a body has the fields of its opcode and nothing else. Messages, attachments and unknown records, which do
-/// not say it, are taken at their length.
+/// Whether a body has exactly the fields of its opcode. Messages, attachments and unknown records always pass.
 pub(super) fn is_exact(opcode: u8, body: &[u8]) -> bool {
-    opcode == op::ATTACHMENT || rest(opcode, body).is_some_and(<[u8]>::is_empty)
+    opcode == op::ATTACHMENT || bytes_after_fields(opcode, body).is_some_and(<[u8]>::is_empty)
 }
 
 #[cfg(test)]
@@ -43,7 +42,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_chunk_is_known_by_lengths_that_agree() {
+    fn chunk_is_recognised_by_consistent_lengths() {
         let chunk = |name: &[u8], records: u64| {
             let mut body = vec![0; 28];
             body.extend((name.len() as u32).to_le_bytes());
@@ -65,7 +64,7 @@ mod tests {
     }
 
     #[test]
-    fn a_body_of_other_fields_is_not_exact() {
+    fn body_with_other_fields_is_not_exact() {
         assert!(is_exact(op::MESSAGE_INDEX, &[1, 0, 2, 0, 0, 0, 9, 9]));
         assert!(!is_exact(op::MESSAGE_INDEX, &[1, 0, 2, 0, 0, 0, 9, 9, 9]));
         assert!(!is_exact(op::MESSAGE_INDEX, &[1, 0, 255, 255, 255, 255]));

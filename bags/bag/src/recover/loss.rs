@@ -10,13 +10,13 @@ use std::{
 pub struct Loss {
     /// The file.
     pub file: PathBuf,
-    /// Its first byte.
+    /// First byte.
     pub offset: u64,
-    /// Its size, in bytes.
+    /// Size in bytes.
     pub bytes: u64,
-    /// Chunks that begin there; one that is hidden behind a forged length is not counted.
+    /// Number of chunks that begin in it; a chunk behind a forged length is not counted.
     pub chunks: u64,
-    /// What is wrong with it.
+    /// The fault.
     pub reason: String,
 }
 
@@ -34,25 +34,25 @@ impl fmt::Display for Loss {
     }
 }
 
-/// Losses that are reported one by one; a file of nothing else could fill the memory.
-const MOST_NAMED: usize = 100;
+/// Limit of losses with details, which bounds the memory.
+const DETAILS_LIMIT: usize = 100;
 
-/// What was lost of a bag.
+/// The parts of a bag that could not be recovered.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Losses {
-    /// The first of them, in the order of the files.
+    /// The first losses, in the order of the files.
     pub first: Vec<Loss>,
-    /// How many there are.
+    /// Number of losses.
     pub places: u64,
-    /// Bytes of the files.
+    /// Lost bytes.
     pub bytes: u64,
-    /// Chunks.
+    /// Lost chunks.
     pub chunks: u64,
-    /// Messages in sound places that cannot be kept: their channel is unknown, without a type or not CDR, or their time
+    /// Undamaged messages that cannot be copied: their channel is undefined, has no type or an unknown encoding, or their time
     /// is past 2^63 - 1 ns.
     pub messages: u64,
-    /// Those of them whose channel is known, by topic.
+    /// The part of `messages` whose channel is defined, by topic.
     pub by_topic: BTreeMap<String, u64>,
 }
 
@@ -67,7 +67,7 @@ impl Losses {
         self.places += 1;
         self.bytes += bytes;
         self.chunks += chunks;
-        if self.first.len() < MOST_NAMED {
+        if self.first.len() < DETAILS_LIMIT {
             self.first.push(Loss {
                 file: file.to_owned(),
                 offset,
@@ -99,7 +99,7 @@ impl fmt::Display for Losses {
         if self.messages > 0 {
             write!(
                 f,
-                "\nlost: {} message(s) whose channel is unknown, has no type or another encoding than CDR, or whose time is out of \
+                "\nlost: {} message(s) whose channel is undefined, has no type or another encoding than CDR, or whose time is out of \
                  rosbag2's range",
                 self.messages
             )?;

@@ -1,4 +1,6 @@
-//! Which parts of a file are undamaged, found by scanning all of it.
+//! Finds the undamaged parts of a file by scanning all of it.
+//!
+//! `mcap::sans_io::LinearReader` is not used: it ends at the first damaged record, and the sound chunks after it are wanted.
 
 use std::{
     fs::File,
@@ -18,60 +20,60 @@ use super::{
 use crate::{
     BagError, Compression,
     reader::{
-        chunk::{MAX_RECORD_BYTES, RECORD_HEADER_BYTES, Records, decompressed, record_header},
+        chunk::{MAX_RECORD_BYTES, RECORD_HEADER_BYTES, Records, decompress, record_header},
         definitions::Definitions,
-        indexing::{Storage, check_magic},
+        indexing::{Storage, detect_storage},
         record::parse,
         stored_file::StoredFile,
     },
 };
 
-/// A stretch of a file whose messages are sound.
+/// An undamaged range of a file.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Stretch {
-    /// Its first byte.
+pub(super) struct IntactRange {
+    /// First byte.
     pub offset: u64,
-    /// The byte behind it.
+    /// End (exclusive).
     pub end: u64,
-    /// One chunk, or messages that are in none.
+    /// Whether it is a chunk; otherwise messages outside chunks.
     pub is_chunk: bool,
 }
 
-/// What a walk over a file has found.
+/// The undamaged contents of a file.
 pub(super) struct Survey {
-    pub stretches: Vec<Stretch>,
+    pub intact: Vec<IntactRange>,
     pub definitions: Definitions,
-    /// That of the first chunk.
+    /// Compression of the first chunk.
     pub compression: Option<Compression>,
-    /// Whether the file ends as it should.
+    /// Whether the file has its end magic.
     pub has_end: bool,
 }
 
-/// Walks a file. What is lost is added to `losses`.
-pub(super) fn survey(stored: &StoredFile, losses: &mut Losses) -> Result<Survey, BagError> {
+/// Reads a file; adds damaged parts to `losses`.
+pub(super) fn examine(stored: &StoredFile, losses: &mut Losses) -> Result<Survey, BagError> {
     let path = stored.path.as_path();
     let io = |source| BagError::io(path, source);
     let mut file = stored.file().map_err(io)?;
     file.seek(SeekFrom::Start(0)).map_err(io)?;
     let size_bytes = file.metadata().map_err(io)?.len();
-    match check_magic(&mut file, path, size_bytes) {
+    match detect_storage(&mut file, path, size_bytes) {
         Ok(Storage::Sqlite) => Err(BagError::NotRecoverable {
             path: path.to_owned(),
         }),
         Ok(Storage::Mcap) => Walk::new(file, path, size_bytes, losses).run(MAGIC.len() as u64),
-        // The first bytes may be all that is wrong with it.
+        // Perhaps only the first bytes are damaged.
         Err(error @ BagError::NotABag { .. }) => {
             let before = losses.clone();
             let mut walk = Walk::new(file, path, size_bytes, losses);
             let first = walk.next_chunk(0)?.unwrap_or(size_bytes);
-            walk.lost(
+            walk.add_loss(
                 0,
                 first,
                 0,
                 "it does not begin like an MCAP file".to_owned(),
             );
             let found = walk.run(first)?;
-            if found.stretches.is_empty() {
+            if found.intact.is_empty() {
                 *losses = before;
                 return Err(error);
             }
@@ -87,10 +89,10 @@ struct Walk<'a> {
     size_bytes: u64,
     losses: &'a mut Losses,
     found: Survey,
-    /// Whether the record that ends the messages was met: behind it is only what can be made again.
-    is_behind_data: bool,
-    /// Whether nothing but indexes lies between the last chunk and here.
-    is_behind_chunk: bool,
+    /// Whether the record at the end of the data was read: only indexes and summary, which are rebuilt, follow it.
+    is_after_data: bool,
+    /// Whether only indexes were read since the last chunk.
+    is_after_chunk: bool,
 }
 
 impl<'a> Walk<'a> {
@@ -101,13 +103,13 @@ impl<'a> Walk<'a> {
             size_bytes,
             losses,
             found: Survey {
-                stretches: Vec::new(),
+                intact: Vec::new(),
                 definitions: Definitions::default(),
                 compression: None,
                 has_end: false,
             },
-            is_behind_data: false,
-            is_behind_chunk: false,
+            is_after_data: false,
+            is_after_chunk: false,
         }
     }
 
@@ -119,7 +121,7 @@ impl<'a> Walk<'a> {
         Ok(self.found)
     }
 
-    /// Up to `length` bytes from `at` on; fewer where the file ends.
+    /// Reads up to `length` bytes from `at`; fewer at the end of the file.
     fn bytes(&mut self, at: u64, length: u64) -> Result<Vec<u8>, BagError> {
         let io = |source| BagError::io(self.path, source);
         let mut bytes = Vec::new();
@@ -131,15 +133,17 @@ impl<'a> Walk<'a> {
         Ok(bytes)
     }
 
-    /// Takes the record at `at`; gives where the next one is.
+    /// Examines the record at `at`; returns the place of the next one.
     fn step(&mut self, at: u64) -> Result<u64, BagError> {
         let front = self.bytes(at, RECORD_HEADER_BYTES + CHUNK_PREFIX as u64)?;
+        // Empty at the end of the file; a prefix that is too short matches no record.
         let prefix = front.get(RECORD_HEADER_BYTES as usize..).unwrap_or(&[]);
         let Some((opcode, length)) = record_header(&front) else {
+            // Never empty: `at` is within the file.
             let opcode = front.first().copied().unwrap_or(0);
             let is_index = matches!(opcode, op::MESSAGE_INDEX | op::DATA_END);
             let reason = "the file ends within a record's first bytes";
-            return self.damaged(at, opcode, is_index, reason);
+            return self.skip_damage(at, opcode, is_index, reason);
         };
         let end = length
             .checked_add(RECORD_HEADER_BYTES)
@@ -147,26 +151,27 @@ impl<'a> Walk<'a> {
         let Some(end) = end.filter(|end| *end <= self.size_bytes) else {
             let is_index = is_cut_index(opcode, prefix, length);
             let reason = "its length is more than the file holds";
-            return self.damaged(at, opcode, is_index, reason);
+            return self.skip_damage(at, opcode, is_index, reason);
         };
         let within = prefix.get(..length.min(prefix.len() as u64) as usize);
+        // In range: limited to the prefix.
         if is_chunk(within.unwrap_or(&[]), length) {
             self.chunk(at, end)?;
-            self.is_behind_chunk = true;
+            self.is_after_chunk = true;
             return Ok(end);
         }
-        if self.is_behind_chunk && self.is_index(opcode, at, length)? {
+        if self.is_after_chunk && self.is_index(opcode, at, length)? {
             return Ok(end);
         }
-        self.is_behind_chunk = false;
+        self.is_after_chunk = false;
         if opcode == op::CHUNK {
-            return self.damaged(at, opcode, false, "the lengths in it contradict each other");
+            return self.skip_damage(at, opcode, false, "the lengths in it contradict each other");
         }
         if matches!(opcode, op::MESSAGE | op::ATTACHMENT) || opcode > op::DATA_END || opcode == 0 {
-            return self.unframed(at, opcode, end);
+            return self.record_without_frame(at, opcode, end);
         }
         if length > MAX_RECORD_BYTES {
-            return self.damaged(
+            return self.skip_damage(
                 at,
                 opcode,
                 false,
@@ -175,33 +180,33 @@ impl<'a> Walk<'a> {
         }
         let body = self.bytes(at + RECORD_HEADER_BYTES, length)?;
         if !is_exact(opcode, &body) {
-            return self.damaged(at, opcode, false, "the lengths in it contradict each other");
+            return self.skip_damage(at, opcode, false, "the lengths in it contradict each other");
         }
         match opcode {
-            op::DATA_END => self.is_behind_data = true,
+            op::DATA_END => self.is_after_data = true,
             op::FOOTER => {
-                let behind = self.bytes(end, MAGIC.len() as u64 + 1)?;
-                if behind == MAGIC {
+                let after = self.bytes(end, MAGIC.len() as u64 + 1)?;
+                if after == MAGIC {
                     self.found.has_end = true;
                     return Ok(self.size_bytes);
                 }
             }
             op::SCHEMA | op::CHANNEL => match parse(opcode, &body) {
                 Ok(record) => self.found.definitions.add(record),
-                Err(error) => self.lost(at, end, 0, error),
+                Err(error) => self.add_loss(at, end, 0, error),
             },
             op::METADATA => match parse(opcode, &body) {
-                // The recorder's own copy of metadata.yaml, which is written anew.
+                // The recorder's copy of metadata.yaml, which is rebuilt.
                 Ok(Record::Metadata(metadata)) if metadata.name == "rosbag2" => {}
-                _ => self.lost(at, end, 0, "metadata records are not copied".to_owned()),
+                _ => self.add_loss(at, end, 0, "metadata records are not copied".to_owned()),
             },
             _ => {}
         }
         Ok(end)
     }
 
-    /// Whether the record behind a chunk is one of its indexes. One whose first byte became that of a message by damage
-    /// would be taken for a message otherwise, since messages outside of chunks have no checksum.
+    /// Whether the record after a chunk is one of its indexes. Otherwise an index whose opcode was damaged into that of a
+    /// message would become one, since messages outside chunks have no checksum.
     fn is_index(&mut self, opcode: u8, at: u64, length: u64) -> Result<bool, BagError> {
         if !matches!(opcode, op::MESSAGE | op::MESSAGE_INDEX) || length > MAX_RECORD_BYTES {
             return Ok(false);
@@ -210,20 +215,20 @@ impl<'a> Walk<'a> {
         Ok(is_exact(op::MESSAGE_INDEX, &body))
     }
 
-    /// Takes a chunk, if it is sound.
+    /// Adds a chunk if it is undamaged.
     fn chunk(&mut self, at: u64, end: u64) -> Result<(), BagError> {
         let length = end - at - RECORD_HEADER_BYTES;
         if length > MAX_RECORD_BYTES {
             let reason = format!("expected at most {MAX_RECORD_BYTES} bytes, got {length}");
-            self.lost(at, end, 1, reason);
+            self.add_loss(at, end, 1, reason);
             return Ok(());
         }
         let body = self.bytes(at + RECORD_HEADER_BYTES, length)?;
         if let Err(reason) = self.sound_chunk(&body) {
-            self.lost(at, end, 1, reason);
+            self.add_loss(at, end, 1, reason);
             return Ok(());
         }
-        self.found.stretches.push(Stretch {
+        self.found.intact.push(IntactRange {
             offset: at,
             end,
             is_chunk: true,
@@ -231,13 +236,13 @@ impl<'a> Walk<'a> {
         Ok(())
     }
 
-    /// Takes the definitions in a chunk all of which can be read.
+    /// Adds the definitions of a chunk if all of it can be read.
     fn sound_chunk(&mut self, body: &[u8]) -> Result<(), String> {
         let Record::Chunk { header, .. } = parse(op::CHUNK, body)? else {
             return Err("it is not a chunk".to_owned());
         };
         let mut definitions = Vec::new();
-        for record in Records::new(decompressed(body)?) {
+        for record in Records::new(decompress(body)?) {
             let record = record?;
             let is_definition = matches!(record.opcode, op::SCHEMA | op::CHANNEL);
             if (is_definition || record.opcode == op::MESSAGE)
@@ -263,44 +268,44 @@ impl<'a> Walk<'a> {
         Ok(())
     }
 
-    /// Takes a record that only its length bounds: what is behind it says whether the length is right.
-    fn unframed(&mut self, at: u64, opcode: u8, end: u64) -> Result<u64, BagError> {
+    /// Examines a record that has no inner lengths: the record after it confirms its length.
+    fn record_without_frame(&mut self, at: u64, opcode: u8, end: u64) -> Result<u64, BagError> {
         let length = end - at - RECORD_HEADER_BYTES;
-        let behind = self.bytes(end, RECORD_HEADER_BYTES)?;
+        let after = self.bytes(end, RECORD_HEADER_BYTES)?;
         let is_known = |opcode: u8| (op::HEADER..=op::DATA_END).contains(&opcode) || opcode >= 0x80;
-        // The last record of a file that was cut off has nothing behind it, or a part.
-        let is_followed = match record_header(&behind) {
+        // The last record of a truncated file has at most a part of a record after it.
+        let is_followed = match record_header(&after) {
             Some((next, length)) => is_known(next) && length <= MAX_RECORD_BYTES,
-            None => behind.first().is_none_or(|next| is_known(*next)),
+            None => after.first().is_none_or(|next| is_known(*next)),
         };
-        if !is_followed && behind.get(..MAGIC.len()) != Some(MAGIC) {
-            return self.damaged(at, opcode, false, "no record follows it");
+        if !is_followed && after.get(..MAGIC.len()) != Some(MAGIC) {
+            return self.skip_damage(at, opcode, false, "no record follows it");
         }
         match opcode {
-            // A damaged record of the summary, where no message can be.
-            op::MESSAGE if self.is_behind_data => {}
+            // Probably a damaged record of the summary, where no message can be.
+            op::MESSAGE if self.is_after_data => {}
             op::MESSAGE if !(super::frame::MESSAGE_PREFIX..=MAX_RECORD_BYTES).contains(&length) => {
-                self.lost(at, end, 0, format!("a message of {length} bytes"));
+                self.add_loss(at, end, 0, format!("a message of {length} bytes"));
             }
-            op::MESSAGE => match self.found.stretches.last_mut() {
+            op::MESSAGE => match self.found.intact.last_mut() {
                 Some(last) if !last.is_chunk && last.end == at => last.end = end,
-                _ => self.found.stretches.push(Stretch {
+                _ => self.found.intact.push(IntactRange {
                     offset: at,
                     end,
                     is_chunk: false,
                 }),
             },
-            op::ATTACHMENT => self.lost(at, end, 0, "attachments are not copied".to_owned()),
-            // Private records are nobody's business; those that MCAP has not defined are damage.
+            op::ATTACHMENT => self.add_loss(at, end, 0, "attachments are not copied".to_owned()),
+            // Private records are ignored; undefined opcodes are damage.
             0x80.. => {}
-            _ => self.lost(at, end, 0, format!("unknown opcode {opcode:#04x}")),
+            _ => self.add_loss(at, end, 0, format!("unknown opcode {opcode:#04x}")),
         }
         Ok(end)
     }
 
-    /// Counts what is between the damaged record at `at` and the next place that is known; gives that place. Indexes
-    /// and summary are made anew: a file that was cut off within them has lost nothing.
-    fn damaged(
+    /// Counts the bytes between the damaged record at `at` and the next recognised place as lost; returns that place. Indexes
+    /// and summary are rebuilt: a file that ends within them has lost nothing.
+    fn skip_damage(
         &mut self,
         at: u64,
         opcode: u8,
@@ -308,33 +313,34 @@ impl<'a> Walk<'a> {
         reason: &str,
     ) -> Result<u64, BagError> {
         let next = self.next_chunk(at + 1)?;
-        if next.is_some() || !(is_index || self.is_behind_data) {
+        if next.is_some() || !(is_index || self.is_after_data) {
             let end = next.unwrap_or(self.size_bytes);
             let chunks = u64::from(opcode == op::CHUNK);
-            self.lost(at, end, chunks, reason.to_owned());
+            self.add_loss(at, end, chunks, reason.to_owned());
         }
         Ok(next.unwrap_or(self.size_bytes))
     }
 
-    fn lost(&mut self, at: u64, end: u64, chunks: u64, reason: String) {
+    fn add_loss(&mut self, at: u64, end: u64, chunks: u64, reason: String) {
         self.losses.add(self.path, at, end - at, chunks, &reason);
     }
 
-    /// Where the next chunk begins, or the end of the messages.
+    /// The start of the next chunk, or the end of the messages.
     fn next_chunk(&mut self, from: u64) -> Result<Option<u64>, BagError> {
-        /// Bytes that are searched at once.
+        /// Number of bytes searched at once.
         const WINDOW: u64 = 1 << 20;
         const FRONT: usize = RECORD_HEADER_BYTES as usize + CHUNK_PREFIX;
         const DATA_END: [u8; 9] = [op::DATA_END, 4, 0, 0, 0, 0, 0, 0, 0];
         let mut at = from;
         while at < self.size_bytes {
-            // The windows overlap, so that none cuts what is searched for.
+            // The windows overlap, so that no pattern is split.
             let window = self.bytes(at, WINDOW + FRONT as u64)?;
             let searched = window.len().min(WINDOW as usize);
             for (offset, opcode) in window.iter().take(searched).enumerate() {
                 if !matches!(*opcode, op::CHUNK | op::DATA_END) {
                     continue;
                 }
+                // In range: `offset` is below the window's size.
                 let front = window.get(offset..).unwrap_or(&[]);
                 let Some((header, body)) = front.split_at_checked(RECORD_HEADER_BYTES as usize)
                 else {
@@ -343,6 +349,7 @@ impl<'a> Walk<'a> {
                 let place = at + offset as u64;
                 let length = record_header(header).map_or(u64::MAX, |(_, length)| length);
                 let room = (self.size_bytes - place).saturating_sub(RECORD_HEADER_BYTES);
+                // In range: limited to the body.
                 let prefix = body.get(..body.len().min(CHUNK_PREFIX)).unwrap_or(&[]);
                 let is_chunk = *opcode == op::CHUNK && length <= room && is_chunk(prefix, length);
                 if is_chunk || header == DATA_END {
@@ -355,8 +362,7 @@ impl<'a> Walk<'a> {
     }
 }
 
-/// Whether a record that the file has not all of is the index behind a chunk, or the mark behind the messages, by the
-/// length in it too.
+/// Whether a truncated record is an index after a chunk, or the end of the data, by opcode and length.
 fn is_cut_index(opcode: u8, prefix: &[u8], length: u64) -> bool {
     let entries = prefix
         .get(2..)

@@ -12,12 +12,12 @@ use crate::{BagReader, Compression, reader::chunk::record_header};
 
 const START_NS: u64 = 1_700_000_000_000_000_000;
 
-/// What a message is told by: topic, sequence number, log time, publish time, bytes.
+/// A message: topic, sequence number, log time, publish time, bytes.
 type Row = (String, u32, u64, u64, Vec<u8>);
 
 fn rows(bag: &Path) -> Vec<Row> {
     let reader = BagReader::open(bag).unwrap();
-    // Outside of chunks nothing says whether a definition is what was written.
+    // Outside chunks, definitions have no checksum.
     let is_of_definition = |warning: &BagWarning| {
         matches!(
             warning,
@@ -48,7 +48,7 @@ fn rows(bag: &Path) -> Vec<Row> {
         .collect()
 }
 
-/// An MCAP file of two topics, `per_chunk` messages a chunk, and its messages; by chunks.
+/// An MCAP file with two topics and `per_chunk` messages per chunk; and its messages, by chunk.
 fn file(options: WriteOptions, chunks: u64, per_chunk: u64) -> (Vec<u8>, Vec<Vec<Row>>) {
     let options = options.profile("ros2").chunk_size(None);
     let mut writer = options.create(Cursor::new(Vec::new())).unwrap();
@@ -106,7 +106,7 @@ fn recovered(scratch: &Path, bytes: &[u8]) -> Result<(Recovery, Vec<Row>), BagEr
     let rows = rows(&output);
     assert_eq!(recovery.summary.message_count, rows.len() as u64);
     if !rows.is_empty() {
-        // The writer does not read definitions, the reader does; `rows` has checked its warnings.
+        // The reader judges definitions, the writer does not; `rows` has checked its warnings.
         let read = BagReader::open(&output).unwrap().summary();
         let written = BagSummary {
             warnings: read.warnings.clone(),
@@ -146,7 +146,7 @@ fn recovered_topic_names_are_absolute() {
     assert_eq!(rows.len(), 1);
 }
 
-/// First byte of each chunk, and of what is behind it.
+/// First byte and end of each chunk.
 fn chunk_places(bytes: &[u8]) -> Vec<(usize, usize)> {
     let mut places = Vec::new();
     let mut at = mcap::MAGIC.len();
@@ -163,7 +163,7 @@ fn chunk_places(bytes: &[u8]) -> Vec<(usize, usize)> {
 }
 
 #[test]
-fn a_sound_bag_stays_as_it_is() {
+fn undamaged_bag_is_copied() {
     let scratch = TempDir::new().unwrap();
     let (bytes, written) = file(zstd(), 3, 4);
     let (recovery, rows) = recovered(scratch.path(), &bytes).unwrap();
@@ -182,7 +182,7 @@ fn a_sound_bag_stays_as_it_is() {
 }
 
 #[test]
-fn a_file_cut_at_any_byte_gives_its_whole_chunks() {
+fn file_cut_at_any_byte_keeps_whole_chunks() {
     let scratch = TempDir::new().unwrap();
     let (bytes, written) = file(zstd(), 4, 3);
     let places = chunk_places(&bytes);
@@ -204,7 +204,7 @@ fn a_file_cut_at_any_byte_gives_its_whole_chunks() {
     }
 }
 
-/// Flips bits at `at`: every message of the other chunks is there, and none that nobody wrote.
+/// Flips bits at `at`: all messages of other chunks are recovered, and no invented ones.
 fn survives_flip(scratch: &Path, bytes: &[u8], written: &[Vec<Row>], at: usize, bits: u8) {
     let mut damaged = bytes.to_vec();
     damaged[at] ^= bits;
@@ -233,7 +233,7 @@ fn survives_flip(scratch: &Path, bytes: &[u8], written: &[Vec<Row>], at: usize, 
 }
 
 #[test]
-fn a_flipped_byte_costs_at_most_its_chunk() {
+fn flipped_byte_costs_at_most_its_chunk() {
     let scratch = TempDir::new().unwrap();
     for options in [zstd(), WriteOptions::new().compression(None)] {
         let (bytes, written) = file(options, 3, 3);
@@ -246,7 +246,7 @@ fn a_flipped_byte_costs_at_most_its_chunk() {
 }
 
 #[test]
-fn messages_outside_chunks_are_kept_up_to_the_damage() {
+fn messages_outside_chunks_are_kept_up_to_damage() {
     let scratch = TempDir::new().unwrap();
     let (bytes, written) = file(WriteOptions::new().use_chunks(false), 1, 20);
     let (recovery, rows) = recovered(scratch.path(), &bytes).unwrap();
@@ -265,7 +265,7 @@ fn messages_outside_chunks_are_kept_up_to_the_damage() {
 }
 
 #[test]
-fn a_folder_of_files_is_recovered_with_what_its_recorder_lost() {
+fn all_files_of_a_folder_are_recovered_with_loss_counts() {
     let scratch = TempDir::new().unwrap();
     let old = scratch.path().join("old");
     let options = WriterOptions {
@@ -286,7 +286,7 @@ fn a_folder_of_files_is_recovered_with_what_its_recorder_lost() {
     let summary = writer.finish().unwrap();
     assert!(summary.files.len() > 3, "{summary}");
     let all = rows(&old);
-    // The first file is empty, as a file system leaves it after a power cut; the last lacks its end.
+    // The first file is empty, as after a power cut; the last lacks its end.
     fs::write(&summary.files[0], b"").unwrap();
     let last = summary.files.last().unwrap();
     let bytes = fs::read(last).unwrap();
@@ -317,7 +317,7 @@ fn a_folder_of_files_is_recovered_with_what_its_recorder_lost() {
 }
 
 #[test]
-fn an_index_that_became_a_message_is_not_recovered_as_one() {
+fn damaged_index_is_not_recovered_as_message() {
     let scratch = TempDir::new().unwrap();
     let (bytes, written) = file(zstd(), 3, 2);
     let mut at = mcap::MAGIC.len();
@@ -339,7 +339,7 @@ fn an_index_that_became_a_message_is_not_recovered_as_one() {
 }
 
 #[test]
-fn what_is_no_bag_is_refused() {
+fn files_other_than_bags_are_rejected() {
     let scratch = TempDir::new().unwrap();
     for bytes in [&b""[..], b"some text that is no bag", b"SQLite format 3\0"] {
         assert!(recovered(scratch.path(), bytes).is_err());
@@ -350,7 +350,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
     #[test]
-    fn any_damage_gives_messages_that_were_written_or_an_error(
+    fn any_damage_gives_written_messages_or_an_error(
         chunks in 1u64..6,
         per_chunk in 1u64..6,
         is_compressed: bool,
@@ -372,7 +372,7 @@ proptest! {
     }
 
     #[test]
-    fn any_bytes_behind_the_magic_are_survived(noise in prop::collection::vec(any::<u8>(), 0..400)) {
+    fn recover_survives_arbitrary_bytes(noise in prop::collection::vec(any::<u8>(), 0..400)) {
         let scratch = TempDir::new().unwrap();
         let _ = recovered(scratch.path(), &[mcap::MAGIC, &noise].concat());
     }

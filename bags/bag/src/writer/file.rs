@@ -10,54 +10,53 @@ use mcap::{Channel, records::MessageHeader, write::NoSeek};
 use super::WriterOptions;
 use crate::{BagError, metadata::sync_folder};
 
-/// What the open chunk holds.
+/// Contents of the open chunk.
 #[derive(Default)]
 struct OpenChunk {
-    /// Bytes of its messages.
+    /// Message bytes.
     bytes: u64,
-    /// Most bytes that it takes on the disk, its indexes included, if it does not compress.
+    /// Upper bound of its size on the disk, with indexes \[bytes\].
     disk_bytes: u64,
-    /// The first and the last log time, in ns.
+    /// First and last log time \[ns\].
     span: Option<(u64, u64)>,
 }
 
-/// What a message takes beside its bytes: opcode and length, its header, and its entry in the index.
+/// Overhead of a message: opcode and length, header, index entry \[bytes\].
 const MESSAGE_OVERHEAD: u64 = 9 + 22 + 16;
 
-/// One MCAP file of a bag, while it is written.
+/// An MCAP file during writing.
 pub(super) struct BagFile {
     path: PathBuf,
-    // `NoSeek`: the library then builds a chunk in memory and writes it in one go, so that a file never ends in a
-    // chunk with an unfilled header.
+    // `NoSeek`: the library builds a chunk in memory and writes it at once, so that a file never ends with an unfilled chunk
+    // header.
     mcap: mcap::Writer<NoSeek<BufWriter<File>>>,
-    /// The same file, to ask for its size.
+    /// The same file, to query its size.
     on_disk: File,
-    /// Bytes on the disk at the last flush.
+    /// File size at the last flush \[bytes\].
     flushed_bytes: u64,
-    /// How often finished chunks are waited for to be on the disk, and when they last were.
+    /// Interval and time of the last sync to the disk.
     sync_interval: Option<Duration>,
     synced_at: Instant,
-    /// Bytes that a power cut leaves.
+    /// File size at the last sync \[bytes\].
     pub(super) synced_bytes: u64,
-    /// Id in this file of each channel of the bag.
+    /// Channel id in this file, by channel index.
     ids: Vec<u16>,
     chunk: OpenChunk,
-    /// The first and the last log time, in ns.
+    /// First and last log time \[ns\].
     span: Option<(u64, u64)>,
     message_count: u64,
 }
 
-/// A file that has been closed.
 pub(super) struct WrittenFile {
     pub path: PathBuf,
     pub size_bytes: u64,
-    /// The first and the last log time, in ns.
+    /// First and last log time \[ns\].
     pub span: Option<(u64, u64)>,
     pub message_count: u64,
 }
 
 impl BagFile {
-    /// Begins a file that must not exist.
+    /// Creates a file that must not exist.
     pub fn create(path: PathBuf, options: &WriterOptions) -> Result<Self, BagError> {
         let io = |source| BagError::io(&path, source);
         let stream = File::create_new(&path).map_err(io)?;
@@ -82,11 +81,11 @@ impl BagFile {
             span: None,
             message_count: 0,
         };
-        // A process that is killed now leaves an MCAP file, not an empty one.
+        // Even if the process is killed now, the file is valid MCAP.
         file.flush()?;
         if file.sync_interval.is_some() {
             file.sync()?;
-            // The file has to be found again, too.
+            // The folder entry must reach the disk too.
             file.path.parent().map_or(Ok(()), sync_folder)?;
         }
         Ok(file)
@@ -99,14 +98,14 @@ impl BagFile {
         }
     }
 
-    /// Adds the bag's next channel.
+    /// Adds the next channel of the bag.
     pub fn add(&mut self, channel: &Channel<'_>) -> Result<(), BagError> {
         let schema_id = match &channel.schema {
             Some(schema) => self
                 .mcap
                 .add_schema(&schema.name, &schema.encoding, &schema.data)
                 .map_err(|source| self.mcap_error(source))?,
-            // MCAP's way to say that there is none.
+            // In MCAP, 0 means no schema.
             None => 0,
         };
         let id = self
@@ -122,7 +121,7 @@ impl BagFile {
         Ok(())
     }
 
-    /// Whether the message of this time belongs in the next file.
+    /// Whether the message with this log time belongs to the next file.
     pub fn is_full(&mut self, log_time_ns: u64, options: &WriterOptions) -> Result<bool, BagError> {
         let Some((start_ns, _)) = self.span else {
             return Ok(false);
@@ -137,12 +136,12 @@ impl BagFile {
         if self.flushed_bytes + self.chunk.disk_bytes < most {
             return Ok(false);
         }
-        // What the open chunk takes is known once it is compressed.
+        // The size of the open chunk is known once it is compressed.
         self.flush()?;
         Ok(self.flushed_bytes >= most)
     }
 
-    /// Writes a message of the bag's channel of this number; its channel id is set here.
+    /// Writes a message to the channel with this index; sets the channel id.
     pub fn write(
         &mut self,
         channel: usize,
@@ -157,8 +156,8 @@ impl BagFile {
             .write_to_known_channel(&header, data)
             .map_err(|source| self.mcap_error(source))?;
         self.message_count += 1;
-        self.span = Some(widened(self.span, header.log_time));
-        let (start_ns, end_ns) = widened(self.chunk.span, header.log_time);
+        self.span = Some(extend_span(self.span, header.log_time));
+        let (start_ns, end_ns) = extend_span(self.chunk.span, header.log_time);
         self.chunk.span = Some((start_ns, end_ns));
         self.chunk.bytes += data.len() as u64;
         self.chunk.disk_bytes += data.len() as u64 + MESSAGE_OVERHEAD;
@@ -171,7 +170,7 @@ impl BagFile {
         Ok(())
     }
 
-    /// Closes the open chunk and hands it to the operating system; waits for the disk where that is due.
+    /// Closes the open chunk and passes it to the operating system; syncs it to the disk if the interval has passed.
     pub fn flush(&mut self) -> Result<(), BagError> {
         self.chunk = OpenChunk::default();
         self.mcap
@@ -185,12 +184,12 @@ impl BagFile {
         Ok(())
     }
 
-    /// Waits until what was flushed is on the disk.
+    /// Waits until flushed data is on the disk.
     fn sync(&mut self) -> Result<(), BagError> {
         let synced = self.on_disk.sync_data();
         synced.map_err(|source| BagError::io(&self.path, source))?;
         self.synced_bytes = self.flushed_bytes;
-        // After the wait: a disk that is slower than the interval is not waited for all the time.
+        // Measured after the wait, so that a slow disk is not synced all the time.
         self.synced_at = Instant::now();
         Ok(())
     }
@@ -225,8 +224,7 @@ impl BagFile {
     }
 }
 
-/// A span of time that takes in one more time.
-fn widened(span: Option<(u64, u64)>, time_ns: u64) -> (u64, u64) {
+fn extend_span(span: Option<(u64, u64)>, time_ns: u64) -> (u64, u64) {
     span.map_or((time_ns, time_ns), |(start, end)| {
         (start.min(time_ns), end.max(time_ns))
     })

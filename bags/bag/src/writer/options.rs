@@ -5,11 +5,11 @@ use mcap::WriteOptions;
 /// Compression of the chunks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Compression {
-    /// None.
+    /// No compression.
     None,
-    /// Fast.
+    /// Fast compression.
     Lz4,
-    /// Smaller.
+    /// Smaller files.
     #[default]
     Zstd,
 }
@@ -23,7 +23,7 @@ impl Compression {
         }
     }
 
-    /// The name in `bag info`.
+    /// Name in `bag info`.
     pub(super) const fn name(self) -> &'static str {
         match self {
             Self::None => "none",
@@ -32,7 +32,7 @@ impl Compression {
         }
     }
 
-    /// The compression that MCAP names so; none for an unknown one.
+    /// Parses MCAP's name; `None` if unknown.
     pub(crate) fn of_mcap(name: &str) -> Option<Self> {
         match name {
             "" => Some(Self::None),
@@ -46,44 +46,42 @@ impl Compression {
 /// The presets of rosbag2's MCAP storage (`--storage-preset-profile`, README of rosbag2_storage_mcap).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum StoragePreset {
-    /// What [`WriterOptions`] says otherwise.
+    /// The other fields of [`WriterOptions`] apply.
     #[default]
     None,
-    /// No chunks, hence no compression and no index, and no CRC of the summary: least work for the processor.
+    /// No chunks, compression, index or CRC of the summary: minimal CPU load.
     FastWrite,
-    /// Chunks in zstd's fastest level, without CRC.
+    /// zstd at its fastest level, without CRC.
     ZstdFast,
-    /// Chunks of 4 MiB in zstd's slowest level.
+    /// Chunks of 4 MiB, zstd at its slowest level.
     ZstdSmall,
 }
 
-/// How a bag is written.
+/// Options of a [`BagWriter`](crate::BagWriter).
 #[derive(Clone, Debug)]
 pub struct WriterOptions {
-    /// A chunk is closed and handed to the operating system when it holds this many bytes before compression. It is
-    /// also the most that a killed process loses.
+    /// Size before compression at which a chunk is closed and passed to the operating system \[bytes\]. A killed process
+    /// loses at most this much.
     pub chunk_size: u64,
-    /// A chunk is also closed once it spans this much log time; a live recorder sets it, so that a slow topic is not
-    /// held back for minutes.
+    /// Log time span at which a chunk is closed too. A live recorder sets it, so that messages of slow topics do not wait for
+    /// minutes.
     pub chunk_duration: Option<Duration>,
-    /// Finished chunks are also waited for to be on the disk, whenever this much time has passed since they last were:
-    /// a power cut then loses at most this and the open chunk. None: when the operating system sees fit, and at the
-    /// file's end.
+    /// Interval at which finished chunks are synced to the disk: a power cut loses at most this interval and the open chunk.
+    /// `None`: the operating system decides, until the file's end.
     pub sync_interval: Option<Duration>,
     /// Compression of the chunks.
     pub compression: Compression,
-    /// A preset of rosbag2; other than [`StoragePreset::None`], it goes before `compression` and `chunk_size`.
+    /// A preset of rosbag2; except [`StoragePreset::None`], it overrides `compression` and `chunk_size`.
     pub preset: StoragePreset,
-    /// The next file of the bag starts when this one has reached this many bytes; it may exceed them by a chunk's
-    /// index, the summary and one message. None: one file.
+    /// Size at which the next file starts \[bytes\]; a file may exceed it by a chunk's index, the summary and one message.
+    /// `None`: one file.
     pub max_file_bytes: Option<u64>,
-    /// The next file of the bag is begun with the first message that is later than the file's first by more than
-    /// this. None: one file.
+    /// The next file starts with the first message later than the file's first by more than this. `None`: one file.
     pub max_file_duration: Option<Duration>,
-    /// Whether each file after the first begins with the latched messages that hold then, so that it can be played by
-    /// itself. A reader of the whole bag passes over them.
+    /// Whether each later file repeats the latched messages, so that it can be played by itself. A reader of the whole bag
+    /// skips the repetitions.
     pub repeats_latched: bool,
-    /// The ROS distribution that `metadata.yaml` names; may be empty.
+    /// ROS distribution in `metadata.yaml`; may be empty.
     pub ros_distro: String,
 }
 
@@ -103,13 +101,13 @@ impl Default for WriterOptions {
     }
 }
 
-/// zstd's fastest level that the library can be told; the C++ library's is negative.
+/// The library's fastest level of zstd; the C++ library has a negative one.
 const ZSTD_FASTEST: u32 = 1;
-/// zstd's slowest level that needs no special memory to read.
+/// The slowest level of zstd that readers decompress without extra memory.
 const ZSTD_SLOWEST: u32 = 19;
 
 impl WriterOptions {
-    /// Compression of the chunks, the preset heeded.
+    /// Compression after the preset is applied.
     pub(super) const fn chunk_compression(&self) -> Compression {
         match self.preset {
             StoragePreset::None => self.compression,
@@ -118,7 +116,7 @@ impl WriterOptions {
         }
     }
 
-    /// Bytes of a chunk before compression, the preset heeded.
+    /// Chunk size after the preset is applied \[bytes before compression\].
     pub(super) const fn chunk_bytes(&self) -> u64 {
         match self.preset {
             StoragePreset::ZstdSmall => 4 << 20,
@@ -126,11 +124,11 @@ impl WriterOptions {
         }
     }
 
-    /// The library's options for a file of a ROS 2 bag.
+    /// The options of the MCAP library.
     pub(super) fn mcap(&self) -> WriteOptions {
         let level = match self.preset {
             StoragePreset::ZstdSmall => ZSTD_SLOWEST,
-            // Fast zstd in this thread: images are JPEG already.
+            // A fast level, since images are JPEG already.
             _ => ZSTD_FASTEST,
         };
         WriteOptions::new()
@@ -138,15 +136,15 @@ impl WriterOptions {
             .library(concat!("wm_bag ", env!("CARGO_PKG_VERSION")))
             .compression(self.chunk_compression().mcap())
             .compression_level(level)
-            // Worker threads would outlive their use.
+            // No worker threads: they would outlive their use.
             .compression_threads(0)
-            // Chunks are closed by the writer, so that each is flushed.
+            // The writer closes chunks itself, in order to flush each.
             .chunk_size(None)
             .disable_seeking(true)
             .use_chunks(self.preset != StoragePreset::FastWrite)
             .calculate_summary_section_crc(self.preset != StoragePreset::FastWrite)
             .calculate_chunk_crcs(self.preset != StoragePreset::ZstdFast)
-            // mcap 0.26 builds this one from the chunks' CRCs: without them it would be wrong.
+            // mcap 0.26 computes this CRC from those of the chunks: without them it would be wrong.
             .calculate_data_section_crc(self.preset != StoragePreset::ZstdFast)
     }
 }

@@ -8,7 +8,7 @@ use crate::{BagReader, BagWarning};
 
 const START_NS: u64 = 1_700_000_000_000_000_000;
 
-/// `count` texts on two topics, ten a second.
+/// Writes `count` texts on two topics, ten per second.
 fn write(dir: &Path, options: WriterOptions, count: u64) -> BagSummary {
     let mut writer = BagWriter::create(dir, options).unwrap();
     writer
@@ -16,7 +16,7 @@ fn write(dir: &Path, options: WriterOptions, count: u64) -> BagSummary {
         .unwrap();
     for number in 0..count {
         let text = Text {
-            // No two chunks of it compress to nothing.
+            // Random, so that chunks do not compress to nothing.
             data: format!("{number} {}", number.wrapping_mul(0x9e37_79b9_7f4a_7c15)),
         };
         let topic = ["/even", "/odd"][number as usize % 2];
@@ -36,8 +36,8 @@ fn times(bag: &Path) -> Vec<u64> {
         .collect()
 }
 
-/// The files of the bag: `NAME_0.mcap` and so on, each with every topic; and together, in order, the whole.
-fn is_split(dir: &Path, written: &BagSummary, count: u64) {
+/// Checks the files `NAME_0.mcap` and so on: each has every topic, and together they have all messages in order.
+fn check_split(dir: &Path, written: &BagSummary, count: u64) {
     let reader = BagReader::open(dir).unwrap();
     assert_eq!(&reader.summary(), written);
     let expected: Vec<u64> = (0..count)
@@ -70,7 +70,7 @@ fn is_split(dir: &Path, written: &BagSummary, count: u64) {
 }
 
 #[test]
-fn a_bag_is_split_by_duration() {
+fn bag_is_split_by_duration() {
     let scratch = TempDir::new().unwrap();
     let dir = scratch.path().join("bag");
     let options = WriterOptions {
@@ -78,14 +78,14 @@ fn a_bag_is_split_by_duration() {
         ..WriterOptions::default()
     };
     let written = write(&dir, options, 50);
-    // As in rosbag2, a file ends with the last message that is not later by more than the limit.
+    // As in rosbag2, the limit itself is included.
     assert_eq!(times(&written.files[0]).len(), 11);
     assert_eq!(written.files.len(), 5);
-    is_split(&dir, &written, 50);
+    check_split(&dir, &written, 50);
 }
 
 #[test]
-fn a_bag_is_split_by_size() {
+fn bag_is_split_by_size() {
     const LIMIT: u64 = 6000;
     let scratch = TempDir::new().unwrap();
     for (number, compression) in [Compression::None, Compression::Lz4, Compression::Zstd]
@@ -107,12 +107,12 @@ fn a_bag_is_split_by_size() {
             assert!((LIMIT..2 * LIMIT).contains(&bytes), "{bytes} bytes");
         }
         assert!(fs::metadata(last).unwrap().len() < 2 * LIMIT);
-        is_split(&dir, &written, 500);
+        check_split(&dir, &written, 500);
     }
 }
 
 #[test]
-fn a_killed_writer_leaves_the_files_that_were_full() {
+fn killed_writer_leaves_complete_files() {
     let scratch = TempDir::new().unwrap();
     let dir = scratch.path().join("bag");
     let options = WriterOptions {
@@ -128,7 +128,7 @@ fn a_killed_writer_leaves_the_files_that_were_full() {
             .write("/text", &text, START_NS + number * 100_000_000)
             .unwrap();
     }
-    // What kill -9 does: nothing in the process runs any more, buffers included.
+    // Like kill -9: no destructor runs, and buffers are lost.
     std::mem::forget(writer);
     let reader = BagReader::open(&dir).unwrap();
     assert!(
@@ -140,7 +140,7 @@ fn a_killed_writer_leaves_the_files_that_were_full() {
 }
 
 #[test]
-fn finished_chunks_are_on_the_disk_after_the_interval() {
+fn chunks_are_on_the_disk_after_the_interval() {
     let scratch = TempDir::new().unwrap();
     let written = |interval: Option<Duration>| {
         let dir = scratch.path().join(format!("{interval:?}"));
@@ -174,7 +174,7 @@ fn finished_chunks_are_on_the_disk_after_the_interval() {
 }
 
 #[test]
-fn presets_are_those_of_rosbag2() {
+fn presets_match_rosbag2() {
     let scratch = TempDir::new().unwrap();
     for (name, preset, compression, has_chunks) in [
         ("fastwrite", StoragePreset::FastWrite, "none", false),
@@ -188,7 +188,7 @@ fn presets_are_those_of_rosbag2() {
         };
         let written = write(&dir, options, 100);
         assert_eq!(written.compression, compression, "{name}");
-        is_split(&dir, &written, 100);
+        check_split(&dir, &written, 100);
         let bytes = fs::read(&written.files[0]).unwrap();
         let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
         assert_eq!(!summary.chunk_indexes.is_empty(), has_chunks, "{name}");

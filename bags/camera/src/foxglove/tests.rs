@@ -11,7 +11,7 @@ use crate::{camera_frame::CameraFrame, protobuf_topics::ProtobufTopics, transpor
 
 const START_NS: i64 = 1_750_000_000_000_000_000;
 
-/// A file of Foxglove's own libraries.
+/// Opens a file of Foxglove's own libraries.
 fn reader() -> BagReader {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/protobuf/pictures.mcap");
     BagReader::open(file).unwrap()
@@ -45,7 +45,7 @@ fn pictures_in_protobuf_are_read() {
 }
 
 #[test]
-fn other_protobuf_types_are_left_out_by_name() {
+fn other_protobuf_types_are_skipped_by_name() {
     let reader = reader();
     let [BagWarning::ChannelSkipped { topic, reason, .. }] = reader.warnings() else {
         panic!("{:?}", reader.warnings());
@@ -78,7 +78,7 @@ fn converted_bag_has_the_same_pictures_in_cdr() {
         for (old, new) in old.iter().zip(new) {
             assert_eq!(old.log_time_ns, new.log_time_ns);
             if topic == "/camera/video" {
-                let both = [old, new].map(|message| CompressedVideo::of_bag(message).unwrap());
+                let both = [old, new].map(|message| compressed_video(message).unwrap());
                 assert_eq!(both[0], both[1]);
                 assert_eq!(both[0].format, "h264");
                 continue;
@@ -88,7 +88,7 @@ fn converted_bag_has_the_same_pictures_in_cdr() {
             assert_eq!(both[0].fingerprint(), both[1].fingerprint());
         }
     }
-    let description = CompressedVideo::schema().description(ROS_VIDEO[0]);
+    let description = wm_bag::type_schema::<CompressedVideo>().description(ROS_VIDEO[0]);
     assert_eq!(description.unwrap().unwrap().described.fields.len(), 4);
 }
 
@@ -98,7 +98,7 @@ fn video_in_protobuf_becomes_pictures() {
     let folder = tempfile::tempdir().unwrap();
     let (old, new) = (reader(), folder.path().join("new"));
     let topics = crate::video::VideoTopics::of(&old, 95);
-    assert_eq!(topics.kept(), []);
+    assert_eq!(topics.skipped(), []);
     let mut transforms: [Box<dyn Transform>; 2] = [Box::new(topics), Box::new(ProtobufTopics)];
     let options = WriterOptions::default();
     let made = convert(old.path(), &new, options, &mut transforms).unwrap();
@@ -145,7 +145,7 @@ fn copies_keep_protobuf() {
 }
 
 #[test]
-fn times_that_ros_cannot_have_are_refused() {
+fn times_outside_the_range_of_ros_are_rejected() {
     let mut message = messages(&reader(), "/camera/video").remove(0);
     for (seconds, nanos, is_good) in [
         (5, 999_999_999, true),
@@ -158,28 +158,28 @@ fn times_that_ros_cannot_have_are_refused() {
             ..Video::default()
         };
         message.data = video.encode_to_vec().into();
-        let read = CompressedVideo::of_bag(&message);
+        let read = compressed_video(&message);
         assert_eq!(read.is_ok(), is_good, "{seconds} s {nanos} ns: {read:?}");
     }
     message.data = Video::default().encode_to_vec().into();
-    let read = CompressedVideo::of_bag(&message).unwrap();
+    let read = compressed_video(&message).unwrap();
     assert_eq!(read.timestamp, Time::default());
 }
 
 proptest! {
     #[test]
-    fn any_bytes_give_a_picture_or_an_error(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
+    fn decoder_survives_arbitrary_bytes(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
         let reader = reader();
         for topic in ["/camera/jpeg", "/camera/raw", "/camera/video"] {
             let mut message = messages(&reader, topic).remove(0);
             message.data = bytes.clone().into();
-            let _ = CompressedVideo::of_bag(&message);
+            let _ = compressed_video(&message);
             let _ = CameraFrame::of_bag(&message).map(|frame| frame.decode());
         }
     }
 
     #[test]
-    fn cut_messages_are_errors_or_shorter(share in 0.0..1.0) {
+    fn truncated_messages_are_errors_or_shorter(share in 0.0..1.0) {
         let reader = reader();
         let mut message = messages(&reader, "/camera/raw").remove(0);
         let whole = raw_image(&message).unwrap();

@@ -5,7 +5,7 @@ use proptest::prelude::*;
 
 use super::*;
 
-/// A 2x2 image of 3 pixels' step: rows padded by bytes that must not be read.
+/// A 2x2 image with a step of 3 pixels; the padding must not be read.
 fn padded(encoding: &str, pixels: [&[u8]; 4]) -> Image {
     let bytes = pixels[0].len();
     let mut data = Vec::new();
@@ -25,7 +25,7 @@ fn padded(encoding: &str, pixels: [&[u8]; 4]) -> Image {
 }
 
 #[test]
-fn every_encoding_comes_out_as_rgb_whatever_the_step() {
+fn every_encoding_becomes_rgb_with_any_step() {
     let expected = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12];
     let rgb = padded("rgb8", [&[1, 2, 3], &[4, 5, 6], &[7, 8, 9], &[10, 11, 12]]);
     let bgr = padded("bgr8", [&[3, 2, 1], &[6, 5, 4], &[9, 8, 7], &[12, 11, 10]]);
@@ -55,7 +55,7 @@ fn every_encoding_comes_out_as_rgb_whatever_the_step() {
             image.encoding
         );
     }
-    // OpenCV's order.
+    // OpenCV's types are in BGR order.
     let bgr = padded("8UC3", [&[3, 2, 1], &[6, 5, 4], &[9, 8, 7], &[12, 11, 10]]);
     assert_eq!(decode_image(&bgr).unwrap().as_raw(), &expected);
     let grey = [1, 1, 1, 2, 2, 2, 3, 3, 3, 4, 4, 4];
@@ -66,7 +66,7 @@ fn every_encoding_comes_out_as_rgb_whatever_the_step() {
 }
 
 #[test]
-fn padding_may_be_missing_or_unnamed() {
+fn last_padding_and_step_may_be_missing() {
     let expected = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12];
     let padded = padded("rgb8", [&[1, 2, 3], &[4, 5, 6], &[7, 8, 9], &[10, 11, 12]]);
     let short = Image {
@@ -87,7 +87,7 @@ fn padding_may_be_missing_or_unnamed() {
     }
 }
 
-/// BT.601, limited range, of black, white, red and blue; as OpenCV's cvtColor gives them.
+/// RGB and BT.601 (limited range) of black, white, red and blue, computed by OpenCV's cvtColor.
 const YUV: [([u8; 3], [u8; 3]); 4] = [
     ([16, 128, 128], [0, 0, 0]),
     ([235, 128, 128], [255, 255, 255]),
@@ -96,7 +96,7 @@ const YUV: [([u8; 3], [u8; 3]); 4] = [
 ];
 
 #[test]
-fn yuv_becomes_the_colours_of_bt601() {
+fn yuv_is_converted_by_bt601() {
     for ([luma, blue, red], rgb) in YUV {
         let expected: Vec<u8> = [rgb; 8].concat();
         let image = |encoding: &str, step: u32, data: Vec<u8>| Image {
@@ -139,8 +139,8 @@ fn yuv_becomes_the_colours_of_bt601() {
 }
 
 #[test]
-fn planes_of_a_padded_picture_are_found() {
-    // 3 x 3 pixels in rows of 6 bytes: 3 rows of luma, 2 of pairs. The last row lacks its padding.
+fn planes_of_padded_pictures_are_found() {
+    // 3 x 3 pixels in rows of 6 bytes: 3 rows of luma, 2 of pairs; no padding after the last row.
     let mut data = vec![0xab; 6 * 4 + 4];
     for row in 0..3 {
         data[row * 6..row * 6 + 3].fill(82);
@@ -166,7 +166,7 @@ fn planes_of_a_padded_picture_are_found() {
 }
 
 #[test]
-fn mosaic_of_each_pattern_becomes_its_colours() {
+fn each_mosaic_pattern_becomes_rgb() {
     let colour = [200, 100, 50];
     for (encoding, pattern) in [
         ("bayer_rggb8", [0, 1, 1, 2]),
@@ -196,7 +196,7 @@ fn mosaic_of_each_pattern_becomes_its_colours() {
 
 #[test]
 fn mosaic_is_interpolated_linearly() {
-    // A ramp of all colours: its interpolation is the ramp itself, inside.
+    // Inside, the interpolation of a ramp is the ramp itself.
     let ramp = |x: u32, y: u32| (10 * x + 20 * y) as u8;
     let image = Image {
         encoding: "bayer_grbg8".into(),
@@ -215,7 +215,7 @@ fn mosaic_is_interpolated_linearly() {
 }
 
 #[test]
-fn depth_is_refused_by_name() {
+fn depth_is_rejected_by_name() {
     for encoding in ["16UC1", "32FC1", "mono16"] {
         let image = Image {
             encoding: encoding.into(),
@@ -242,7 +242,7 @@ fn depth_is_refused_by_name() {
     for image in [
         compressed("16UC1; png compressed", png),
         compressed("16UC1; compressedDepth png", with_header.clone()),
-        // The bytes decide.
+        // Bytes win over the format.
         compressed("jpeg", with_header),
         compressed("16UC1; compressedDepth rvl", vec![0; 40]),
     ] {
@@ -260,7 +260,7 @@ fn depth_is_refused_by_name() {
 }
 
 #[test]
-fn bytes_decide_the_format() {
+fn bytes_decide_the_codec() {
     let rgb = RgbImage::from_pixel(16, 16, image::Rgb([200, 20, 20]));
     let jpeg = encode_jpeg(&rgb, Header::default(), 95).unwrap().data;
     let mut png = Cursor::new(Vec::new());
@@ -312,12 +312,12 @@ fn bytes_decide_the_format() {
 }
 
 #[test]
-fn incomplete_png_is_refused() {
+fn incomplete_png_is_rejected() {
     let rgb = RgbImage::from_fn(40, 30, |x, y| image::Rgb([(x * y) as u8, x as u8, y as u8]));
     let mut png = Cursor::new(Vec::new());
     rgb.write_to(&mut png, ImageFormat::Png).unwrap();
     let png = png.into_inner();
-    // The end marker has 12 bytes and no pixels.
+    // The end marker: 12 bytes without pixels.
     for length in 0..png.len() - 12 {
         let image = CompressedImage {
             data: png[..length].to_vec(),
@@ -340,7 +340,7 @@ fn incomplete_png_is_refused() {
 }
 
 #[test]
-fn each_error_names_what_is_wrong() {
+fn each_error_names_the_fault() {
     let good = padded("rgb8", [&[1, 2, 3], &[4, 5, 6], &[7, 8, 9], &[10, 11, 12]]);
     let message = |image: Image| decode_image(&image).unwrap_err().to_string();
     assert!(
@@ -391,8 +391,8 @@ fn each_error_names_what_is_wrong() {
 }
 
 #[test]
-fn a_png_that_claims_more_than_the_bound_is_refused_before_it_is_allocated() {
-    // Signature and a header chunk of 60000x60000 pixels, its checksum right, so that only the size is wrong.
+fn too_large_png_is_rejected_before_allocation() {
+    // Signature and a header chunk of 60000x60000 pixels with a correct checksum.
     let mut data = vec![0x89, b'P', b'N', b'G', 13, 10, 26, 10, 0, 0, 0, 13];
     let mut chunk = b"IHDR".to_vec();
     chunk.extend(60_000_u32.to_be_bytes());
@@ -458,9 +458,9 @@ proptest! {
         prop_assert_eq!(decode_image(&encode_image(&rgb, Header::default())).unwrap(), rgb);
     }
 
-    /// Whatever comes, it is an image or an error.
+    /// Any message gives an image or an error.
     #[test]
-    fn no_message_panics(
+    fn decoder_survives_arbitrary_messages(
         width in any::<u32>(), height in any::<u32>(), step in any::<u32>(), small in any::<bool>(),
         encoding in prop::sample::select(vec!["rgb8", "mono8", "mono16", "bgra8", "yuyv", "nv12", "nv21", "nv24", "bayer_rggb8", "x"]),
         data in prop::collection::vec(any::<u8>(), 0..200),

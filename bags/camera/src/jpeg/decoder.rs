@@ -1,4 +1,4 @@
-//! The decoders of complete JPEGs.
+//! Decoders of complete JPEGs.
 
 use std::io::Cursor;
 
@@ -13,10 +13,9 @@ use super::{
 };
 use crate::limits::MAX_SIDE;
 
-/// Decodes a picture that was surveyed.
 pub(super) fn decode(data: &[u8], survey: &Survey) -> Result<RgbImage, JpegError> {
     let frame = &survey.frame;
-    // libjpeg repeats the colours of so narrow a picture, and interpolates those of others.
+    // libjpeg repeats the colours of such narrow pictures instead of interpolating them.
     if frame.width <= 4 && frame.most_factors() == (2, 2) {
         return Err(JpegError::Layout("4:2:0 colours in less than 5 columns"));
     }
@@ -28,10 +27,10 @@ pub(super) fn decode(data: &[u8], survey: &Survey) -> Result<RgbImage, JpegError
         .ok_or_else(|| JpegError::Decoder("it returned a picture of another size".to_owned()))
 }
 
-/// Whether zune-jpeg, which is twice as fast, decodes a layout right. On pictures of libjpeg-turbo, 0.5.15 is off by up to
-/// 255 levels where a sequential picture has several scans, or luma fewer samples than chroma; and by up to 74 at the
-/// lower and right edges where colours have fewer samples and blocks reach beyond the picture. jpeg-decoder is right for
-/// all of them, but for the layout that [`decode`] refuses.
+/// Whether zune-jpeg, which is twice as fast, decodes this layout correctly. Compared with libjpeg-turbo, version 0.5.15 is
+/// wrong by up to 255 levels for sequential pictures with several scans or less luma than chroma samples, and by up to 74
+/// at the lower and right edges of subsampled pictures with partial blocks. jpeg-decoder is correct for all of them, except
+/// for the layout that [`decode`] rejects.
 fn is_for_zune(survey: &Survey) -> bool {
     let frame = &survey.frame;
     let (across, down) = frame.most_factors();

@@ -3,7 +3,7 @@
 use super::JpegError;
 use crate::limits::MAX_SIDE;
 
-/// How the components of a pixel are coded.
+/// Colour space of the components.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Colours {
     Grey,
@@ -15,9 +15,9 @@ pub(super) enum Colours {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Component {
     pub id: u8,
-    /// Samples across and down, relative to the other components; 1 to 4.
+    /// Horizontal and vertical sampling factors, 1 to 4.
     pub factors: (u8, u8),
-    /// Number of its quantisation table.
+    /// Id of the quantisation table.
     pub quantisation: u8,
 }
 
@@ -83,7 +83,7 @@ impl Frame {
             });
         }
         if let [only] = components.as_mut_slice() {
-            // Relative to itself, whatever the header has.
+            // Factors are relative: a single component has 1.
             only.factors = (1, 1);
         }
         Ok(Self {
@@ -94,16 +94,16 @@ impl Frame {
         })
     }
 
-    /// The largest factors of a component.
     pub(super) fn most_factors(&self) -> (u32, u32) {
         let most = |of: fn(&Component) -> u8| {
             let factors = self.components.iter().map(of);
+            // A frame has at least one component.
             u32::from(factors.max().unwrap_or(1))
         };
         (most(|c| c.factors.0), most(|c| c.factors.1))
     }
 
-    /// Blocks of 8 x 8 samples that a component has across and down.
+    /// Number of 8 x 8 blocks of a component, across and down.
     pub(super) fn blocks(&self, component: &Component) -> (u32, u32) {
         let (most_across, most_down) = self.most_factors();
         let blocks = |side: u32, factor: u8, most: u32| {
@@ -115,7 +115,7 @@ impl Frame {
         )
     }
 
-    /// Units of a scan of several components, across and down: each has as many blocks of a component as its factors say.
+    /// Number of units in an interleaved scan, across and down; each has as many blocks of a component as its factors.
     pub(super) fn units(&self) -> (u32, u32) {
         let (across, down) = self.most_factors();
         (
@@ -124,7 +124,7 @@ impl Frame {
         )
     }
 
-    /// What the components are, by the rules of libjpeg: JFIF's marker first, then Adobe's, then the components' numbers.
+    /// The colour space, by the rules of libjpeg: JFIF's marker, then Adobe's, then the component ids.
     pub(super) fn colours(&self, is_jfif: bool, adobe: Option<u8>) -> Colours {
         let ids: Vec<u8> = self.components.iter().map(|c| c.id).collect();
         match (is_jfif, adobe) {

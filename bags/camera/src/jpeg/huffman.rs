@@ -2,34 +2,34 @@
 
 use super::JpegError;
 
-/// Bits that the table looks up at once; longer codes are rare.
+/// Longest code in the lookup table; longer codes are rare \[bits\].
 const AHEAD: u32 = 10;
-/// A step to the end of a block, longer than any other.
+/// The step to the end of a block, larger than any other.
 pub(super) const END: u8 = 128;
-/// Longest AC coefficient of a sequential picture of 8 bits a sample \[bit\] (T.81, F.1.2.2).
+/// Longest AC coefficient of a sequential picture with 8-bit samples \[bits\] (T.81, F.1.2.2).
 const MOST_AC_BITS: u8 = 10;
-/// Longest code \[bit\].
+/// Longest code \[bits\].
 const LONGEST: usize = 16;
 
 /// A Huffman table, for decoding.
 #[derive(Clone, Debug)]
 pub(super) struct Table {
-    /// Code length \[bit\] and symbol of each code of at most [`AHEAD`] bits; length 0 if the code is longer.
+    /// Code length \[bits\] and symbol, by the next [`AHEAD`] bits; length 0 for longer codes.
     fast: Box<[(u8, u8); 1 << AHEAD]>,
-    /// As `fast`: bits of code and value, and by how much the place in a block of a sequential picture moves on.
+    /// As `fast`: bits of code and value, and the step in a block of a sequential picture.
     steps: Box<[(u8, u8); 1 << AHEAD]>,
-    /// By length - 1: the first code that is too large for this length, its bits moved to the upper end of 16.
+    /// By length - 1: the first code too large for this length, left-aligned to 16 bits.
     limit: [u32; LONGEST],
-    /// By length - 1: what leads from a code to the place of its symbol.
+    /// By length - 1: offset from a code to the index of its symbol.
     offset: [i32; LONGEST],
     symbols: Vec<u8>,
 }
 
 impl Table {
-    /// A table of `counts` codes of each length, and their symbols in the order of the codes.
+    /// A table with `counts` codes of each length, and their symbols in code order.
     ///
     /// # Errors
-    /// More codes than fit their lengths, or than symbols.
+    /// More codes than their lengths or symbols allow.
     pub(super) fn new(counts: &[u8; LONGEST], symbols: &[u8]) -> Result<Self, JpegError> {
         let invalid = || JpegError::Damaged("a Huffman table is invalid".to_owned());
         let mut table = Self {
@@ -42,7 +42,7 @@ impl Table {
         let (mut code, mut place) = (0_u32, 0_usize);
         for (length, count) in (1_u32..).zip(counts) {
             let row = length as usize - 1;
-            // Both are below 2^17.
+            // Fits: both are below 2^17.
             if let Some(offset) = table.offset.get_mut(row) {
                 *offset = place as i32 - code as i32;
             }
@@ -70,7 +70,7 @@ impl Table {
         Ok(table)
     }
 
-    /// Length and symbol of the code that the upper bits of `ahead` begin with.
+    /// Length and symbol of the code at the upper bits of `ahead`.
     fn look_up(&self, ahead: u16) -> Result<(u32, u8), JpegError> {
         match self.fast.get(usize::from(ahead >> (16 - AHEAD))) {
             Some((length, symbol)) if *length > 0 => Ok((u32::from(*length), *symbol)),
@@ -93,10 +93,9 @@ impl Table {
     }
 }
 
-/// Bits of a code and its value, and by how much they move the place in a block on: [`END`] if no coefficient follows.
-/// No bits for a value that is too large.
+/// Bits of a code with its value, and the step in a block: [`END`] if no coefficient follows. 0 bits for too large values.
 fn step(length: u32, symbol: u8) -> (u8, u8) {
-    // At most 16.
+    // Fits: at most 16.
     let length = length as u8;
     match (symbol >> 4, symbol & 15) {
         (15, 0) => (length, 16),
@@ -110,15 +109,15 @@ fn bad_code() -> JpegError {
     JpegError::Damaged("a Huffman code is invalid".to_owned())
 }
 
-/// The bits between two markers.
+/// Reads the bits between two markers.
 #[derive(Debug)]
 pub(super) struct Bits<'a> {
     data: &'a [u8],
-    /// The next byte that is not in the buffer.
+    /// The next byte after the buffer.
     at: usize,
-    /// The next bits, the first one on top; zeros after them.
+    /// The next bits, left-aligned, then zeros.
     buffer: u64,
-    /// Bits in the buffer.
+    /// Number of bits in the buffer.
     count: u32,
 }
 
@@ -133,7 +132,7 @@ impl<'a> Bits<'a> {
         }
     }
 
-    /// Fills the buffer to at least 32 bits, if so many come before the next marker.
+    /// Fills the buffer to at least 32 bits, or up to the next marker.
     #[inline(always)]
     fn fill(&mut self) {
         if self.count >= 32 {
@@ -141,7 +140,7 @@ impl<'a> Bits<'a> {
         }
         if let Some(Some(bytes)) = self.data.get(self.at..).map(<[u8]>::first_chunk::<4>) {
             let bytes = u32::from_be_bytes(*bytes);
-            // Whether a byte of the complement is 0.
+            // Detects a byte 0xff: whether a byte of the complement is 0.
             let may_be_marker = (!bytes).wrapping_sub(0x0101_0101) & bytes & 0x8080_8080 != 0;
             if !may_be_marker {
                 self.buffer |= u64::from(bytes) << (32 - self.count);
@@ -160,7 +159,7 @@ impl<'a> Bits<'a> {
                 return;
             };
             if *byte == 0xff {
-                // 0xff of the data is followed by 0, that of a marker is not.
+                // In data, 0 follows 0xff.
                 if self.data.get(self.at + 1) != Some(&0) {
                     return;
                 }
@@ -172,7 +171,7 @@ impl<'a> Bits<'a> {
         }
     }
 
-    /// Drops `number` bits, at most 31.
+    /// Skips `number` bits, at most 31.
     #[inline]
     fn drop(&mut self, number: u32) -> Result<(), JpegError> {
         let left = self.count.checked_sub(number);
@@ -181,7 +180,6 @@ impl<'a> Bits<'a> {
         Ok(())
     }
 
-    /// The next symbol.
     #[inline]
     pub(super) fn symbol(&mut self, table: &Table) -> Result<u8, JpegError> {
         self.fill();
@@ -190,7 +188,7 @@ impl<'a> Bits<'a> {
         Ok(symbol)
     }
 
-    /// Drops the next symbol and the value after it; gives by how much the place in a block moves on.
+    /// Skips a symbol and its value; returns the step in the block.
     #[inline(always)]
     pub(super) fn step(&mut self, table: &Table) -> Result<u8, JpegError> {
         self.fill();
@@ -213,7 +211,7 @@ impl<'a> Bits<'a> {
         Ok(step)
     }
 
-    /// The next difference of two DC coefficients.
+    /// Reads a difference of two DC coefficients.
     #[inline]
     pub(super) fn difference(&mut self, table: &Table) -> Result<i32, JpegError> {
         let size = self.symbol(table)?.min(15);
@@ -226,17 +224,17 @@ impl<'a> Bits<'a> {
         })
     }
 
-    /// The next `number` bits, at most 15, as a number.
+    /// Reads `number` bits, at most 15.
     #[inline]
     pub(super) fn value(&mut self, number: u8) -> Result<u16, JpegError> {
         self.fill();
-        // Of no bits too: a shift by 16 would be one too many.
+        // In u32, since a shift by 16 must work.
         let value = (self.buffer >> 48 >> (16 - u32::from(number).min(16))) as u16;
         self.drop(u32::from(number))?;
         Ok(value)
     }
 
-    /// The place of the next marker, and how many whole bytes of the data before it were not read.
+    /// The place of the next marker, and the number of unread whole bytes before it.
     pub(super) fn marker(&self) -> (usize, usize) {
         let mut unread = (self.count / 8) as usize;
         let mut at = self.at;
@@ -244,7 +242,7 @@ impl<'a> Bits<'a> {
             if *byte == 0xff {
                 match self.data.get(at + 1) {
                     Some(0) => at += 1,
-                    // A marker may be preceded by more of its first byte.
+                    // A marker may follow fill bytes of 0xff.
                     Some(0xff) => {
                         at += 1;
                         continue;
@@ -259,7 +257,7 @@ impl<'a> Bits<'a> {
     }
 }
 
-/// The tables of annex K: number and kind as in a DHT segment, codes by length, symbols.
+/// The tables of annex K: id and class as in a DHT segment, code counts by length, symbols.
 const STANDARD: [(u8, &[u8; LONGEST], &[u8]); 4] = [
     (0x00, &DC_LUMA, &DC_SYMBOLS),
     (0x01, &DC_CHROMA, &DC_SYMBOLS),
@@ -267,13 +265,13 @@ const STANDARD: [(u8, &[u8; LONGEST], &[u8]); 4] = [
     (0x11, &AC_CHROMA, &AC_CHROMA_SYMBOLS),
 ];
 
-/// The standard table of a number and kind, which motion JPEG uses without sending it.
+/// The standard table with this id and class; motion JPEG uses them without sending them.
 pub(super) fn standard(id: u8) -> Option<Table> {
     let (_, counts, symbols) = STANDARD.into_iter().find(|(own, ..)| *own == id)?;
     Table::new(counts, symbols).ok()
 }
 
-/// A DHT segment of all standard tables.
+/// A DHT segment with all standard tables.
 pub(super) fn standard_segment() -> Vec<u8> {
     let mut body = Vec::new();
     for (id, counts, symbols) in STANDARD {
@@ -281,7 +279,7 @@ pub(super) fn standard_segment() -> Vec<u8> {
         body.extend(counts);
         body.extend(symbols);
     }
-    // 418 bytes and the length itself.
+    // Fits: 418 bytes and the length itself.
     let length = (body.len() + 2) as u16;
     let mut segment = vec![0xff, 0xc4];
     segment.extend(length.to_be_bytes());

@@ -1,4 +1,4 @@
-//! Walks through the coded data of a scan, to see that they are all there (ITU-T T.81, annexes F and G).
+//! Checks that the coded data of a scan is complete (ITU-T T.81, annexes F and G).
 
 use super::{
     JpegError,
@@ -6,44 +6,43 @@ use super::{
     huffman::{Bits, END, Table},
 };
 
-/// Whole bytes between the last block and the next marker that are accepted: drivers of webcams append a few. Half a unit's
-/// bytes at most, since more are blocks that no longer fit.
+/// Limit of unread bytes between the last block and the next marker: webcam drivers append a few. Half a unit's bytes at
+/// most: more would be blocks.
 const MOST_UNREAD: usize = 8;
-/// Largest DC coefficient \[8 levels\]: 1024 by the transform of black or white, and some room for encoders that round.
+/// Largest DC coefficient \[8 levels\]: 1024 for black or white, with a margin for rounding.
 const MOST_DC: i32 = 1100;
-/// Blocks have so many coefficients.
+/// Number of coefficients in a block.
 pub(super) const COEFFICIENTS: usize = 64;
 
 /// A component of a scan.
 #[derive(Debug)]
 pub(super) struct ScanComponent<'a> {
-    /// Its number in the frame.
+    /// Index in the frame.
     pub component: usize,
-    /// Tables that the scan needs, which may be none.
+    /// Tables, if the scan needs them.
     pub dc: Option<&'a Table>,
     pub ac: Option<&'a Table>,
-    /// Levels of a step of its DC coefficient.
+    /// Quantisation step of the DC coefficient \[levels\].
     pub dc_step: i32,
 }
 
-/// What a scan holds.
+/// The parameters of a scan.
 #[derive(Debug)]
 pub(super) struct Scan<'a> {
     pub components: Vec<ScanComponent<'a>>,
     /// First and last coefficient of a block.
     pub band: (u8, u8),
-    /// Bits of the coefficients that earlier scans have left out, and that this one leaves out. The first is 0 in the
-    /// first scan of a coefficient.
+    /// Number of low bits that earlier scans have not sent (0: first scan of a coefficient), and that this one does not send.
     pub bits: (u8, u8),
-    /// Units between restart markers; 0: none.
+    /// Units between restart markers; 0 without them.
     pub restart_interval: u32,
 }
 
-/// The coefficients of a component's blocks that are not 0, a bit for each: what a refining scan has depends on it. Empty
-/// where no progressive scan has come yet.
+/// A bit for each non-zero coefficient of a component's blocks, which determines the data of a refining scan. Empty before
+/// the first progressive scan.
 pub(super) type NonZero = Vec<u64>;
 
-/// A unit's block, by what its data are.
+/// Coding of a block's data.
 #[derive(Clone, Copy)]
 enum Coding {
     Sequential,
@@ -53,11 +52,11 @@ enum Coding {
     RefinedAc,
 }
 
-/// Walks through the data from byte `at`; gives the place of the marker after them.
+/// Checks the data from byte `at`; returns the place of the next marker.
 ///
 /// # Errors
-/// [`JpegError::Incomplete`] if blocks are missing; [`JpegError::Damaged`] if data are left, or codes are invalid.
-pub(super) fn walk(
+/// [`JpegError::Incomplete`] if blocks are missing; [`JpegError::Damaged`] for unread data or invalid codes.
+pub(super) fn check_scan(
     data: &[u8],
     at: usize,
     frame: &Frame,
@@ -71,10 +70,13 @@ pub(super) fn walk(
         (true, _, 0) => Coding::FirstAc,
         (true, ..) => Coding::RefinedAc,
     };
-    // Tables and number of blocks of each component in a unit.
+    // Tables and number of blocks per unit, by component.
     let mut parts = Vec::new();
     for part in &scan.components {
-        let component = frame.components.get(part.component).ok_or_else(no_such)?;
+        let component = frame
+            .components
+            .get(part.component)
+            .ok_or_else(missing_component)?;
         let blocks = match scan.components.len() {
             1 => 1,
             _ => u32::from(component.factors.0) * u32::from(component.factors.1),
@@ -82,10 +84,15 @@ pub(super) fn walk(
         parts.push((part, blocks));
     }
     let (across, down) = match parts.as_slice() {
-        [(only, _)] => frame.blocks(frame.components.get(only.component).ok_or_else(no_such)?),
+        [(only, _)] => frame.blocks(
+            frame
+                .components
+                .get(only.component)
+                .ok_or_else(missing_component)?,
+        ),
         _ => frame.units(),
     };
-    let mut walk = Walk {
+    let mut walk = ScanReader {
         bits: Bits::new(data, at),
         begin: at,
         units: 0,
@@ -96,7 +103,9 @@ pub(super) fn walk(
     };
     let mut masks = match scan.components.as_slice() {
         [only] if scan.band.0 > 0 => {
-            let masks = non_zero.get_mut(only.component).ok_or_else(no_such)?;
+            let masks = non_zero
+                .get_mut(only.component)
+                .ok_or_else(missing_component)?;
             masks.resize(across as usize * down as usize, 0);
             masks.as_mut_slice()
         }
@@ -106,7 +115,7 @@ pub(super) fn walk(
     for unit in 0..across * down {
         if scan.restart_interval > 0 && unit > 0 && unit % scan.restart_interval == 0 {
             let number = (unit / scan.restart_interval - 1) % 8;
-            // Below 8.
+            // Fits: below 8.
             walk.restart(data, number as u8)?;
         }
         walk.units += 1;
@@ -119,12 +128,12 @@ pub(super) fn walk(
                         walk.bits.value(1)?;
                     }
                     Coding::FirstAc => {
-                        let mask = masks.next().ok_or_else(no_such)?;
-                        walk.first(part.ac.ok_or_else(no_table)?, mask)?;
+                        let mask = masks.next().ok_or_else(missing_component)?;
+                        walk.first(part.ac.ok_or_else(missing_table)?, mask)?;
                     }
                     Coding::RefinedAc => {
-                        let mask = masks.next().ok_or_else(no_such)?;
-                        walk.refined(part.ac.ok_or_else(no_table)?, mask)?;
+                        let mask = masks.next().ok_or_else(missing_component)?;
+                        walk.refine(part.ac.ok_or_else(missing_table)?, mask)?;
                     }
                 }
             }
@@ -133,33 +142,33 @@ pub(super) fn walk(
     walk.end()
 }
 
-fn no_such() -> JpegError {
+fn missing_component() -> JpegError {
     JpegError::Damaged("a scan names a component that is not there".to_owned())
 }
 
-fn no_table() -> JpegError {
+fn missing_table() -> JpegError {
     JpegError::Damaged("a Huffman table is missing".to_owned())
 }
 
-fn beyond() -> JpegError {
+fn too_many_coefficients() -> JpegError {
     JpegError::Damaged("a block has more than 64 coefficients".to_owned())
 }
 
-struct Walk<'a> {
+struct ScanReader<'a> {
     bits: Bits<'a>,
-    /// Where the data since the last restart begin, and the units in them.
+    /// Start of the data since the last restart, and the number of units in it.
     begin: usize,
     units: usize,
     band: (u8, u8),
-    /// Bits of the coefficients that the scan leaves out.
+    /// Number of low bits that the scan does not send.
     low_bits: u8,
-    /// Blocks whose band has ended already.
+    /// Number of further blocks without coefficients in the band.
     run: u32,
-    /// The DC coefficient of each component's last block.
+    /// The last DC coefficient of each component.
     dc: [i32; 4],
 }
 
-impl<'a> Walk<'a> {
+impl<'a> ScanReader<'a> {
     /// The place of the marker after the last block.
     fn end(&self) -> Result<usize, JpegError> {
         let (at, unread) = self.bits.marker();
@@ -188,12 +197,12 @@ impl<'a> Walk<'a> {
         Ok(())
     }
 
-    /// The DC coefficient of a block of the scan's component `number`. Where data are missing, all later ones are shifted,
-    /// and most pictures then have blocks that are darker than black or brighter than white.
+    /// Reads the DC coefficient of a block of component `number`. If data are missing, later coefficients are shifted, and
+    /// usually exceed black or white.
     fn dc(&mut self, part: &ScanComponent<'_>, number: usize) -> Result<(), JpegError> {
-        let difference = self.bits.difference(part.dc.ok_or_else(no_table)?)?;
-        let dc = self.dc.get_mut(number).ok_or_else(no_such)?;
-        // Bounded by the check below, and differences by 2^15.
+        let difference = self.bits.difference(part.dc.ok_or_else(missing_table)?)?;
+        let dc = self.dc.get_mut(number).ok_or_else(missing_component)?;
+        // No overflow: bounded by the check below, and differences by 2^15.
         *dc += difference;
         let levels = i64::from(*dc) << self.low_bits;
         if (levels * i64::from(part.dc_step)).abs() > i64::from(MOST_DC + part.dc_step) {
@@ -205,7 +214,7 @@ impl<'a> Walk<'a> {
     }
 
     fn sequential(&mut self, part: &ScanComponent<'_>, number: usize) -> Result<(), JpegError> {
-        let ac = part.ac.ok_or_else(no_table)?;
+        let ac = part.ac.ok_or_else(missing_table)?;
         self.dc(part, number)?;
         let mut place = 1;
         while place < COEFFICIENTS {
@@ -214,20 +223,20 @@ impl<'a> Walk<'a> {
         match place {
             COEFFICIENTS => Ok(()),
             _ if place > usize::from(END) => Ok(()),
-            _ => Err(beyond()),
+            _ => Err(too_many_coefficients()),
         }
     }
 
-    /// Whether the block is one whose band has ended already.
+    /// Whether the block has no coefficients in the band, because of an earlier run.
     fn is_in_run(&mut self) -> bool {
         let is_in_run = self.run > 0;
         self.run = self.run.saturating_sub(1);
         is_in_run
     }
 
-    /// Takes the length of a run of blocks, this one among them, whose band has ended.
+    /// Reads the length of a run of blocks without further coefficients, from this block on.
     fn begin_run(&mut self, bits: u8) -> Result<(), JpegError> {
-        // At most 15 bits: below 2^15 + 2^15.
+        // No overflow: below 2^15 + 2^15.
         self.run = (1 << bits) + u32::from(self.bits.value(bits)?);
         Ok(())
     }
@@ -248,7 +257,7 @@ impl<'a> Walk<'a> {
             place += zeros;
             if size > 0 {
                 if place > self.band.1 {
-                    return Err(beyond());
+                    return Err(too_many_coefficients());
                 }
                 self.bits.value(size)?;
                 *mask |= 1 << place;
@@ -258,7 +267,7 @@ impl<'a> Walk<'a> {
         Ok(())
     }
 
-    fn refined(&mut self, table: &Table, mask: &mut u64) -> Result<(), JpegError> {
+    fn refine(&mut self, table: &Table, mask: &mut u64) -> Result<(), JpegError> {
         let mut place = self.band.0;
         if self.run == 0 {
             while place <= self.band.1 {
@@ -271,12 +280,12 @@ impl<'a> Walk<'a> {
                 if size > 1 {
                     return Err(JpegError::Damaged("a refined value is invalid".to_owned()));
                 }
-                // Its sign.
+                // The sign.
                 self.bits.value(size)?;
                 place = self.skip_zeros(place, zeros, mask)?;
                 if size > 0 {
                     if place > self.band.1 {
-                        return Err(beyond());
+                        return Err(too_many_coefficients());
                     }
                     *mask |= 1 << place;
                 }
@@ -284,7 +293,7 @@ impl<'a> Walk<'a> {
             }
         }
         if self.is_in_run() {
-            // Coefficients that are not 0 have a bit each.
+            // A correction bit for each non-zero coefficient.
             for place in place..=self.band.1 {
                 if *mask & (1 << place) != 0 {
                     self.bits.value(1)?;
@@ -294,7 +303,7 @@ impl<'a> Walk<'a> {
         Ok(())
     }
 
-    /// Skips so many coefficients that are 0, and the bits of those between that are not; gives the place of the next 0.
+    /// Skips `zeros` zero coefficients, and the correction bits between them; returns the place of the next zero.
     fn skip_zeros(&mut self, mut place: u8, mut zeros: u8, mask: &u64) -> Result<u8, JpegError> {
         while place <= self.band.1 {
             if *mask & (1 << place) != 0 {

@@ -1,36 +1,36 @@
-//! Walks through all segments and scans of a JPEG, to see that nothing is missing, and how it is laid out.
+//! Examines all segments and scans of a JPEG: its layout, and that it is complete.
 
 use super::{
     JpegError,
     frame::{Colours, Frame},
     huffman::{Table, standard},
-    scan::{COEFFICIENTS, NonZero, Scan, ScanComponent, walk},
+    scan::{COEFFICIENTS, NonZero, Scan, ScanComponent, check_scan},
 };
 
-/// Most scans of a picture: encoders write at most 14, and each is a walk over all blocks.
-const MOST_SCANS: usize = 100;
-/// A coefficient that no scan has yet.
+/// Limit of scans, each of which reads all blocks; encoders write at most 14.
+const SCANS_LIMIT: usize = 100;
+/// Marks a coefficient that no scan has sent.
 const NOT_SENT: u8 = u8::MAX;
 
-/// What a complete JPEG is like.
+/// The layout of a complete JPEG.
 #[derive(Debug)]
 pub(super) struct Survey {
     pub frame: Frame,
     pub colours: Colours,
     pub scans: usize,
-    /// Whether it uses tables that it does not send.
+    /// Whether it uses the standard tables without sending them.
     pub needs_standard_tables: bool,
-    /// Bytes of the picture, its end marker among them.
+    /// Size with the end marker \[bytes\].
     pub length: usize,
 }
 
-/// The tables and settings that segments have set so far.
+/// Tables and settings of the segments so far.
 #[derive(Debug, Default)]
 struct State {
     frame: Option<Frame>,
     dc: [Option<Table>; 4],
     ac: [Option<Table>; 4],
-    /// The first step of each quantisation table, that of the DC coefficient.
+    /// The DC step of each quantisation table.
     dc_steps: [Option<u16>; 4],
     restart_interval: u32,
     is_jfif: bool,
@@ -38,17 +38,14 @@ struct State {
     needs_standard_tables: bool,
     scans: usize,
     non_zero: Vec<NonZero>,
-    /// Of each component, the bits of each coefficient that no scan has yet.
+    /// By component and coefficient: number of low bits that no scan has sent.
     missing_bits: Vec<[u8; COEFFICIENTS]>,
 }
 
-/// Surveys a JPEG.
-///
-/// # Errors
-/// See [`JpegError`].
+/// Examines a JPEG.
 pub(super) fn survey(data: &[u8]) -> Result<Survey, JpegError> {
     let mut state = State::default();
-    // After the start marker, which the caller has seen.
+    // After the start marker, which the caller has checked.
     let mut at = 2;
     loop {
         let (kind, body) = marker(data, at)?;
@@ -73,7 +70,7 @@ fn marker(data: &[u8], mut at: usize) -> Result<(u8, usize), JpegError> {
             "expected a marker at byte {at}"
         )));
     }
-    // It may be preceded by more of its first byte.
+    // A marker may follow fill bytes of 0xff.
     loop {
         at += 1;
         match *data.get(at).ok_or(JpegError::Incomplete)? {
@@ -88,7 +85,7 @@ fn marker(data: &[u8], mut at: usize) -> Result<(u8, usize), JpegError> {
     }
 }
 
-/// The content of the segment whose length is at `at`, and the place after it.
+/// The content of the segment with its length at `at`, and the place after it.
 fn segment(data: &[u8], at: usize) -> Result<(&[u8], usize), JpegError> {
     let rest = data.get(at..).ok_or(JpegError::Incomplete)?;
     let (length, _) = rest.split_first_chunk().ok_or(JpegError::Incomplete)?;
@@ -124,7 +121,7 @@ impl State {
                 Ok(())
             }
             0xee if segment.starts_with(b"Adobe") => {
-                // Version and two words of flags come before it.
+                // After version and two words of flags.
                 self.adobe = segment.get(11).copied();
                 Ok(())
             }
@@ -154,7 +151,7 @@ impl State {
             let total = counts.iter().map(|count| usize::from(*count)).sum();
             let (symbols, rest) = rest.split_at_checked(total).ok_or_else(invalid)?;
             let tables = match id >> 4 {
-                // A difference of 8-bit samples has at most 11 bits.
+                // Differences of 8-bit samples have at most 11 bits.
                 0 if symbols.iter().all(|symbol| *symbol < 16) => &mut self.dc,
                 1 => &mut self.ac,
                 _ => return Err(invalid()),
@@ -183,11 +180,11 @@ impl State {
         Ok(())
     }
 
-    /// Walks through a scan whose data begin at `at`; gives the place of the marker after it.
+    /// Checks a scan with its data at `at`; returns the place of the next marker.
     fn scan(&mut self, data: &[u8], segment: &[u8], at: usize) -> Result<usize, JpegError> {
         let invalid = || damaged("the header of a scan");
         self.scans += 1;
-        if self.scans > MOST_SCANS {
+        if self.scans > SCANS_LIMIT {
             return Err(JpegError::Layout("more than 100 scans"));
         }
         let (&[number], rest) = segment.split_first_chunk().ok_or_else(invalid)?;
@@ -197,12 +194,12 @@ impl State {
         let &[first, last, bits] = rest else {
             return Err(invalid());
         };
-        let selected = self.selected(selectors.as_chunks::<2>().0)?;
+        let selected = self.read_selectors(selectors.as_chunks::<2>().0)?;
         let frame = self.frame.as_ref().ok_or_else(invalid)?;
         let (band, bits) = if frame.is_progressive {
             ((first, last), (bits >> 4, bits & 15))
         } else {
-            // Some encoders leave these bytes empty in a picture that needs none of them.
+            // Some encoders leave these bytes 0 in sequential pictures, which do not need them.
             ((0, 63), (0, 0))
         };
         let is_dc_alone = band == (0, 0);
@@ -216,7 +213,7 @@ impl State {
         if !fits {
             return Err(invalid());
         }
-        self.note(&selected, band, bits)?;
+        self.record_coefficients(&selected, band, bits)?;
         let uses_dc = band.0 == 0 && !is_refining;
         let uses_ac = band.1 > 0;
         self.add_standard_tables(&selected, uses_dc, uses_ac);
@@ -243,11 +240,11 @@ impl State {
             bits,
             restart_interval: self.restart_interval,
         };
-        walk(data, at, frame, &scan, &mut self.non_zero)
+        check_scan(data, at, frame, &scan, &mut self.non_zero)
     }
 
-    /// The components of a scan, and their tables of each kind.
-    fn selected(&self, selectors: &[[u8; 2]]) -> Result<Vec<(usize, u8, u8)>, JpegError> {
+    /// The components of a scan, and the ids of their DC and AC tables.
+    fn read_selectors(&self, selectors: &[[u8; 2]]) -> Result<Vec<(usize, u8, u8)>, JpegError> {
         let invalid = || damaged("the header of a scan");
         let frame = self.frame.as_ref().ok_or_else(invalid)?;
         let mut selected: Vec<(usize, u8, u8)> = Vec::new();
@@ -268,8 +265,8 @@ impl State {
         Ok(selected)
     }
 
-    /// Takes note of the coefficients that a scan sends.
-    fn note(
+    /// Records which coefficients a scan sends.
+    fn record_coefficients(
         &mut self,
         selected: &[(usize, u8, u8)],
         band: (u8, u8),
@@ -293,7 +290,7 @@ impl State {
         Ok(())
     }
 
-    /// Motion JPEG leaves out the tables that all its pictures have.
+    /// Adds the standard tables if they are missing, as in motion JPEG.
     fn add_standard_tables(&mut self, selected: &[(usize, u8, u8)], uses_dc: bool, uses_ac: bool) {
         for (_, dc, ac) in selected {
             for (tables, number, is_used, kind) in [

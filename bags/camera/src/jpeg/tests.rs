@@ -33,15 +33,15 @@ fn largest_difference(got: &RgbImage, expected: &RgbImage) -> u8 {
     pairs.map(|(a, b)| a.abs_diff(*b)).max().unwrap()
 }
 
-/// Levels that a decoder may differ from libjpeg-turbo: it rounds otherwise in its transform.
-const MOST: u8 = 4;
+/// Tolerance against libjpeg-turbo, whose transform rounds differently \[levels\].
+const TOLERANCE: u8 = 4;
 
 #[test]
-fn layouts_decode_as_libjpeg_turbo() {
+fn all_layouts_decode_as_with_libjpeg_turbo() {
     let pictures = pictures();
     assert!(pictures.len() > 90, "{}", pictures.len());
     for (name, data) in pictures {
-        // libjpeg-turbo interpolates the colours of a narrow picture in another way than of others.
+        // libjpeg-turbo upsamples the colours of narrow pictures differently.
         let is_refused = name.starts_with("refused-") || name.starts_with("420-1x");
         match decode(&data) {
             Err(JpegError::Layout(_)) if is_refused => {}
@@ -49,7 +49,7 @@ fn layouts_decode_as_libjpeg_turbo() {
                 let expected = expected(&name);
                 assert_eq!(picture.dimensions(), expected.dimensions(), "{name}");
                 let most = largest_difference(&picture, &expected);
-                assert!(most <= MOST, "{name}: {most}");
+                assert!(most <= TOLERANCE, "{name}: {most}");
             }
             other => panic!("{name}: {other:?}"),
         }
@@ -57,7 +57,7 @@ fn layouts_decode_as_libjpeg_turbo() {
 }
 
 #[test]
-fn cut_picture_is_incomplete() {
+fn truncated_picture_is_incomplete() {
     for (name, data) in pictures() {
         if name.starts_with("refused-") {
             continue;
@@ -71,7 +71,7 @@ fn cut_picture_is_incomplete() {
                 matches!(check(cut), Err(JpegError::Incomplete)),
                 "{name} at {length}"
             );
-            // As a driver sends it that adds an end marker to what has arrived.
+            // Some drivers add an end marker to incomplete data.
             let ended = [cut, &[0xff, 0xd9]].concat();
             let is_whole = length >= data.len() - 2;
             assert_eq!(check(&ended).is_ok(), is_whole, "{name} at {length}, ended");
@@ -79,7 +79,7 @@ fn cut_picture_is_incomplete() {
     }
 }
 
-/// Where the first scan's data begin.
+/// First byte of the first scan's data.
 fn data_begin(data: &[u8]) -> usize {
     let mut at = 2;
     loop {
@@ -92,11 +92,11 @@ fn data_begin(data: &[u8]) -> usize {
     }
 }
 
-/// A picture of a camera's size and detail.
+/// A picture with a camera's size and detail.
 fn camera_picture() -> Vec<u8> {
     let rgb = RgbImage::from_fn(320, 240, |x, y| {
         let wave = |a: u32, b: u32| (f64::from(a * x + b * y) / 60.0).sin();
-        // Grain of a sensor.
+        // Sensor noise.
         let grain = f64::from((x * 7919 + y * 104_729) % 13) - 6.0;
         let level = |wave: f64| (128.0 + 100.0 * wave + grain) as u8;
         image::Rgb([level(wave(1, 3)), level(wave(2, 1)), level(wave(3, 2))])
@@ -106,11 +106,11 @@ fn camera_picture() -> Vec<u8> {
 }
 
 #[test]
-fn picture_without_bytes_inside_is_refused() {
+fn picture_with_missing_inner_bytes_is_rejected() {
     let data = camera_picture();
     check(&data).unwrap();
     let begin = data_begin(&data);
-    // JPEG has no checksum: a decoder that finds its way back within a block cannot notice a few missing bytes.
+    // JPEG has no checksum: a decoder may resynchronise within a block and not notice a few missing bytes.
     for missing in [64, 200, 1460, 5000] {
         for at in (begin..data.len() - missing - 2).step_by(53) {
             let damaged = [&data[..at], &data[at + missing..]].concat();
@@ -121,11 +121,11 @@ fn picture_without_bytes_inside_is_refused() {
 }
 
 #[test]
-fn bytes_after_the_picture_are_not_read() {
+fn bytes_after_the_picture_are_ignored() {
     let data = &pictures()["420"];
     let padded = [data.as_slice(), &[0; 999]].concat();
     assert_eq!(decode(&padded).unwrap(), decode(data).unwrap());
-    // A webcam's driver leaves a few before the end marker.
+    // Webcam drivers leave a few bytes before the end marker.
     let end = data.len() - 2;
     let stray = [&data[..end], &[0x55, 0x55], &data[end..]].concat();
     assert_eq!(decode(&stray).unwrap(), decode(data).unwrap());
@@ -134,9 +134,9 @@ fn bytes_after_the_picture_are_not_read() {
 }
 
 proptest::proptest! {
-    /// Whatever bytes are changed, there is a picture or an error.
+    /// Changed bytes give a picture or an error.
     #[test]
-    fn changed_bytes_do_not_panic(
+    fn decoder_survives_changed_bytes(
         picture in 0_usize..200,
         changes in proptest::collection::vec((0_usize..2000, proptest::num::u8::ANY), 1..6),
     ) {

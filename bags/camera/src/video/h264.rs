@@ -14,19 +14,19 @@ use openh264::{
     formats::YUVSource as _,
 };
 
-use super::{ColourTags, VideoError, checked_size};
+use super::{ColourTags, VideoError, check_size};
 use crate::yuv::{Plane, YuvColours, YuvTable};
 
-/// NAL units begin with this; a longer form has another 0 before it.
+/// Start code of NAL units; the longer form has another 0 before it.
 const START_CODE: [u8; 3] = [0, 0, 1];
 
-/// `dsRefLost` of OpenH264's `codec_app_def.h`, a flag of error codes.
+/// Error flag `dsRefLost` of OpenH264's `codec_app_def.h`.
 const REFERENCE_LOST: i64 = 0x02;
 
-/// Decodes h264 of 8 bits a sample, 4:2:0.
+/// Decodes h264 with 8-bit samples, 4:2:0.
 pub struct H264Decoder {
     decoder: Decoder,
-    /// What the container says of the colours.
+    /// Colour tags of the container.
     container: ColourTags,
     colours: YuvColours,
     table: YuvTable,
@@ -42,13 +42,12 @@ impl std::fmt::Debug for H264Decoder {
 }
 
 impl H264Decoder {
-    /// A decoder of a video whose container says this of the colours; what the stream says goes first, as in ffmpeg.
+    /// A decoder with the container's colour tags; as in ffmpeg, those of the stream take precedence.
     ///
     /// # Errors
-    /// OpenH264 refuses.
+    /// OpenH264 cannot start.
     pub fn new(container: ColourTags) -> Result<Self, VideoError> {
-        // Frames must come out in the order in which they are shown, so that the decoder is never made to give one
-        // early.
+        // Without flushing, so that frames come in presentation order.
         let config = DecoderConfig::new().flush_after_decode(Flush::NoFlush);
         let decoder = Decoder::with_api_config(OpenH264API::from_source(), config)
             .map_err(|error| VideoError::Decoder(error.to_string()))?;
@@ -61,10 +60,10 @@ impl H264Decoder {
         })
     }
 
-    /// Takes NAL units with start codes; gives the pictures that are ready, in the order in which they are shown.
+    /// Decodes NAL units with start codes; returns the pictures that are ready, in presentation order.
     ///
     /// # Errors
-    /// A layout that is not supported, by name; or damaged units.
+    /// An unsupported layout, or damaged units.
     pub fn feed(&mut self, units: &[u8]) -> Result<Vec<RgbImage>, VideoError> {
         for unit in nal_units(units) {
             if unit_type(unit) == Some(UnitType::SeqParameterSet) {
@@ -83,10 +82,7 @@ impl H264Decoder {
             .collect()
     }
 
-    /// Gives the pictures that are left.
-    ///
-    /// # Errors
-    /// As [`feed`](Self::feed).
+    /// Returns the remaining pictures.
     pub fn finish(&mut self) -> Result<Vec<RgbImage>, VideoError> {
         let pictures = self.decoder.flush_remaining();
         let pictures = pictures.map_err(|error| VideoError::Decoder(error.to_string()))?;
@@ -96,12 +92,12 @@ impl H264Decoder {
             .collect()
     }
 
-    /// Takes the colours of a sequence.
+    /// Reads the colour tags of a sequence.
     fn parameters(&mut self, unit: &[u8]) -> Result<(), VideoError> {
         let damaged = || VideoError::Damaged("its sequence parameters are invalid");
         let bits = decode_nal(unit).map_err(|_| damaged())?;
         let Ok(parameters) = SeqParameterSet::from_bits(BitReader::new(&*bits)) else {
-            // OpenH264 decides: it reads less of them.
+            // OpenH264 reads fewer of these parameters, so it decides whether they are valid.
             return Ok(());
         };
         let chroma = &parameters.chroma_info;
@@ -134,7 +130,7 @@ impl H264Decoder {
 
 fn rgb(table: &YuvTable, picture: &DecodedYUV<'_>) -> Result<RgbImage, VideoError> {
     let (width, height) = picture.dimensions();
-    let size = checked_size(width, height)?;
+    let size = check_size(width, height)?;
     let (luma, blue, red) = picture.strides();
     let planes = [
         Plane {
@@ -153,12 +149,12 @@ fn rgb(table: &YuvTable, picture: &DecodedYUV<'_>) -> Result<RgbImage, VideoErro
     Ok(table.rgb_of_420(size, planes)?)
 }
 
-/// The kind of a NAL unit without its start code.
+/// The type of a NAL unit without its start code.
 pub(super) fn unit_type(unit: &[u8]) -> Option<UnitType> {
     UnitType::for_id(unit.first()? & 0b1_1111).ok()
 }
 
-/// Whether the units begin with a picture that needs no other.
+/// Whether the first picture of the units is a keyframe.
 pub fn has_keyframe(units: &[u8]) -> bool {
     nal_units(units).any(|unit| unit_type(unit) == Some(UnitType::SliceLayerWithoutPartitioningIdr))
 }
@@ -186,7 +182,7 @@ pub(super) fn nal_units(units: &[u8]) -> impl Iterator<Item = &[u8]> {
         let end = unit.windows(3).position(|bytes| bytes == START_CODE);
         rest = end.and_then(|end| after_start_code(unit.get(end..)?));
         let unit = unit.get(..end.unwrap_or(unit.len()))?;
-        // Zeros after a unit are not of it; the longer start code begins with one.
+        // Zeros after a unit do not belong to it: the longer start code begins with one.
         let length = unit
             .iter()
             .rposition(|byte| *byte != 0)

@@ -1,23 +1,23 @@
-//! Messages of compressed video, as recorders and image_transport write them.
+//! Messages of compressed video, from recorders and image_transport.
 
 use serde::Deserialize;
 use wm_bag::{BagError, BagMessage};
 use wm_msgs::{cdr, std_msgs::Header};
 
-use crate::{foxglove::CompressedVideo, transport::FFMPEG};
+use crate::{foxglove::compressed_video, transport::FFMPEG};
 
-/// A picture of a video, or a part of one.
+/// A picture of a video, or a part of it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct VideoPacket {
     /// Capture time and optical frame.
     pub header: Header,
-    /// The codec as the message has it: `h264`, or the name of an encoder such as `libx264`.
+    /// The codec in the message: `h264`, or an encoder such as `libx264`.
     pub codec: String,
-    /// Coded bytes.
+    /// Compressed bytes.
     pub data: Vec<u8>,
-    /// When it was recorded, in ns since the epoch.
+    /// Time of recording, in ns since the epoch.
     pub log_time_ns: u64,
-    /// When it was published, in ns since the epoch.
+    /// Time of publication, in ns since the epoch.
     pub publish_time_ns: u64,
 }
 
@@ -35,10 +35,10 @@ struct FfmpegPacket {
 }
 
 impl VideoPacket {
-    /// The packet that a bag's message holds, in CDR or protobuf.
+    /// Decodes a bag's message in CDR or protobuf.
     ///
     /// # Errors
-    /// The type is no video's, or the bytes are not of the type.
+    /// The type is not a video type, or the bytes are invalid.
     pub fn of_bag(message: &BagMessage) -> Result<Self, BagError> {
         let (header, codec, data) = match &*message.type_name {
             FFMPEG => {
@@ -50,7 +50,7 @@ impl VideoPacket {
                 (packet.header, packet.encoding, packet.data)
             }
             _ => {
-                let video = CompressedVideo::of_bag(message)?;
+                let video = compressed_video(message)?;
                 let header = Header {
                     stamp: video.timestamp,
                     frame_id: video.frame_id,
@@ -67,9 +67,10 @@ impl VideoPacket {
         })
     }
 
-    /// Whether the codec is h264, by its name or that of an encoder.
+    /// Whether the codec is h264, by its name or its encoder's.
     pub fn is_h264(&self) -> bool {
         // ffmpeg_image_transport adds pixel formats after a semicolon.
+        // Never empty: `split` gives at least one part.
         let codec = self.codec.split([';', ',']).next().unwrap_or_default();
         let codec = codec.trim().to_ascii_lowercase();
         codec.contains("264") || codec == "avc" || codec == "avc1"

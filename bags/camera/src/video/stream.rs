@@ -1,4 +1,4 @@
-//! The pictures of a topic of compressed video.
+//! Decodes a topic of compressed video.
 
 use std::collections::VecDeque;
 
@@ -10,37 +10,37 @@ use super::{
     h264::{has_keyframe, has_picture, nal_units},
 };
 
-/// Pictures that a decoder holds back at most (H.264, A.3.1), and as many again: with more, pictures are missing.
-const MOST_WAITING: usize = 32;
+/// Twice the pictures that a decoder may delay (H.264, A.3.1): beyond it, pictures are missing.
+const PENDING_LIMIT: usize = 32;
 
-/// A picture with the header of its packet.
+/// A picture with its packet's header and times.
 #[derive(Clone, Debug)]
-pub struct Shown {
+pub struct VideoPicture {
     /// Capture time and optical frame.
     pub header: Header,
-    /// When it was recorded, in ns since the epoch: the time of its packet. If packets come in another order than pictures
-    /// (B frames), pictures take the times in their own order, so that they do not go back.
+    /// Time of recording, in ns since the epoch. If packets and pictures have different orders (B frames), the packets' times
+    /// are assigned to the pictures in ascending order.
     pub log_time_ns: u64,
-    /// When it was published, in ns since the epoch, likewise.
+    /// Time of publication, in ns since the epoch, assigned likewise.
     pub publish_time_ns: u64,
     /// The pixels.
     pub picture: RgbImage,
 }
 
-/// Packets without a picture, by cause.
+/// Number of packets without a picture, by cause.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Dropped {
+pub struct DropCounts {
     /// Packets before the first keyframe.
     pub before_keyframe: u64,
-    /// Packets that cannot be decoded by themselves.
+    /// Damaged packets.
     pub damaged: u64,
     /// Places where packets are missing.
     pub gaps: u64,
-    /// Packets between a damaged or missing one and the next keyframe.
+    /// Packets from a damaged or missing one to the next keyframe.
     pub dependent: u64,
 }
 
-impl Dropped {
+impl DropCounts {
     /// The number of packets without a picture.
     #[must_use]
     pub fn packets(&self) -> u64 {
@@ -48,33 +48,31 @@ impl Dropped {
     }
 }
 
-/// Decodes the packets of a topic, in their order. It begins with the first keyframe; after damage, with the next one.
+/// Decodes the packets of a topic in order, from the first keyframe; after damage, from the next one.
 #[derive(Debug, Default)]
 pub struct VideoStream {
     /// `None` before a keyframe.
     decoder: Option<H264Decoder>,
     has_begun: bool,
-    /// The headers of the packets whose pictures the decoder still has. Pictures come in the order in which they are shown,
-    /// which is that of their stamps.
-    waiting: VecDeque<Header>,
-    /// Log and publish times of these packets, as they came.
+    /// Headers of packets whose pictures are pending. Pictures come in presentation order, which is the order of stamps.
+    pending: VecDeque<Header>,
+    /// Log and publish times of these packets, in the order of arrival.
     times_ns: VecDeque<(u64, u64)>,
-    dropped: Dropped,
+    dropped: DropCounts,
 }
 
 impl VideoStream {
-    /// A stream that has not begun.
+    /// A stream before its first packet.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Takes a packet; gives the pictures that are ready.
+    /// Decodes a packet; returns the pictures that are ready.
     ///
     /// # Errors
-    /// Another codec than h264, or a layout that is not supported. Damage is no error: packets without a picture are
-    /// counted by [`dropped`](Self::dropped).
-    pub fn feed(&mut self, packet: &VideoPacket) -> Result<Vec<Shown>, VideoError> {
+    /// An unsupported codec or layout. Damage is not an error: [`dropped`](Self::dropped) counts packets without a picture.
+    pub fn feed(&mut self, packet: &VideoPacket) -> Result<Vec<VideoPicture>, VideoError> {
         if !packet.is_h264() {
             return Err(VideoError::Codec(packet.codec.chars().take(64).collect()));
         }
@@ -82,7 +80,7 @@ impl VideoStream {
             self.dropped.damaged += 1;
             return Ok(Vec::new());
         }
-        // Some encoders send their parameters alone.
+        // Some encoders send parameters in packets of their own.
         let is_picture = has_picture(&packet.data);
         if self.decoder.is_none() {
             if !has_keyframe(&packet.data) {
@@ -103,9 +101,9 @@ impl VideoStream {
         if is_picture {
             let stamp = |header: &Header| header.stamp.to_nanos();
             let place = self
-                .waiting
+                .pending
                 .partition_point(|other| stamp(other) <= stamp(&packet.header));
-            self.waiting.insert(place, packet.header.clone());
+            self.pending.insert(place, packet.header.clone());
             self.times_ns
                 .push_back((packet.log_time_ns, packet.publish_time_ns));
             own_place = Some(place);
@@ -113,7 +111,7 @@ impl VideoStream {
         match decoder.feed(&packet.data) {
             Ok(pictures) => {
                 let shown = self.shown(pictures);
-                if self.waiting.len() > MOST_WAITING {
+                if self.pending.len() > PENDING_LIMIT {
                     self.restart();
                 }
                 Ok(shown)
@@ -128,7 +126,7 @@ impl VideoStream {
                     _ => self.dropped.damaged += 1,
                 }
                 if let Some(place) = own_place {
-                    self.waiting.remove(place);
+                    self.pending.remove(place);
                     self.times_ns.pop_back();
                 }
                 Ok(self.finish_before_damage())
@@ -136,21 +134,19 @@ impl VideoStream {
         }
     }
 
-    /// Gives the pictures that are left; the next packet begins anew.
-    pub fn finish(&mut self) -> Vec<Shown> {
-        let left = self.decoder.as_mut().map(H264Decoder::finish);
-        let pictures = left.and_then(Result::ok).unwrap_or_default();
+    /// Returns the remaining pictures, and restarts.
+    pub fn finish(&mut self) -> Vec<VideoPicture> {
+        let pictures = self.drain();
         let shown = self.shown(pictures);
         self.restart();
         shown
     }
 
-    /// Gives the pictures before a damaged packet, which the decoder may hold back; the next packet begins anew.
-    fn finish_before_damage(&mut self) -> Vec<Shown> {
-        let left = self.decoder.as_mut().map(H264Decoder::finish);
-        let pictures = left.and_then(Result::ok).unwrap_or_default();
-        // With any other number it is unknown which picture is of which packet.
-        let shown = match pictures.len() == self.waiting.len() {
+    /// Returns delayed pictures before a damaged packet, and restarts.
+    fn finish_before_damage(&mut self) -> Vec<VideoPicture> {
+        let pictures = self.drain();
+        // With another number of pictures, their packets are unknown.
+        let shown = match pictures.len() == self.pending.len() {
             true => self.shown(pictures),
             false => Vec::new(),
         };
@@ -158,26 +154,32 @@ impl VideoStream {
         shown
     }
 
-    /// Packets without a picture so far.
+    /// The decoder's remaining pictures: none before a keyframe or after an error, which loses only pictures.
+    fn drain(&mut self) -> Vec<RgbImage> {
+        let left = self.decoder.as_mut().map(H264Decoder::finish);
+        left.and_then(Result::ok).unwrap_or_default()
+    }
+
+    /// Counts of packets without a picture so far.
     #[must_use]
-    pub fn dropped(&self) -> Dropped {
+    pub fn dropped(&self) -> DropCounts {
         self.dropped
     }
 
-    /// Waits for the next keyframe; pictures that the decoder still has are lost.
+    /// Waits for the next keyframe; pending pictures are lost.
     fn restart(&mut self) {
-        self.dropped.damaged += self.waiting.len() as u64;
-        self.waiting.clear();
+        self.dropped.damaged += self.pending.len() as u64;
+        self.pending.clear();
         self.times_ns.clear();
         self.decoder = None;
     }
 
-    fn shown(&mut self, pictures: Vec<RgbImage>) -> Vec<Shown> {
-        let (waiting, times_ns) = (&mut self.waiting, &mut self.times_ns);
+    fn shown(&mut self, pictures: Vec<RgbImage>) -> Vec<VideoPicture> {
+        let (pending, times_ns) = (&mut self.pending, &mut self.times_ns);
         let shown = pictures.into_iter().map_while(|picture| {
             let (log_time_ns, publish_time_ns) = times_ns.pop_front()?;
-            Some(Shown {
-                header: waiting.pop_front()?,
+            Some(VideoPicture {
+                header: pending.pop_front()?,
                 log_time_ns,
                 publish_time_ns,
                 picture,

@@ -13,7 +13,7 @@ use wm_msgs::{builtin_interfaces::Time, std_msgs::Header};
 
 use super::*;
 
-/// A frame that needs no other comes so often.
+/// Interval of keyframes.
 pub(super) const GROUP: usize = 5;
 
 pub(super) fn level(frame: usize) -> u8 {
@@ -49,14 +49,14 @@ pub(super) fn packets(frames: usize) -> Vec<VideoPacket> {
     (0..frames).map(packet).collect()
 }
 
-/// Stamps \[0.1 s\] and grey levels of what a stream shows of packets.
+/// Decodes packets to stamps \[0.1 s\] and grey levels.
 fn shown(stream: &mut VideoStream, packets: &[VideoPacket]) -> Vec<(i64, u8)> {
     let mut shown = Vec::new();
     for packet in packets {
         shown.extend(stream.feed(packet).unwrap());
     }
     shown.extend(stream.finish());
-    let of = |shown: &Shown| {
+    let of = |shown: &VideoPicture| {
         let tenths = shown.header.stamp.to_nanos() / 100_000_000;
         (tenths, shown.picture.get_pixel(9, 9).0[0])
     };
@@ -76,16 +76,16 @@ fn assert_shows(shown: &[(i64, u8)], frames: impl IntoIterator<Item = usize>) {
 fn each_packet_gives_its_picture() {
     let mut stream = VideoStream::new();
     assert_shows(&shown(&mut stream, &packets(12)), 0..12);
-    assert_eq!(stream.dropped(), Dropped::default());
+    assert_eq!(stream.dropped(), DropCounts::default());
 }
 
 #[test]
 fn stream_begins_with_a_keyframe() {
     let mut stream = VideoStream::new();
     assert_shows(&shown(&mut stream, &packets(12)[2..]), GROUP..12);
-    let dropped = Dropped {
+    let dropped = DropCounts {
         before_keyframe: 3,
-        ..Dropped::default()
+        ..DropCounts::default()
     };
     assert_eq!(stream.dropped(), dropped);
 }
@@ -93,7 +93,7 @@ fn stream_begins_with_a_keyframe() {
 #[test]
 fn parameters_alone_have_no_picture() {
     let mut packets = packets(6);
-    // The first packet's units before its picture, as a packet of their own.
+    // The units before the first picture, as a separate packet.
     let data = packets[0].data.clone();
     let at = data
         .windows(4)
@@ -107,13 +107,13 @@ fn parameters_alone_have_no_picture() {
     packets.insert(0, parameters);
     let mut stream = VideoStream::new();
     assert_shows(&shown(&mut stream, &packets), 0..6);
-    assert_eq!(stream.dropped(), Dropped::default());
+    assert_eq!(stream.dropped(), DropCounts::default());
 }
 
 #[test]
-fn damaged_packets_are_counted_and_the_next_keyframe_is_shown() {
+fn decoding_resumes_at_the_keyframe_after_damage() {
     let mut packets = packets(12);
-    // All but the head of its picture.
+    // Only the head of the picture.
     packets[2].data.truncate(7);
     let mut stream = VideoStream::new();
     let shown = shown(&mut stream, &packets);
@@ -129,16 +129,16 @@ fn damaged_packets_are_counted_and_the_next_keyframe_is_shown() {
 }
 
 #[test]
-fn missing_packet_is_a_gap_up_to_the_next_keyframe() {
+fn missing_packet_is_a_gap_to_the_next_keyframe() {
     let mut packets = packets(12);
     packets.remove(GROUP + 2);
     let mut stream = VideoStream::new();
     let frames = (0..GROUP + 2).chain(2 * GROUP..12);
     assert_shows(&shown(&mut stream, &packets), frames);
-    let dropped = Dropped {
+    let dropped = DropCounts {
         gaps: 1,
         dependent: 2,
-        ..Dropped::default()
+        ..DropCounts::default()
     };
     assert_eq!(stream.dropped(), dropped);
 }
@@ -153,17 +153,17 @@ fn packet_without_units_is_damaged() {
         &shown(&mut stream, &packets),
         (0..2).chain(GROUP..2 * GROUP),
     );
-    let dropped = Dropped {
+    let dropped = DropCounts {
         damaged: 2,
         gaps: 1,
         dependent: 1,
-        ..Dropped::default()
+        ..DropCounts::default()
     };
     assert_eq!(stream.dropped(), dropped);
 }
 
 #[test]
-fn other_codecs_are_refused_by_name() {
+fn other_codecs_are_rejected_by_name() {
     let packet = |codec: &str| VideoPacket {
         codec: codec.to_owned(),
         ..packets(1).remove(0)
@@ -226,9 +226,9 @@ fn packets_of_each_type_are_read() {
 }
 
 proptest! {
-    /// Whatever comes, there are pictures or an error.
+    /// Changed packets give pictures or an error.
     #[test]
-    fn changed_packets_do_not_panic(
+    fn stream_survives_changed_packets(
         changes in prop::collection::vec((0_usize..6, 0_usize..400, any::<u8>()), 1..9),
     ) {
         let mut packets = packets(6);

@@ -1,4 +1,4 @@
-//! JPEG pictures for the video topics of a bag that is converted.
+//! Conversion of a bag's video topics to JPEG pictures.
 
 use std::collections::BTreeMap;
 
@@ -8,7 +8,7 @@ use wm_bag::{
 };
 use wm_msgs::{Message as _, cdr, sensor_msgs::CompressedImage};
 
-use super::{Shown, VideoPacket, VideoStream, has_keyframe};
+use super::{VideoPacket, VideoPicture, VideoStream, has_keyframe};
 use crate::{
     image_message::encode_jpeg,
     transport::{COMPRESSED, Transport, base},
@@ -21,20 +21,20 @@ use crate::{
 #[derive(Debug)]
 pub struct VideoTopics {
     quality: u8,
-    /// The new name of each topic.
+    /// New names, by old name.
     names: BTreeMap<String, String>,
-    kept: Vec<(String, String)>,
+    skipped: Vec<(String, String)>,
 }
 
 impl VideoTopics {
-    /// Of the bag's topics, those that can be decoded; `quality` is that of the JPEGs, 1 to 100. Reads each topic up to its
-    /// first keyframe.
+    /// Selects the decodable video topics of a bag, by reading each up to its first keyframe. `quality` is that of the JPEGs,
+    /// 1 to 100.
     #[must_use]
     pub fn of(reader: &BagReader, quality: u8) -> Self {
         let mut topics = Self {
             quality,
             names: BTreeMap::new(),
-            kept: Vec::new(),
+            skipped: Vec::new(),
         };
         let is_video = |topic: &&TopicInfo| {
             let transport = Transport::of(&topic.name, &topic.type_name);
@@ -47,16 +47,16 @@ impl VideoTopics {
                 Ok(name) => {
                     topics.names.insert(topic, name);
                 }
-                Err(reason) => topics.kept.push((topic, reason)),
+                Err(reason) => topics.skipped.push((topic, reason)),
             }
         }
         topics
     }
 
-    /// The video topics that stay as they are, each with the reason.
+    /// The video topics that are copied unchanged, with the reason.
     #[must_use]
-    pub fn kept(&self) -> &[(String, String)] {
-        &self.kept
+    pub fn skipped(&self) -> &[(String, String)] {
+        &self.skipped
     }
 
     fn free_name(&self, reader: &BagReader, topic: &str) -> Result<String, String> {
@@ -71,11 +71,11 @@ impl VideoTopics {
     }
 }
 
-/// Whether a topic has pictures that are decoded here.
+/// Checks that a topic can be decoded.
 fn check(reader: &BagReader, topic: &str) -> Result<(), String> {
     let mut stream = VideoStream::new();
     let mut unreadable = None;
-    // Damaged chunks are reported when the bag is converted.
+    // The conversion reports damaged chunks.
     for message in reader.messages().only_topics([topic]).flatten() {
         let packet = match VideoPacket::of_bag(&message) {
             Ok(packet) => packet,
@@ -95,7 +95,7 @@ fn check(reader: &BagReader, topic: &str) -> Result<(), String> {
 impl Transform for VideoTopics {
     fn of_topic(&mut self, topic: &TopicInfo) -> Option<Box<dyn TopicTransform>> {
         let name = self.names.get(&*topic.name)?;
-        Some(Box::new(Pictures {
+        Some(Box::new(PictureTopic {
             topic: NewTopic {
                 name: name.clone(),
                 type_name: CompressedImage::ros_name(),
@@ -108,16 +108,16 @@ impl Transform for VideoTopics {
     }
 }
 
-/// The pictures of a video topic.
-struct Pictures {
+/// The conversion of a video topic.
+struct PictureTopic {
     topic: NewTopic,
     quality: u8,
     stream: VideoStream,
 }
 
-impl Pictures {
-    fn messages(&self, shown: Vec<Shown>) -> Result<Vec<NewMessage>, String> {
-        let message = |shown: Shown| {
+impl PictureTopic {
+    fn messages(&self, shown: Vec<VideoPicture>) -> Result<Vec<NewMessage>, String> {
+        let message = |shown: VideoPicture| {
             let image = encode_jpeg(&shown.picture, shown.header, self.quality);
             let image = image.map_err(|error| error.to_string())?;
             let data = cdr::to_bytes(&image).map_err(|error| error.to_string())?;
@@ -131,7 +131,7 @@ impl Pictures {
     }
 }
 
-impl TopicTransform for Pictures {
+impl TopicTransform for PictureTopic {
     fn topic(&self) -> NewTopic {
         self.topic.clone()
     }
@@ -158,7 +158,7 @@ impl TopicTransform for Pictures {
             (
                 dropped.dependent,
                 format!(
-                    "they depend on packets that are damaged or missing, up to the next keyframe (packets are missing in {} \
+                    "they depend on damaged or missing packets, up to the next keyframe (packets are missing in {} \
                      place(s))",
                     dropped.gaps
                 ),

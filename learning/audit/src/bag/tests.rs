@@ -15,7 +15,7 @@ use wm_msgs::{
 
 const START: i64 = 1_750_000_000_000_000_000;
 
-/// How a recording differs from a good one.
+/// The differences of a recording from a good one.
 struct Case {
     frames: i64,
     rate: i64,
@@ -40,14 +40,14 @@ const GOOD: Case = Case {
     z_factor: 1.0,
 };
 
-/// Where the arm is at a frame \[m\].
+/// Position of the arm at a frame \[m\].
 fn place(frame: i64) -> [f64; 3] {
     let t = frame as f64;
     let x = (0.9 * t + 1.3 * (0.37 * t).sin()).sin() * 0.05;
     [x, 0.03 * (0.5 * t).sin(), 0.03 * (0.35 * t).cos()]
 }
 
-/// The motion from a frame to the next.
+/// Motion from a frame to the next.
 fn moves(frame: i64) -> [f32; 3] {
     let (here, next) = (place(frame), place(frame + 1));
     [0, 1, 2].map(|axis: usize| (next[axis] - here[axis]) as f32)
@@ -118,7 +118,7 @@ fn audit(case: &Case) -> Audit {
     audit_bag(&BagReader::open(&bag).unwrap(), &Topics::default(), || ())
 }
 
-/// Check and level of each finding beyond a note.
+/// Check and level of each finding above a note.
 fn faults(case: &Case) -> BTreeMap<String, Level> {
     let audit = audit(case);
     audit
@@ -142,12 +142,12 @@ fn cameras_of(topics: &[&str]) -> (Vec<String>, Vec<Finding>) {
     }
     writer.finish().unwrap();
     let mut findings = Vec::new();
-    let cameras = cameras(&BagReader::open(&bag).unwrap(), &[], false, &mut findings);
+    let cameras = select_cameras(&BagReader::open(&bag).unwrap(), &[], false, &mut findings);
     (cameras, findings)
 }
 
 #[test]
-fn topics_of_other_codecs_are_no_cameras() {
+fn topics_of_other_codecs_are_not_cameras() {
     let (zstd, depth) = ("/camera/image_raw/zstd", "/camera/depth/compressedDepth");
     let (found, findings) = cameras_of(&[depth, "/camera/image_raw/compressed", zstd]);
     assert_eq!(found, ["/camera/image_raw/compressed"]);
@@ -159,7 +159,7 @@ fn topics_of_other_codecs_are_no_cameras() {
 }
 
 #[test]
-fn video_is_named_where_it_cannot_be_judged() {
+fn video_without_decoder_is_named() {
     let dir = TempDir::new().unwrap();
     let bag = dir.path().join("bag");
     let mut writer = BagWriter::create(&bag, WriterOptions::default()).unwrap();
@@ -179,7 +179,7 @@ fn video_is_named_where_it_cannot_be_judged() {
     assert_eq!(video_topics(&reader), ["/front/ffmpeg"]);
     for named in [vec![], vec!["/front/ffmpeg".to_owned()]] {
         let mut findings = Vec::new();
-        let found = cameras(&reader, &named, false, &mut findings);
+        let found = select_cameras(&reader, &named, false, &mut findings);
         assert_eq!(found.len(), 1 - named.len());
         let [finding] = findings.as_slice() else {
             panic!("{findings:?}");
@@ -191,7 +191,7 @@ fn video_is_named_where_it_cannot_be_judged() {
 }
 
 #[test]
-fn a_good_recording_has_no_finding() {
+fn good_recording_has_no_finding() {
     let audit = audit(&GOOD);
     let found: Vec<_> = audit
         .findings
@@ -210,7 +210,7 @@ fn a_good_recording_has_no_finding() {
 }
 
 #[test]
-fn each_fault_of_the_pictures_has_its_finding() {
+fn each_picture_fault_has_its_finding() {
     let repeats = |k: i64| if k % 5 == 1 || k % 5 == 3 { k - 1 } else { k };
     assert_eq!(
         faults(&Case {
@@ -232,7 +232,7 @@ fn each_fault_of_the_pictures_has_its_finding() {
 }
 
 #[test]
-fn a_camera_at_twice_its_rate_is_reported_with_its_true_rate() {
+fn camera_published_at_twice_its_rate_gets_true_rate() {
     let twice = Case {
         rate: 10,
         frames: 120,
@@ -252,7 +252,7 @@ fn a_camera_at_twice_its_rate_is_reported_with_its_true_rate() {
 }
 
 #[test]
-fn late_pictures_are_found_with_the_shift() {
+fn late_pictures_are_found_with_their_shift() {
     let audit = audit(&Case {
         shown: |k| k - 2,
         ..GOOD
@@ -263,7 +263,7 @@ fn late_pictures_are_found_with_the_shift() {
 }
 
 #[test]
-fn each_fault_of_the_stamps_has_its_finding() {
+fn each_stamp_fault_has_its_finding() {
     let error = only("stamps", Level::Error);
     for camera_stamp in [
         |_| 0,
@@ -308,7 +308,7 @@ fn actions_twice_as_large_in_z_are_found() {
 }
 
 #[test]
-fn actions_of_zero_are_found() {
+fn zero_actions_are_found() {
     let zero = faults(&Case {
         action: |_| [0.0; 3],
         ..GOOD

@@ -9,13 +9,13 @@ use wm_bag::{BagMessage, BagReader};
 use wm_camera::{
     signature::Signature,
     transport::Transport,
-    video::{Shown, VideoPacket, VideoStream},
+    video::{VideoPacket, VideoPicture, VideoStream},
 };
 
-use super::Reading;
+use super::BagAudit;
 use crate::{Finding, Stamps};
 
-/// The decoders of video topics, by the numbers of the cameras.
+/// Decoders of video topics, by camera index.
 pub(super) struct Videos(BTreeMap<usize, VideoStream>);
 
 impl Videos {
@@ -36,7 +36,7 @@ impl Videos {
     }
 }
 
-impl Reading {
+impl BagAudit {
     pub(super) fn take_packet(
         &mut self,
         camera: usize,
@@ -54,12 +54,12 @@ impl Reading {
         Ok(())
     }
 
-    fn show_all(&mut self, camera: usize, shown: Vec<Shown>) {
-        for Shown {
+    fn show_all(&mut self, camera: usize, shown: Vec<VideoPicture>) {
+        for VideoPicture {
             header, picture, ..
         } in shown
         {
-            // A codec gives the same pixels for a repeated picture, if it codes no difference.
+            // For a repeated picture, a codec without coded differences gives the same pixels.
             let mut hasher = DefaultHasher::new();
             hasher.write(picture.as_raw());
             let of_bytes = (hasher.finish(), Some(picture.dimensions()));
@@ -68,7 +68,7 @@ impl Reading {
         }
     }
 
-    /// Takes the last pictures; gives what is wrong with packets.
+    /// Adds the remaining pictures; returns the faults of the packets.
     pub(super) fn finish_videos(&mut self) -> Vec<Finding> {
         let mut findings = Vec::new();
         for (camera, mut stream) in std::mem::take(&mut self.videos.0) {

@@ -4,7 +4,7 @@ use super::*;
 use crate::Level;
 use wm_motion::actions::ActionSpace;
 
-/// Episodes of which frame `frame` moves by `moves(frame)` along x and a little along the others.
+/// Episodes whose frame `frame` moves by `moves(frame)` along x and a little along the others.
 fn episodes(moves: impl Fn(usize) -> f32) -> Vec<Episode> {
     let of = |_| {
         let mut made = Episode::new("e", 7);
@@ -42,12 +42,12 @@ fn faults(episodes: &[Episode]) -> Vec<(String, Level)> {
 }
 
 #[test]
-fn a_robot_that_moves_has_no_fault() {
+fn moving_robot_has_no_fault() {
     assert_eq!(faults(&episodes(wave)), []);
 }
 
 #[test]
-fn idle_starts_ends_and_wholes_are_found() {
+fn idle_starts_ends_and_episodes_are_found() {
     let start = episodes(|frame| if frame < 20 { 0.0 } else { wave(frame) });
     assert_eq!(faults(&start), [("idle".to_owned(), Level::Warning)]);
     let whole = episodes(|frame| if frame % 3 == 2 { wave(frame) } else { 0.0 });
@@ -59,26 +59,26 @@ fn idle_starts_ends_and_wholes_are_found() {
         end.contains(&("idle".to_owned(), Level::Warning)),
         "{end:?}"
     );
-    // A second and a half of 12.
+    // 1.5 s of 12 s.
     let short = episodes(|frame| if frame < 7 { 0.0 } else { wave(frame) });
     assert_eq!(faults(&short), [("idle".to_owned(), Level::Note)]);
 }
 
 #[test]
-fn a_last_action_of_zero_is_worth_a_note() {
+fn zero_last_action_gets_a_note() {
     let zero = episodes(|frame| if frame == 59 { 0.0 } else { wave(frame) });
     assert_eq!(faults(&zero), [("last".to_owned(), Level::Note)]);
 }
 
 #[test]
-fn a_value_far_beyond_the_others_is_an_outlier() {
+fn value_far_beyond_the_others_is_an_outlier() {
     let jump = episodes(|frame| if frame == 30 { 0.39 } else { wave(frame) });
     let found = faults(&jump);
     assert!(
         found.contains(&("outliers".to_owned(), Level::Warning)),
         "{found:?}"
     );
-    // Strong motion is none.
+    // Strong motion is not an outlier.
     assert_eq!(
         faults(&episodes(|frame| if frame == 30 {
             0.08
@@ -90,13 +90,13 @@ fn a_value_far_beyond_the_others_is_an_outlier() {
 }
 
 #[test]
-fn metres_that_no_arm_moves_by_are_another_unit() {
+fn implausible_motion_is_another_unit() {
     let found = faults(&episodes(|frame| 30.0 * wave(frame)));
     assert_eq!(found, [("units".to_owned(), Level::Warning)]);
 }
 
 #[test]
-fn gripper_of_another_range_is_a_fault_with_the_range() {
+fn gripper_of_another_range_is_a_fault_with_its_range() {
     let with = |range: [f32; 3]| {
         let mut made = Episode::new("e", 7);
         for frame in 0..60 {

@@ -4,7 +4,7 @@ use super::*;
 use crate::Level;
 use wm_motion::actions::{ActionSpace, Kind};
 
-/// An arm that moves by `factors` times its actions, in x, y and z.
+/// An arm that moves by `factors` times its actions in x, y and z.
 fn episodes(factors: [f32; 3]) -> Vec<Episode> {
     let of = |seed: usize| {
         let mut made = Episode::new("e", 7);
@@ -39,7 +39,7 @@ fn found(episodes: &[Episode]) -> Vec<Finding> {
 }
 
 #[test]
-fn a_state_that_follows_the_actions_is_fine() {
+fn state_that_follows_the_actions_has_no_fault() {
     for gain in [1.0, 0.8] {
         let fine = found(&episodes([gain; 3]));
         assert_eq!((fine.len(), fine[0].level), (1, Level::Ok), "{fine:?}");
@@ -48,7 +48,7 @@ fn a_state_that_follows_the_actions_is_fine() {
 }
 
 #[test]
-fn velocities_change_the_state_by_their_duration() {
+fn velocities_are_integrated_over_their_duration() {
     let velocity = |name: &str| Dimension {
         name: name.into(),
         unit: "m/s".into(),
@@ -64,7 +64,7 @@ fn velocities_change_the_state_by_their_duration() {
         ["vx", "vy", "vz"].map(velocity).into(),
     );
     let space = space.unwrap();
-    // The state moves by `factor` times the value: a fifth of it is right.
+    // The state moves by `factor` times the value; the correct factor is a fifth.
     for (factor, level) in [(0.2, Level::Ok), (1.0, Level::Warning)] {
         let episodes = episodes([factor; 3]);
         let found = check(Episodes {
@@ -82,7 +82,7 @@ fn velocities_change_the_state_by_their_duration() {
 }
 
 #[test]
-fn twice_in_z_is_found_in_either_sense() {
+fn factor_of_two_is_found_in_both_directions() {
     for factor in [2.0, 0.5] {
         let twice = found(&episodes([1.0, 1.0, factor]));
         assert_eq!(
@@ -99,7 +99,7 @@ fn twice_in_z_is_found_in_either_sense() {
 }
 
 #[test]
-fn a_flipped_sign_is_found() {
+fn flipped_sign_is_found() {
     let flipped = found(&episodes([1.0, -1.0, 1.0]));
     assert_eq!(
         (flipped.len(), flipped[0].level),
@@ -113,7 +113,7 @@ fn a_flipped_sign_is_found() {
 }
 
 #[test]
-fn axes_in_another_order_explain_nothing() {
+fn swapped_axes_are_unrelated() {
     let mut swapped = episodes([1.0; 3]);
     for episode in &mut swapped {
         let width = 7;
@@ -137,7 +137,7 @@ fn axes_in_another_order_explain_nothing() {
 }
 
 #[test]
-fn without_a_state_nothing_is_said() {
+fn missing_state_is_not_judged() {
     let mut unknown = episodes([1.0; 3]);
     for episode in &mut unknown {
         let mut made = Episode::new("e", 7);

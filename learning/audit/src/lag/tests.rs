@@ -4,13 +4,13 @@ use super::*;
 use crate::Level;
 use wm_motion::actions::{ActionSpace, Dimension, Kind};
 
-/// Smooth motion that looks random: the speed of frame `frame` of episode `episode`.
+/// Smooth pseudo-random motion: the speed of frame `frame` of episode `episode`.
 fn speed(episode: usize, frame: usize) -> f32 {
     let (e, t) = (episode as f32 * 1.7, frame as f32);
     ((0.9 * t + 1.3 * (0.37 * t + e).sin() + e).sin() * 0.03) * (1.2 + (0.11 * t + 2.0 * e).cos())
 }
 
-/// Episodes of Bridge V2's actions at 5 Hz whose pictures and state are late by so many frames.
+/// Episodes of Bridge V2's actions at 5 Hz; pictures and state lag by these frames.
 fn episodes(count: usize, frames: usize, (pictures, state): (usize, usize)) -> Vec<Episode> {
     let of = |episode: usize| {
         let late = |frame: usize, lag: usize| match frame.checked_sub(lag) {
@@ -47,7 +47,7 @@ fn found(episodes: &[Episode], space: &ActionSpace) -> Finding {
 }
 
 #[test]
-fn pictures_of_the_same_moment_are_fine() {
+fn synchronous_pictures_have_no_fault() {
     let fine = found(&episodes(5, 60, (0, 0)), &ActionSpace::bridge());
     assert_eq!(
         (fine.level, fine.figures["lag_frames"]),
@@ -57,8 +57,8 @@ fn pictures_of_the_same_moment_are_fine() {
 }
 
 #[test]
-fn pictures_two_frames_late_are_a_fault_with_the_shift_to_make() {
-    // All together, and one short recording of 40 frames.
+fn two_frames_of_lag_are_a_fault_with_the_remedy() {
+    // All episodes, and one short recording of 40 frames.
     for (count, frames) in [(5, 60), (1, 40)] {
         let late = found(&episodes(count, frames, (2, 0)), &ActionSpace::bridge());
         assert_eq!(
@@ -75,7 +75,7 @@ fn pictures_two_frames_late_are_a_fault_with_the_shift_to_make() {
 }
 
 #[test]
-fn pictures_one_frame_late_are_worth_a_note() {
+fn one_frame_of_lag_gets_a_note() {
     let late = found(&episodes(5, 60, (1, 1)), &ActionSpace::bridge());
     assert_eq!(
         (late.level, late.figures["lag_frames"]),
@@ -85,10 +85,10 @@ fn pictures_one_frame_late_are_worth_a_note() {
 }
 
 #[test]
-fn actions_that_come_late_are_shifted_earlier() {
+fn late_actions_are_shifted_earlier() {
     let mut late = episodes(5, 60, (0, 0));
     for episode in &mut late {
-        // Each action three frames later.
+        // Each action comes three frames later.
         episode.actions_mut().rotate_right(3 * 7);
     }
     let found = found(&late, &ActionSpace::bridge());
@@ -112,7 +112,7 @@ fn targets() -> ActionSpace {
     ActionSpace::new("joints".into(), 15.0, vec![joint("a")]).unwrap()
 }
 
-/// A joint that follows its targets by three frames, in pictures that are `late` by more.
+/// A joint that lags its targets by three frames, and pictures that lag by `late` more.
 fn followers(late: usize) -> Vec<Episode> {
     let of = |episode: usize| {
         let mut made = Episode::new("e", 1);
@@ -138,7 +138,7 @@ fn followers(late: usize) -> Vec<Episode> {
 }
 
 #[test]
-fn an_arm_may_follow_its_targets_late() {
+fn arm_may_lag_behind_its_targets() {
     let follows = found(&followers(0), &targets());
     assert_eq!(follows.level, Level::Note, "{follows:?}");
     let late = found(&followers(4), &targets());
@@ -147,9 +147,9 @@ fn an_arm_may_follow_its_targets_late() {
 }
 
 #[test]
-fn actions_of_another_recording_explain_nothing() {
+fn actions_of_another_recording_are_unrelated() {
     let mut other = episodes(10, 60, (0, 0));
-    // A sequence that looks random.
+    // A pseudo-random sequence.
     let mut state = 7_u64;
     for value in other.iter_mut().flat_map(Episode::actions_mut) {
         state = state
@@ -160,13 +160,13 @@ fn actions_of_another_recording_explain_nothing() {
     let none = found(&other, &ActionSpace::bridge());
     assert_eq!(none.level, Level::Warning, "{none:?}");
     assert!(none.what.contains("explain no motion"), "{none:?}");
-    // In 100 frames chance does as much.
+    // 100 frames are too few to exclude chance.
     let few = found(&other[..2], &ActionSpace::bridge());
     assert_eq!(few.level, Level::Ok, "{few:?}");
 }
 
 #[test]
-fn actions_of_zero_beside_motion_are_a_fault() {
+fn zero_actions_with_motion_are_a_fault() {
     let mut zero = episodes(2, 60, (0, 0));
     for episode in &mut zero {
         episode.actions_mut().fill(0.0);

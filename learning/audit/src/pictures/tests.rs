@@ -4,12 +4,12 @@ use super::*;
 use crate::Level;
 use image::{Rgb, RgbImage};
 
-/// A box that moves by two pixels a step, on pixels with a little noise.
+/// A box that moves by two pixels per step, with a little noise.
 fn shown(step: u64, noise: u64) -> Signature {
     let x = (step * 2 % 48) as u32;
     Signature::of(&RgbImage::from_fn(64, 48, |column, row| {
         let is_inside = (x..x + 12).contains(&column) && (20..32).contains(&row);
-        // Of 0 to 2 levels, and of no pattern.
+        // 0 to 2 levels without a pattern.
         let mut jitter = u64::from(column) << 32 | u64::from(row) << 20 | noise;
         for shift in [31, 29, 33] {
             jitter = (jitter ^ (jitter >> shift)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
@@ -20,7 +20,7 @@ fn shown(step: u64, noise: u64) -> Signature {
     }))
 }
 
-/// Pictures at 10 Hz: each shows a step of the motion, and noise.
+/// Pictures at 10 Hz, each with a step of the motion and noise.
 fn pictures(frames: impl IntoIterator<Item = (u64, u64)>) -> Pictures {
     let mut pictures = Pictures::new("/camera");
     for (index, (step, noise)) in frames.into_iter().enumerate() {
@@ -55,9 +55,9 @@ fn pictures_in_motion_have_no_finding() {
 }
 
 #[test]
-fn every_second_picture_repeated_is_half_the_rate() {
+fn repeating_every_second_picture_halves_the_rate() {
     for noise in [0, 1] {
-        // Byte for byte, and encoded again with noise.
+        // Byte for byte, and recoded with noise.
         let pictures = pictures((0..80).map(|k| (k / 2, (k + 1) * noise)));
         let findings = pictures.check(Some(&acting));
         assert_eq!(findings.len(), 1, "{findings:?}");
@@ -72,7 +72,7 @@ fn every_second_picture_repeated_is_half_the_rate() {
 }
 
 #[test]
-fn two_of_five_pictures_repeated_are_forty_percent() {
+fn two_repeats_of_five_are_forty_percent() {
     let step = |k: u64| if k % 5 == 1 || k % 5 == 3 { k - 1 } else { k };
     let found = pictures((0..80).map(|k| (step(k), 0))).check(Some(&acting));
     let share = found[0].figures["repeated_share"];
@@ -97,9 +97,9 @@ fn repeats_are_found_by_bytes_alone() {
     assert!((found[0].figures["repeated_share"] - 0.5).abs() < 0.05);
 }
 
-/// A driver that has stopped publishes its last four buffers in turn.
+/// A stopped driver publishes its last four buffers in turn.
 #[test]
-fn old_buffers_in_turn_are_repeats_or_a_freeze() {
+fn buffers_in_turn_are_repeats_or_a_freeze() {
     // For 2 of every 4 s.
     let in_turn = |k: u64| {
         if k % 40 < 20 {
@@ -111,7 +111,7 @@ fn old_buffers_in_turn_are_repeats_or_a_freeze() {
     let found = pictures((0..160).map(|k| (in_turn(k), 0))).check(Some(&acting));
     let repeated: Vec<_> = found.iter().map(|f| &*f.check).collect();
     assert!(repeated.contains(&"frozen"), "{found:?}");
-    // For 0.8 s of every 2 s: no standstill is long enough, and pictures are not decoded.
+    // For 0.8 s of every 2 s: too short for a freeze, and pictures are not decoded.
     let in_turn = |k: u64| {
         if k % 20 < 12 {
             k
@@ -127,11 +127,11 @@ fn old_buffers_in_turn_are_repeats_or_a_freeze() {
     assert_eq!(&*found[0].check, "repeats", "{found:?}");
     let share = found[0].figures["repeated_share"];
     assert!((share - 0.4).abs() < 0.05, "{found:?}");
-    // The change from each picture to the next stays known.
+    // The changes between successive pictures stay known.
     let mut turning = pictures((0..40).map(|k| (k, 0)));
     let change = turning.push(4_000_000_000, 36_000, None, Some(shown(36, 0)));
     assert!(change.unwrap() > 0.5, "{change:?}");
-    // From the last motion on, until the end.
+    // From the last motion to the end.
     let stopped = pictures((0..120).map(|k| (if k < 40 { k } else { 36 + k % 4 }, 0)));
     let found = stopped.check(Some(&acting));
     let frozen_s = found[0].figures["frozen_s"];
@@ -139,7 +139,7 @@ fn old_buffers_in_turn_are_repeats_or_a_freeze() {
 }
 
 #[test]
-fn a_frozen_camera_is_an_error_and_with_noise_too() {
+fn frozen_camera_is_an_error_with_noise_too() {
     for noise in [0, 1] {
         let frozen = pictures((0..60).map(|k| (7, (k + 1) * noise)));
         assert_eq!(
@@ -151,7 +151,7 @@ fn a_frozen_camera_is_an_error_and_with_noise_too() {
 }
 
 #[test]
-fn a_camera_that_freezes_for_a_while_is_a_warning() {
+fn temporary_freeze_is_a_warning() {
     let part = pictures((0..120).map(|k| (if (40..80).contains(&k) { 40 } else { k }, k)));
     let found = part.check(Some(&acting));
     assert_eq!(found.len(), 1, "{found:?}");
@@ -166,25 +166,25 @@ fn a_camera_that_freezes_for_a_while_is_a_warning() {
 }
 
 #[test]
-fn a_still_scene_of_an_idle_robot_is_no_fault() {
+fn still_scene_of_an_idle_robot_is_no_fault() {
     let idle = |_: i64, _: i64| Some(0.0);
     for noise in [0, 1] {
         let still = pictures((0..60).map(|k| (7, k * noise)));
         assert_eq!(still.check(Some(&idle)), []);
     }
-    // A simulator without noise: the arm rests for half a second between two motions.
+    // A simulator without noise: the arm rests for 0.5 s between two motions.
     let rests = pictures((0..80).map(|k| (k - k % 10 % 6, 0)));
     assert_eq!(rests.check(Some(&idle)), []);
 }
 
 #[test]
-fn without_actions_a_standstill_is_a_note() {
+fn standstill_without_actions_gets_a_note() {
     let found = pictures((0..60).map(|_| (7, 0))).check(None);
     assert_eq!((&*found[0].check, found[0].level), ("frozen", Level::Note));
 }
 
 #[test]
-fn sizes_that_change_are_named() {
+fn changing_sizes_are_named() {
     let mut both = Pictures::new("/camera");
     for index in 0..40 {
         let size = if index < 25 { (64, 48) } else { (128, 72) };
@@ -222,18 +222,18 @@ fn missing_frames_are_counted() {
 }
 
 #[test]
-fn a_long_recording_is_examined_up_to_a_limit() {
+fn long_recording_is_examined_up_to_a_limit() {
     let mut long = Pictures::new("/camera");
-    for index in 0..MOST as u64 + 10 {
+    for index in 0..PICTURES_LIMIT as u64 + 10 {
         long.push(index as i64 * 33_000_000, index, None, None);
     }
-    assert_eq!(long.count(), MOST as u64 + 10);
+    assert_eq!(long.count(), PICTURES_LIMIT as u64 + 10);
     let found = long.check(None);
     assert!(found[0].what.contains("9 more were not"), "{found:?}");
 }
 
 #[test]
-fn parts_of_a_recording_are_examined_together() {
+fn appended_parts_are_examined_together() {
     let shown_twice = |from: u64| pictures((from..from + 20).map(|k| (k / 2, k)));
     let mut both = shown_twice(0);
     both.append(shown_twice(20));

@@ -17,11 +17,11 @@ use wm_program::progress::Progress;
 use super::part::Part;
 use crate::{Folder, short};
 
-/// Frames that are encoded at once: bounds the memory. An encoder's numbers may depend on it, so that parts are made of the
-/// same batches as the whole.
+/// Frames encoded at once: bounds the memory. An encoder's rounding may depend on it, so parts use the same batches as
+/// the whole.
 const BATCH: usize = 16;
 
-/// Where the latents of all frames of a folder are, or will be.
+/// The file with the latents of all frames of a folder, existing or not.
 pub(super) struct LatentFile<'a> {
     folder: &'a Folder,
     encoder: &'a dyn Encoder,
@@ -29,7 +29,7 @@ pub(super) struct LatentFile<'a> {
 }
 
 impl<'a> LatentFile<'a> {
-    /// In the prepared folder if it is there, else in the cache.
+    /// In the prepared folder if it exists there, else in the cache.
     pub fn new(folder: &'a Folder, encoder: &'a dyn Encoder, cache_dir: &Path) -> Self {
         let digest = short(&folder.manifest().digest);
         let name = format!("latents-{digest}-{}", short(&encoder.space().hash));
@@ -46,7 +46,7 @@ impl<'a> LatentFile<'a> {
         }
     }
 
-    /// Its values. If it is not there, it is made of the parts that are, and of what is encoded now.
+    /// Maps the file; creates it first from parts and new latents if missing.
     pub fn open(&self) -> Result<Mmap> {
         if !self.path.is_file() {
             self.join()?;
@@ -54,8 +54,7 @@ impl<'a> LatentFile<'a> {
         map(&self.path, self.folder.frame_count(), self.encoder.space())
     }
 
-    /// Encodes the frames of a shard into a part, unless they are there already. Gives the file that has them; `None` if
-    /// there are none.
+    /// Encodes a shard's frames into a part, unless they exist. Returns their file; `None` for an empty shard.
     pub fn encode_shard(&self, shard: Shard) -> Result<Option<PathBuf>> {
         let total = self.folder.frame_count();
         let batches = shard.range_of(total.div_ceil(BATCH));
@@ -77,7 +76,7 @@ impl<'a> LatentFile<'a> {
 
     fn join(&self) -> Result<()> {
         let parts = self.parts()?;
-        // Another program that joined them meanwhile has removed them since, or will.
+        // Another program may have joined and removed them.
         if self.path.is_file() {
             return Ok(());
         }
@@ -91,13 +90,13 @@ impl<'a> LatentFile<'a> {
         Part::find_all(&self.path, self.folder.frame_count(), frame_bytes)
     }
 
-    /// Writes the latents of frames that begin with a batch.
+    /// Writes the latents of frames that start at a batch.
     fn write(&self, path: &Path, frames: Range<usize>, parts: &[Part]) -> Result<()> {
         let progress = Progress::of("encoding", "frames", frames.len() as u64);
         if let Some(folder) = path.parent() {
             fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
         }
-        // Two programs may encode the same, and on two machines they may have the same process number.
+        // Two programs may write the same file, with equal process ids on two machines.
         let mut partial = path.as_os_str().to_owned();
         partial.push(format!(".partial-{:016x}", rand::random::<u64>()));
         let partial = PathBuf::from(partial);
@@ -107,7 +106,7 @@ impl<'a> LatentFile<'a> {
         let batches: Vec<Range<usize>> = firsts
             .map(|first| first..frames.end.min(first + BATCH))
             .collect();
-        // A batch a thread at a time: parallel, in order, and bounded in memory.
+        // One batch per thread at a time: parallel, ordered, and bounded in memory.
         for group in batches.chunks(rayon::current_num_threads()) {
             let latents = group.par_iter().map(|batch| self.latents(batch, parts));
             let latents = latents.collect::<Result<Vec<_>>>()?;
@@ -118,11 +117,11 @@ impl<'a> LatentFile<'a> {
         }
         file.flush()?;
         drop(progress);
-        // In one move, so that a file of this name is whole.
+        // An atomic rename: a file of this name is complete.
         fs::rename(&partial, path).with_context(|| path.display().to_string())
     }
 
-    /// The latents of a batch, as the file holds them: out of a part that has the whole batch, else encoded.
+    /// Stored bytes of a batch, from a part that has all of it, or encoded now.
     fn latents(&self, batch: &Range<usize>, parts: &[Part]) -> Result<Vec<u8>> {
         let part = parts.iter().find(|part| part.has(batch));
         part.map_or_else(|| self.encode(batch), |part| part.read(batch))
@@ -152,16 +151,16 @@ impl<'a> LatentFile<'a> {
     }
 }
 
-/// The values of `frames` frames in a file.
+/// Maps a file of `frames` frames.
 pub(super) fn map(path: &Path, frames: usize, space: &LatentSpace) -> Result<Mmap> {
     let file = File::open(path).with_context(|| path.display().to_string())?;
-    // SAFETY: the cache is this program's own; whoever changes it during a training breaks only their own run.
+    // SAFETY: the cache belongs to this program; changing it during a training breaks only that run.
     let values = unsafe { Mmap::map(&file) }.with_context(|| path.display().to_string())?;
     expect_length(path, frames * frame_bytes(space), values.len() as u64)?;
     Ok(values)
 }
 
-/// Refuses a file of another length, in bytes.
+/// Rejects a file of another length.
 pub(super) fn expect_length(path: &Path, expected: usize, found: u64) -> Result<()> {
     ensure!(
         found == expected as u64,

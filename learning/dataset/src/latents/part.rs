@@ -10,7 +10,7 @@ use anyhow::{Context as _, Result, ensure};
 
 use super::file::expect_length;
 
-/// A file with the latents of some frames in a row, beside where that of all frames will be.
+/// A file with the latents of consecutive frames, beside the future whole file.
 pub(super) struct Part {
     path: PathBuf,
     file: File,
@@ -19,17 +19,17 @@ pub(super) struct Part {
 }
 
 impl Part {
-    /// Where the part with these frames of `whole` lies.
+    /// Path of the part of `whole` with these frames.
     pub fn path_of(whole: &Path, frames: &Range<usize>) -> PathBuf {
         let mut path = whole.as_os_str().to_owned();
         path.push(format!(".frames-{}-{}", frames.start, frames.len()));
         path.into()
     }
 
-    /// All parts of `whole`, which will have `total` frames.
+    /// All parts of `whole`, which has `total` frames.
     ///
     /// # Errors
-    /// When a part cannot be read, or has not the length that its name says.
+    /// If a part is unreadable, or its length differs from its name.
     pub fn find_all(whole: &Path, total: usize, frame_bytes: usize) -> Result<Vec<Self>> {
         let (Some(dir), Some(name)) = (whole.parent(), whole.file_name()) else {
             return Ok(Vec::new());
@@ -54,7 +54,7 @@ impl Part {
             };
             ensure!(
                 frames.end <= total,
-                "{}: expected frames of the {total} that there are; remove the file to recompute it",
+                "{}: expected at most {total} frames; remove the file to recompute it",
                 path.display()
             );
             let found = file
@@ -75,12 +75,12 @@ impl Part {
         &self.path
     }
 
-    /// Whether it has all of these frames.
+    /// Whether it has all these frames.
     pub fn has(&self, frames: &Range<usize>) -> bool {
         self.frames.start <= frames.start && frames.end <= self.frames.end
     }
 
-    /// The latents of frames that it has.
+    /// The latents of some of its frames.
     pub fn read(&self, frames: &Range<usize>) -> Result<Vec<u8>> {
         let mut latents = vec![0; frames.len() * self.frame_bytes];
         let at = frames.start.saturating_sub(self.frames.start) * self.frame_bytes;
@@ -89,21 +89,18 @@ impl Part {
         Ok(latents)
     }
 
-    /// Removes it, when it is joined. What cannot be removed only takes room.
+    /// Removes the joined part. A failure only wastes disk space.
     pub fn remove(&self) {
         match fs::remove_file(&self.path) {
             Err(error) if error.kind() != ErrorKind::NotFound => {
-                tracing::warn!(
-                    "{}: it is not needed any more: {error}",
-                    self.path.display()
-                );
+                tracing::warn!("cannot remove unneeded {}: {error}", self.path.display());
             }
             _ => (),
         }
     }
 }
 
-/// The frames of the part that has this name; `None` if it is not a part of `whole`.
+/// The frames in a part's name; `None` if it is not a part of `whole`.
 fn frames_of(name: &str, whole: &str) -> Option<Range<usize>> {
     let frames = name.strip_prefix(whole)?.strip_prefix(".frames-")?;
     let (first, count) = frames.split_once('-')?;

@@ -29,7 +29,7 @@ impl Encoder for Red {
 }
 
 #[test]
-fn another_split_finds_its_latents_and_their_statistics_are_right() {
+fn other_split_finds_its_latents_and_statistics() {
     let dir = tempfile::tempdir().unwrap();
     let bags = dir.path().join("bags");
     let frames = |name: &str, reds: &[u8]| {
@@ -60,7 +60,7 @@ fn another_split_finds_its_latents_and_their_statistics_are_right() {
             "a" => (0.5, 0.5),
             _ => (0.2, 0.0),
         };
-        // As exact as 16-bit numbers.
+        // f16 precision.
         assert!((statistics.mean[0] - mean).abs() < 1e-3, "{statistics:?}");
         assert!((statistics.std[0] - std).abs() < 1e-3, "{statistics:?}");
         assert_eq!((statistics.mean[1], statistics.std[1]), (0.5, 0.0));
@@ -72,7 +72,7 @@ fn another_split_finds_its_latents_and_their_statistics_are_right() {
     }
 }
 
-/// Each frame's red, and the mean of its batch, so that other batches give other latents.
+/// Each frame's red, and the mean of its batch, so that latents depend on the batch.
 struct OfBatch {
     space: LatentSpace,
     encoded: AtomicUsize,
@@ -109,7 +109,7 @@ impl Encoder for OfBatch {
     }
 }
 
-/// 75 frames, which are five batches; what was encoded, and where.
+/// 75 frames, which are five batches, and the encoded frames by cache.
 struct Bench {
     dir: tempfile::TempDir,
     dataset: Dataset,
@@ -125,7 +125,7 @@ impl Bench {
         Self { dir, dataset }
     }
 
-    /// The files that a shard leaves, and how many frames it encoded for them.
+    /// The files of a shard, and the number of frames encoded for them.
     fn shard(&self, cache: &str, shard: &str) -> anyhow::Result<(Vec<PathBuf>, usize)> {
         let encoder = OfBatch::new();
         let cache = self.dir.path().join(cache);
@@ -134,7 +134,7 @@ impl Bench {
         Ok((files, encoder.encoded.into_inner()))
     }
 
-    /// The bytes of the only file that is left then, and how many frames were encoded for it.
+    /// The bytes of the only remaining file, and the number of frames encoded for it.
     fn whole(&self, cache: &str) -> anyhow::Result<(Vec<u8>, usize)> {
         let encoder = OfBatch::new();
         let cache = self.dir.path().join(cache);
@@ -148,7 +148,7 @@ impl Bench {
 }
 
 #[test]
-fn the_latents_of_shards_are_those_of_one_run() {
+fn latents_of_shards_equal_those_of_one_run() {
     let bench = Bench::new();
     let (one, encoded) = bench.whole("one").unwrap();
     assert_eq!(encoded, 75);
@@ -164,7 +164,7 @@ fn the_latents_of_shards_are_those_of_one_run() {
         }
         assert_eq!(total, 75);
         assert!(bench.whole(&cache).unwrap() == (one.clone(), 0), "{cache}");
-        // Then there is nothing left to do.
+        // Nothing is left to encode.
         let (files, encoded) = bench.shard(&cache, "0/2").unwrap();
         let name = files[0].to_str().unwrap();
         assert!(encoded == 0 && !name.contains("frames-0"), "{name}");
@@ -172,18 +172,18 @@ fn the_latents_of_shards_are_those_of_one_run() {
 }
 
 #[test]
-fn only_what_no_shard_has_left_is_encoded() {
+fn only_missing_batches_are_encoded() {
     let bench = Bench::new();
     let (one, _) = bench.whole("one").unwrap();
     // Frames 0 to 31 and 64 to 74 of 75.
     assert_eq!(bench.shard("missing", "0/3").unwrap().1, 32);
     assert_eq!(bench.shard("missing", "2/3").unwrap().1, 11);
     assert!(bench.whole("missing").unwrap() == (one.clone(), 32));
-    // Frames 0 to 47, of which the other has the last 16 too: it encodes 48 to 63.
+    // Frames 0 to 47; the other part has the last 16 too and encodes 48 to 63.
     assert_eq!(bench.shard("overlapping", "0/2").unwrap().1, 48);
     assert_eq!(bench.shard("overlapping", "1/3").unwrap().1, 16);
     assert!(bench.whole("overlapping").unwrap() == (one.clone(), 11));
-    // A part that is cut off within a batch, as another batch size might leave it: frames 0 to 19.
+    // A part that ends within a batch, as from another batch size: frames 0 to 19.
     let file = bench.shard("shifted", "0/2").unwrap().0.remove(0);
     let latents = fs::read(&file).unwrap();
     fs::remove_file(&file).unwrap();
@@ -193,7 +193,7 @@ fn only_what_no_shard_has_left_is_encoded() {
 }
 
 #[test]
-fn a_part_of_a_wrong_length_is_named() {
+fn wrong_length_of_a_part_is_named() {
     let bench = Bench::new();
     let file = bench.shard("cut", "1/3").unwrap().0.remove(0);
     let latents = fs::read(&file).unwrap();
@@ -206,12 +206,12 @@ fn a_part_of_a_wrong_length_is_named() {
     };
     fs::write(&file, &latents[1..]).unwrap();
     is_refused(&file);
-    // Frames that there are not.
+    // Frames beyond the end.
     let beyond = file.with_extension("frames-64-32");
     fs::rename(&file, &beyond).unwrap();
     fs::write(&beyond, &latents).unwrap();
     is_refused(&beyond);
-    // What a program that was stopped has left is no part.
+    // A partial file of a stopped program is ignored.
     let partial = file.with_extension("frames-64-32.partial-0");
     fs::rename(&beyond, &partial).unwrap();
     assert_eq!(bench.shard("cut", "0/3").unwrap().1, 32);

@@ -6,17 +6,17 @@ use wm_bag::BagReader;
 use wm_motion::actions::ActionSpace;
 use wm_program::progress::Progress;
 
-use super::Planned;
+use super::BagPlan;
 use crate::{
     DatasetError, Settings,
     cutting::{Draft, Omission, cut},
     manifest::{LeftOut, Source},
-    recording::{Broken, Recording, Unusable},
+    recording::{BrokenPictures, Recording, UnusableBag},
 };
 
-/// The bags that can be opened, and the action space that they share.
+/// Readable bags with their common action space.
 pub(super) struct Survey {
-    /// One a source; none for a bag that is left out.
+    /// One per source; `None` for an excluded bag.
     pub readers: Vec<Option<BagReader>>,
     space: ActionSpace,
     left_out: Vec<LeftOut>,
@@ -24,17 +24,17 @@ pub(super) struct Survey {
 
 /// The episodes of all bags.
 pub(super) struct Plan {
-    pub bags: Vec<Planned>,
+    pub bags: Vec<BagPlan>,
     pub space: ActionSpace,
-    /// Topics without their transports.
+    /// Topics without transports.
     pub cameras: Vec<String>,
     pub has_masks: bool,
     pub left_out: Vec<LeftOut>,
-    /// Faults of the stamps and the pictures of each bag.
+    /// Faults of each bag's stamps and pictures.
     pub findings: Vec<BagFindings>,
 }
 
-/// What a bag gives.
+/// Contents of a bag.
 struct Contents {
     cameras: Vec<String>,
     topics: Vec<String>,
@@ -49,7 +49,7 @@ struct Contents {
 }
 
 impl Survey {
-    /// Opens the bags and compares what their actions are.
+    /// Opens the bags and compares their action spaces.
     pub fn of(sources: &[Source], settings: &Settings) -> Result<Self, DatasetError> {
         let opened: Vec<_> = sources
             .par_iter()
@@ -60,8 +60,8 @@ impl Survey {
             space: ActionSpace::bridge(),
             left_out: Vec::new(),
         };
-        let asked = settings.action_space.clone();
-        let mut first = asked.map(|space| (space, "--action-space".to_owned()));
+        let requested = settings.action_space.clone();
+        let mut first = requested.map(|space| (space, "--action-space".to_owned()));
         for (source, opened) in sources.iter().zip(opened) {
             let bag = &source.bag;
             let (reader, space) = match opened {
@@ -94,12 +94,12 @@ impl Survey {
         Ok(survey)
     }
 
-    /// The episodes of all bags, but for the pictures in `broken`, a set for each source.
+    /// Episodes of all bags, without the pictures in `broken`, by source.
     pub fn plan(
         &self,
         sources: &[Source],
         settings: &Settings,
-        broken: &[Broken],
+        broken: &[BrokenPictures],
     ) -> Result<Plan, DatasetError> {
         let progress = Progress::of("reading", "bags", sources.len() as u64);
         let contents: Vec<_> = (self.readers.par_iter().zip(broken))
@@ -127,11 +127,11 @@ impl Survey {
             let contents = match contents {
                 None => continue,
                 Some(Ok(contents)) => contents,
-                Some(Err(Unusable::Lacks(reason))) => {
+                Some(Err(UnusableBag::Lacks(reason))) => {
                     plan.left_out.push(LeftOut::path(bag, &reason));
                     continue;
                 }
-                Some(Err(Unusable::Differs(what))) => return Err(refused(bag, what)),
+                Some(Err(UnusableBag::Differs(what))) => return Err(refused(bag, what)),
             };
             let left = contents.omissions.iter().map(|omission| LeftOut {
                 path: bag.to_owned(),
@@ -156,7 +156,7 @@ impl Survey {
                 sizes: contents.sizes,
             });
             if contents.episodes.is_empty() {
-                let reason = format!("no episode in it{clocks}");
+                let reason = format!("no episodes{clocks}");
                 plan.left_out.push(LeftOut::path(bag, &reason));
                 continue;
             }
@@ -167,7 +167,7 @@ impl Survey {
                 plan.cameras = contents.cameras;
                 plan.has_masks = contents.has_masks;
             }
-            plan.bags.push(Planned {
+            plan.bags.push(BagPlan {
                 source: index,
                 topics: contents.topics,
                 episodes: contents.episodes,
@@ -192,7 +192,7 @@ impl Survey {
 }
 
 impl Plan {
-    /// Refuses a bag whose pictures are not what those of the first bag are.
+    /// Rejects a bag whose cameras differ from the first bag's.
     fn expect_same(
         &self,
         bag: &Path,
@@ -222,7 +222,7 @@ fn refused(bag: &Path, what: impl ToString) -> DatasetError {
     }
 }
 
-/// A bag and the action space that it states. Without `--action-space`, a bag that states none has Bridge V2's.
+/// A bag with its declared action space. Without `--action-space`, an undeclared one is Bridge V2's.
 fn open(source: &Source, settings: &Settings) -> Result<(BagReader, Option<ActionSpace>), String> {
     let reader = BagReader::open(&source.bag).map_err(|error| error.to_string())?;
     let note = reader.note(ActionSpace::NOTE);
@@ -237,10 +237,10 @@ fn contents(
     reader: &BagReader,
     settings: &Settings,
     space: &ActionSpace,
-    broken: &Broken,
-) -> Result<Contents, Unusable> {
+    broken: &BrokenPictures,
+) -> Result<Contents, UnusableBag> {
     let mut recording = Recording::read(reader, settings, space, broken)?;
-    let (mut episodes, omissions) = cut(&recording, space, settings).map_err(Unusable::Lacks)?;
+    let (mut episodes, omissions) = cut(&recording, space, settings).map_err(UnusableBag::Lacks)?;
     let path = std::mem::take(&mut recording.state).path(space);
     for episode in &mut episodes {
         let stamps = episode.stamps.first().into_iter().flatten();

@@ -16,53 +16,53 @@ use wm_bag::BagReader;
 use wm_camera::{
     camera_frame::CameraFrame,
     signature::Signature,
-    video::{Shown as VideoPicture, VideoStream},
+    video::{VideoPicture, VideoStream},
 };
 use wm_model::{Fit, Framing, Part, PictureSize, Placement};
 use wm_msgs::builtin_interfaces::Time;
 use wm_program::progress::Progress;
 
-use super::Planned;
+use super::BagPlan;
 use crate::{
     DatasetError, Manifest, Size, StampSource,
     camera_message::{CameraMessage, first_needed},
     cameras::MASK,
     cutting::Draft,
-    recording::Broken,
+    recording::BrokenPictures,
     source_sizes::SizeCounts,
     store::NewFolder,
 };
 
 /// The result of decoding.
-pub(super) struct Decoded {
-    /// The pictures of each source that cannot be decoded.
-    pub broken: Vec<Broken>,
-    /// The sizes of the others.
+pub(super) struct DecodedFrames {
+    /// Undecodable pictures, by source.
+    pub broken: Vec<BrokenPictures>,
+    /// Sizes of all other pictures.
     pub sizes: SizeCounts,
-    /// For each episode: how much each picture of the first camera differs from the one before \[levels\], if that is known.
+    /// Mean change of each picture of the first camera since the previous one \[levels\], by episode, if known.
     pub changes: Vec<Vec<Option<f32>>>,
-    /// The pictures of each source's video topics, for the audit. Those of other topics are compared before, by their bytes.
+    /// Pictures of each source's video topics, for the audit. Other topics are compared by their bytes earlier.
     pub videos: Vec<Vec<Pictures>>,
 }
 
 /// The result of decoding an episode.
 #[derive(Default)]
 struct DecodedEpisode {
-    broken: Broken,
+    broken: BrokenPictures,
     changes: Vec<Option<f32>>,
     videos: Vec<Pictures>,
 }
 
 /// Decodes the frames of all episodes into the folder's files.
 ///
-/// Episodes are decoded at the same time, each on one thread and by one picture at a time: a picture goes to its place in
-/// the file as it comes, so that memory does not grow with the length of an episode.
+/// Each episode takes one thread and one picture at a time. A picture is written at once, so memory does not grow with
+/// the episode.
 pub(super) fn write(
-    bags: &[Planned],
+    bags: &[BagPlan],
     readers: &[Option<BagReader>],
     manifest: &Manifest,
     folder: &NewFolder,
-) -> Result<Decoded, DatasetError> {
+) -> Result<DecodedFrames, DatasetError> {
     let total: usize = manifest.episodes.iter().map(|episode| episode.frames).sum();
     let progress = Progress::of("decoding", "frames", total as u64);
     let files = Files {
@@ -93,8 +93,8 @@ pub(super) fn write(
         progress.inc(draft.actions.len() as u64);
         Ok((bag.source, episode))
     });
-    let mut decoded = Decoded {
-        broken: vec![Broken::default(); readers.len()],
+    let mut decoded = DecodedFrames {
+        broken: vec![BrokenPictures::default(); readers.len()],
         sizes: SizeCounts::new(),
         changes: Vec::new(),
         videos: vec![Vec::new(); readers.len()],
@@ -119,7 +119,7 @@ pub(super) fn write(
     Ok(decoded)
 }
 
-/// The files that pictures go to, with their paths.
+/// The output files, with their paths.
 struct Files {
     frames: (File, PathBuf),
     masks: Option<(File, PathBuf)>,
@@ -127,26 +127,26 @@ struct Files {
     fit: Fit,
     views: usize,
     stamps: StampSource,
-    /// The sizes of the pictures so far.
+    /// Sizes of the pictures so far.
     sizes: Mutex<SizeCounts>,
 }
 
-/// The pictures of a stream that an episode still waits for.
-struct Awaited<'a> {
+/// A stream whose pictures an episode still needs.
+struct PendingStream<'a> {
     topic: &'a str,
-    /// Stamps of its frames, in order; a slow camera's picture may be in several.
+    /// Stamps of its frames in order; a slow camera's picture may be in several.
     stamps: &'a [i64],
     is_there: Vec<bool>,
-    /// The decoder, if the stream is a video.
+    /// Decoder, if the stream is a video.
     video: VideoStream,
-    /// The pictures of a video, for the audit.
+    /// Pictures of a video, for the audit.
     shown: Pictures,
     changes: Changes,
 }
 
-/// How much the pictures of an episode change.
+/// Changes between the pictures of an episode.
 struct Changes {
-    /// By frame: the mean change since the picture before \[levels\], if that is known.
+    /// Mean change since the previous picture \[levels\] by frame, if known.
     levels: Vec<Option<f32>>,
     /// The last picture, and its frame.
     last: Option<(usize, Signature)>,
@@ -160,7 +160,7 @@ impl Changes {
         }
     }
 
-    /// Takes the picture of a frame. Pictures come in the order of recording, which is that of the stamps but for a few.
+    /// Adds the picture of a frame. Pictures arrive in recording order, which is almost that of the stamps.
     fn take(&mut self, frame: usize, signature: &Signature) {
         let before = self.last.as_ref().filter(|(last, _)| last + 1 == frame);
         let change = before.and_then(|(_, before)| before.change(signature));
@@ -171,8 +171,8 @@ impl Changes {
     }
 }
 
-impl Awaited<'_> {
-    /// The frames of the episode that show a picture of this stamp, if it is not there yet.
+impl PendingStream<'_> {
+    /// The frames that need a picture of this stamp, unless already written.
     fn frames(&self, stamp_ns: i64) -> std::ops::Range<usize> {
         let first = self.stamps.partition_point(|other| *other < stamp_ns);
         let end = self.stamps.partition_point(|other| *other <= stamp_ns);
@@ -191,10 +191,10 @@ impl Files {
         draft: &Draft,
         first_frame: usize,
     ) -> Result<DecodedEpisode, DatasetError> {
-        let mut awaited: Vec<Awaited<'_>> = topics
+        let mut pending: Vec<PendingStream<'_>> = topics
             .iter()
             .zip(&draft.stamps)
-            .map(|(topic, stamps)| Awaited {
+            .map(|(topic, stamps)| PendingStream {
                 topic,
                 stamps,
                 is_there: vec![false; stamps.len()],
@@ -203,7 +203,7 @@ impl Files {
                 changes: Changes::new(stamps.len()),
             })
             .collect();
-        let mut broken = Broken::default();
+        let mut broken = BrokenPictures::default();
         let (from_ns, to_ns) = draft.logged_ns;
         let begin_ns = topics
             .iter()
@@ -213,13 +213,13 @@ impl Files {
             .messages()
             .only_topics(topics)
             .starting_at(begin_ns.unwrap_or(from_ns));
-        // Messages that cannot be read were counted at the first reading.
+        // The first pass counted unreadable messages.
         for message in messages.flatten() {
             if message.log_time_ns > to_ns {
                 break;
             }
-            let of_topic = |awaited: &&mut Awaited<'_>| *awaited.topic == *message.topic;
-            let Some((view, awaited)) = (0..).zip(&mut awaited).find(|(_, a)| of_topic(a)) else {
+            let of_topic = |pending: &&mut PendingStream<'_>| *pending.topic == *message.topic;
+            let Some((view, pending)) = (0..).zip(&mut pending).find(|(_, a)| of_topic(a)) else {
                 continue;
             };
             let frame = match CameraMessage::of_bag(&message) {
@@ -228,38 +228,38 @@ impl Files {
                     let header_ns = packet.header.stamp.to_nanos();
                     let stamp_ns = self.stamps.of(Stamps::of_bag(&message, header_ns));
                     packet.header.stamp = Time::from_nanos(stamp_ns);
-                    // A video of another format was refused at the first reading.
-                    let pictures = awaited.video.feed(&packet).unwrap_or_default();
-                    self.take(awaited, (first_frame, view), pictures)?;
+                    // The first pass rejected videos of other formats.
+                    let pictures = pending.video.feed(&packet).unwrap_or_default();
+                    self.take(pending, (first_frame, view), pictures)?;
                     continue;
                 }
                 Err(_) => continue,
             };
             let header_ns = frame.header().stamp.to_nanos();
             let stamp_ns = self.stamps.of(Stamps::of_bag(&message, header_ns));
-            let frames = awaited.frames(stamp_ns);
+            let frames = pending.frames(stamp_ns);
             if frames.is_empty() {
                 continue;
             }
-            let shown = match self.decoded(&frame, view, awaited.topic == MASK) {
+            let shown = match self.decoded(&frame, view, pending.topic == MASK) {
                 Ok(shown) => shown,
                 Err(reason) => {
-                    broken.insert(awaited.topic, stamp_ns, || reason);
+                    broken.insert(pending.topic, stamp_ns, || reason);
                     continue;
                 }
             };
-            self.place(awaited, (first_frame, view), frames, &shown)?;
+            self.place(pending, (first_frame, view), frames, &shown)?;
         }
-        for (view, awaited) in awaited.iter_mut().enumerate() {
-            let pictures = awaited.video.finish();
-            self.take(awaited, (first_frame, view), pictures)?;
+        for (view, pending) in pending.iter_mut().enumerate() {
+            let pictures = pending.video.finish();
+            self.take(pending, (first_frame, view), pictures)?;
         }
-        for stream in &awaited {
+        for stream in &pending {
             let missing = stream.stamps.iter().zip(&stream.is_there);
             let missing = missing.filter(|(_, is_there)| !**is_there);
             for (stamp_ns, _) in missing {
                 broken.insert(stream.topic, *stamp_ns, || {
-                    "the message gives no picture".to_owned()
+                    "the message has no picture".to_owned()
                 });
             }
         }
@@ -267,7 +267,7 @@ impl Files {
             broken,
             ..DecodedEpisode::default()
         };
-        for (view, stream) in awaited.into_iter().enumerate() {
+        for (view, stream) in pending.into_iter().enumerate() {
             if view == 0 {
                 episode.changes = stream.changes.levels;
             }
@@ -278,10 +278,10 @@ impl Files {
         Ok(episode)
     }
 
-    /// Writes the pictures of a video that the episode waits for.
+    /// Writes the pictures of a video that the episode needs.
     fn take(
         &self,
-        awaited: &mut Awaited<'_>,
+        pending: &mut PendingStream<'_>,
         place: (usize, usize),
         pictures: Vec<VideoPicture>,
     ) -> Result<(), DatasetError> {
@@ -290,7 +290,7 @@ impl Files {
         } in pictures
         {
             let stamp_ns = header.stamp.to_nanos();
-            let span = awaited.stamps.first().zip(awaited.stamps.last());
+            let span = pending.stamps.first().zip(pending.stamps.last());
             if !span.is_some_and(|(first, last)| (*first..=*last).contains(&stamp_ns)) {
                 continue;
             }
@@ -298,33 +298,33 @@ impl Files {
             let size = Some(picture.dimensions());
             let bytes = fingerprint(&picture);
             let of_audit = Some(signature.clone());
-            awaited.shown.push(stamp_ns, bytes, size, of_audit);
-            let frames = awaited.frames(stamp_ns);
+            pending.shown.push(stamp_ns, bytes, size, of_audit);
+            let frames = pending.frames(stamp_ns);
             if frames.is_empty() {
                 continue;
             }
             if let Ok(view) = self.placed(&picture, place.1) {
-                let shown = Shown::View(view, signature);
-                self.place(awaited, place, frames, &shown)?;
+                let shown = PlacedPicture::View(view, signature);
+                self.place(pending, place, frames, &shown)?;
             }
         }
         Ok(())
     }
 
-    /// Writes a picture to the frames of an episode that show it; the episode's first frame and the view say where.
+    /// Writes a picture to its frames, from the episode's first frame on, in column `view`.
     fn place(
         &self,
-        awaited: &mut Awaited<'_>,
+        pending: &mut PendingStream<'_>,
         (first_frame, view): (usize, usize),
         frames: std::ops::Range<usize>,
-        shown: &Shown,
+        shown: &PlacedPicture,
     ) -> Result<(), DatasetError> {
-        if let (0, Shown::View(_, signature)) = (view, shown) {
-            awaited.changes.take(frames.start, signature);
+        if let (0, PlacedPicture::View(_, signature)) = (view, shown) {
+            pending.changes.take(frames.start, signature);
         }
         for frame in frames {
             self.write(first_frame + frame, view, shown)?;
-            if let Some(is_there) = awaited.is_there.get_mut(frame) {
+            if let Some(is_there) = pending.is_there.get_mut(frame) {
                 *is_there = true;
             }
         }
@@ -341,22 +341,27 @@ impl Files {
         Ok(placed)
     }
 
-    /// A picture of camera `view` at the size of a view.
-    fn decoded(&self, frame: &CameraFrame, view: usize, is_mask: bool) -> Result<Shown, String> {
+    /// A message's picture at the size of a view.
+    fn decoded(
+        &self,
+        frame: &CameraFrame,
+        view: usize,
+        is_mask: bool,
+    ) -> Result<PlacedPicture, String> {
         let picture = frame.decode().map_err(|error| error.to_string())?;
         if is_mask {
-            // Grey stays what it is: the weights of the luma add up to one.
+            // Grey values stay: luma weights sum to one.
             let mask = DynamicImage::from(picture).into_luma8();
-            return Ok(Shown::Mask(place(&mask, self.view, self.fit)));
+            return Ok(PlacedPicture::Mask(place(&mask, self.view, self.fit)));
         }
-        Ok(Shown::View(
+        Ok(PlacedPicture::View(
             self.placed(&picture, view)?,
             Signature::of(&picture),
         ))
     }
 
-    /// Writes a picture to its place: a view to its columns of the frame.
-    fn write(&self, frame: usize, view: usize, shown: &Shown) -> Result<(), DatasetError> {
+    /// Writes a picture to its columns of a frame.
+    fn write(&self, frame: usize, view: usize, shown: &PlacedPicture) -> Result<(), DatasetError> {
         let Size { height, width } = self.view;
         let to = |(file, path): &(File, PathBuf), bytes: &[u8], at: usize| {
             let written = file.write_all_at(bytes, at as u64);
@@ -364,12 +369,14 @@ impl Files {
         };
         let row_bytes = width * 3;
         match (shown, &self.masks) {
-            (Shown::Mask(mask), Some(masks)) => to(masks, mask.as_raw(), frame * height * width),
-            (Shown::Mask(_), None) => Ok(()),
-            (Shown::View(picture, _), _) if self.views == 1 => {
+            (PlacedPicture::Mask(mask), Some(masks)) => {
+                to(masks, mask.as_raw(), frame * height * width)
+            }
+            (PlacedPicture::Mask(_), None) => Ok(()),
+            (PlacedPicture::View(picture, _), _) if self.views == 1 => {
                 to(&self.frames, picture.as_raw(), frame * height * row_bytes)
             }
-            (Shown::View(picture, _), _) => {
+            (PlacedPicture::View(picture, _), _) => {
                 let rows = picture.as_raw().chunks_exact(row_bytes).enumerate();
                 for (row, bytes) in rows {
                     let row = frame * height + row;
@@ -382,20 +389,20 @@ impl Files {
     }
 }
 
-/// A number that pictures share if their pixels are the same.
+/// Equal for pictures with equal pixels.
 fn fingerprint(picture: &RgbImage) -> u64 {
     let mut hasher = DefaultHasher::new();
     hasher.write(picture.as_raw());
     hasher.finish()
 }
 
-enum Shown {
-    /// At the size of a view, and the signature of the whole picture.
+enum PlacedPicture {
+    /// At the size of a view, with the signature of the whole picture.
     View(RgbImage, Signature),
     Mask(GrayImage),
 }
 
-/// A mask as the picture beside it is placed: its bars are background.
+/// Places a mask as its picture; bars become background.
 fn place(mask: &GrayImage, size: Size, fit: Fit) -> GrayImage {
     let (width, height) = mask.dimensions();
     let to = PictureSize::from(size);
@@ -426,7 +433,7 @@ fn place(mask: &GrayImage, size: Size, fit: Fit) -> GrayImage {
     placed
 }
 
-/// Class numbers may not be blended: nearest neighbour.
+/// Nearest neighbour: class numbers must not be blended.
 pub(crate) fn shrink(mask: &GrayImage, size: Size) -> GrayImage {
     // A side is at most 4096.
     let (width, height) = (size.width as u32, size.height as u32);

@@ -1,4 +1,4 @@
-//! Bags for tests, message by message.
+//! Test bags, message by message.
 
 use std::path::Path;
 
@@ -16,22 +16,22 @@ use wm_msgs::{
 pub const CAMERA: &str = "/camera/image_raw/compressed";
 /// A millisecond in nanoseconds.
 pub const MS: i64 = 1_000_000;
-/// As the recordings of robots have it: far from 0.
+/// Far from 0, as in real recordings.
 pub const START_NS: i64 = 1_700_000_000_000_000_000;
 
-/// Writes a bag. Times are \[ms\] since its start.
+/// Writes a bag. Times are \[ms\] from its start.
 pub struct Recorder {
     writer: BagWriter,
 }
 
 impl Recorder {
-    /// Begins one.
+    /// Starts a bag.
     pub fn new(bag: &Path) -> Self {
         let writer = BagWriter::create(bag, WriterOptions::default()).unwrap();
         Self { writer }
     }
 
-    /// Begins one that says what its actions are.
+    /// Starts a bag that declares its action space.
     pub fn with_space(bag: &Path, space: &ActionSpace) -> Self {
         let mut recorder = Self::new(bag);
         let note = space.to_note().unwrap();
@@ -61,12 +61,12 @@ impl Recorder {
         self.picture_late(topic, ms, ms, data);
     }
 
-    /// A picture whose stamp is not the time of its recording.
+    /// A picture stamped earlier than recorded.
     pub fn picture_late(&mut self, topic: &str, ms: i64, logged_ms: i64, data: Vec<u8>) {
         self.picture_stamped(topic, START_NS + ms * MS, logged_ms, data);
     }
 
-    /// A picture of any stamp \[ns\].
+    /// A picture with any stamp \[ns\].
     pub fn picture_stamped(&mut self, topic: &str, stamp_ns: i64, logged_ms: i64, data: Vec<u8>) {
         let header = Header {
             stamp: Time::from_nanos(stamp_ns),
@@ -82,7 +82,7 @@ impl Recorder {
             .unwrap();
     }
 
-    /// An action of Bridge V2's that moves by `dx`.
+    /// A Bridge V2 action that moves by `dx`.
     pub fn action(&mut self, ms: i64, dx: f32) {
         self.values(ms, vec![dx, 0., 0., 0., 0., 0., 1.]);
     }
@@ -98,7 +98,7 @@ impl Recorder {
             .unwrap();
     }
 
-    /// An action and a state whose stamps have a nanosec of more than a second.
+    /// An action and a state with an invalid nanosec (above a second).
     pub fn malformed(&mut self, ms: i64) {
         let mut header = Self::header(ms);
         header.stamp.nanosec += 1_000_000_000;
@@ -115,7 +115,7 @@ impl Recorder {
         self.writer.write("/joint_states", &state, at).unwrap();
     }
 
-    /// What the joints are and do.
+    /// A joint state.
     pub fn joints(&mut self, ms: i64, names: &[&str], position: Vec<f64>, velocity: Vec<f64>) {
         let state = JointState {
             header: Self::header(ms),
@@ -134,7 +134,7 @@ impl Recorder {
         self.writer.write(topic, &text, Self::logged(ms)).unwrap();
     }
 
-    /// Whether a task is done.
+    /// A success message.
     pub fn success(&mut self, ms: i64, data: bool) {
         let at = Self::logged(ms);
         self.writer
@@ -142,7 +142,7 @@ impl Recorder {
             .unwrap();
     }
 
-    /// Frames and actions every 200 ms, which are 5 Hz.
+    /// Frames and actions at 5 Hz.
     pub fn run(&mut self, frames: std::ops::Range<i64>) {
         for frame in frames {
             self.frame(CAMERA, frame * 200, frame as u8);
@@ -150,7 +150,7 @@ impl Recorder {
         }
     }
 
-    /// Ends it.
+    /// Finishes the bag.
     pub fn finish(self) {
         self.writer.finish().unwrap();
     }

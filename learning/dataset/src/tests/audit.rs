@@ -1,4 +1,4 @@
-//! The audit of a prepared data set, and the options that it names.
+//! Audits of prepared data sets, and options that they recommend.
 
 use image::{Rgb, RgbImage};
 use wm_audit::Level;
@@ -9,11 +9,11 @@ use super::{
 };
 use crate::testing::{CAMERA, MS, Recorder, START_NS, png};
 
-/// A recording of 60 frames at 5 Hz that differs from a good one.
+/// A recording of 60 frames at 5 Hz with a fault.
 struct Case {
-    /// Stamp of the pictures by the time of recording, since the start \[ms\].
+    /// Stamp by recording time since the start.
     stamp_ns: fn(i64) -> i64,
-    /// The moment that picture `k` shows.
+    /// The time shown by picture `k`.
     shown: fn(i64) -> i64,
     size: fn(i64) -> (u32, u32),
 }
@@ -24,7 +24,7 @@ const GOOD: Case = Case {
     size: |_| (64, 48),
 };
 
-/// Where the arm is at frame `k` \[m\].
+/// Position of the arm at frame `k` \[m\].
 fn place(k: i64) -> f32 {
     let t = k as f32;
     0.06 * (0.9 * t + 1.3 * (0.37 * t).sin()).sin()
@@ -62,12 +62,12 @@ fn faults(case: &Case) -> Vec<(String, Level)> {
 }
 
 #[test]
-fn a_good_recording_has_an_audit_without_faults() {
+fn good_recording_has_no_audit_faults() {
     assert_eq!(faults(&GOOD), []);
 }
 
 #[test]
-fn faults_of_the_pictures_are_in_the_audit() {
+fn audit_reports_faulty_pictures() {
     let frozen = Case {
         shown: |_| 3,
         ..GOOD
@@ -81,7 +81,7 @@ fn faults_of_the_pictures_are_in_the_audit() {
 }
 
 #[test]
-fn a_shift_of_the_actions_undoes_a_lag() {
+fn shifted_actions_cancel_a_lag() {
     let late = Case {
         shown: |k| k - 2,
         ..GOOD
@@ -101,7 +101,7 @@ fn a_shift_of_the_actions_undoes_a_lag() {
     assert_eq!((level, frames), (Level::Warning, 2.0));
     let (level, frames, outcome) = lag(2);
     assert_eq!((level, frames), (Level::Ok, 0.0));
-    // Of the first two frames no action is known.
+    // No action is known for the first two frames.
     assert_eq!(outcome.lengths(), [58]);
     let firsts = outcome.episodes()[0].actions.iter().map(|action| action[0]);
     let expected = (0..58).map(|k| place(k + 1) - place(k));
@@ -111,7 +111,7 @@ fn a_shift_of_the_actions_undoes_a_lag() {
 }
 
 #[test]
-fn unusable_stamps_are_refused_with_the_option_to_choose() {
+fn unusable_stamps_are_rejected_with_the_option() {
     let zero = Case {
         stamp_ns: |_| 0,
         ..GOOD
@@ -144,7 +144,7 @@ fn unusable_stamps_are_refused_with_the_option_to_choose() {
 }
 
 #[test]
-fn clocks_that_differ_are_named_if_no_episode_is_left() {
+fn different_clocks_are_named_without_episodes() {
     let boot = Case {
         stamp_ns: |ms| (ms + 100_000) * MS,
         ..GOOD
@@ -159,7 +159,7 @@ fn clocks_that_differ_are_named_if_no_episode_is_left() {
 }
 
 #[test]
-fn an_episode_ends_where_the_size_of_the_pictures_changes() {
+fn episode_ends_when_the_picture_size_changes() {
     let size = |k| if k < 25 { (64, 48) } else { (96, 48) };
     let outcome = prepared(&Case { size, ..GOOD }, DataOptions::default()).unwrap();
     assert_eq!(outcome.lengths(), [25, 35]);

@@ -14,10 +14,10 @@ fn recorded(write: impl FnOnce(&mut Recorder), options: DataOptions) -> Outcome 
 }
 
 #[test]
-fn a_gap_of_the_camera_begins_an_episode() {
+fn camera_gap_starts_an_episode() {
     let write = |recorder: &mut Recorder| {
         for frame in 0..20 {
-            // A frame is missing before the tenth, and stamps jitter by 30 ms.
+            // One frame is missing at the tenth, and stamps jitter by 30 ms.
             let ms = frame * 200 + if frame >= 10 { 200 } else { 0 } + (frame % 2) * 30;
             recorder.frame(CAMERA, ms, frame as u8);
         }
@@ -30,7 +30,7 @@ fn a_gap_of_the_camera_begins_an_episode() {
     assert_eq!(outcome.reds(), (0..20).collect::<Vec<u8>>());
     let names: Vec<_> = outcome.episodes().iter().map(|e| e.name.clone()).collect();
     assert_eq!(names, ["run#1", "run#2"]);
-    // 0.001 m every 20 ms: over the jittery interval of 230 ms, and, at the end of the first episode, over a period.
+    // 0.001 m every 20 ms: over the jittery interval of 230 ms and, at the end of the first episode, over one period.
     let firsts = outcome.episodes()[0].actions.iter().map(|a| a[0]);
     let firsts: Vec<f32> = firsts.collect();
     assert!((firsts[0] - 0.0115).abs() < 1e-6, "{firsts:?}");
@@ -47,9 +47,9 @@ fn a_gap_of_the_camera_begins_an_episode() {
     assert_eq!(recorded(write, options).lengths(), [20]);
 }
 
-/// The clock passes 12 of 20 s twice: these are in no episode. Where it is set back without an overlap, one begins.
+/// The clock passes 12 of 20 s twice; these are excluded. Setting it back without overlap starts an episode.
 #[test]
-fn a_clock_that_is_set_back_ends_an_episode() {
+fn clock_set_back_ends_an_episode() {
     let write = |recorder: &mut Recorder| {
         recorder.run(0..100);
         for frame in 100..200 {
@@ -103,7 +103,7 @@ fn malformed_stamps_are_counted_by_topic() {
 }
 
 #[test]
-fn a_message_begins_an_episode() {
+fn message_of_a_cut_topic_starts_an_episode() {
     let write = |recorder: &mut Recorder| {
         recorder.run(0..6);
         recorder.text("/episode", 1_100, "whatever");
@@ -131,10 +131,10 @@ fn a_message_begins_an_episode() {
 }
 
 #[test]
-fn a_new_instruction_begins_an_episode_and_the_same_again_does_not() {
+fn only_new_instructions_start_an_episode() {
     let write = |recorder: &mut Recorder| {
         recorder.run(0..1);
-        // It comes after the first frame, as discovery takes time.
+        // It arrives after the first frame, since discovery takes time.
         recorder.text("/task/instruction", 10, "open the drawer");
         recorder.run(1..5);
         recorder.text("/task/instruction", 900, "open the drawer");
@@ -148,18 +148,18 @@ fn a_new_instruction_begins_an_episode_and_the_same_again_does_not() {
     };
     let outcome = recorded(write, options);
     assert_eq!(outcome.lengths(), [8, 4]);
-    let told: Vec<_> = outcome
+    let instructions: Vec<_> = outcome
         .episodes()
         .iter()
         .map(|e| e.instruction.clone().unwrap())
         .collect();
-    assert_eq!(told, ["open the drawer", "close the drawer"]);
+    assert_eq!(instructions, ["open the drawer", "close the drawer"]);
     let whole = recorded(write, DataOptions::default());
     assert_eq!(whole.lengths(), [12]);
 }
 
 #[test]
-fn success_is_of_the_episode_that_it_ends() {
+fn success_belongs_to_the_episode_that_it_ends() {
     let write = |recorder: &mut Recorder| {
         recorder.run(0..5);
         recorder.success(800, true);
@@ -183,9 +183,9 @@ fn success_is_of_the_episode_that_it_ends() {
     );
 }
 
-/// Seconds count from the first frame, at any rate of the camera, and what is too short is named.
+/// Seconds count from the first frame, at any camera rate.
 #[test]
-fn seconds_cut_and_what_is_too_short_is_named() {
+fn episodes_are_cut_by_time_and_short_ones_named() {
     for hertz in [5, 30] {
         let write = |recorder: &mut Recorder| {
             for tick in 0..11 * hertz / 5 {
@@ -206,25 +206,25 @@ fn seconds_cut_and_what_is_too_short_is_named() {
         }
         let left = outcome.left_out();
         assert!(
-            left.contains("an episode of 0.20 s; at least 0.8 s are asked for"),
+            left.contains("an episode of 0.20 s; the minimum is 0.8 s"),
             "{hertz} Hz: {left}"
         );
     }
 }
 
 #[test]
-fn frames_without_actions_are_in_no_episode_and_counted() {
+fn frames_without_actions_are_excluded_and_counted() {
     let write = |recorder: &mut Recorder| {
         for frame in 0..20 {
             recorder.frame(CAMERA, frame * 200, frame as u8);
-            // The robot starts later and ends earlier than the camera.
+            // The robot starts later and stops earlier than the camera.
             if (5..15).contains(&frame) {
                 recorder.action(frame * 200, 0.01);
             }
         }
     };
     let outcome = recorded(write, DataOptions::default());
-    // The last action lasts until the fifteenth frame, which is the end.
+    // The last action lasts until the fifteenth frame, the end.
     assert_eq!(outcome.reds(), (5..=15).collect::<Vec<u8>>());
     let left = outcome.left_out();
     assert!(
@@ -233,10 +233,10 @@ fn frames_without_actions_are_in_no_episode_and_counted() {
     );
 }
 
-/// One implausible message costs the frames around it and no more.
+/// One implausible message excludes only the frames around it.
 #[test]
-fn an_implausible_action_is_cut_out_and_named() {
-    // No number; 3 m/s at 5 Hz; and at 10 Hz what is 2 m/s at 5 Hz.
+fn implausible_action_is_excluded_and_named() {
+    // NaN; 3 m/s at 5 Hz; and a value at 10 Hz that is only plausible at 5 Hz.
     for (value, per_frame) in [(f32::NAN, 1), (0.6, 1), (0.4, 2)] {
         let write = |recorder: &mut Recorder| {
             for frame in 0..20 {
@@ -258,7 +258,7 @@ fn an_implausible_action_is_cut_out_and_named() {
 }
 
 #[test]
-fn frames_that_go_back_in_time_are_left_out() {
+fn frames_back_in_time_are_excluded() {
     let write = |recorder: &mut Recorder| {
         recorder.run(0..5);
         recorder.frame(CAMERA, 800, 99);

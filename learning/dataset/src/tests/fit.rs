@@ -15,12 +15,12 @@ use crate::testing::{CAMERA, Recorder, png};
 
 const MASK: &str = "/camera/mask/compressed";
 
-/// Each pixel names its place.
+/// Each pixel encodes its position.
 fn picture(width: u32, height: u32) -> RgbImage {
     RgbImage::from_fn(width, height, |x, y| Rgb([x as u8, y as u8, 9]))
 }
 
-/// A bag of pictures of these sizes, one after the other.
+/// A bag of consecutive pictures of these sizes.
 fn bag(dir: &Path, sizes: &[(u32, u32)]) -> PathBuf {
     let bag = dir.join("bag");
     let mut recorder = Recorder::new(&bag);
@@ -32,7 +32,7 @@ fn bag(dir: &Path, sizes: &[(u32, u32)]) -> PathBuf {
     bag
 }
 
-/// The bag prepared into a folder with further arguments.
+/// Prepares the bag with further arguments.
 fn prepared(dir: &Path, name: &str, bag: &Path, more: &[&str]) -> PathBuf {
     let out = dir.join(name);
     let line = [bag.to_str().unwrap(), "-o", out.to_str().unwrap()];
@@ -68,12 +68,12 @@ fn frames_of_bags_and_folders_are_framed_alike() {
             assert_eq!(size.to_string(), "64x36");
         }
     }
-    // No fit finds the frames of another one.
+    // Each fit has frames of its own.
     assert_eq!(fs::read_dir(&cache).unwrap().count(), 3);
 }
 
 #[test]
-fn wm_dataset_crops_and_another_fit_is_refused() {
+fn wm_dataset_crops_and_other_fits_are_rejected() {
     let dir = tempfile::tempdir().unwrap();
     let bag = bag(dir.path(), &[(64, 36); 4]);
     let folder = prepared(dir.path(), "data", &bag, &[]);
@@ -96,7 +96,7 @@ fn wm_dataset_crops_and_another_fit_is_refused() {
 }
 
 #[test]
-fn pictures_of_the_models_aspect_suit_every_fit() {
+fn equal_aspect_suits_every_fit() {
     let dir = tempfile::tempdir().unwrap();
     let bag = bag(dir.path(), &[(32, 32); 4]);
     let folder = prepared(dir.path(), "data", &bag, &[]);
@@ -119,7 +119,7 @@ fn a_folder_without_a_fit_is_stretched() {
         serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
     let fields = manifest.as_object_mut().unwrap();
     assert!(!fields.contains_key("fit"), "as in earlier versions");
-    // They recorded no sizes.
+    // Earlier versions recorded no sizes.
     fields.remove("source_sizes").unwrap();
     fs::write(&path, manifest.to_string()).unwrap();
     let cache = dir.path().join("cache");
@@ -154,7 +154,7 @@ fn several_sizes_of_one_camera_are_named() {
 }
 
 #[test]
-fn masks_are_placed_as_their_pictures() {
+fn masks_are_placed_like_their_pictures() {
     let dir = tempfile::tempdir().unwrap();
     let bag = dir.path().join("bag");
     let mut recorder = Recorder::new(&bag);
@@ -187,7 +187,7 @@ fn masks_are_placed_as_their_pictures() {
 }
 
 #[test]
-fn incomplete_mask_is_left_out() {
+fn incomplete_mask_is_excluded() {
     let dir = tempfile::tempdir().unwrap();
     let bag = dir.path().join("bag");
     let mut recorder = Recorder::new(&bag);

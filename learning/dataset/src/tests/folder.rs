@@ -32,7 +32,7 @@ pub(super) fn wm_dataset(arguments: &[&str]) -> anyhow::Result<()> {
     Cli::try_parse_from(arguments)?.arguments.run()
 }
 
-/// Bags `episode_0` and so on, the first with four frames, each with one more.
+/// Bags `episode_0` and so on; the first has four frames, each next one more.
 fn bags(dir: &Path, count: i64) -> PathBuf {
     let bags = dir.join("bags");
     for number in 0..count {
@@ -55,7 +55,7 @@ fn entries(dir: &Path) -> Vec<String> {
 }
 
 #[test]
-fn a_prepared_folder_is_what_the_bags_are() {
+fn prepared_folder_equals_its_bags() {
     let dir = tempfile::tempdir().unwrap();
     let bags = bags(dir.path(), 8);
     let out = dir.path().join("data");
@@ -105,14 +105,14 @@ fn a_prepared_folder_is_what_the_bags_are() {
     );
     let only = Dataset::held_out(from_ref(&out), (16, 16), &cache, &options).unwrap();
     assert_eq!(only.episodes(), validation.episodes());
-    // What a training on bags left for validation is found again by its options.
+    // The same options find the validation episodes of a training on bags.
     let only = Dataset::held_out(from_ref(&bags), (16, 16), &cache, &options).unwrap();
     assert_eq!(only.episodes(), validation.episodes());
     let default = DataOptions::default();
     let all = Dataset::held_out(from_ref(&bags), (16, 16), &cache, &default).unwrap();
     assert_eq!(all.episodes().len(), 8);
 
-    // What the folder says of its actions can be passed back.
+    // The folder's action space is valid input.
     let text = fs::read(out.join("statistics.json")).unwrap();
     let statistics: DataStatistics = serde_json::from_slice(&text).unwrap();
     let options = DataOptions {
@@ -126,7 +126,7 @@ fn a_prepared_folder_is_what_the_bags_are() {
     let episodes = statistics.instructions.get("stack the cubes").copied();
     assert_eq!(episodes, Some(direct.training.episodes().len()));
 
-    // It is never overwritten, and options that it cannot follow are no options.
+    // Existing folders are never overwritten, and ineffective options are rejected.
     let error = wm_dataset(&line).unwrap_err().to_string();
     assert!(error.contains("exists already"), "{error}");
     let options = DataOptions {
@@ -146,7 +146,7 @@ fn a_prepared_folder_is_what_the_bags_are() {
 }
 
 #[test]
-fn held_out_bags_are_the_validation_of_a_prepared_folder() {
+fn held_out_bags_are_validation_of_a_prepared_folder() {
     let dir = tempfile::tempdir().unwrap();
     let bags = bags(dir.path(), 5);
     let copy = dir.path().join("copy");
@@ -167,7 +167,7 @@ fn held_out_bags_are_the_validation_of_a_prepared_folder() {
     };
     let error = prepare(&copy).unwrap_err().to_string();
     assert!(error.contains("copy: held out, but"), "{error}");
-    // Among those to train on, it is taken out of them.
+    // Validation bags are removed from the training bags.
     prepare(&bags.join("episode_3")).unwrap();
     let manifest = read_manifest(&out).unwrap();
     let validation = manifest
@@ -179,7 +179,7 @@ fn held_out_bags_are_the_validation_of_a_prepared_folder() {
 }
 
 #[test]
-fn prepared_pictures_are_made_smaller_and_never_larger() {
+fn prepared_pictures_shrink_and_never_grow() {
     let dir = tempfile::tempdir().unwrap();
     let bags = bags(dir.path(), 2);
     let out = dir.path().join("data");
@@ -215,7 +215,7 @@ fn prepared_pictures_are_made_smaller_and_never_larger() {
 }
 
 #[test]
-fn shards_leave_latents_and_the_command_without_one_joins_them() {
+fn shards_are_joined_by_the_command_without_shard() {
     let dir = tempfile::tempdir().unwrap();
     let bags = bags(dir.path(), 5);
     let prepared = |name: &str| {
@@ -256,7 +256,7 @@ fn shards_leave_latents_and_the_command_without_one_joins_them() {
 }
 
 #[test]
-fn several_folders_and_bags_are_one_data_set() {
+fn folders_and_bags_form_one_data_set() {
     let dir = tempfile::tempdir().unwrap();
     let bags = bags(dir.path(), 3);
     let out = dir.path().join("data");
@@ -284,9 +284,9 @@ fn several_folders_and_bags_are_one_data_set() {
     assert_eq!(training.frame(15), None);
 }
 
-/// A recorder that is killed while it compresses leaves a file in two forms.
+/// A recorder killed during compression leaves a file in two forms.
 #[test]
-fn a_file_in_two_forms_is_one_bag() {
+fn file_in_two_forms_is_one_bag() {
     let dir = tempfile::tempdir().unwrap();
     let bags = bags(dir.path(), 1);
     let loose = dir.path().join("loose");
@@ -304,7 +304,7 @@ fn a_file_in_two_forms_is_one_bag() {
 }
 
 #[test]
-fn an_episode_stays_where_it_is_when_others_are_added() {
+fn adding_episodes_moves_no_others() {
     let dir = tempfile::tempdir().unwrap();
     let bags = bags(dir.path(), 12);
     let cache = dir.path().join("cache");
@@ -321,7 +321,7 @@ fn an_episode_stays_where_it_is_when_others_are_added() {
     let before = held_out(&options);
     assert!((1..12).contains(&before.len()), "{before:?}");
     assert_eq!(held_out(&options), before);
-    // Another choice decodes nothing again.
+    // Another split decodes nothing again.
     let made = entries(&cache);
     let other = DataOptions {
         validation_seed: Some(1),
@@ -338,10 +338,10 @@ fn an_episode_stays_where_it_is_when_others_are_added() {
 }
 
 #[test]
-fn what_was_interrupted_is_not_taken_for_whole() {
+fn interrupted_preparations_are_ignored() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("data");
-    // As a killed program leaves it.
+    // The remains of a killed program.
     let folder = NewFolder::create(&out).unwrap();
     folder.create_file("frames").unwrap();
     folder.write_actions(&[vec![0.0; 7]]).unwrap();
@@ -351,7 +351,7 @@ fn what_was_interrupted_is_not_taken_for_whole() {
     drop(folder);
     assert_eq!(entries(dir.path()), Vec::<String>::new());
 
-    // A preparation that fails leaves nothing.
+    // A failed preparation leaves nothing.
     let bags = bags(dir.path(), 2);
     let mut recorder = Recorder::new(&bags.join("other"));
     recorder.frame("/front/image_raw/compressed", 0, 1);
@@ -360,7 +360,7 @@ fn what_was_interrupted_is_not_taken_for_whole() {
     wm_dataset(&[bags.to_str().unwrap(), "-o", out.to_str().unwrap()]).unwrap_err();
     assert_eq!(entries(dir.path()), ["bags"]);
 
-    // A folder that has lost something is refused.
+    // A folder with a missing file is rejected.
     let first = bags.join("episode_0");
     wm_dataset(&[
         first.to_str().unwrap(),
@@ -388,7 +388,7 @@ fn what_was_interrupted_is_not_taken_for_whole() {
 
 /// The numbers are numpy's: `numpy.quantile([1, 2, 3, 4, 10], [.01, .1, .5, .9, .99])`, `mean`, `std`.
 #[test]
-fn statistics_are_those_of_the_training_episodes() {
+fn statistics_are_of_the_training_episodes() {
     let dir = tempfile::tempdir().unwrap();
     let bag = dir.path().join("run");
     let mut recorder = Recorder::new(&bag);
@@ -420,7 +420,7 @@ fn statistics_are_those_of_the_training_episodes() {
     assert_eq!(action.count, [5]);
     let fitted = statistics.action_space.dimensions();
     assert!((fitted[0].scale - 1.0 / 0.0976).abs() < 1e-3);
-    // Neither what stood still nor a binary gripper is scaled.
+    // Constant dimensions and binary grippers are not scaled.
     let bridge = ActionSpace::bridge();
     assert_eq!(fitted[1], bridge.dimensions()[1]);
     assert_eq!(fitted[6], bridge.dimensions()[6]);
@@ -450,7 +450,7 @@ prop_compose! {
             (any::<Option<(i64, i64)>>(), proptest::option::of((any::<u64>(), Just(Thing::Frame))), "\\PC{0,30}"), 0..4),
         cameras in prop::collection::vec("/[a-z]{1,8}", 1..4),
         (height, width) in (1_usize..4096, 1_usize..4096),
-        // Of few digits, since decimals of more are not read to the last bit.
+        // Few digits, since longer decimals may be read with rounding.
         (eighths, seed, cut, has_masks) in (8_u32..800, any::<u64>(), any::<bool>(), any::<bool>()),
     ) -> Manifest {
         let space = ActionSpace::bridge();
@@ -493,7 +493,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
     #[test]
-    fn a_manifest_is_read_as_it_was_written(manifest in manifests()) {
+    fn manifest_round_trips(manifest in manifests()) {
         let dir = tempfile::tempdir().unwrap();
         let folder = dir.path().join("data");
         NewFolder::create(&folder).unwrap().finish(&manifest).unwrap();

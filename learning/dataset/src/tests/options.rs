@@ -9,7 +9,7 @@ struct Cli {
 }
 
 #[test]
-fn a_file_says_what_the_command_line_does_not() {
+fn file_completes_the_command_line() {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("data.yaml");
     let text = "camera: [/front/image_raw, /wrist/image_raw]\ncut: instruction\ncut-seconds: 30\n\
@@ -46,7 +46,7 @@ fn a_file_says_what_the_command_line_does_not() {
 }
 
 #[test]
-fn options_out_of_range_are_named() {
+fn out_of_range_options_are_named() {
     for (options, named) in [
         (
             DataOptions {
@@ -85,7 +85,7 @@ fn options_out_of_range_are_named() {
 }
 
 #[test]
-fn the_command_takes_bags_or_a_question() {
+fn command_takes_bags_or_a_subcommand() {
     #[derive(Debug, Parser)]
     struct Cli {
         #[command(flatten)]

@@ -7,7 +7,7 @@ use crate::{
     store::{read_audit, read_manifest},
 };
 
-/// What comes of bags with some options.
+/// The result of preparing bags with some options.
 pub(super) struct Outcome {
     pub data: Data,
     pub manifest: Manifest,
@@ -15,7 +15,7 @@ pub(super) struct Outcome {
 }
 
 impl Outcome {
-    /// Opens `bags` at 16x16 without validation, and a new cache.
+    /// Opens `bags` at 16x16 without validation, with a new cache.
     pub fn of(bags: &Path, options: DataOptions) -> Result<Self, DatasetError> {
         let cache = tempfile::tempdir().unwrap();
         let options = DataOptions {
@@ -43,7 +43,7 @@ impl Outcome {
         self.episodes().iter().map(|e| e.frame_count).collect()
     }
 
-    /// What was left out, a line each.
+    /// The excluded data, one per line.
     pub fn left_out(&self) -> String {
         let left = self.manifest.left_out.iter();
         left.map(|left| format!("{left}\n")).collect()

@@ -1,4 +1,4 @@
-//! Cameras, actions and robots of several kinds.
+//! Several kinds of cameras, actions and robots.
 
 use wm_motion::actions::{ActionSpace, Dimension, Kind};
 
@@ -25,13 +25,13 @@ fn two_joints() -> ActionSpace {
 }
 
 #[test]
-fn pictures_of_two_cameras_lie_side_by_side_and_frames_without_a_partner_are_counted() {
+fn two_cameras_are_side_by_side_and_unpaired_frames_counted() {
     let dir = tempfile::tempdir().unwrap();
     let bag = dir.path().join("run");
     let mut recorder = Recorder::new(&bag);
     for frame in 0..10 {
         recorder.frame("/front/image_raw/compressed", frame * 200, frame as u8);
-        // The other camera is 40 ms late, and misses a frame at the end.
+        // The other camera is 40 ms late, and misses the last frame.
         if frame < 9 {
             recorder.frame(
                 "/wrist/image_raw/compressed",
@@ -90,7 +90,7 @@ fn pictures_of_two_cameras_lie_side_by_side_and_frames_without_a_partner_are_cou
 }
 
 #[test]
-fn the_only_camera_is_found_and_bags_with_different_ones_are_refused() {
+fn single_camera_is_found_and_different_ones_rejected() {
     let dir = tempfile::tempdir().unwrap();
     for (name, camera) in [("a", "/front"), ("b", "/wrist")] {
         let mut recorder = Recorder::new(&dir.path().join("bags").join(name));
@@ -112,7 +112,7 @@ fn the_only_camera_is_found_and_bags_with_different_ones_are_refused() {
 }
 
 #[test]
-fn a_bag_of_another_robot_is_refused_though_it_does_not_say_what_it_is() {
+fn undeclared_other_robot_is_rejected() {
     let dir = tempfile::tempdir().unwrap();
     for (name, values) in [("a", 7), ("b", 6)] {
         let mut recorder = Recorder::new(&dir.path().join(name));
@@ -133,7 +133,7 @@ fn a_bag_of_another_robot_is_refused_though_it_does_not_say_what_it_is() {
 }
 
 #[test]
-fn joint_states_are_actions_by_their_names() {
+fn joint_states_become_actions_by_name() {
     let dir = tempfile::tempdir().unwrap();
     let space = dir.path().join("space.yaml");
     std::fs::write(&space, serde_yaml_ng::to_string(&two_joints()).unwrap()).unwrap();
@@ -163,7 +163,7 @@ fn joint_states_are_actions_by_their_names() {
         recorder.finish();
         let outcome = Outcome::of(&bag, options.clone());
         if !has_positions {
-            // A joint whose position is asked for needs one.
+            // A position joint needs a position.
             let text = outcome.err().unwrap().to_string();
             assert!(text.contains("no actions"), "{text}");
             continue;
@@ -184,7 +184,7 @@ fn joint_states_are_actions_by_their_names() {
     assert!(text.contains("no \"elbow\" among [\"shoulder\"]"), "{text}");
 }
 
-/// An arm at 50 Hz and a wrist at 20 Hz publish on one topic, each its own joints.
+/// An arm at 50 Hz and a wrist at 20 Hz publish their joints on one topic.
 #[test]
 fn joints_of_two_publishers_are_merged() {
     let dir = tempfile::tempdir().unwrap();
@@ -240,7 +240,7 @@ fn velocities_move_joints_without_positions() {
 }
 
 #[test]
-fn an_action_space_of_another_robot_is_refused() {
+fn action_space_of_another_robot_is_rejected() {
     let dir = tempfile::tempdir().unwrap();
     let bag = dir.path().join("run");
     let mut recorder = Recorder::with_space(&bag, &ActionSpace::bridge());
@@ -259,9 +259,9 @@ fn an_action_space_of_another_robot_is_refused() {
     );
 }
 
-/// A picture that cannot be decoded is as good as none: the episode is cut there.
+/// An undecodable picture counts as missing: the episode is cut there.
 #[test]
-fn a_broken_picture_is_left_out_and_counted() {
+fn broken_picture_is_excluded_and_counted() {
     let dir = tempfile::tempdir().unwrap();
     let bag = dir.path().join("run");
     let mut recorder = Recorder::new(&bag);
@@ -285,7 +285,7 @@ fn a_broken_picture_is_left_out_and_counted() {
 }
 
 #[test]
-fn implausible_actions_alone_leave_a_bag_out() {
+fn bag_with_only_implausible_actions_is_excluded() {
     let dir = tempfile::tempdir().unwrap();
     let bag = dir.path().join("run");
     let mut recorder = Recorder::new(&bag);
@@ -302,7 +302,7 @@ fn implausible_actions_alone_leave_a_bag_out() {
 }
 
 #[test]
-fn bags_are_found_in_folders_and_folders_without_any_are_named() {
+fn bags_are_found_and_folders_without_any_named() {
     let dir = tempfile::tempdir().unwrap();
     let root = dir.path().join("recordings");
     for name in ["monday/a", "tuesday/morning/b"] {
@@ -310,14 +310,14 @@ fn bags_are_found_in_folders_and_folders_without_any_are_named() {
         recorder.run(0..4);
         recorder.finish();
     }
-    // A file alone, with another name and other contents.
+    // A single file, with another name and other contents.
     let mut recorder = Recorder::new(&dir.path().join("c"));
     recorder.run(0..5);
     recorder.finish();
     std::fs::create_dir_all(root.join("wednesday")).unwrap();
     std::fs::rename(dir.path().join("c/c_0.mcap"), root.join("wednesday/c.mcap")).unwrap();
     std::fs::create_dir_all(root.join("notes/old")).unwrap();
-    // A bag that lacks what is needed, and one that is damaged.
+    // A bag without actions, and a damaged one.
     let mut recorder = Recorder::new(&root.join("blind"));
     recorder.action(0, 0.0);
     recorder.finish();
@@ -326,17 +326,13 @@ fn bags_are_found_in_folders_and_folders_without_any_are_named() {
     let names: Vec<_> = outcome.episodes().iter().map(|e| e.name.clone()).collect();
     assert_eq!(names, ["a", "b", "c"]);
     let left = outcome.left_out();
-    for named in [
-        "notes: no bag in it",
-        "blind: no camera",
-        "empty.mcap is no bag",
-    ] {
+    for named in ["notes: no bag", "blind: no camera", "empty.mcap is no bag"] {
         assert!(left.contains(named), "{named}: {left}");
     }
 }
 
 #[test]
-fn held_out_bags_are_for_validation_and_may_not_be_trained_on() {
+fn held_out_bags_are_never_trained_on() {
     let dir = tempfile::tempdir().unwrap();
     for (name, frames) in [("a", 4), ("b", 5), ("c", 6)] {
         let folder = if name == "c" { "held_out" } else { "bags" };

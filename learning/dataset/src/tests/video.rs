@@ -3,9 +3,8 @@ use openh264::{
     encoder::{BitRate, Encoder, EncoderConfig, IntraFramePeriod, QpRange, RateControlMode},
     formats::{RgbSliceU8, YUVBuffer},
 };
-use serde::Serialize;
-use wm_bag::Schema;
-use wm_msgs::cdr;
+use wm_bag::type_schema;
+use wm_msgs::{Message as _, cdr, foxglove_msgs::CompressedVideo};
 
 use super::{
     super::{DataOptions, StampSource},
@@ -13,37 +12,25 @@ use super::{
     *,
 };
 
-const TYPE: &str = "foxglove_msgs/msg/CompressedVideo";
-const DEFINITION: &str =
-    "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format";
-/// A frame that needs no other comes so often.
+/// Distance between keyframes.
 const GROUP: usize = 10;
 
-#[derive(Serialize)]
-struct CompressedVideo {
-    timestamp: Time,
-    frame_id: String,
-    #[serde(with = "serde_bytes")]
-    data: Vec<u8>,
-    format: String,
-}
-
-/// The grey of a frame, which says which one it is.
+/// The grey level that identifies a frame.
 fn level(frame: usize) -> u8 {
     30 + 6 * frame as u8
 }
 
-/// A bag whose camera is a video of grey frames, of which the first `skipped` are missing.
+/// A bag with a video of grey frames, without the first `skipped`.
 fn write_video(bag: &Path, frames: usize, skipped: usize, format: &str) {
     write_stamped(bag, (frames, skipped), format, |stamp| stamp);
 }
 
-/// The same, with other stamps than those of the recording.
+/// [`write_video`] with other stamps.
 fn write_stamped(bag: &Path, frames: (usize, usize), format: &str, stamp: fn(Time) -> Time) {
     write_shown(bag, frames, format, stamp, |frame| frame);
 }
 
-/// The same, whose frame `k` shows the grey of frame `shown(k)`.
+/// [`write_stamped`] where frame `k` shows the grey of frame `shown(k)`.
 fn write_shown(
     bag: &Path,
     (frames, skipped): (usize, usize),
@@ -59,7 +46,7 @@ fn write_shown(
         .num_threads(1);
     let mut encoder = Encoder::with_api_config(OpenH264API::from_source(), config).unwrap();
     let mut writer = BagWriter::create(bag, WriterOptions::default()).unwrap();
-    let schema = Schema::ros2msg(DEFINITION);
+    let schema = type_schema::<CompressedVideo>();
     for frame in 0..frames {
         let rgb = RgbImage::from_pixel(32, 32, Rgb([level(shown(frame)); 3]));
         let source = RgbSliceU8::new(rgb.as_raw(), (32, 32));
@@ -79,7 +66,13 @@ fn write_shown(
         };
         let bytes = cdr::to_bytes(&packet).unwrap();
         writer
-            .write_raw("/camera/image_raw/video", TYPE, &schema, at, &bytes)
+            .write_raw(
+                "/camera/image_raw/video",
+                &CompressedVideo::ros_name(),
+                &schema,
+                at,
+                &bytes,
+            )
             .unwrap();
         let action = Action {
             header,
@@ -119,7 +112,7 @@ fn episode_in_a_video_begins_with_its_own_frames() {
         ..DataOptions::default()
     };
     let outcome = Outcome::of(&bag, options).unwrap();
-    // Most of them begin between keyframes.
+    // Most episodes start between keyframes.
     assert_eq!(outcome.lengths(), [5; 5]);
     for (frame, red) in outcome.reds().into_iter().enumerate() {
         assert!(red.abs_diff(level(frame)) <= 2, "frame {frame}: {red}");
@@ -127,7 +120,7 @@ fn episode_in_a_video_begins_with_its_own_frames() {
 }
 
 #[test]
-fn unstamped_video_is_read_by_the_time_of_recording() {
+fn unstamped_video_is_dated_by_recording_time() {
     let dir = tempfile::tempdir().unwrap();
     let bag = dir.path().join("bag");
     write_stamped(&bag, (36, 0), "h264", |_| Time::default());
@@ -143,7 +136,7 @@ fn unstamped_video_is_read_by_the_time_of_recording() {
     for (frame, red) in outcome.reds().into_iter().enumerate() {
         assert!(red.abs_diff(level(frame)) <= 2, "frame {frame}: {red}");
     }
-    // Its pictures are compared with each other, as those of other topics.
+    // Its pictures are compared with each other, as in other topics.
     let audit = outcome.audit.to_string();
     assert!(
         audit.contains("lag") && !audit.contains("no pictures were compared"),
@@ -170,7 +163,7 @@ fn repeated_and_frozen_pictures_of_a_video_are_found() {
 }
 
 #[test]
-fn video_in_another_codec_is_refused_by_name() {
+fn video_in_another_codec_is_rejected_by_name() {
     let dir = tempfile::tempdir().unwrap();
     let bag = dir.path().join("bag");
     write_video(&bag, 3, 0, "h265");
@@ -179,7 +172,7 @@ fn video_in_another_codec_is_refused_by_name() {
     assert!(text.contains("\"h265\"") && text.contains("h264"), "{text}");
 }
 
-/// A recording of Foxglove's tools, with actions beside it.
+/// A recording by Foxglove's tools, with actions beside it.
 #[test]
 fn video_in_protobuf_is_read() {
     const START_NS: i64 = 1_750_000_000_000_000_000;
@@ -200,7 +193,7 @@ fn video_in_protobuf_is_read() {
     let pictures = "../../bags/camera/fixtures/protobuf/pictures.mcap";
     let pictures = Path::new(env!("CARGO_MANIFEST_DIR")).join(pictures);
     std::fs::copy(pictures, bag.join("bag_0.mcap")).unwrap();
-    // One bag of the two files; its pictures stay in protobuf.
+    // Join both files into one bag; its pictures stay in protobuf.
     let joined = dir.path().join("joined");
     wm_bag::convert(&bag, &joined, WriterOptions::default(), &mut []).unwrap();
     let options = DataOptions {
@@ -210,13 +203,13 @@ fn video_in_protobuf_is_read() {
     let outcome = Outcome::of(&joined, options).unwrap();
     assert_eq!(outcome.lengths(), [5]);
     for (frame, red) in outcome.reds().into_iter().enumerate() {
-        // Ten pictures a second, for five actions.
+        // Ten pictures per second, for five actions.
         assert!(red.abs_diff(40 + 20 * frame as u8) <= 2, "{frame}: {red}");
     }
 }
 
 #[test]
-fn depth_is_no_camera() {
+fn depth_is_not_a_camera() {
     let dir = tempfile::tempdir().unwrap();
     let bag = dir.path().join("bag");
     let mut writer = BagWriter::create(&bag, WriterOptions::default()).unwrap();

@@ -11,7 +11,7 @@ use std::num::NonZeroUsize;
 use wm_metrics::findings::PlanTime;
 use wm_planner::{
     Arrival, Coordinate, Dynamics, PlannedActions, PlannerChoice, Problem, Range, SearchSpace,
-    TransitionDynamics, Waypoint, Weights, one_a_step,
+    TransitionDynamics, Waypoint, Weights, one_per_step,
 };
 use wm_sim::{EndEffectorAction, Environment};
 
@@ -205,7 +205,7 @@ impl Planning<'_> {
             action: settings.action,
             smoothness: settings.smoothness,
         };
-        let objective = weights.objective(&one_a_step(&goals, settings.horizon), None)?;
+        let objective = weights.objective(&one_per_step(&goals, settings.horizon), None)?;
         let (mut simulator, mut transition);
         let dynamics: &mut dyn Dynamics = if self.is_perfect {
             simulator = Simulator {

@@ -5,7 +5,6 @@ mod backoff;
 mod client;
 mod clock;
 mod completion;
-mod http_date;
 mod pace;
 mod picture;
 mod request;

@@ -2,6 +2,8 @@
 #![allow(clippy::unwrap_used)]
 
 mod judges;
+#[allow(dead_code, reason = "the tests of the protocol use all of it")]
+#[path = "../../tests/protocol/server.rs"]
 mod server;
 
 use std::{fs, path::Path};

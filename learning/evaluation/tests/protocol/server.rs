@@ -1,4 +1,4 @@
-//! A server that speaks the protocol and is no judge, and says so in every answer.
+//! A server that speaks the judges' protocol. It judges nothing, and says so in every answer.
 
 use std::{
     io::{BufRead as _, BufReader, Read as _, Write as _},
@@ -12,26 +12,26 @@ use std::{
 
 use serde_json::{Value, json};
 
-/// What came in.
+/// A request that was received.
 #[derive(Clone, Debug)]
 pub struct Request {
     pub head: String,
     pub body: Value,
 }
 
-/// What goes out.
+/// The response to a request.
 pub enum Response {
     /// Status, more header lines, body.
     Whole(u16, &'static str, String),
     /// More bytes are announced than are sent.
     BrokenOff(String),
-    /// The connection is closed without a word.
+    /// The connection is closed without a response.
     HangUp,
     /// Never ends, unless the client hangs up.
     Endless,
 }
 
-/// An answer of the test server, with `end` as its last line.
+/// An answer of the test server with this last line.
 pub fn says(end: &str) -> Response {
     let text = format!("I am a test server, not a judge. I have seen nothing.\n{end}");
     let body = json!({
@@ -63,7 +63,7 @@ pub struct Server {
 }
 
 impl Server {
-    /// Answers request number n, from 0, with `script(n, request)`.
+    /// Sends `script(n, request)` as the response to request number n, from 0.
     pub fn new(script: impl Fn(usize, &Request) -> Response + Send + 'static) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = listener.local_addr().unwrap();

@@ -7,33 +7,32 @@ use serde::Deserialize;
 
 use crate::{ImportError, mapping::VALUES};
 
-/// Joints of the arm.
 const JOINTS: usize = 7;
 
-/// What an annotation says of an episode, checked.
+/// A checked annotation of an episode.
 #[derive(Debug)]
 pub(super) struct Annotation {
-    /// Relative to the folder that `annotation/` is in.
+    /// Paths relative to the parent of `annotation/`.
     pub videos: Vec<PathBuf>,
-    /// x y z in m, roll pitch yaw in rad, gripper 0 open to 1 closed; one a frame.
+    /// By frame: x y z in m, roll pitch yaw in rad, gripper 0 open to 1 closed.
     pub states: Vec<[f64; VALUES]>,
-    /// One row a frame, in rad.
+    /// By frame, in rad.
     pub joints: Option<Vec<Vec<f64>>>,
     pub instruction: Option<String>,
     pub success: Option<bool>,
 }
 
-/// The file. Fields that are not named here are not read: latents, and the commands at DROID's own rate.
+/// The file. Other fields are ignored: latents, and the commands at 15 Hz.
 #[derive(Deserialize)]
-struct File {
+struct AnnotationFile {
     texts: Vec<String>,
     success: Option<u8>,
     video_length: usize,
     videos: Vec<VideoEntry>,
     states: Vec<Vec<f64>>,
-    /// The joints and the gripper, one row a frame.
+    /// Joints and gripper, by frame.
     joints: Option<Vec<Vec<f64>>>,
-    /// The joints at DROID's own rate, of which the frames are a part.
+    /// Joints at 15 Hz; the frames are a subset.
     #[serde(rename = "observation.state.joint_position")]
     recorded_joints: Option<Vec<Vec<f64>>>,
 }
@@ -46,14 +45,14 @@ struct VideoEntry {
 impl Annotation {
     pub fn read(path: &Path) -> Result<Self, ImportError> {
         let bytes = fs::read(path).map_err(|source| ImportError::io(path, source))?;
-        serde_json::from_slice::<File>(&bytes)
+        serde_json::from_slice::<AnnotationFile>(&bytes)
             .map_err(|error| error.to_string())
-            .and_then(checked)
+            .and_then(check)
             .map_err(|reason| ImportError::corrupt(path, reason))
     }
 }
 
-fn checked(file: File) -> Result<Annotation, String> {
+fn check(file: AnnotationFile) -> Result<Annotation, String> {
     let frames = file.states.len();
     if frames != file.video_length {
         return Err(format!(
@@ -99,7 +98,7 @@ fn checked(file: File) -> Result<Annotation, String> {
     })
 }
 
-/// The joints at each frame, without the gripper; none where the file has none.
+/// The joints at each frame, without the gripper; `None` if the file has none.
 fn joints(
     of_frames: Option<Vec<Vec<f64>>>,
     recorded: Option<Vec<Vec<f64>>>,
@@ -108,7 +107,7 @@ fn joints(
     let (name, rows) = match (of_frames, recorded) {
         (Some(rows), _) => ("joints", rows),
         (None, Some(rows)) => {
-            // Every so many rows there is a frame, the first row one of them; the last rows may lack theirs.
+            // Frames are at every Nth row from the first one; the last rows may have no frame.
             let every = rows.len().div_ceil(frames.max(1)).max(1);
             let rows = rows.into_iter().step_by(every).collect();
             ("observation.state.joint_position", rows)

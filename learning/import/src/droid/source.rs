@@ -5,16 +5,16 @@ use std::{
 
 use crate::ImportError;
 
-/// An episode's annotation.
+/// The path of an annotation.
 #[derive(Debug)]
-pub(super) struct Located {
-    /// The folder that `annotation/` is in; the videos are named relative to it.
+pub(super) struct AnnotationPath {
+    /// The parent of `annotation/`; the paths of videos are relative to it.
     pub root: PathBuf,
     pub annotation: PathBuf,
 }
 
-/// The annotations below `src`, by folder, split and number.
-pub(super) fn find(src: &Path) -> Result<Vec<Located>, ImportError> {
+/// Finds the annotations below `src`, sorted by folder, split and number.
+pub(super) fn find(src: &Path) -> Result<Vec<AnnotationPath>, ImportError> {
     let mut roots = vec![src.to_owned()];
     if !src.join("annotation").is_dir() {
         roots = entries(src)?;
@@ -33,10 +33,11 @@ pub(super) fn find(src: &Path) -> Result<Vec<Located>, ImportError> {
                     .is_some_and(|extension| extension == "json")
             });
             files.sort_by_key(|file| {
+                // Entries of a folder always have a name.
                 let stem = file.file_stem().unwrap_or_default().to_string_lossy();
                 (stem.parse::<u64>().ok(), stem.into_owned())
             });
-            found.extend(files.into_iter().map(|annotation| Located {
+            found.extend(files.into_iter().map(|annotation| AnnotationPath {
                 root: root.clone(),
                 annotation,
             }));
@@ -51,7 +52,7 @@ pub(super) fn find(src: &Path) -> Result<Vec<Located>, ImportError> {
     Ok(found)
 }
 
-/// What is in a folder, by name.
+/// The entries of a folder, sorted by name.
 fn entries(dir: &Path) -> Result<Vec<PathBuf>, ImportError> {
     let mut found = Vec::new();
     for entry in fs::read_dir(dir).map_err(|source| ImportError::io(dir, source))? {

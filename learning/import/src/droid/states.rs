@@ -1,18 +1,18 @@
-//! DROID's states as actions, poses and joints: the same for annotations and RLDS.
+//! Converts DROID's states to actions, poses and joints, for annotations and RLDS.
 
 use crate::{
-    ActionMapping, GripperRange, ValueSource,
-    episode::{Joints, Recorded},
+    ActionMapping, GripperRange,
+    episode::{Joints, Trajectory},
     mapping::{VALUES, motions},
+    remedy::ValueSource,
 };
 
-/// The cameras of DROID in the order of the videos, as its own names shortened to ROS namespaces: `exterior_1_left`,
-/// `exterior_2_left`, `wrist_left`.
+/// The cameras of DROID in the order of the videos; its names shortened to ROS namespaces.
 pub(crate) const CAMERAS: [&str; 3] = ["exterior_1", "exterior_2", "wrist"];
-/// The joints of the Franka arm, as its description (franka_description) names them for the arm `panda`.
+/// Joint names of the Franka arm (franka_description, arm `panda`).
 const JOINT_PREFIX: &str = "panda_joint";
 
-/// Rows of angles with the arm's names.
+/// Joint angles with the arm's joint names.
 pub(crate) fn joints(positions: Vec<Vec<f64>>) -> Joints {
     let names = (1..).map(|number| format!("{JOINT_PREFIX}{number}"));
     Joints {
@@ -21,13 +21,12 @@ pub(crate) fn joints(positions: Vec<Vec<f64>>) -> Joints {
     }
 }
 
-/// Actions and states of DROID's own states, (T, 7), whose gripper is 0 open to 1 closed: an action is the motion from a
-/// state to the next.
+/// Converts DROID's states, (T, 7), whose gripper is 0 open to 1 closed; an action is the motion to the next state.
 pub(crate) fn of_states(
     states: &[[f64; VALUES]],
     mapping: &ActionMapping,
     period_s: f64,
-) -> Recorded {
+) -> Trajectory {
     let gripper = mapping.gripper.unwrap_or(GripperRange::DROID);
     let metres = f64::from(mapping.translation_scale);
     let radians = f64::from(mapping.rotation_scale);
@@ -38,10 +37,10 @@ pub(crate) fn of_states(
         [x, y, z, roll, pitch, yaw, gripper.opening(closed)]
     });
     let states: Vec<[f64; VALUES]> = mapped.collect();
-    // What the messages carry.
+    // Messages have single precision.
     let single = |state: &[f64; VALUES]| state.map(|value| value as f32);
-    Recorded {
-        // At most 10 s.
+    Trajectory {
+        // Fits: at most 10 s.
         period_ns: (period_s * 1e9).round() as u64,
         actions: motions(&states),
         states: states.iter().map(single).collect(),

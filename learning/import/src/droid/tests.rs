@@ -54,8 +54,8 @@ fn read(annotation: &Value, frames: [u32; 3]) -> Result<Episode, String> {
 }
 
 #[test]
-fn an_annotation_with_three_videos_becomes_an_episode() {
-    // A video may run on after the last state.
+fn annotation_with_three_videos_becomes_an_episode() {
+    // A video may have frames after the last state.
     let episode = read(&annotation(), [4, 5, 4]).unwrap();
     assert_eq!(episode.recorded.period_ns, 200_000_000);
     let names: Vec<&str> = episode
@@ -75,7 +75,7 @@ fn an_annotation_with_three_videos_becomes_an_episode() {
         (dx - 0.01).abs() < 1e-6 && dy == 0.0 && dz == 0.0,
         "{dx} {dy} {dz}"
     );
-    // From 3.1 over pi to 0.1 past it: not back by a whole turn.
+    // From 3.1 over pi by 0.1, not back by a whole turn.
     let expected = (PI - 3.1) + 0.1;
     assert!((f64::from(droll) - expected).abs() < 1e-6, "{droll}");
     assert!(dpitch.abs() < 1e-6 && dyaw.abs() < 1e-6, "{dpitch} {dyaw}");
@@ -83,7 +83,7 @@ fn an_annotation_with_three_videos_becomes_an_episode() {
     assert_eq!(
         episode.recorded.actions[3],
         [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.25],
-        "the last stands still"
+        "the last action is zero"
     );
     assert_eq!(episode.recorded.states[0][6], 1.0);
     let joints = episode.joints.unwrap();
@@ -98,13 +98,12 @@ fn an_annotation_with_three_videos_becomes_an_episode() {
     );
 }
 
-/// Product of matrices.
 fn times(a: [[f64; 3]; 3], b: [[f64; 3]; 3]) -> [[f64; 3]; 3] {
     let entry = |row: usize, column: usize| (0..3).map(|k| a[row][k] * b[k][column]).sum();
     std::array::from_fn(|row| std::array::from_fn(|column| entry(row, column)))
 }
 
-/// A turn about axis x, y or z of the base.
+/// A rotation about axis x, y or z of the base.
 fn turn(axis: usize, angle: f64) -> [[f64; 3]; 3] {
     let (s, c) = angle.sin_cos();
     match axis {
@@ -126,9 +125,9 @@ fn angles(m: [[f64; 3]; 3]) -> [f64; 3] {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Whatever the hand's orientation, near pitch 90 degrees too.
+    /// For any orientation of the hand, also near pitch 90 degrees.
     #[test]
-    fn turns_about_base_axes_are_recorded_as_such(
+    fn rotations_about_base_axes_are_kept(
         axis in 0usize..3,
         step in 0.01f64..0.3,
         start in prop::array::uniform3(-1.5f64..1.5),
@@ -156,7 +155,7 @@ proptest! {
 }
 
 #[test]
-fn an_episode_with_a_jump_is_left_out_by_name() {
+fn episode_with_a_jump_is_skipped_by_name() {
     let dir = tempfile::tempdir().unwrap();
     let (src, out) = (dir.path().join("src"), dir.path().join("out"));
     write(&src, &annotation(), [4; 3]);
@@ -183,12 +182,12 @@ fn an_episode_with_a_jump_is_left_out_by_name() {
     assert_eq!(
         fs::read_dir(&out).unwrap().count(),
         2,
-        "nothing else is left"
+        "no other files remain"
     );
 }
 
 #[test]
-fn joints_of_the_recording_are_taken_at_the_frames() {
+fn joints_are_taken_at_the_frames() {
     for rows in [10, 11, 12] {
         let mut annotation = annotation();
         annotation.as_object_mut().unwrap().remove("joints");
@@ -201,7 +200,7 @@ fn joints_of_the_recording_are_taken_at_the_frames() {
 }
 
 #[test]
-fn what_does_not_fit_is_named() {
+fn inconsistent_annotations_are_named() {
     let changed = |change: &dyn Fn(&mut Value)| {
         let mut annotation = annotation();
         change(&mut annotation);
@@ -254,7 +253,7 @@ fn what_does_not_fit_is_named() {
 }
 
 #[test]
-fn shards_import_what_one_run_does() {
+fn shards_import_the_same_as_one_run() {
     let dir = tempfile::tempdir().unwrap();
     let (src, out) = (dir.path().join("src"), dir.path().join("out"));
     write(&src, &annotation(), [4; 3]);
@@ -266,7 +265,7 @@ fn shards_import_what_one_run_does() {
     }
     assert_shards_join(3, |out, options| import_droid(&src, out, options));
 
-    // What is wrong with the episode of one does not concern the other.
+    // A faulty episode of one shard does not affect the other.
     fs::write(file("8.json"), "").unwrap();
     let import = |index| {
         let options = ImportOptions {
@@ -281,7 +280,7 @@ fn shards_import_what_one_run_does() {
 }
 
 #[test]
-fn folders_of_folders_are_found_in_order() {
+fn nested_folders_are_found_in_order() {
     let dir = tempfile::tempdir().unwrap();
     for root in ["b", "a"] {
         let splits = dir.path().join(root).join("annotation/val");

@@ -1,4 +1,4 @@
-//! Where a dataset keeps each episode, the same for both versions.
+//! The places of a data set's episodes, for both versions.
 
 mod rows;
 mod v21;
@@ -17,27 +17,27 @@ use crate::lerobot::{
     path_template::fill,
 };
 
-/// A dataset that has been opened: its metadata are read, its episodes not.
+/// An open data set: its metadata is read, its episodes are not.
 #[derive(Debug)]
 pub(crate) struct Dataset {
     pub root: PathBuf,
     pub info: Info,
-    /// By their numbers.
+    /// By number.
     pub tasks: BTreeMap<i64, String>,
-    /// In the order of their numbers.
-    pub episodes: Vec<Entry>,
+    /// Sorted by number.
+    pub episodes: Vec<EpisodeEntry>,
 }
 
-/// Where an episode is.
+/// The places of an episode.
 #[derive(Debug)]
-pub(crate) struct Entry {
+pub(crate) struct EpisodeEntry {
     pub index: i64,
-    /// Frames.
+    /// Number of frames.
     pub length: u64,
     pub data: PathBuf,
     /// By feature.
     pub videos: BTreeMap<String, Clip>,
-    /// Stamp of the first frame in ns, where our own export kept it.
+    /// Stamp of the first frame in ns, if our own export kept it.
     pub start_ns: Option<u64>,
 }
 
@@ -45,12 +45,12 @@ pub(crate) struct Entry {
 #[derive(Clone, Debug)]
 pub(crate) struct Clip {
     pub file: PathBuf,
-    /// Where the episode begins in it, in s.
+    /// Start of the episode in it, in s.
     pub from_s: f64,
 }
 
 impl Dataset {
-    /// Reads `meta/` of a dataset of version 2.x or 3.x.
+    /// Reads `meta/` of a data set of version 2.x or 3.x.
     pub fn open(root: &Path) -> Result<Self, LeRobotError> {
         let info = Info::read(root)?;
         let version = info.codebase_version.as_str();
@@ -74,8 +74,8 @@ impl Dataset {
     }
 }
 
-/// A path of `meta/info.json`, filled in.
-fn path(
+/// Fills a path template of `meta/info.json`.
+fn fill_path(
     root: &Path,
     template: &str,
     texts: &[(&str, &str)],
@@ -86,7 +86,7 @@ fn path(
         .map_err(|reason| LeRobotError::corrupt(&root.join(INFO), reason))
 }
 
-/// The template of the videos' paths; a dataset that has videos needs it.
+/// The path template of videos, which a data set with videos needs.
 fn video_path<'a>(root: &Path, info: &'a Info) -> Result<&'a str, LeRobotError> {
     info.video_path.as_deref().ok_or_else(|| {
         LeRobotError::corrupt(&root.join(INFO), "video_path: expected a path, got null")

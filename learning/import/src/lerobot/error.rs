@@ -4,40 +4,33 @@ use crate::ImportError;
 use wm_bag::BagError;
 use wm_motion::actions::ActionError;
 
-/// Why a data set cannot be read or written. Each text names the file and the field, or the bag and the topic.
+/// A failure to read or write a data set. Each text names the file and the field, or the bag and the topic.
+#[expect(missing_docs, reason = "the error texts describe variants and fields")]
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum LeRobotError {
-    /// A file is not what it should be.
     #[error("{file}: {reason}")]
     Corrupt {
-        /// The file.
         file: PathBuf,
-        /// What was expected and what came, with the field's name.
+        /// The expected and the actual content, with the field.
         reason: String,
     },
-    /// A bag does not hold what a data set needs.
     #[error("{bag}: {reason}")]
     Unsuited {
-        /// The bag.
         bag: PathBuf,
-        /// What was expected and what came, with the topic's name.
+        /// The expected and the actual content, with the topic.
         reason: String,
     },
-    /// The folder to write to holds something already.
     #[error(
         "{0} already exists and is not an empty folder; data sets are never overwritten, so choose another path"
     )]
     Exists(PathBuf),
-    /// Nothing was requested.
     #[error("{0}")]
     Nothing(String),
-    /// The operating system refused.
     #[error("{file}: {reason}")]
     Io {
-        /// The file or folder.
         file: PathBuf,
-        /// What it said. No source, since the message has it.
+        /// The error. Not a `source`, since the text contains it.
         reason: std::io::Error,
     },
     /// A video cannot be read.
@@ -46,7 +39,7 @@ pub enum LeRobotError {
     /// A bag cannot be read or written.
     #[error(transparent)]
     Bag(#[from] BagError),
-    /// The dataset's actions are not those of the action space.
+    /// The actions do not fit the action space.
     #[error(transparent)]
     Actions(#[from] ActionError),
 }

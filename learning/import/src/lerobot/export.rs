@@ -1,4 +1,4 @@
-//! Bags as a LeRobot v3.0 dataset.
+//! Exports bags as a LeRobot v3.0 data set.
 
 mod dataset;
 mod episode;
@@ -20,20 +20,20 @@ use episode::Episode;
 use reading::BagContent;
 use recording::{Part, Recording, Silence};
 
-/// How bags are exported.
+/// Options of an export.
 #[derive(Clone, Debug)]
 pub struct ExportOptions {
-    /// Frames a second; none takes the rate of `/wm/action` in the first bag, to the nearest whole number.
+    /// Frames per second; `None`: the rate of `/wm/action` in the first bag, to the nearest whole number.
     pub fps: Option<u32>,
-    /// `robot_type` of the dataset.
+    /// `robot_type` of the data set.
     pub robot_type: Option<String>,
-    /// The cameras' topics; none takes every `.../image_raw` and `.../image_raw/compressed`.
+    /// The cameras' topics; empty: every `.../image_raw` and `.../image_raw/compressed`.
     pub cameras: Vec<String>,
     /// The task of episodes without `/task/instruction`.
     pub task: String,
-    /// The next file of the tables starts when this one has reached this many bytes.
+    /// Size at which the next table file starts \[bytes\].
     pub data_file_bytes: u64,
-    /// The same of the videos.
+    /// Size at which the next video file starts \[bytes\].
     pub video_file_bytes: u64,
 }
 
@@ -51,58 +51,57 @@ impl Default for ExportOptions {
     }
 }
 
-/// What was exported.
+/// The result of an export.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Exported {
-    /// Episodes.
+pub struct ExportReport {
+    /// Number of episodes.
     pub episodes: u64,
-    /// Frames of all episodes.
+    /// Number of frames.
     pub frames: u64,
-    /// Frames a second.
+    /// Frames per second.
     pub fps: u32,
-    /// What the bags' times did not allow: topic, and how many frames repeat a message or messages are left out.
+    /// Topics whose times do not fit the rate: numbers of repeated frames and of skipped messages.
     pub resampled: Vec<String>,
-    /// Bags that are split into several episodes because of gaps, or because the clock was set back, in words.
+    /// Bags that are split into several episodes because of gaps or clock steps, in words.
     pub split: Vec<String>,
-    /// Parts of bags that are in no episode, and why, in words.
-    pub left_out: Vec<String>,
+    /// Parts of bags in no episode, with the reasons.
+    pub skipped: Vec<String>,
 }
 
-/// Writes bags as a LeRobot v3.0 dataset: one episode a bag, or several where the bag says `/task/success` several times,
-/// each of which ends one.
+/// Writes bags as a LeRobot v3.0 data set: an episode per bag, or several if the bag has several messages on
+/// `/task/success`, each of which ends one.
 ///
-/// The frames of an episode are `1 / fps` apart, from when every topic has a message until one has none any more; each
-/// takes the message of every topic that is nearest in time (the header's stamp; for messages without, when they were
-/// recorded).
+/// Frames are `1 / fps` apart, from the first time at which every topic has a message to the last. A frame takes the
+/// nearest message of every topic in time (the header's stamp, or the log time without a header).
 ///
-/// No episode goes over a gap: a new one begins after ten seconds without a message, where the recorder's clock is set back,
-/// and where a camera, the actions, joints or the pose are silent for longer than ten of their periods, at least a second.
-/// What was recorded twice because the clock was set back is in no episode.
+/// Episodes do not span gaps: a new one begins after ten seconds without a message, at a backward step of the recorder's
+/// clock, and when a camera, the actions, joints or the pose are silent for longer than ten of their periods and a second.
+/// Messages of times that the clock passed twice are in no episode.
 ///
 /// # Errors
-/// A bag cannot be read, has no camera or no `/wm/action`, or another state, action or picture size than the first; a
-/// number is not finite; a picture is not JPEG, PNG or RGB, or of an odd size; or `out` is not empty. Nothing is at `out`
-/// then that was not there before.
+/// A bag cannot be read, has no camera or no `/wm/action`, or has another state, action or picture size than the first; a
+/// number is not finite; a picture is not JPEG, PNG or RGB, or has an odd size; or `out` is not empty. `out` is then
+/// unchanged.
 pub fn export(
     bags: &[PathBuf],
     out: &Path,
     options: &ExportOptions,
-) -> Result<Exported, LeRobotError> {
-    let unfinished = Unfinished::begin(out)?;
+) -> Result<ExportReport, LeRobotError> {
+    let unfinished = PartialDataset::begin(out)?;
     let exported = write(bags, &unfinished.folder, options)?;
     unfinished.finish()?;
     Ok(exported)
 }
 
-/// A dataset that is being written, beside where it is to be: a refusal leaves nothing of it.
-struct Unfinished<'a> {
+/// A partial data set next to its final path; it is deleted on failure.
+struct PartialDataset<'a> {
     folder: PathBuf,
     out: &'a Path,
 }
 
-impl<'a> Unfinished<'a> {
+impl<'a> PartialDataset<'a> {
     /// # Errors
-    /// There is something at `out`, or no folder can be made beside it.
+    /// `out` is not empty, or no folder can be created next to it.
     fn begin(out: &'a Path) -> Result<Self, LeRobotError> {
         let is_free = match fs::read_dir(out) {
             Ok(mut entries) => entries.next().is_none(),
@@ -110,7 +109,7 @@ impl<'a> Unfinished<'a> {
         };
         let name = out.file_name().filter(|_| is_free);
         let name = name.ok_or_else(|| LeRobotError::Exists(out.to_owned()))?;
-        // Of this process, so that two exports do not meet. What a killed one leaves tells what it is.
+        // Named after this process, so that exports do not collide, and the remains of a killed one are recognisable.
         let name = format!("{}.partial-{}", name.to_string_lossy(), std::process::id());
         let folder = out.with_file_name(name);
         if let Some(parent) = out.parent() {
@@ -125,16 +124,20 @@ impl<'a> Unfinished<'a> {
     }
 }
 
-impl Drop for Unfinished<'_> {
+impl Drop for PartialDataset<'_> {
     fn drop(&mut self) {
-        // After a success it is not there any more.
+        // After a success it does not exist.
         fs::remove_dir_all(&self.folder).ok();
     }
 }
 
-fn write(bags: &[PathBuf], out: &Path, options: &ExportOptions) -> Result<Exported, LeRobotError> {
+fn write(
+    bags: &[PathBuf],
+    out: &Path,
+    options: &ExportOptions,
+) -> Result<ExportReport, LeRobotError> {
     let mut writer: Option<DatasetWriter> = None;
-    let mut found = Exported::default();
+    let mut found = ExportReport::default();
     for bag in bags {
         let read = BagContent::read(bag, &options.cameras)?;
         let fps = match (&writer, options.fps) {
@@ -143,7 +146,7 @@ fn write(bags: &[PathBuf], out: &Path, options: &ExportOptions) -> Result<Export
             (None, None) => Recording::fps(&read.recordings, bag)?,
         };
         let silences: Vec<Vec<Silence>> = read.recordings.iter().map(Recording::silences).collect();
-        let parts = parts(&read.recordings, &silences);
+        let parts = collect_parts(&read.recordings, &silences);
         let mut written = 0;
         let mut first_error = None;
         for (recording, part) in &parts {
@@ -151,12 +154,16 @@ fn write(bags: &[PathBuf], out: &Path, options: &ExportOptions) -> Result<Export
             let episode = match sampled {
                 Ok(episode) if parts.len() == 1 || episode.frames() > 1 => episode,
                 Ok(_) => {
-                    found.left_out.push(left_out(recording, part, "one frame"));
+                    found
+                        .skipped
+                        .push(describe_skipped(recording, part, "one frame"));
                     continue;
                 }
                 Err(error) => {
                     let reason = error.reason();
-                    found.left_out.push(left_out(recording, part, &reason));
+                    found
+                        .skipped
+                        .push(describe_skipped(recording, part, &reason));
                     first_error.get_or_insert(error);
                     continue;
                 }
@@ -178,11 +185,13 @@ fn write(bags: &[PathBuf], out: &Path, options: &ExportOptions) -> Result<Export
             return Err(first_error.unwrap_or_else(nothing));
         }
         found.resampled.extend(read.dropped);
-        found.split.extend(split(bag, &read.recordings, &silences));
+        found
+            .split
+            .extend(describe_split(bag, &read.recordings, &silences));
     }
     let writer = writer.ok_or_else(|| LeRobotError::Nothing("no bag was given".to_owned()))?;
     let exported = writer.finish()?;
-    Ok(Exported {
+    Ok(ExportReport {
         episodes: exported.episodes,
         frames: exported.frames,
         fps: exported.fps,
@@ -190,8 +199,11 @@ fn write(bags: &[PathBuf], out: &Path, options: &ExportOptions) -> Result<Export
     })
 }
 
-/// The parts of a bag's spans that hold something.
-fn parts<'a>(recordings: &'a [Recording], silences: &[Vec<Silence>]) -> Vec<(&'a Recording, Part)> {
+/// The parts of a bag's spans with content.
+fn collect_parts<'a>(
+    recordings: &'a [Recording],
+    silences: &[Vec<Silence>],
+) -> Vec<(&'a Recording, Part)> {
     let spans = recordings.iter().zip(silences);
     let all = spans.flat_map(|(span, silences)| {
         let parts = span.parts(silences).into_iter();
@@ -204,7 +216,7 @@ fn parts<'a>(recordings: &'a [Recording], silences: &[Vec<Silence>]) -> Vec<(&'a
     all
 }
 
-fn left_out(recording: &Recording, part: &Part, reason: &str) -> String {
+fn describe_skipped(recording: &Recording, part: &Part, reason: &str) -> String {
     let (actions, pictures) = recording.count(part);
     format!(
         "{}: {actions} action(s) and {pictures} picture(s) between two gaps: {reason}",
@@ -212,8 +224,8 @@ fn left_out(recording: &Recording, part: &Part, reason: &str) -> String {
     )
 }
 
-/// Why a bag is split, in words.
-fn split(bag: &Path, recordings: &[Recording], silences: &[Vec<Silence>]) -> Vec<String> {
+/// Describes why a bag is split.
+fn describe_split(bag: &Path, recordings: &[Recording], silences: &[Vec<Silence>]) -> Vec<String> {
     let seconds = |(before, after): (u64, u64)| after.saturating_sub(before) as f64 / 1e9;
     let mut lines = Vec::new();
     let filled = recordings

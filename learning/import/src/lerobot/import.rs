@@ -1,4 +1,4 @@
-//! A dataset's episodes as bags.
+//! Imports episodes of a data set as bags.
 
 mod actions;
 mod bag;
@@ -9,39 +9,39 @@ mod videos;
 
 use std::{ops::RangeInclusive, path::Path};
 
-use crate::{ActionMapping, Imported};
+use crate::{ActionMapping, ImportReport};
 use wm_bag::Shard;
 use wm_motion::actions::{ActionSpace, ActionSurvey, Cause, Dimension, Kind};
 
 use crate::lerobot::{
     LeRobotError,
-    dataset::{Dataset, Entry, Rows},
+    dataset::{Dataset, EpisodeEntry, Rows},
     info::ACTION,
 };
 use actions::Actions;
-use episode::{Episode, Reading};
+use episode::{Episode, ReadOptions};
 use videos::Videos;
 
-/// Episodes that are measured before the first is imported; the same for each shard.
-const SURVEYED: usize = 256;
+/// Number of episodes in the survey before the import, the same for all shards.
+const SURVEY_EPISODES: usize = 256;
 
-/// How episodes are imported.
+/// Options of an import.
 #[derive(Clone, Debug)]
 pub struct ImportOptions {
-    /// The numbers of the episodes to import; none imports all.
+    /// Numbers of the episodes to import; `None` imports all.
     pub episodes: Option<RangeInclusive<i64>>,
-    /// Import only every Nth of these: several machines share an import.
+    /// The shard to import, if several machines share an import.
     pub shard: Shard,
-    /// JPEG quality of the frames of videos, 1 to 100. Pictures that are kept as files are taken over as they are.
+    /// JPEG quality of video frames, 1 to 100. Pictures in files are copied.
     pub jpeg_quality: u8,
-    /// Stamp of the first frame of each episode, in ns since the epoch; LeRobot keeps no time of day. Episodes that were
-    /// exported here keep their own.
+    /// Stamp of the first frame of each episode, in ns since the epoch, as LeRobot has no time of day. Episodes from our own
+    /// export keep theirs.
     pub start_ns: u64,
-    /// Action space of the dataset. None: Bridge V2's if the names are Bridge V2's; else the bags have no action space.
+    /// Action space of the data set. `None`: Bridge V2's if the names are Bridge V2's, otherwise the bags have no action space.
     pub action_space: Option<ActionSpace>,
-    /// How the action values become those of the action space.
+    /// Mapping of the action values to the action space.
     pub actions: ActionMapping,
-    /// Whether frames are stamped by the rate alone, whatever their time stamps.
+    /// Whether frames are stamped by the rate, ignoring time stamps.
     pub is_nominal: bool,
 }
 
@@ -60,20 +60,24 @@ impl Default for ImportOptions {
     }
 }
 
-/// Imports a LeRobot dataset of version v2.1 or v3.0: each episode becomes a bag `OUT/episode_NNNNNN` with its number.
-/// Gives the bags, in order, and the episodes that cannot be imported; a shard may have none.
+/// Imports a LeRobot data set of version v2.1 or v3.0: each episode becomes a bag `OUT/episode_NNNNNN` with its number. A
+/// shard may have no episodes.
 ///
-/// Each notes where it came from, `DATASET#NUMBER` ([`wm_bag::ORIGIN`]).
+/// Each bag has its origin, `DATASET#NUMBER`, as a note ([`wm_bag::ORIGIN`]).
 ///
-/// Frame k of an episode belongs to its row k. Its stamp is `start + k / fps`, to the nanosecond, if the `timestamp` of each
-/// row agrees with that; else `start` plus the time since the first row.
+/// Frame k of an episode belongs to row k. Its stamp is `start + k / fps`, to the nanosecond, if the `timestamp` of each row
+/// agrees; otherwise `start` plus the time since the first row.
 ///
 /// # Errors
-/// `meta/` is missing or damaged; the actions are not of the action space; there is no episode of the numbers, or none that
-/// can be imported (the error is that of the first); or a bag already exists there.
-pub fn import(src: &Path, out: &Path, options: &ImportOptions) -> Result<Imported, LeRobotError> {
+/// `meta/` is missing or invalid, the actions do not fit the action space, no episode has a requested number or can be
+/// imported (the error of the first), or a bag exists.
+pub fn import(
+    src: &Path,
+    out: &Path,
+    options: &ImportOptions,
+) -> Result<ImportReport, LeRobotError> {
     let dataset = Dataset::open(src)?;
-    let mut imported = Imported::default();
+    let mut imported = ImportReport::default();
     let other = dataset.info.features.iter().filter(|(name, feature)| {
         !(feature.is_video() || feature.is_image() || episode::is_read(name))
     });
@@ -83,11 +87,11 @@ pub fn import(src: &Path, out: &Path, options: &ImportOptions) -> Result<Importe
         imported.notes.of_data(text);
     }
     let actions = Actions::of(&dataset, options.action_space.as_ref(), options.actions)?;
-    let is_wanted = |entry: &&Entry| {
+    let is_wanted = |entry: &&EpisodeEntry| {
         let wanted = options.episodes.as_ref();
         wanted.is_none_or(|wanted| wanted.contains(&entry.index))
     };
-    let wanted: Vec<&Entry> = dataset.episodes.iter().filter(is_wanted).collect();
+    let wanted: Vec<&EpisodeEntry> = dataset.episodes.iter().filter(is_wanted).collect();
     if wanted.is_empty() {
         return Err(LeRobotError::Nothing(format!(
             "{} has {} episodes, but none of the requested numbers",
@@ -102,7 +106,7 @@ pub fn import(src: &Path, out: &Path, options: &ImportOptions) -> Result<Importe
     let own = wanted.into_iter().enumerate();
     let own = own.filter(|(number, _)| options.shard.has(*number));
     let mut videos = Videos::of(&dataset);
-    let reading = Reading {
+    let reading = ReadOptions {
         jpeg_quality: options.jpeg_quality,
         is_nominal: options.is_nominal,
     };
@@ -110,7 +114,7 @@ pub fn import(src: &Path, out: &Path, options: &ImportOptions) -> Result<Importe
     let mut jitter_s = Vec::new();
     for (_, entry) in own {
         let read = episode::read(&dataset, entry, &mut rows, &mut videos, reading);
-        let read = read.and_then(|episode| mapped(episode, actions.as_ref(), &dataset, entry));
+        let read = read.and_then(|episode| read_mapped(episode, actions.as_ref(), &dataset, entry));
         let episode = match read {
             Ok(episode) => episode,
             Err(error) => {
@@ -121,7 +125,7 @@ pub fn import(src: &Path, out: &Path, options: &ImportOptions) -> Result<Importe
         };
         let path = out.join(format!("episode_{:06}", entry.index));
         let start_ns = entry.start_ns.unwrap_or(options.start_ns);
-        let origin = crate::origin(src, None, Some(entry.index));
+        let origin = crate::origin::origin(src, None, Some(entry.index));
         let space = actions.as_ref().and_then(|actions| actions.space.as_ref());
         bag::write(&episode, space, &path, start_ns, &origin)?;
         tracing::info!(episode = entry.index, bag = %path.display(), frames = entry.length, "imported");
@@ -131,7 +135,7 @@ pub fn import(src: &Path, out: &Path, options: &ImportOptions) -> Result<Importe
         jitter_s.extend(episode.timing.jitter_s);
         imported.bags.push(path);
     }
-    if let Some(text) = jitter(&mut jitter_s, dataset.info.fps) {
+    if let Some(text) = describe_jitter(&mut jitter_s, dataset.info.fps) {
         imported.notes.of_data(text);
     }
     match first_error {
@@ -145,12 +149,12 @@ pub fn import(src: &Path, out: &Path, options: &ImportOptions) -> Result<Importe
     }
 }
 
-/// An episode with its actions as the bags have them.
-fn mapped(
+/// Reads an episode and maps its actions.
+fn read_mapped(
     mut episode: Episode,
     actions: Option<&Actions>,
     dataset: &Dataset,
-    entry: &Entry,
+    entry: &EpisodeEntry,
 ) -> Result<Episode, LeRobotError> {
     if let Some(actions) = actions {
         actions.map(&mut episode.actions);
@@ -165,26 +169,26 @@ fn mapped(
     Ok(episode)
 }
 
-/// Measures the actions of the first episodes, whatever the shard.
+/// Measures the actions of the first episodes, of all shards.
 ///
 /// # Errors
-/// Most of them contradict the kinds of the action space, or the gripper of one of them does.
+/// Most episodes contradict the kinds of the action space, or a gripper does.
 fn survey(
     dataset: &Dataset,
-    wanted: &[&Entry],
+    wanted: &[&EpisodeEntry],
     actions: &Actions,
     rows: &mut Rows,
-    imported: &mut Imported,
+    imported: &mut ImportReport,
     src: &Path,
 ) -> Result<(), LeRobotError> {
-    let Some(space) = actions.space.clone().or_else(|| unknown(dataset)) else {
+    let Some(space) = actions.space.clone().or_else(|| plain_space(dataset)) else {
         return Ok(());
     };
     let new = || ActionSurvey::new(space.clone(), dataset.info.fps);
     let mut whole = new();
     let mut contradicting = 0;
-    for entry in wanted.iter().take(SURVEYED) {
-        // One that cannot be read is named when it is its turn.
+    for entry in wanted.iter().take(SURVEY_EPISODES) {
+        // Unreadable episodes are named during the import.
         let Ok(mut values) = episode::read_actions(dataset, entry, rows) else {
             continue;
         };
@@ -201,7 +205,7 @@ fn survey(
     let source = actions.source();
     let found = whole.contradictions();
     if actions.space.is_none() {
-        // Kinds by name are a guess.
+        // Kinds by name are guesses.
         for found in &found {
             imported.notes.of_data(source.remedy(found));
         }
@@ -230,8 +234,8 @@ fn survey(
     Ok(())
 }
 
-/// Values with known names only, so that their ranges can be shown: grippers by name, others plain.
-fn unknown(dataset: &Dataset) -> Option<ActionSpace> {
+/// A space with names only, to show the ranges: grippers by name, other values plain.
+fn plain_space(dataset: &Dataset) -> Option<ActionSpace> {
     let names = dataset.info.features.get(ACTION)?.value_names();
     let dimensions = names.into_iter().map(|name| Dimension {
         kind: match name.to_ascii_lowercase().contains("grip") {
@@ -244,17 +248,17 @@ fn unknown(dataset: &Dataset) -> Option<ActionSpace> {
         scale: 1.0,
         clip: 1.0,
     });
-    // More than an action may have: nothing is shown.
+    // More values than an action may have: no ranges.
     ActionSpace::new("unknown".into(), 1.0, dimensions.collect()).ok()
 }
 
-/// How far times from frame to frame are from `1 / fps`, in words; none if none are.
-fn jitter(jitter_s: &mut [f64], fps: f64) -> Option<String> {
+/// Describes the differences of frame periods from `1 / fps`; `None` without differences.
+fn describe_jitter(jitter_s: &mut [f64], fps: f64) -> Option<String> {
     jitter_s.sort_unstable_by(f64::total_cmp);
     let at = |share: f64| jitter_s.get(((jitter_s.len().checked_sub(1)?) as f64 * share) as usize);
     let ms = |seconds: &f64| (seconds * 10_000.0).round() / 10.0;
     Some(format!(
-        "frames are stamped as recorded: from frame to frame, time differs from {} ms by {} ms (median), {} ms (99 %) and {} ms \
+        "frames keep their recorded stamps: frame periods differ from {} ms by {} ms (median), {} ms (99 %) and {} ms \
          (most)",
         (10_000.0 / fps).round() / 10.0,
         ms(at(0.5)?),

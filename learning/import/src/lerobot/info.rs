@@ -15,10 +15,10 @@ pub(crate) const FRAME_INDEX: &str = "frame_index";
 pub(crate) const EPISODE_INDEX: &str = "episode_index";
 pub(crate) const INDEX: &str = "index";
 pub(crate) const TASK_INDEX: &str = "task_index";
-/// Our own column of `meta/episodes`: the stamp of the first frame in ns, which LeRobot has no place for.
+/// Our own column of `meta/episodes`: the stamp of the first frame in ns, which LeRobot lacks.
 pub(crate) const START_STAMP: &str = "wm/start_stamp_ns";
 
-/// `meta/info.json`: the part of it that is read and written here.
+/// The part of `meta/info.json` that is read and written.
 #[derive(Debug, Serialize, Deserialize)]
 pub(crate) struct Info {
     pub codebase_version: String,
@@ -35,7 +35,7 @@ pub(crate) struct Info {
     pub data_files_size_in_mb: u64,
     #[serde(default)]
     pub video_files_size_in_mb: u64,
-    /// Written as a whole number; v2.1 has it as either.
+    /// Written as a whole number; v2.1 also allows a float.
     pub fps: f64,
     #[serde(default)]
     pub splits: BTreeMap<String, String>,
@@ -49,7 +49,7 @@ pub(crate) const fn chunks_size() -> u64 {
     1000
 }
 
-/// What a column or a video holds.
+/// The type of a column or video.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Feature {
     pub dtype: String,
@@ -61,7 +61,7 @@ pub(crate) struct Feature {
 }
 
 impl Feature {
-    /// A column of numbers or truth values, without names where there are none.
+    /// A column of numbers or booleans, with optional names.
     pub fn column(dtype: &str, width: usize, names: Option<&[String]>) -> Self {
         Self {
             dtype: dtype.to_owned(),
@@ -79,14 +79,14 @@ impl Feature {
         self.dtype == "image"
     }
 
-    /// Values a row.
+    /// Number of values per row.
     pub fn width(&self) -> usize {
         let product = self.shape.iter().try_fold(1u64, |a, b| a.checked_mul(*b));
         usize::try_from(product.unwrap_or(u64::MAX)).unwrap_or(usize::MAX)
     }
 
-    /// The values' names: a list, a list in a list, or a list under one key (`{"motors": [...]}`). Numbered if there is not
-    /// one for each value.
+    /// The names of the values: a list, a nested list, or a list under one key (`{"motors": [...]}`); numbers if their count
+    /// differs.
     pub fn value_names(&self) -> Vec<String> {
         let list = match &self.names {
             Value::Object(keys) => keys.values().next(),
@@ -120,7 +120,7 @@ impl Info {
         if info.chunks_size == 0 {
             return bad("chunks_size: expected at least 1, got 0".to_owned());
         }
-        /// No robot has vectors that are wider.
+        /// Larger than the vectors of any robot.
         const MAX_WIDTH: usize = 1 << 16;
         for name in [ACTION, STATE] {
             if let Some(feature) = info.features.get(name)

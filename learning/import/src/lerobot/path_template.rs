@@ -1,10 +1,10 @@
 use std::path::{Component, Path, PathBuf};
 
-/// Fills in a path such as `data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet`: the part of Python's `format`
-/// that LeRobot's paths use, `{name}` and `{name:0Nd}`.
+/// Fills a path template such as `data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet`: the fields `{name}` and
+/// `{name:0Nd}` of Python's `format`.
 ///
 /// # Errors
-/// A name that is not given, another format, or a path that leads out of the folder.
+/// An unknown name or format, or a path outside the folder.
 pub(crate) fn fill(
     template: &str,
     texts: &[(&str, &str)],
@@ -46,7 +46,7 @@ fn width(format: &str) -> Option<usize> {
         return Some(0);
     }
     let digits = format.strip_prefix('0')?.strip_suffix('d')?;
-    // No path has numbers that are longer.
+    // Longer than the numbers of any path.
     digits.parse().ok().filter(|width| *width <= 20)
 }
 
@@ -60,7 +60,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lerobots_paths_are_filled() {
+    fn lerobot_paths_are_filled() {
         let numbers = [("chunk_index", 2), ("file_index", 1234)];
         assert_eq!(
             fill(

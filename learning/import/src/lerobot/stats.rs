@@ -1,7 +1,7 @@
-//! The statistics that LeRobot normalises by, as its `compute_stats.py` defines them: of each episode, and of all.
+//! Statistics for LeRobot's normalisation, as in its `compute_stats.py`: per episode, and of all.
 //!
-//! Two things are more exact here: quantiles are those of the values (linear between neighbours, NumPy's default) and not
-//! of a histogram, and pictures count with every frame and pixel and not with a sample.
+//! Two differences are more exact: quantiles are those of the values (linear interpolation, NumPy's default) instead of a
+//! histogram's, and all frames and pixels count instead of a sample.
 
 use serde_json::{Value, json};
 
@@ -14,19 +14,19 @@ pub(crate) const QUANTILES: [(&str, f64); 5] = [
     ("q99", 0.99),
 ];
 
-/// Statistics of a feature, one number a value (or a colour channel).
+/// Statistics of a feature, by value or colour channel.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Stats {
-    /// Lists that each number is in: 1 for vectors, 3 for pictures (channel, row, column).
+    /// Depth of nested lists around each number: 1 for vectors, 3 for pictures (channel, row, column).
     pub depth: usize,
     pub min: Vec<f64>,
     pub max: Vec<f64>,
     pub mean: Vec<f64>,
-    /// Of the population: divided by n.
+    /// Of the population (divided by n).
     pub std: Vec<f64>,
     /// In the order of [`QUANTILES`].
     pub quantiles: [Vec<f64>; QUANTILES.len()],
-    /// Frames.
+    /// Number of frames.
     pub count: u64,
 }
 
@@ -43,7 +43,7 @@ impl Stats {
         }
     }
 
-    /// Of rows of `width` values, one after the other; at least one row.
+    /// Statistics of concatenated rows of `width` values; at least one row.
     pub fn of_rows(values: &[f64], width: usize) -> Self {
         let width = width.max(1);
         let mut stats = Self::empty(1, (values.len() / width) as u64);
@@ -54,7 +54,7 @@ impl Stats {
             let mean = sorted.iter().sum::<f64>() / n;
             let variance = sorted.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n;
             let at = |rank: u64| {
-                // A rank is below the number of values.
+                // In range: a rank is below the number of values.
                 let value = usize::try_from(rank).ok().and_then(|rank| sorted.get(rank));
                 value.copied().unwrap_or(f64::NAN)
             };
@@ -63,7 +63,7 @@ impl Stats {
         stats
     }
 
-    /// Adds a value's statistics; `at` gives the value of each rank, from the least.
+    /// Adds a value's statistics; `at` returns the value of a rank, in ascending order.
     fn push(&mut self, mean: f64, variance: f64, n: u64, at: impl Fn(u64) -> f64) {
         self.min.push(at(0));
         self.max.push(at(n.saturating_sub(1)));
@@ -76,7 +76,7 @@ impl Stats {
         }
     }
 
-    /// Of all episodes, as `aggregate_feature_stats` has it: quantiles are averages, weighted by frames.
+    /// Statistics of all episodes, as `aggregate_feature_stats`: quantiles are averages weighted by frames.
     pub fn aggregate(episodes: &[&Self]) -> Option<Self> {
         let first = episodes.first()?;
         let total: u64 = episodes.iter().map(|stats| stats.count).sum();
@@ -108,7 +108,7 @@ impl Stats {
         Some(all)
     }
 
-    /// Each statistic's name and numbers, but for the count.
+    /// Names and numbers of the statistics, without the count.
     pub fn named(&self) -> impl Iterator<Item = (&'static str, &Vec<f64>)> {
         let moments = [
             ("min", &self.min),
@@ -120,7 +120,7 @@ impl Stats {
         moments.into_iter().chain(names.zip(&self.quantiles))
     }
 
-    /// As `meta/stats.json` has it.
+    /// The form in `meta/stats.json`.
     pub fn to_json(&self) -> Value {
         let nest =
             |value: &f64| (1..self.depth).fold(json!(value), |inner, _| Value::Array(vec![inner]));
@@ -135,7 +135,7 @@ impl Stats {
     }
 }
 
-/// Counts of the 256 values of each colour channel, from which every statistic of pictures follows.
+/// Counts of the 256 values of each colour channel, which determine all statistics of pictures.
 #[derive(Clone, Debug)]
 pub(crate) struct Histogram {
     channels: [[u64; 256]; 3],
@@ -152,7 +152,7 @@ impl Default for Histogram {
 }
 
 impl Histogram {
-    /// Counts a frame's pixels, R G B one after the other.
+    /// Counts a frame's pixels, interleaved R G B.
     pub fn add(&mut self, rgb: &[u8]) {
         let [red, green, blue] = &mut self.channels;
         for pixel in rgb.as_chunks::<3>().0 {
@@ -165,7 +165,7 @@ impl Histogram {
         self.frames += 1;
     }
 
-    /// The statistics, of values from 0 to 1.
+    /// The statistics, for values from 0 to 1.
     pub fn stats(&self) -> Stats {
         let mut stats = Stats::empty(3, self.frames);
         for counts in &self.channels {
@@ -198,7 +198,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn quantiles_are_numpys() {
+    fn quantiles_equal_numpys() {
         // numpy.quantile([1, 2, 3, 4, 10], [.01, .1, .5, .9, .99])
         let stats = Stats::of_rows(&[10.0, 3.0, 1.0, 4.0, 2.0], 1);
         for (got, expected) in stats.quantiles.iter().zip([1.04, 1.4, 3.0, 7.6, 9.76]) {
@@ -213,7 +213,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_histogram_gives_what_its_pixels_give(pixels in prop::collection::vec(any::<[u8; 3]>(), 1..60)) {
+        fn histogram_statistics_equal_those_of_pixels(pixels in prop::collection::vec(any::<[u8; 3]>(), 1..60)) {
             let mut histogram = Histogram::default();
             histogram.add(pixels.as_flattened());
             let values: Vec<f64> = pixels.iter().flatten().map(|value| f64::from(*value) / 255.0).collect();
@@ -227,7 +227,7 @@ mod tests {
         }
 
         #[test]
-        fn moments_of_parts_are_those_of_the_whole(
+        fn aggregated_moments_equal_those_of_the_whole(
             values in prop::collection::vec(-1e3f64..1e3, 2..80), share in 0.01f64..0.99,
         ) {
             let cut = ((values.len() as f64 * share) as usize).clamp(1, values.len() - 1);

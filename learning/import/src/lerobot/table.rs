@@ -1,4 +1,4 @@
-//! Parquet tables: the few kinds of columns that LeRobot has, by parquet's own reader and writer.
+//! Parquet tables with LeRobot's kinds of columns.
 
 mod writer;
 
@@ -14,7 +14,6 @@ use parquet::{
 use crate::lerobot::LeRobotError;
 pub(crate) use writer::{Column, TableWriter};
 
-/// A table that has been opened.
 pub(crate) struct Table {
     path: PathBuf,
     reader: SerializedFileReader<File>,
@@ -53,7 +52,7 @@ impl Table {
         self.columns().any(|name| name == column)
     }
 
-    /// The first column of texts, as pandas keeps an index of texts that has no name.
+    /// The first column of texts, as pandas stores an unnamed text index.
     pub fn text_column(&self) -> Option<&str> {
         let is_text = |field: &&Arc<Type>| {
             field.is_primitive() && field.get_physical_type() == parquet::basic::Type::BYTE_ARRAY
@@ -65,8 +64,7 @@ impl Table {
         self.reader.metadata().file_metadata().schema().get_fields()
     }
 
-    /// Hands over the cells of these columns in a range of rows, row by row. Only row groups that have a part in the range
-    /// are read.
+    /// Passes the cells of these columns in a range of rows to `each`, row by row. Reads only the row groups of the range.
     ///
     /// # Errors
     /// A column is missing, the range is past the end, the table is damaged, or `each` fails; all name the file.
@@ -123,7 +121,7 @@ impl Table {
                 if row >= range.end {
                     break;
                 }
-                // The projection keeps the order of the file.
+                // The projection keeps the file's order.
                 let mut found: Vec<(String, Field)> = cells.into_columns();
                 let mut ordered = Vec::with_capacity(columns.len());
                 for column in columns {
@@ -138,18 +136,17 @@ impl Table {
     }
 }
 
-/// A whole number.
 pub(crate) fn integer(name: &str, cell: Option<&Field>) -> Result<i64, String> {
     match cell {
         Some(Field::Long(value)) => Ok(*value),
         Some(Field::Int(value)) => Ok(i64::from(*value)),
-        // As LeRobot's `tolist` of NumPy scalars may leave it.
+        // LeRobot's `tolist` of NumPy scalars may write floats.
         Some(Field::ListInternal(list)) if list.len() == 1 => {
             integer(name, list.elements().first())
         }
         other => Err(format!(
             "{name}: expected a whole number, got {}",
-            kind(other)
+            describe(other)
         )),
     }
 }
@@ -165,7 +162,12 @@ pub(crate) fn number(name: &str, cell: Option<&Field>) -> Result<f64, String> {
         Some(Field::ListInternal(list)) if list.len() == 1 => {
             return number(name, list.elements().first());
         }
-        other => return Err(format!("{name}: expected a number, got {}", kind(other))),
+        other => {
+            return Err(format!(
+                "{name}: expected a number, got {}",
+                describe(other)
+            ));
+        }
     };
     if value.is_finite() {
         Ok(value)
@@ -200,36 +202,36 @@ pub(crate) fn numbers(name: &str, cell: Option<&Field>, width: usize) -> Result<
     }
 }
 
-/// A truth value, also one that is kept as a number.
-pub(crate) fn truth(name: &str, cell: Option<&Field>) -> Result<bool, String> {
+/// A boolean, also if stored as a number.
+pub(crate) fn boolean(name: &str, cell: Option<&Field>) -> Result<bool, String> {
     match cell {
         Some(Field::Bool(value)) => Ok(*value),
-        Some(Field::ListInternal(list)) if list.len() == 1 => truth(name, list.elements().first()),
+        Some(Field::ListInternal(list)) if list.len() == 1 => {
+            boolean(name, list.elements().first())
+        }
         other => number(name, other).map(|value| value != 0.0),
     }
 }
 
-/// A text.
 pub(crate) fn text(name: &str, cell: Option<&Field>) -> Result<String, String> {
     match cell {
         Some(Field::Str(text)) => Ok(text.clone()),
         Some(Field::Bytes(bytes)) => String::from_utf8(bytes.data().to_vec())
             .map_err(|error| format!("{name}: expected a text: {error}")),
-        other => Err(format!("{name}: expected a text, got {}", kind(other))),
+        other => Err(format!("{name}: expected a text, got {}", describe(other))),
     }
 }
 
 /// A picture in a cell.
 #[derive(Debug, PartialEq)]
 pub(crate) enum Picture {
-    /// The file's bytes.
+    /// Bytes of the file.
     Bytes(Vec<u8>),
-    /// The file's path.
+    /// Path of the file.
     Path(String),
 }
 
-/// The picture in a cell of the type that the Python package `datasets` has for images, a group with `bytes` and `path`, or
-/// of one of these alone.
+/// The picture of a cell: a group with `bytes` and `path` (images of the Python package `datasets`), or one of these.
 pub(crate) fn picture(name: &str, cell: Option<&Field>) -> Result<Picture, String> {
     let mut path = None;
     match cell {
@@ -252,13 +254,12 @@ pub(crate) fn picture(name: &str, cell: Option<&Field>) -> Result<Picture, Strin
     path.map(|path| Picture::Path(path.clone())).ok_or_else(|| {
         format!(
             "{name}: expected an image's bytes or path, got {}",
-            kind(cell)
+            describe(cell)
         )
     })
 }
 
-/// What a cell holds, in words.
-fn kind(cell: Option<&Field>) -> String {
+fn describe(cell: Option<&Field>) -> String {
     match cell {
         None => "nothing".to_owned(),
         Some(Field::ListInternal(list)) => format!("a list of {}", list.len()),

@@ -1,4 +1,4 @@
-//! The topics of an episode's bag, and the names of their values in a dataset.
+//! Topics of an episode's bag, and names of their values in a data set.
 
 pub(crate) const ACTION_TOPIC: &str = "/wm/action";
 pub(crate) const JOINTS_TOPIC: &str = "/joint_states";
@@ -7,15 +7,15 @@ pub(crate) const GRIPPER_TOPIC: &str = "/arm/gripper";
 pub(crate) const INSTRUCTION_TOPIC: &str = "/task/instruction";
 pub(crate) const SUCCESS_TOPIC: &str = "/task/success";
 
-/// The values of `observation.state` that are the pose of the end effector.
+/// Names of the end effector's pose in `observation.state`.
 pub(crate) const POSE_NAMES: [&str; 7] = [
     "arm.x", "arm.y", "arm.z", "arm.qx", "arm.qy", "arm.qz", "arm.qw",
 ];
-/// The value of `observation.state` that is the gripper.
+/// Name of the gripper in `observation.state`.
 pub(crate) const GRIPPER_NAME: &str = "arm.gripper";
 
-/// When a frame is shown, in ns since the first.
+/// Time of a frame, in ns since the first.
 pub(crate) fn frame_ns(frame: u64, fps: f64) -> u64 {
-    // Exact for whole rates, where the quotient is rounded once; a day of frames is far from 2^53 ns.
+    // Exact for whole rates, with one rounding; a day of frames is far below 2^53 ns.
     (frame as f64 * 1e9 / fps).round() as u64
 }

@@ -3,36 +3,36 @@ use std::path::Path;
 use super::arrays::{Arrays, Label};
 use crate::{ImportError, mapping::VALUES};
 
-/// Position deltas are stored times this (per m), rotation deltas times the other (per rad).
+/// Scales of stored position deltas (per m) and rotation deltas (per rad).
 const POSITION_SCALE: f32 = 35.0;
 const ROTATION_SCALE: f32 = 5.6;
-/// Columns of the array: the seven values, and zeros that pad them to the model's action size.
+/// Columns of the array: seven values, and zeros up to the model's action size.
 const COLUMNS: u64 = 10;
-/// Names of the array of actions: the authors' own, and NumPy's for an array without a name.
+/// Names of the array of actions: the authors', and NumPy's default.
 const ACTIONS: [&str; 2] = ["actions", "arr_0"];
 const SUCCESS: &str = "success";
 const INSTRUCTION: &str = "language_instruction";
 
-/// The actions of an episode, and its labels.
+/// The actions and labels of an episode.
 #[derive(Debug)]
-pub(super) struct Labelled {
+pub(super) struct LabelledActions {
     /// dx dy dz in m, droll dpitch dyaw in rad, gripper 0 closed to 1 open.
     pub actions: Vec<[f32; VALUES]>,
     pub instruction: Option<String>,
     pub success: Option<bool>,
-    /// Content of the file that is not read.
+    /// Remarks about ignored content.
     pub notes: Vec<String>,
 }
 
-/// The actions of an `.npz` in physical units, and its labels, if it has some.
+/// Reads the actions of an `.npz` in physical units, and its labels, if any.
 ///
-/// The array `actions`, or `arr_0`, is (T, 10) float32 of xyz x 35, rpy x 5.6, gripper open -1 / closed +1, three zeros.
+/// The array `actions`, or `arr_0`, is (T, 10) float32: xyz x 35, rpy x 5.6, gripper open -1 / closed +1, three zeros.
 /// `success` is 0 or 1, `language_instruction` a text, as the authors' downloader writes them for Bridge V2 and SOAR.
-pub(super) fn read(file: &Path) -> Result<Labelled, ImportError> {
+pub(super) fn read(file: &Path) -> Result<LabelledActions, ImportError> {
     read_labelled(file).map_err(|reason| ImportError::corrupt(file, reason))
 }
 
-fn read_labelled(file: &Path) -> Result<Labelled, String> {
+fn read_labelled(file: &Path) -> Result<LabelledActions, String> {
     let mut arrays = Arrays::open(file)?;
     let name = ACTIONS.into_iter().find(|name| arrays.has(name));
     let name = name.ok_or_else(|| "expected an array named actions or arr_0 in it".to_owned())?;
@@ -45,7 +45,7 @@ fn read_labelled(file: &Path) -> Result<Labelled, String> {
     };
     let rows = array.values.chunks_exact(COLUMNS as usize).enumerate();
     let actions = rows.map(|(row, scaled)| {
-        physical(scaled).map_err(|reason| format!("{name}.npy, row {row}: {reason}"))
+        undo_scaling(scaled).map_err(|reason| format!("{name}.npy, row {row}: {reason}"))
     });
     let actions = actions.collect::<Result<_, _>>()?;
     let mut notes = Vec::new();
@@ -56,7 +56,7 @@ fn read_labelled(file: &Path) -> Result<Labelled, String> {
         };
         if label == Label::Pickled {
             notes.push(format!(
-                "{name} is a pickled Python object and is not read; save it as a number or a text"
+                "{name} is a pickled Python object, expected a number or a text"
             ));
             return Ok(None);
         }
@@ -82,7 +82,7 @@ fn read_labelled(file: &Path) -> Result<Labelled, String> {
             others.join(", ")
         ));
     }
-    Ok(Labelled {
+    Ok(LabelledActions {
         actions,
         instruction,
         success,
@@ -91,13 +91,13 @@ fn read_labelled(file: &Path) -> Result<Labelled, String> {
 }
 
 /// Undoes the scaling of one row.
-fn physical(scaled: &[f32]) -> Result<[f32; VALUES], String> {
+fn undo_scaling(scaled: &[f32]) -> Result<[f32; VALUES], String> {
     let Some((&[x, y, z, roll, pitch, yaw, gripper], padding)) =
         scaled.split_first_chunk::<VALUES>()
     else {
         return Err(format!("expected {COLUMNS} values, got {}", scaled.len()));
     };
-    // An action of another embodiment or encoding would come out as nonsense.
+    // Actions of another robot or encoding would give wrong values.
     if padding.iter().any(|value| *value != 0.0) {
         return Err(format!(
             "expected zeros after the first {VALUES} values, got {padding:?}"

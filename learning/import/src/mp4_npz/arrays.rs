@@ -1,4 +1,4 @@
-//! The arrays of an `.npz`: numbers, truth values and texts.
+//! Arrays of an `.npz`: numbers, booleans and texts.
 
 use std::{
     fmt,
@@ -10,10 +10,9 @@ use std::{
 use npyz::{DType, Endianness, NpyFile, NpyHeader, Order, TypeChar};
 use zip::ZipArchive;
 
-/// No episode's arrays come near this; a larger one is not of an episode.
+/// Limit of an array \[bytes\]; those of episodes are far smaller.
 const MAX_BYTES: u64 = 64 << 20;
 
-/// An `.npz` that has been opened.
 pub(super) struct Arrays {
     archive: ZipArchive<BufReader<File>>,
 }
@@ -24,7 +23,6 @@ pub(super) struct Numbers {
     pub values: Vec<f32>,
 }
 
-/// A scalar that is a label.
 #[derive(Debug, PartialEq)]
 pub(super) enum Label {
     Number(f64),
@@ -71,7 +69,7 @@ impl Arrays {
         Ok(bytes)
     }
 
-    /// An array of float32 or float64.
+    /// Reads an array of float32 or float64.
     pub fn numbers(&mut self, name: &str) -> Result<Numbers, String> {
         let bytes = self.bytes(name)?;
         let name = member(name);
@@ -84,7 +82,7 @@ impl Arrays {
         }
         let shape = array.shape().to_vec();
         let claimed = shape.iter().try_fold(1u64, |a, b| a.checked_mul(*b));
-        // Values have at least a byte.
+        // Each value has at least a byte.
         if claimed.is_none_or(|claimed| claimed > bytes.len() as u64) {
             return Err(format!(
                 "{name} claims a shape of {shape:?} but has {} bytes",
@@ -94,7 +92,7 @@ impl Arrays {
         let values = match scalar_type(&array.dtype()) {
             Some((TypeChar::Float, 8, _)) => {
                 let values = array.into_vec::<f64>().map_err(wrong)?;
-                // What the messages carry.
+                // Messages have single precision.
                 values.into_iter().map(|value| value as f32).collect()
             }
             _ => array.into_vec::<f32>().map_err(wrong)?,
@@ -110,7 +108,7 @@ impl Arrays {
             .collect()
     }
 
-    /// A label: the last element of an array, which has one element, or one for each step.
+    /// Reads a label: the last element of an array, which has one element, or one per step.
     pub fn label(&mut self, name: &str) -> Result<Label, String> {
         let bytes = self.bytes(name)?;
         let name = member(name);
@@ -181,7 +179,7 @@ impl Arrays {
                 if is_big {
                     bits.reverse();
                 }
-                // A label is a small number: its sign does not matter, being either not 0 or refused.
+                // The sign does not matter: labels are 0, nonzero or rejected.
                 let whole = bits
                     .iter()
                     .rev()
@@ -197,7 +195,7 @@ fn member(name: &str) -> String {
     format!("{name}.npy")
 }
 
-/// Kind, size and byte order of the elements; none for records.
+/// Kind, size and byte order of the elements; `None` for records.
 fn scalar_type(dtype: &DType) -> Option<(TypeChar, u64, Endianness)> {
     match dtype {
         DType::Plain(plain) => Some((plain.type_char(), plain.size_field(), plain.endianness())),

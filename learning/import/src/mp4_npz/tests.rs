@@ -106,7 +106,7 @@ pub(crate) fn video(frames: u32) -> Vec<u8> {
     writer.into_writer().into_inner()
 }
 
-/// An `.npz` of rows of `columns` scaled values.
+/// An `.npz` with rows of `columns` scaled values.
 fn npz(name: &str, columns: u64, rows: &[Vec<f32>]) -> Vec<u8> {
     let mut array = Vec::new();
     let mut writer = npyz::WriteOptions::new()
@@ -217,7 +217,7 @@ fn labels_of_the_authors_downloader_are_read() {
 }
 
 #[test]
-fn an_incomplete_pair_is_left_out_by_name() {
+fn incomplete_pair_is_skipped_by_name() {
     let dir = tempfile::tempdir().unwrap();
     let (src, out) = (dir.path().join("src"), dir.path().join("out"));
     fs::create_dir(&src).unwrap();
@@ -263,7 +263,7 @@ fn rows(count: usize) -> Vec<Vec<f32>> {
 }
 
 #[test]
-fn a_video_with_actions_becomes_an_episode() {
+fn video_with_actions_becomes_an_episode() {
     let dir = tempfile::tempdir().unwrap();
     for name in ["arr_0", "actions"] {
         let episode = read(dir.path(), &video(6), &npz(name, 10, &rows(6))).unwrap();
@@ -289,15 +289,14 @@ fn a_video_with_actions_becomes_an_episode() {
                 .map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2))
                 .sum::<f64>()
                 / decoded.as_raw().len() as f64;
-            // The square alone moves 5/6 of the pixels' worth of this; in order and in colour, what is left is the
-            // loss of h264 and of chroma at half size.
+            // The moving square alone would exceed this; the rest is loss of h264 and of chroma at half resolution.
             assert!(error < 400.0, "frame {number}: mean squared error {error}");
         }
     }
 }
 
 #[test]
-fn wrong_files_are_named() {
+fn invalid_files_are_named() {
     let dir = tempfile::tempdir().unwrap();
     let (good_video, good_npz) = (video(3), npz("arr_0", 10, &rows(3)));
     let error = |video: &[u8], npz: &[u8]| read(dir.path(), video, npz).unwrap_err().to_string();
@@ -334,7 +333,7 @@ fn wrong_files_are_named() {
 }
 
 #[test]
-fn shards_import_what_one_run_does() {
+fn shards_import_the_same_as_one_run() {
     let dir = tempfile::tempdir().unwrap();
     let (src, out) = (dir.path().join("src"), dir.path().join("out"));
     fs::create_dir(&src).unwrap();
@@ -345,7 +344,7 @@ fn shards_import_what_one_run_does() {
     }
     assert_shards_join(5, |out, options| import_bridge(&src, out, options));
 
-    // What is wrong with the episode of one does not concern the other, and the limit is that of one run.
+    // A faulty episode of one shard does not affect the other, and the limit is that of one run.
     fs::write(src.join("b.mp4"), "not a video").unwrap();
     let import = |index| {
         let options = ImportOptions {
@@ -363,7 +362,7 @@ fn shards_import_what_one_run_does() {
 }
 
 #[test]
-fn a_cut_video_is_an_error() {
+fn truncated_video_is_an_error() {
     let dir = tempfile::tempdir().unwrap();
     let (video, npz) = (video(3), npz("arr_0", 10, &rows(3)));
     for end in (0..video.len()).step_by(7) {
@@ -389,8 +388,7 @@ proptest! {
             let at = (share * damaged.len() as f64) as usize;
             damaged[at] ^= bits;
         }
-        // The container's index and the codec's parameters are a small part of the bytes, and hit by a part of the
-        // cases; what is held here is that none of them ends the process.
+        // Few cases hit the container's index or the codec's parameters; the test holds that no case ends the process.
         let result = read(dir.path(), &video, &npz);
         if let Ok(episode) = result {
             prop_assert_eq!(episode.cameras[0].frames.len(), episode.recorded.actions.len());

@@ -1,7 +1,7 @@
 //! DROID as RLDS (`droid_101` of the public release): three cameras and the arm's state at 15 Hz.
 //!
-//! `steps/action` is an absolute pose there, although documented otherwise, and the command of a controller that comes
-//! later: the actions are what led from one state to the next, as in the annotations.
+//! Unlike its documentation, `steps/action` is an absolute pose, and a later command of a controller. As with annotations,
+//! actions are the motions between states.
 
 use super::{Content, Example, Pictures};
 use crate::{
@@ -22,14 +22,13 @@ const IMAGES: [&str; 3] = [
 ];
 /// DROID is recorded at 15 Hz (arXiv 2403.12945, section 3).
 const PERIOD_S: f64 = 1.0 / 15.0;
-/// Joints of the arm.
 const JOINT_COUNT: usize = 7;
 
 pub(super) fn is_droid(example: &Example) -> bool {
     example.has(POSE)
 }
 
-pub(super) fn content(example: &Example, mapping: &ActionMapping) -> Result<Content, String> {
+pub(super) fn read_content(example: &Example, mapping: &ActionMapping) -> Result<Content, String> {
     let values = example.floats(POSE)?;
     let (poses, rest) = values.as_chunks::<{ VALUES - 1 }>();
     if !rest.is_empty() {
@@ -54,11 +53,11 @@ pub(super) fn content(example: &Example, mapping: &ActionMapping) -> Result<Cont
     let states: Vec<[f64; VALUES]> = states.collect();
     Ok(Content {
         recorded: of_states(&states, mapping, PERIOD_S),
-        joints: joints(example)?,
+        joints: read_joints(example)?,
     })
 }
 
-fn joints(example: &Example) -> Result<Option<Vec<Vec<f64>>>, String> {
+fn read_joints(example: &Example) -> Result<Option<Vec<Vec<f64>>>, String> {
     if !example.has(JOINTS) {
         return Ok(None);
     }
@@ -74,8 +73,8 @@ fn joints(example: &Example) -> Result<Option<Vec<Vec<f64>>>, String> {
     Ok(Some(rows.iter().map(row).collect()))
 }
 
-/// The cameras that are there, by DROID's names.
-pub(super) fn cameras(
+/// The existing cameras, by DROID's names.
+pub(super) fn read_cameras(
     example: &Example,
     jpeg_quality: u8,
     notes: &mut Vec<String>,

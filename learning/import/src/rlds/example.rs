@@ -23,7 +23,7 @@ pub(super) struct Feature {
     pub kind: Option<Kind>,
 }
 
-/// The list that a feature holds.
+/// The list of a feature.
 #[derive(Clone, PartialEq, prost::Oneof)]
 pub(super) enum Kind {
     #[prost(message, tag = "1")]
@@ -56,7 +56,7 @@ pub(super) struct Int64List {
 }
 
 impl Example {
-    /// An example from its protobuf bytes.
+    /// Parses protobuf bytes.
     pub fn parse(bytes: &[u8]) -> Result<Self, String> {
         Self::decode(bytes).map_err(|error| format!("not a tf.train.Example: {error}"))
     }
@@ -78,7 +78,7 @@ impl Example {
             Some(Kind::Bytes(list)) => Ok(&list.value),
             other => Err(format!(
                 "expected feature {name} as byte strings, got {}",
-                described(other)
+                describe(other)
             )),
         }
     }
@@ -89,19 +89,19 @@ impl Example {
             Some(Kind::Floats(list)) => Ok(&list.value),
             other => Err(format!(
                 "expected feature {name} as floats, got {}",
-                described(other)
+                describe(other)
             )),
         }
     }
 
-    /// A feature of truth values, which are whole numbers, or floats in some data sets.
-    pub fn truths(&self, name: &str) -> Result<Vec<bool>, String> {
+    /// A feature of booleans, stored as whole numbers, or as floats in some data sets.
+    pub fn booleans(&self, name: &str) -> Result<Vec<bool>, String> {
         match self.kind(name) {
             Some(Kind::Integers(list)) => Ok(list.value.iter().map(|value| *value != 0).collect()),
             Some(Kind::Floats(list)) => Ok(list.value.iter().map(|value| *value != 0.0).collect()),
             other => Err(format!(
-                "expected feature {name} as truth values, got {}",
-                described(other)
+                "expected feature {name} as booleans, got {}",
+                describe(other)
             )),
         }
     }
@@ -111,7 +111,7 @@ impl Example {
     }
 }
 
-fn described(kind: Option<&Kind>) -> &'static str {
+fn describe(kind: Option<&Kind>) -> &'static str {
     match kind {
         None => "no such feature",
         Some(Kind::Bytes(_)) => "byte strings",

@@ -4,19 +4,19 @@ use image::RgbImage;
 use wm_camera::{format::Format, image_message::decode_compressed};
 use wm_msgs::sensor_msgs::CompressedImage;
 
-use crate::jpeg;
+use crate::jpeg::encode_jpeg;
 
-/// The frames of a camera as JPEG; those that are JPEG already keep their bytes.
+/// The frames of a camera as JPEG; existing JPEGs are not recoded.
 pub(super) struct Pictures {
     frames: Vec<Vec<u8>>,
     is_flat: bool,
 }
 
 impl Pictures {
-    /// Decodes every picture, as the nodes decode those of cameras.
+    /// Decodes every picture, as the nodes do.
     ///
     /// # Errors
-    /// The step of a picture that is incomplete, damaged, or of an unsupported format.
+    /// The step of an incomplete, damaged or unsupported picture.
     pub fn read(images: &[Vec<u8>], quality: u8) -> Result<Self, String> {
         let mut frames = Vec::with_capacity(images.len());
         let mut is_flat = true;
@@ -30,21 +30,21 @@ impl Pictures {
             is_flat &= has_one_colour(&decoded);
             frames.push(match Format::of(&image) {
                 Ok(Format::Jpeg) => image.data,
-                _ => jpeg(&decoded, quality).map_err(|error| at_step(error.to_string()))?,
+                _ => encode_jpeg(&decoded, quality).map_err(|error| at_step(error.to_string()))?,
             });
         }
         Ok(Self { frames, is_flat })
     }
 
-    /// The frames; none of a camera that was not there, with a note of its feature's name: RLDS fills its images with one
-    /// flat colour. (The flags `has_image_N` are no help: published files have them all false.)
+    /// The frames; `None`, with a remark, for a missing camera, which RLDS fills with one flat colour. (The flags `has_image_N`
+    /// do not help: they are all false in published files.)
     pub fn unless_flat(self, name: &str, notes: &mut Vec<String>) -> Option<Vec<Vec<u8>>> {
         if !self.is_flat {
             return Some(self.frames);
         }
         let name = name.strip_prefix("steps/observation/").unwrap_or(name);
         notes.push(format!(
-            "{name} shows one flat colour in all frames: the camera is left out"
+            "{name} shows one flat colour in all frames: the camera is skipped"
         ));
         None
     }

@@ -4,7 +4,7 @@ use serde::Deserialize;
 
 use crate::ImportError;
 
-/// `dataset_info.json` of TensorFlow Datasets, as far as it is needed.
+/// The needed part of `dataset_info.json` of TensorFlow Datasets.
 #[derive(Deserialize)]
 struct DatasetInfo {
     #[serde(default)]
@@ -15,13 +15,13 @@ struct DatasetInfo {
 #[serde(rename_all = "camelCase")]
 struct Split {
     name: String,
-    /// Records of each file; numbers as text, as protobuf writes 64-bit numbers in JSON.
+    /// Number of records of each file; as text, since protobuf writes 64-bit numbers so in JSON.
     #[serde(default)]
     shard_lengths: Vec<String>,
 }
 
-/// How many records a file should have, by the `dataset_info.json` beside it; none if there is none, or it does not
-/// list this file.
+/// The number of records of a file, by the `dataset_info.json` next to it; `None` without one, or if it does not list the
+/// file.
 pub(super) fn expected_records(shard: &Path) -> Result<Option<u64>, ImportError> {
     let info_file = shard.with_file_name("dataset_info.json");
     let text = match fs::read_to_string(&info_file) {
@@ -34,15 +34,15 @@ pub(super) fn expected_records(shard: &Path) -> Result<Option<u64>, ImportError>
     })?;
     Ok(shard
         .file_name()
-        .and_then(|name| split_and_shard(name.to_str()?))
+        .and_then(|name| parse_split_and_shard(name.to_str()?))
         .and_then(|(split_name, shard)| {
             let split = info.splits.iter().find(|split| split.name == split_name)?;
             split.shard_lengths.get(shard)?.parse().ok()
         }))
 }
 
-/// Split and number of a file `DATASET-SPLIT.tfrecord-00000-of-00001`.
-fn split_and_shard(file_name: &str) -> Option<(&str, usize)> {
+/// Parses split and number of a file `DATASET-SPLIT.tfrecord-00000-of-00001`.
+fn parse_split_and_shard(file_name: &str) -> Option<(&str, usize)> {
     let (front, shard) = file_name.split_once(".tfrecord-")?;
     let (_, split) = front.rsplit_once('-')?;
     let (number, _) = shard.split_once("-of-")?;
@@ -54,11 +54,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_of_files_are_read() {
+    fn file_names_are_parsed() {
         assert_eq!(
-            split_and_shard("bridge_dataset-train.tfrecord-00003-of-01024"),
+            parse_split_and_shard("bridge_dataset-train.tfrecord-00003-of-01024"),
             Some(("train", 3))
         );
-        assert_eq!(split_and_shard("some.tfrecord"), None);
+        assert_eq!(parse_split_and_shard("some.tfrecord"), None);
     }
 }

@@ -30,7 +30,7 @@ fn image_of(format: ImageFormat, texture: bool) -> Vec<u8> {
     bytes.into_inner()
 }
 
-/// An episode of `steps` steps with a JPEG camera, a PNG camera and one that was not there.
+/// An episode of `steps` steps with a JPEG camera, a PNG camera and a missing one.
 fn example(steps: usize) -> Example {
     let images = |format, texture| {
         feature(Kind::Bytes(BytesList {
@@ -93,7 +93,7 @@ fn read(bytes: &[u8]) -> Result<Vec<Episode>, ImportError> {
 }
 
 #[test]
-fn an_example_becomes_an_episode() {
+fn example_becomes_an_episode() {
     let read = read(&tfrecord(&[example(3), example(2)])).unwrap();
     assert_eq!(
         read.iter()
@@ -108,7 +108,7 @@ fn an_example_becomes_an_episode() {
     );
     assert_eq!(episode.recorded.states[2][6], 20.5 * 0.001);
     assert_eq!(episode.instruction.as_deref(), Some("open the drawer"));
-    assert_eq!(episode.cameras.len(), 2, "the flat camera is left out");
+    assert_eq!(episode.cameras.len(), 2, "the flat camera is skipped");
     assert!(
         episode.notes[0].starts_with("image_2 shows one flat colour"),
         "{:?}",
@@ -149,18 +149,18 @@ fn incomplete_picture_is_an_error_that_names_its_step() {
 }
 
 #[test]
-fn the_masked_crc_is_that_of_tensorflow() {
+fn masked_crc_equals_that_of_tensorflow() {
     // CRC-32C of "123456789" is 0xe3069283 (RFC 3720, appendix B.4 gives the polynomial; the value is the standard check).
     assert_eq!(masked(0xe306_9283), tfrecord::masked_crc(b"123456789"));
 }
 
-/// The mask as tensorflow/core/lib/hash/crc32c.h writes it.
+/// The mask of tensorflow/core/lib/hash/crc32c.h.
 fn masked(crc: u32) -> u32 {
     crc.rotate_right(15).wrapping_add(0xa282_ead8)
 }
 
 #[test]
-fn wrong_features_are_named() {
+fn invalid_features_are_named() {
     let error = |change: &dyn Fn(&mut Features)| {
         let mut changed = example(2);
         change(changed.features.as_mut().unwrap());
@@ -209,7 +209,7 @@ fn wrong_features_are_named() {
 }
 
 #[test]
-fn a_file_with_too_few_episodes_is_incomplete() {
+fn file_with_too_few_episodes_is_incomplete() {
     let dir = tempfile::tempdir().unwrap();
     fs::write(
         dir.path().join("made-train.tfrecord-00000-of-00001"),
@@ -231,7 +231,7 @@ fn a_file_with_too_few_episodes_is_incomplete() {
         reason.contains("made-train.tfrecord") && reason.contains("expected 3 episodes"),
         "{reason}"
     );
-    // The bags that are there already are not written over.
+    // Existing bags are not overwritten.
     assert!(matches!(
         import(2, "a"),
         Err(ImportError::Bag(wm_bag::BagError::Exists(_)))
@@ -239,7 +239,7 @@ fn a_file_with_too_few_episodes_is_incomplete() {
 }
 
 #[test]
-fn shards_import_what_one_run_does() {
+fn shards_import_the_same_as_one_run() {
     let dir = tempfile::tempdir().unwrap();
     let (src, out) = (dir.path().join("src"), dir.path().join("out"));
     let file = src.join("a.tfrecord");
@@ -248,7 +248,7 @@ fn shards_import_what_one_run_does() {
     fs::write(src.join("b.tfrecord"), tfrecord(&[example(1), example(2)])).unwrap();
     assert_shards_join(5, |out, options| import_bridge(&src, out, options));
 
-    // What is wrong with the episode of one does not concern the other.
+    // A faulty episode of one shard does not affect the other.
     let mut damaged = fs::read(&file).unwrap();
     damaged[tfrecord(&[example(2)]).len() + 20] ^= 1;
     fs::write(&file, damaged).unwrap();
@@ -263,7 +263,7 @@ fn shards_import_what_one_run_does() {
     let skipped = import(1).unwrap().skipped;
     assert!(skipped[0].contains("a.tfrecord"), "{skipped:?}");
 
-    // A source without an episode is an error to every shard.
+    // A source without episodes is an error for every shard.
     for name in ["a.tfrecord", "b.tfrecord"] {
         fs::write(src.join(name), "").unwrap();
     }
@@ -281,7 +281,7 @@ fn texts(text: &str, steps: usize) -> Feature {
     feature(Kind::Bytes(BytesList { value }))
 }
 
-/// DROID's public form: a turn of 0.05 rad about the base's x at pitch 80 degrees, with absolute actions.
+/// DROID's public layout: a rotation of 0.05 rad about the base's x at pitch 80 degrees, with absolute actions.
 fn droid_example(steps: usize) -> Example {
     let images = || {
         feature(Kind::Bytes(BytesList {
@@ -333,7 +333,7 @@ fn droid_example(steps: usize) -> Example {
 }
 
 #[test]
-fn droid_is_recognised_and_its_states_make_the_actions() {
+fn droid_actions_are_computed_from_its_states() {
     let read = read(&tfrecord(&[droid_example(5)])).unwrap();
     let episode = &read[0];
     assert_eq!(episode.recorded.period_ns, 66_666_667);
@@ -350,7 +350,7 @@ fn droid_is_recognised_and_its_states_make_the_actions() {
         (joints.names[0].as_str(), joints.positions.len()),
         ("panda_joint1", 5)
     );
-    // Not the pose that the release has as its action, and the gripper's sense is Bridge V2's.
+    // Not the absolute pose of the release; the gripper is inverted to Bridge V2's sense.
     let expected = [0.01, 0.0, 0.0, 0.0, 0.0, 0.05, 0.0];
     for (found, expected) in episode.recorded.actions[0].iter().zip(expected) {
         assert!(
@@ -381,7 +381,7 @@ fn success_is_the_last_reward_of_a_whole_episode() {
         success(&[reward(0.0), (IS_LAST, whole(vec![0, 0, 1]))]),
         Some(false)
     );
-    // A part of an episode says nothing of its end.
+    // A part of an episode does not show its end.
     assert_eq!(
         success(&[reward(0.0), (IS_LAST, whole(vec![0, 0, 0]))]),
         None
@@ -393,7 +393,7 @@ fn success_is_the_last_reward_of_a_whole_episode() {
 }
 
 #[test]
-fn contradicting_actions_are_refused_with_the_option() {
+fn contradicting_actions_are_rejected_with_the_option() {
     let dir = tempfile::tempdir().unwrap();
     let import = |name: &str, rows: &[[f32; VALUES]], mapping: ActionMapping| {
         let src = dir.path().join(name);
@@ -445,7 +445,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
     #[test]
-    fn a_cut_or_damaged_file_is_an_error(cut in 0.0f64..1.0, flip in 0.0f64..1.0, bits in 1u8..=255) {
+    fn truncated_or_damaged_file_is_an_error(cut in 0.0f64..1.0, flip in 0.0f64..1.0, bits in 1u8..=255) {
         let bytes = tfrecord(&[example(2), example(1)]);
         let first = tfrecord(&[example(2)]).len();
         let place = |share: f64| (share * bytes.len() as f64) as usize;

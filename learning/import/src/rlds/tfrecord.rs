@@ -7,23 +7,22 @@ use std::{
 
 use crate::ImportError;
 
-/// No episode comes near this; a longer record is not one.
+/// Limit of a record; episodes are far smaller.
 const MAX_RECORD_BYTES: u64 = 1 << 30;
 
-/// Bytes of a length with its CRC, and of a CRC.
+/// Sizes of a length with its CRC, and of a CRC \[bytes\].
 const HEADER: u64 = 12;
 const CRC: u64 = 4;
 
-/// The records of a TFRecord file. Each is: length (8 bytes, little endian), masked CRC-32C of the length, data, masked
-/// CRC-32C of the data. Only the lengths are read to find them.
+/// Iterates over the records of a TFRecord file by their lengths, without reading data. A record is: length (8 bytes,
+/// little endian), masked CRC-32C of the length, data, masked CRC-32C of the data.
 pub(super) struct TfRecords {
     stream: Rc<Stream>,
-    /// Where the next record begins.
+    /// Start of the next record.
     at: u64,
     end: u64,
 }
 
-/// A record that was found.
 pub(super) struct Record {
     stream: Rc<Stream>,
     start: u64,
@@ -87,17 +86,17 @@ impl Iterator for TfRecords {
             return None;
         }
         let record = self.locate();
-        // Nothing after a damaged length can be found.
+        // Records after a damaged length cannot be found.
         self.at = record.as_ref().map_or(self.end, Record::end);
         Some(record)
     }
 }
 
 impl Record {
-    /// Its data, held against their CRC.
+    /// Reads the data and checks its CRC.
     pub fn read(&self) -> Result<Vec<u8>, ImportError> {
         let stream = &self.stream;
-        // At most MAX_RECORD_BYTES, which fits.
+        // Fits: at most MAX_RECORD_BYTES.
         let mut data = vec![0; self.length as usize];
         stream.fill(&mut data, self.start + HEADER)?;
         let crc = u32::from_le_bytes(stream.array(self.start + HEADER + self.length)?);
@@ -130,7 +129,7 @@ impl Stream {
     }
 }
 
-/// CRC-32C as TFRecord stores it (tensorflow/core/lib/hash/crc32c.h).
+/// Masked CRC-32C of TFRecord (tensorflow/core/lib/hash/crc32c.h).
 pub(super) fn masked_crc(bytes: &[u8]) -> u32 {
     crc32c::crc32c(bytes)
         .rotate_right(15)

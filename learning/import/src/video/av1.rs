@@ -5,26 +5,26 @@ use re_rav1d::dav1d::{
 };
 use wm_camera::{
     image_message::MAX_SIDE,
-    video::{ColourTags, checked_size},
+    video::{ColourTags, check_size},
     yuv::{Plane, YuvTable},
 };
 
 use super::Decoder;
 
-/// Decodes AV1 as mp4 stores it (one temporal unit a sample, the sequence header in each that needs no other).
+/// Decodes AV1 in mp4 (one temporal unit per sample, with the sequence header in keyframes).
 pub(super) struct Av1Decoder {
     decoder: Rav1dDecoder,
-    /// What the container says of the colours, for a stream that does not.
+    /// Colour tags of the container, for streams without tags.
     colours: ColourTags,
 }
 
 impl Av1Decoder {
     pub fn new(colours: ColourTags) -> Result<Self, String> {
         let mut settings = Settings::new();
-        // One frame in, one frame out: what comes late could not be told from what is missing.
+        // Without delay: late frames could not be distinguished from missing ones.
         settings.set_max_frame_delay(1);
         settings.set_n_threads(1);
-        // At most MAX_SIDE^2 pixels, which fit 32 bits.
+        // Fits 32 bits: at most MAX_SIDE^2 pixels.
         settings.set_frame_size_limit(MAX_SIDE * MAX_SIDE);
         let decoder = Rav1dDecoder::with_settings(&settings);
         Ok(Self {
@@ -33,8 +33,8 @@ impl Av1Decoder {
         })
     }
 
-    /// The frames that are ready.
-    fn ready(&mut self, frames: &mut Vec<RgbImage>) -> Result<(), String> {
+    /// Adds the frames that are ready.
+    fn take_ready(&mut self, frames: &mut Vec<RgbImage>) -> Result<(), String> {
         loop {
             match self.decoder.get_picture() {
                 Ok(picture) => frames.push(rgb(&picture, self.colours)?),
@@ -52,10 +52,10 @@ impl Decoder for Av1Decoder {
         loop {
             match sent {
                 Ok(()) => break,
-                // It takes the rest once its frames are fetched.
+                // The decoder accepts more data after its frames are taken.
                 Err(error) if error.is_again() => {
                     let before = frames.len();
-                    self.ready(&mut frames)?;
+                    self.take_ready(&mut frames)?;
                     sent = self.decoder.send_pending_data();
                     if frames.len() == before && sent.is_err() {
                         return Err(
@@ -66,19 +66,19 @@ impl Decoder for Av1Decoder {
                 Err(error) => return Err(error.to_string()),
             }
         }
-        self.ready(&mut frames)?;
+        self.take_ready(&mut frames)?;
         Ok(frames)
     }
 
     fn finish(&mut self) -> Result<Vec<RgbImage>, String> {
         let mut frames = Vec::new();
-        self.ready(&mut frames)?;
+        self.take_ready(&mut frames)?;
         Ok(frames)
     }
 }
 
 fn rgb(picture: &Picture, container: ColourTags) -> Result<RgbImage, String> {
-    let size = checked_size(picture.width() as usize, picture.height() as usize);
+    let size = check_size(picture.width() as usize, picture.height() as usize);
     let size = size.map_err(|error| error.to_string())?;
     if picture.pixel_layout() != PixelLayout::I420 || picture.bit_depth() != 8 {
         return Err(format!(
@@ -98,7 +98,7 @@ fn rgb(picture: &Picture, container: ColourTags) -> Result<RgbImage, String> {
         stride: *stride,
     });
     let tags = ColourTags {
-        // 2: unspecified.
+        // 2 is unspecified.
         matrix: matrix(picture.matrix_coefficients()),
         is_full_range: Some(picture.color_range() == YUVRange::Full),
     };

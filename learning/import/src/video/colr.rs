@@ -1,17 +1,17 @@
-//! What an mp4 file says of its video's colours (ISO/IEC 14496-12, 12.1.5), which the parser of the other boxes skips.
+//! Colour tags of an mp4 file (ISO/IEC 14496-12, 12.1.5), which the parser of other boxes skips.
 
 use wm_camera::video::ColourTags;
 
-/// Boxes that lead to the video's sample entries.
+/// Path of boxes to the video's sample entries.
 const PATH: [&[u8; 4]; 6] = [b"moov", b"trak", b"mdia", b"minf", b"stbl", b"stsd"];
-/// Sample entries of the codecs that are decoded here.
+/// Sample entries of the supported codecs.
 const ENTRIES: [&[u8; 4]; 3] = [b"avc1", b"avc3", b"av01"];
-/// Bytes of version, flags and the number of entries, before the sample entries.
+/// Size of version, flags and number of entries, before the sample entries.
 const ENTRIES_BEGIN: usize = 8;
-/// Bytes of a video's sample entry before its boxes.
+/// Size of a video's sample entry before its boxes.
 const BOXES_BEGIN: usize = 78;
 
-/// The tags of the first video; none where the file has none.
+/// The tags of the first video; empty without a `colr` box.
 pub(super) fn colour_tags(file: &[u8]) -> ColourTags {
     find(file, &PATH).unwrap_or_default()
 }
@@ -31,7 +31,7 @@ fn find(boxes: &[u8], path: &[&[u8; 4]]) -> Option<ColourTags> {
 
 fn tags(colr: &[u8]) -> Option<ColourTags> {
     let (kind, rest) = colr.split_first_chunk::<4>()?;
-    // Primaries and transfer come before it.
+    // After primaries and transfer.
     let matrix = u16::from_be_bytes(*rest.get(4..)?.first_chunk()?);
     let is_full_range = match kind {
         b"nclx" => Some(rest.get(6)? & 0x80 != 0),
@@ -44,7 +44,7 @@ fn tags(colr: &[u8]) -> Option<ColourTags> {
     })
 }
 
-/// Names and contents of boxes; ends at one that is damaged.
+/// Iterates over names and contents of boxes; ends at a damaged one.
 struct Boxes<'a>(&'a [u8]);
 
 impl<'a> Iterator for Boxes<'a> {
@@ -54,7 +54,7 @@ impl<'a> Iterator for Boxes<'a> {
         let (length, rest) = self.0.split_first_chunk::<4>()?;
         let (name, rest) = rest.split_first_chunk::<4>()?;
         let (content, header) = match u32::from_be_bytes(*length) {
-            // To the end of what it is in.
+            // Up to the end of its parent.
             0 => (rest.len(), 0),
             1 => {
                 let (length, _) = rest.split_first_chunk()?;
@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn tags_of_a_file_are_found() {
+    fn colour_tags_of_a_file_are_found() {
         let tags = |matrix, is_full_range| ColourTags {
             matrix: Some(matrix),
             is_full_range,

@@ -3,15 +3,14 @@ use wm_camera::video::{ColourTags, H264Decoder as StreamDecoder};
 
 use super::Decoder;
 
-/// NAL units of an elementary stream begin with this (H.264 annex B).
+/// Start code of NAL units in an elementary stream (H.264 annex B).
 const START_CODE: [u8; 4] = [0, 0, 0, 1];
 
-/// Decodes h264 as mp4 stores it.
 pub(super) struct H264Decoder {
     decoder: StreamDecoder,
-    /// Bytes of the length before each NAL unit of a sample.
+    /// Size of the length before each NAL unit \[bytes\].
     length_bytes: usize,
-    /// What goes to the decoder next; begins with the parameters.
+    /// The next input of the decoder; at first, the parameters.
     packet: Vec<u8>,
 }
 
@@ -48,7 +47,7 @@ impl Decoder for H264Decoder {
     }
 }
 
-/// Turns the length before each NAL unit, as mp4 has it, into a start code, as the decoder wants it.
+/// Replaces the length before each NAL unit by a start code.
 fn append_annex_b(
     packet: &mut Vec<u8>,
     mut sample: &[u8],
@@ -58,7 +57,7 @@ fn append_annex_b(
         let (length, rest) = sample
             .split_at_checked(length_bytes)
             .ok_or_else(|| "it ends within the length of a NAL unit".to_owned())?;
-        // At most four bytes, which fit.
+        // Fits: at most four bytes.
         let length = length
             .iter()
             .fold(0, |length: usize, byte| length << 8 | usize::from(*byte));

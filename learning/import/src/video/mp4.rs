@@ -1,4 +1,4 @@
-//! Where an mp4 file keeps its frames, and when they are shown. The boxes are parsed by the parser of Firefox.
+//! Places and times of the frames in an mp4 file, parsed by the parser of Firefox.
 
 use std::{ops::Range, path::Path};
 
@@ -14,35 +14,34 @@ use super::colr::colour_tags;
 #[derive(Debug)]
 pub(super) struct Track {
     pub codec: Codec,
-    /// What the file says of the colours.
+    /// Colour tags of the file.
     pub colours: ColourTags,
-    /// Ticks a second, not 0.
+    /// Ticks per second, not 0.
     pub timescale: u64,
     /// In decoding order.
     pub samples: Vec<Sample>,
 }
 
-/// What a track's samples are.
+/// The codec of a track's samples.
 #[derive(Debug)]
 pub(super) enum Codec {
     H264 {
-        /// Bytes of the length before each NAL unit of a sample, 1 to 4.
+        /// Size of the length before each NAL unit, 1 to 4 \[bytes\].
         length_bytes: usize,
-        /// NAL units that come before the first frame.
+        /// NAL units before the first frame.
         parameters: Vec<Vec<u8>>,
     },
     #[cfg(feature = "av1")]
     Av1,
 }
 
-/// A coded frame.
 #[derive(Debug)]
 pub(super) struct Sample {
-    /// Where it is in the file; within it.
+    /// Its bytes, within the file.
     pub bytes: Range<usize>,
-    /// When it is shown, in ticks since the start.
+    /// Presentation time, in ticks since the start.
     pub time: i64,
-    /// Whether it needs no other frame.
+    /// Whether it is a keyframe.
     pub is_sync: bool,
 }
 
@@ -56,7 +55,7 @@ pub(super) fn read(bytes: &[u8], file: &Path) -> Result<Track, String> {
         .ok_or_else(|| "it has no video track".to_owned())?;
     let timescale = track.timescale.map(|scale| scale.0);
     Ok(Track {
-        codec: codec(track, file)?,
+        codec: detect_codec(track, file)?,
         colours: colour_tags(bytes),
         timescale: timescale
             .filter(|scale| *scale > 0)
@@ -65,7 +64,7 @@ pub(super) fn read(bytes: &[u8], file: &Path) -> Result<Track, String> {
     })
 }
 
-fn codec(track: &Mp4Track, file: &Path) -> Result<Codec, String> {
+fn detect_codec(track: &Mp4Track, file: &Path) -> Result<Codec, String> {
     let entry = track.stsd.as_ref().and_then(|stsd| {
         stsd.descriptions.iter().find_map(|entry| match entry {
             SampleEntry::Video(video) => Some(video),
@@ -74,8 +73,8 @@ fn codec(track: &Mp4Track, file: &Path) -> Result<Codec, String> {
     });
     match entry.map(|entry| &entry.codec_specific) {
         Some(VideoCodecSpecific::AVCConfig(config)) => {
-            let (length_bytes, parameters) = parameters(config)
-                .ok_or_else(|| "its h264 parameters (avcC) are truncated".to_owned())?;
+            let (length_bytes, parameters) = parse_parameters(config)
+                .ok_or_else(|| "its h264 parse_parameters (avcC) are truncated".to_owned())?;
             Ok(Codec::H264 {
                 length_bytes,
                 parameters,
@@ -110,12 +109,12 @@ fn codec(track: &Mp4Track, file: &Path) -> Result<Codec, String> {
 }
 
 /// Length size and parameter sets of an `AVCDecoderConfigurationRecord` (ISO/IEC 14496-15, 5.3.3.1).
-fn parameters(config: &[u8]) -> Option<(usize, Vec<Vec<u8>>)> {
-    /// Version, profile, compatibility and level come first.
+fn parse_parameters(config: &[u8]) -> Option<(usize, Vec<Vec<u8>>)> {
+    /// Size of version, profile, compatibility and level.
     const FRONT: usize = 4;
     let (&[length_size, sequence_sets], mut rest) = config.get(FRONT..)?.split_first_chunk()?;
     let mut sets = Vec::new();
-    // The upper bits are reserved, and set.
+    // The upper bits are reserved.
     let mut count = sequence_sets & 0b1_1111;
     for _kind in ["sequence", "picture"] {
         for _ in 0..count {
@@ -124,17 +123,17 @@ fn parameters(config: &[u8]) -> Option<(usize, Vec<Vec<u8>>)> {
             sets.push(set.to_vec());
             rest = after;
         }
-        // The count of picture sets; nothing that is needed follows those.
+        // The count of picture parameter sets; a truncated one counts as 0.
         count = rest.first().copied().unwrap_or(0);
         rest = rest.get(1..).unwrap_or(&[]);
     }
     Some((usize::from(length_size & 0b11) + 1, sets))
 }
 
-/// Place and time of each sample (ISO/IEC 14496-12, 8.6 and 8.7), the first edit of the edit list applied.
+/// Place and time of each sample (ISO/IEC 14496-12, 8.6 and 8.7), after the first edit of the edit list.
 fn samples(mp4: &MediaContext, track: &Mp4Track, file_bytes: usize) -> Result<Vec<Sample>, String> {
-    // Held against the file first: the library makes a table as long as the boxes claim.
-    let claimed = claimed_samples(track, file_bytes)?;
+    // Checked against the file first: the library makes a table as long as the boxes claim.
+    let claimed = count_samples(track, file_bytes)?;
     let table = create_sample_table(track, CheckedInteger(0))
         .ok_or_else(|| "its frame table is incomplete".to_owned())?;
     if table.len() != claimed {
@@ -163,8 +162,8 @@ fn samples(mp4: &MediaContext, track: &Mp4Track, file_bytes: usize) -> Result<Ve
         .collect()
 }
 
-/// Frames that the boxes of sizes and of chunks agree on at most.
-fn claimed_samples(track: &Mp4Track, file_bytes: usize) -> Result<usize, String> {
+/// Number of frames, if the boxes of sizes and chunks agree and the file can have them.
+fn count_samples(track: &Mp4Track, file_bytes: usize) -> Result<usize, String> {
     let (Some(sizes), Some(runs), Some(offsets), Some(_)) =
         (&track.stsz, &track.stsc, &track.stco, &track.stts)
     else {
@@ -193,7 +192,7 @@ fn claimed_samples(track: &Mp4Track, file_bytes: usize) -> Result<usize, String>
     Ok(claimed)
 }
 
-/// What is added to a composition time to get the time at which it is shown, in ticks.
+/// Offset from composition time to presentation time, in ticks.
 fn start(mp4: &MediaContext, track: &Mp4Track) -> Option<i64> {
     let skipped = track.media_time.map_or(0, |time| time.0);
     let delay = match (track.empty_duration, mp4.timescale, track.timescale) {
@@ -216,13 +215,13 @@ mod tests {
         let config = [
             1, 100, 0, 13, 0xff, 0xe1, 0, 2, 0x67, 7, 1, 0, 3, 0x68, 8, 9, 0xfd,
         ];
-        let (length_bytes, sets) = parameters(&config).unwrap();
+        let (length_bytes, sets) = parse_parameters(&config).unwrap();
         assert_eq!(
             (length_bytes, sets),
             (4, vec![vec![0x67, 7], vec![0x68, 8, 9]])
         );
         for end in 0..10 {
-            assert!(parameters(&config[..end]).is_none(), "cut at {end}");
+            assert!(parse_parameters(&config[..end]).is_none(), "cut at {end}");
         }
     }
 }

@@ -6,7 +6,7 @@ fn folder() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("fixtures/video")
 }
 
-/// Videos that are decoded with the features of this build.
+/// Videos that this build can decode.
 fn videos() -> Vec<PathBuf> {
     let files = fs::read_dir(folder())
         .unwrap()
@@ -18,11 +18,11 @@ fn videos() -> Vec<PathBuf> {
     files.filter(is_decoded).collect()
 }
 
-/// Levels that a picture may differ from ffmpeg, which rounds down.
-const MOST: u8 = 3;
+/// Tolerance against ffmpeg, which rounds down \[levels\].
+const TOLERANCE: u8 = 3;
 
 #[test]
-fn colours_are_those_of_ffmpeg() {
+fn colours_equal_those_of_ffmpeg() {
     let mut compared = 0;
     for file in videos() {
         let picture = file.with_extension("png");
@@ -42,14 +42,14 @@ fn colours_are_those_of_ffmpeg() {
         assert_eq!(frame.dimensions(), expected.dimensions());
         let pairs = frame.as_raw().iter().zip(expected.as_raw());
         let most = pairs.map(|(a, b)| a.abs_diff(*b)).max();
-        assert!(most <= Some(MOST), "{}: {most:?}", file.display());
+        assert!(most <= Some(TOLERANCE), "{}: {most:?}", file.display());
         compared += 1;
     }
     assert!(compared >= 9, "{compared}");
 }
 
 #[test]
-fn other_layouts_are_refused_by_name() {
+fn other_layouts_are_rejected_by_name() {
     let mut refused = 0;
     for file in videos() {
         let name = file.file_name().unwrap().to_str().unwrap();

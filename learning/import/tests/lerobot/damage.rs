@@ -32,9 +32,9 @@ fn import_error(scratch: &Path) -> String {
     result.unwrap_err().to_string()
 }
 
-/// Rows carry the number of their episode, so that a wrong name of their file loses nothing.
+/// Rows have their episode's number, so a wrong file name loses nothing.
 #[test]
-fn rows_in_files_without_a_name_are_found() {
+fn rows_in_unnamed_files_are_found() {
     let scratch = TempDir::new().unwrap();
     dataset(scratch.path());
     let path = scratch.path().join("dataset/meta/info.json");
@@ -50,7 +50,7 @@ fn rows_in_files_without_a_name_are_found() {
 }
 
 #[test]
-fn metadata_that_do_not_fit_are_named() {
+fn invalid_metadata_is_named() {
     let scratch = TempDir::new().unwrap();
     dataset(scratch.path());
     let path = scratch.path().join("dataset/meta/info.json");
@@ -109,7 +109,7 @@ fn metadata_that_do_not_fit_are_named() {
 }
 
 #[test]
-fn files_that_are_cut_are_named() {
+fn truncated_files_are_named() {
     let scratch = TempDir::new().unwrap();
     dataset(scratch.path());
     for (file, part) in [
@@ -130,7 +130,7 @@ fn files_that_are_cut_are_named() {
         }
         fs::write(&path, whole).unwrap();
     }
-    // A video of fewer frames than the table has rows.
+    // A video with fewer frames than rows.
     let other = scratch.path().join("shorter");
     fs::create_dir(&other).unwrap();
     Episode::made(3, 0.0).write(&other.join("bag"));
@@ -154,7 +154,7 @@ fn files_that_are_cut_are_named() {
 }
 
 #[test]
-fn bad_episode_is_left_out_by_name_and_others_imported() {
+fn bad_episode_is_skipped_and_others_imported() {
     let scratch = TempDir::new().unwrap();
     let bags: Vec<_> = (0..3)
         .map(|n| scratch.path().join(format!("bag_{n}")))
@@ -163,7 +163,7 @@ fn bad_episode_is_left_out_by_name_and_others_imported() {
         Episode::made(4, number as f32).write(bag);
     }
     let dataset = scratch.path().join("dataset");
-    // A video of each episode's own.
+    // A video per episode.
     let options = ExportOptions {
         video_file_bytes: 1,
         ..ExportOptions::default()

@@ -1,10 +1,10 @@
-//! Bags with gaps, and of clocks that are set.
+//! Bags with gaps and clock steps.
 
 use std::path::Path;
 
 use tempfile::TempDir;
 use wm_bag::{BagWriter, WriterOptions};
-use wm_import::lerobot::{ExportOptions, Exported, ImportOptions, export, import};
+use wm_import::lerobot::{ExportOptions, ExportReport, ImportOptions, export, import};
 use wm_msgs::{
     builtin_interfaces::Time,
     sensor_msgs::Image,
@@ -16,7 +16,7 @@ use crate::made::{START_NS, messages};
 
 const MS: u64 = 1_000_000;
 
-/// What is written at one time.
+/// The messages at one time.
 #[derive(Clone, Copy)]
 struct Tick {
     number: u64,
@@ -41,7 +41,7 @@ fn ticks(numbers: std::ops::Range<u64>) -> Vec<Tick> {
 }
 
 impl Tick {
-    /// The same at another time of all clocks.
+    /// Shifts all clocks.
     fn later(mut self, ms: i64) -> Self {
         self.logged_ms = self.logged_ms.strict_add_signed(ms);
         self.stamp = Time::from_nanos((START_NS + self.logged_ms * MS) as i64);
@@ -88,8 +88,8 @@ fn write(bag: &Path, ticks: &[Tick]) {
     writer.finish().unwrap();
 }
 
-/// The export of a bag of these ticks, and the numbers of the ticks whose actions are in each episode.
-fn exported(ticks: &[Tick]) -> (Exported, Vec<Vec<u64>>) {
+/// Exports a bag of these ticks; also returns the numbers of the ticks whose actions are in each episode.
+fn exported(ticks: &[Tick]) -> (ExportReport, Vec<Vec<u64>>) {
     let scratch = TempDir::new().unwrap();
     let bag = scratch.path().join("run");
     write(&bag, ticks);
@@ -114,7 +114,7 @@ fn contains(lines: &[String], parts: &[&str]) -> bool {
 }
 
 #[test]
-fn a_gap_of_the_recording_begins_an_episode() {
+fn gap_of_the_recording_begins_an_episode() {
     let mut all = ticks(0..10);
     all.extend(ticks(10..20).into_iter().map(|tick| tick.later(60_000)));
     let (found, episodes) = exported(&all);
@@ -123,11 +123,11 @@ fn a_gap_of_the_recording_begins_an_episode() {
         contains(&found.split, &["run: split into 2 recordings"]),
         "{found:?}"
     );
-    assert_eq!((found.left_out, found.resampled), (vec![], vec![]));
+    assert_eq!((found.skipped, found.resampled), (vec![], vec![]));
 }
 
 #[test]
-fn a_clock_set_back_before_the_recording_begins_an_episode() {
+fn clock_step_back_begins_an_episode() {
     let mut all = ticks(36_000..36_010);
     let back = ticks(36_010..36_015);
     all.extend(back.into_iter().map(|tick| tick.later(-7_200_000)));
@@ -142,24 +142,24 @@ fn a_clock_set_back_before_the_recording_begins_an_episode() {
 
 /// The clock passes 12 of 20 s twice: these are in no episode.
 #[test]
-fn what_a_clock_passes_twice_is_left_out() {
+fn times_passed_twice_are_skipped() {
     let mut all = ticks(0..100);
     all.extend(ticks(100..200).into_iter().map(|tick| tick.later(-12_000)));
     let (found, episodes) = exported(&all);
-    // 100 is logged as 40 is, and 139 as 79 is.
+    // 100 is logged at the time of 40, and 139 at that of 79.
     assert_eq!(
         episodes,
         [(0..40).collect::<Vec<_>>(), (160..200).collect()]
     );
     let expected = [
-        "/wm/action: 120 message(s) are left out",
-        "clock was set back",
+        "/wm/action: 120 message(s) are skipped",
+        "clock stepped back",
     ];
     assert!(contains(&found.resampled, &expected), "{found:?}");
 }
 
 #[test]
-fn a_silent_camera_or_silent_actions_begin_an_episode() {
+fn silent_camera_or_actions_begin_an_episode() {
     for silence in [
         |tick: &mut Tick| tick.has_picture = false,
         |tick: &mut Tick| tick.has_action = false,
@@ -179,7 +179,7 @@ fn a_silent_camera_or_silent_actions_begin_an_episode() {
         ];
         assert!(contains(&found.split, &expected), "{found:?}");
     }
-    // A gripper that is not commanded is none.
+    // A silent gripper does not.
     let mut all = ticks(0..60);
     all[20..40]
         .iter_mut()
@@ -188,7 +188,7 @@ fn a_silent_camera_or_silent_actions_begin_an_episode() {
 }
 
 #[test]
-fn a_part_without_a_topic_is_left_out_by_name() {
+fn part_without_a_topic_is_skipped_by_name() {
     let mut all = ticks(0..10);
     all.extend(ticks(10..20).into_iter().map(|tick| tick.later(60_000)));
     all[..10]
@@ -200,10 +200,10 @@ fn a_part_without_a_topic_is_left_out_by_name() {
         "run: 10 action(s) and 10 picture(s)",
         "/arm/gripper: no message",
     ];
-    assert!(contains(&found.left_out, &expected), "{found:?}");
+    assert!(contains(&found.skipped, &expected), "{found:?}");
 }
 
-/// The stamps step back or have too many nanoseconds, while the recorder's clock runs on.
+/// Stamps step back or have too many nanoseconds, while the recorder's clock continues.
 #[test]
 fn messages_with_bad_stamps_are_counted_by_topic() {
     let mut all = ticks(0..20);
@@ -219,8 +219,8 @@ fn messages_with_bad_stamps_are_counted_by_topic() {
     assert!(!episodes[0].contains(&4), "{episodes:?}");
     for topic in ["/wm/action", "/top/image_raw"] {
         for expected in [
-            "5 message(s) are left out: their stamps are not later",
-            "1 message(s) are left out: they cannot be decoded: ",
+            "5 message(s) are skipped: their stamps are not later",
+            "1 message(s) are skipped: they cannot be decoded: ",
             "1923456789 ns: expected less than 1e9 ns",
         ] {
             assert!(contains(&found.resampled, &[topic, expected]), "{found:?}");

@@ -1,4 +1,4 @@
-//! Episodes that are made up, as bags, and what a bag holds of one.
+//! Synthetic episodes as bags, and reading them back.
 
 use std::path::Path;
 
@@ -30,7 +30,7 @@ pub struct Episode {
 }
 
 impl Episode {
-    /// Of these actions, at 5 Hz.
+    /// An episode with these actions at 5 Hz.
     pub fn of(actions: Vec<Vec<f32>>, task: &str, success: bool) -> Self {
         let frames = actions.len();
         Self {
@@ -48,7 +48,7 @@ impl Episode {
         }
     }
 
-    /// Of `frames` frames, with actions that an arm can make.
+    /// An episode of `frames` frames with possible actions.
     pub fn made(frames: usize, seed: f32) -> Self {
         let action = |frame: usize| {
             (0..7)
@@ -62,7 +62,7 @@ impl Episode {
         self.write_with(bag, None);
     }
 
-    /// With what its actions are.
+    /// Writes it with an action space.
     pub fn write_with(&self, bag: &Path, actions: Option<&ActionSpace>) {
         let mut writer = BagWriter::create(bag, WriterOptions::default()).unwrap();
         if let Some(space) = actions {
@@ -135,7 +135,7 @@ impl Episode {
         writer.finish().unwrap();
     }
 
-    /// What a bag holds; its poses must be those that were made.
+    /// Reads a bag; checks its poses.
     pub fn read(bag: &Path) -> Self {
         let joints: Vec<JointState> = messages(bag, "/joint_states");
         for state in &joints {
@@ -195,7 +195,6 @@ fn pose(frame: usize) -> Pose {
     }
 }
 
-/// The messages of a topic.
 pub fn messages<M: Message>(bag: &Path, topic: &str) -> Vec<M> {
     let messages = BagReader::open(bag)
         .unwrap()
@@ -206,7 +205,7 @@ pub fn messages<M: Message>(bag: &Path, topic: &str) -> Vec<M> {
         .collect()
 }
 
-/// A square that moves over a gradient, another in each camera.
+/// A square that moves over a gradient, different in each camera.
 pub fn picture(camera: usize, frame: usize) -> RgbImage {
     RgbImage::from_fn(SIZE.0, SIZE.1, |x, y| {
         if ((x / 16) as usize, (y / 16) as usize) == (frame % 4, camera) {
@@ -225,7 +224,7 @@ fn png(picture: &RgbImage) -> Vec<u8> {
     bytes
 }
 
-/// Peak signal to noise in dB, over RGB.
+/// Peak signal-to-noise ratio over RGB in dB.
 pub fn psnr(a: &RgbImage, b: &RgbImage) -> f64 {
     assert_eq!(a.dimensions(), b.dimensions());
     let squares = a.as_raw().iter().zip(b.as_raw());

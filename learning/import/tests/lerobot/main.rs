@@ -1,6 +1,6 @@
-//! LeRobot datasets there and back, against readers and writers that nobody here wrote, and damaged.
+//! LeRobot data sets: round trips, independent readers and writers, and damage.
 
-#![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
+#![allow(clippy::unwrap_used, clippy::expect_used)] // the lint exempts #[test] functions, not their helpers
 
 mod damage;
 mod gaps;

@@ -1,4 +1,4 @@
-//! pyarrow and FFmpeg (PyAV) from PyPI, in the virtual environment that `tests/setup_ros2` makes.
+//! Interoperability with pyarrow and FFmpeg (PyAV) from PyPI, in the virtual environment that `tests/setup_ros2` makes.
 
 use std::{
     path::{Path, PathBuf},
@@ -17,7 +17,7 @@ use wm_msgs::{
 
 use crate::made::{Episode, messages};
 
-/// A Python program of `tests/interop`; `None` (with a plain message) where its libraries are not installed.
+/// Runs a Python program of `tests/interop`; `None` (with a plain message) if its libraries are not installed.
 fn peer(script: &str, arg: &Path) -> Option<Value> {
     let root = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."));
     let python = root.join(".venv/tools/bin/python");
@@ -34,7 +34,7 @@ fn peer(script: &str, arg: &Path) -> Option<Value> {
     let output = Command::new(python)
         .arg(root.join("tests/interop").join(script))
         .arg(arg)
-        // Set by the wheels of ROS 2; it would load their libraries into this Python.
+        // The wheels of ROS 2 set it; it would load their libraries into this Python.
         .env_remove("LD_LIBRARY_PATH")
         .output()
         .unwrap();
@@ -48,7 +48,7 @@ fn peer(script: &str, arg: &Path) -> Option<Value> {
 }
 
 #[test]
-fn others_read_what_is_exported() {
+fn other_readers_read_exports() {
     let scratch = TempDir::new().unwrap();
     let episodes = [
         Episode::made(7, 0.0),
@@ -117,7 +117,7 @@ fn quarters(rgb: &RgbImage) -> [[f64; 3]; 4] {
 }
 
 #[test]
-fn what_others_wrote_is_imported() {
+fn data_sets_of_other_writers_are_imported() {
     let scratch = TempDir::new().unwrap();
     let Some(written) = peer("lerobot_write.py", scratch.path()) else {
         return;
@@ -146,7 +146,7 @@ fn what_others_wrote_is_imported() {
                 assert_eq!(action.header.stamp.to_nanos(), stamp_ns, "{version}");
             }
             let states: Vec<JointState> = messages(bag, "/joint_states");
-            // As single: a double that went through text may differ in its last bit.
+            // In single precision: a double in text may differ in its last bit.
             let expected: Vec<Vec<f32>> = serde_json::from_value(episode["state"].clone()).unwrap();
             for (state, expected) in states.iter().zip(&expected) {
                 let position: Vec<f32> = state.position.iter().map(|value| *value as f32).collect();
@@ -172,8 +172,7 @@ fn what_others_wrote_is_imported() {
                     let got = quarters(&image::load_from_memory(&image.data).unwrap().into_rgb8());
                     let differences = got.as_flattened().iter().zip(expected.as_flattened());
                     let most = differences.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-                    // A frame differs from its neighbour by 20 and from another episode's by 50; two encodings of the
-                    // same pictures, JPEG and two ways to YUV and back by less.
+                    // Neighbouring frames differ by 20, frames of other episodes by 50; two encodings (JPEG, YUV conversions) by less.
                     assert!(most < 6.0, "{version} {name}, frame {frame}: {most}");
                 }
             }

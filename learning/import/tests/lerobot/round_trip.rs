@@ -16,7 +16,7 @@ use wm_msgs::{
 use crate::made::{CAMERAS, Episode, START_NS, messages, picture, psnr};
 
 /// Writes episodes as bags, exports and imports them again.
-fn there_and_back(scratch: &Path, episodes: &[Episode], options: &ExportOptions) -> Vec<PathBuf> {
+fn round_trip(scratch: &Path, episodes: &[Episode], options: &ExportOptions) -> Vec<PathBuf> {
     let bags: Vec<PathBuf> = (0..episodes.len())
         .map(|n| scratch.join(format!("bag_{n}")))
         .collect();
@@ -32,7 +32,7 @@ fn there_and_back(scratch: &Path, episodes: &[Episode], options: &ExportOptions)
         .bags
 }
 
-/// The pictures of a bag against those that were made.
+/// Compares the pictures of a bag with the originals.
 fn check_pictures(bag: &Path, frames: usize) {
     for (number, camera) in CAMERAS.iter().enumerate() {
         let images: Vec<CompressedImage> =
@@ -42,8 +42,7 @@ fn check_pictures(bag: &Path, frames: usize) {
             let decoded =
                 image::load_from_memory_with_format(&image.data, ImageFormat::Jpeg).unwrap();
             let psnr = psnr(&decoded.into_rgb8(), &picture(number, frame));
-            // h264 and JPEG lose little; chroma at half size blurs the square's edges. The neighbours' pictures are
-            // below 20 dB.
+            // h264 and JPEG lose little; subsampled chroma blurs the square's edges. Neighbouring pictures are below 20 dB.
             assert!(psnr > 26.0, "{camera}, frame {frame}: {psnr} dB");
         }
     }
@@ -53,7 +52,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(12))]
 
     #[test]
-    fn episodes_survive_the_way_there_and_back(
+    fn episodes_survive_a_round_trip(
         actions in prop::collection::vec(prop::collection::vec(
             prop::collection::vec(prop::num::f32::NORMAL | prop::num::f32::SUBNORMAL | prop::num::f32::ZERO, 6), 2..9), 1..4),
         one_file_each in any::<bool>(),
@@ -66,7 +65,7 @@ proptest! {
             .collect();
         let limit = if one_file_each { 1 } else { 100 << 20 };
         let options = ExportOptions { data_file_bytes: limit, video_file_bytes: limit, ..ExportOptions::default() };
-        let back = there_and_back(scratch.path(), &episodes, &options);
+        let back = round_trip(scratch.path(), &episodes, &options);
         prop_assert_eq!(back.len(), episodes.len());
         for (bag, episode) in back.iter().zip(&episodes) {
             let got = Episode::read(bag);
@@ -84,7 +83,7 @@ proptest! {
 fn episodes_are_chosen_by_number() {
     let scratch = TempDir::new().unwrap();
     let episodes: Vec<Episode> = (0..4).map(|n| Episode::made(3, n as f32)).collect();
-    there_and_back(scratch.path(), &episodes, &ExportOptions::default());
+    round_trip(scratch.path(), &episodes, &ExportOptions::default());
     let options = ImportOptions {
         episodes: Some(1..=2),
         ..ImportOptions::default()
@@ -131,10 +130,10 @@ fn episodes_are_chosen_by_number() {
 }
 
 #[test]
-fn a_bag_notes_its_dataset_and_episode() {
+fn bag_has_its_data_set_and_episode_as_note() {
     let scratch = TempDir::new().unwrap();
     let episodes = [Episode::made(3, 0.0), Episode::made(3, 1.0)];
-    let back = there_and_back(scratch.path(), &episodes, &ExportOptions::default());
+    let back = round_trip(scratch.path(), &episodes, &ExportOptions::default());
     for (number, bag) in back.iter().enumerate() {
         let reader = BagReader::open(bag).unwrap();
         let origin = format!("dataset#{number}");
@@ -148,12 +147,12 @@ fn a_bag_notes_its_dataset_and_episode() {
 }
 
 #[test]
-fn an_export_removes_nothing_but_its_own() {
+fn export_removes_only_its_own_files() {
     let scratch = TempDir::new().unwrap();
     let bag = scratch.path().join("bag");
     Episode::made(3, 0.0).write(&bag);
     let options = ExportOptions::default();
-    // What was there: a folder with something in it, a file, and what a killed export left.
+    // Existing files: a folder with content, a file, and the remains of a killed export.
     let kept = ["full/theirs", "file", "new.partial-1/meta"].map(|name| scratch.path().join(name));
     for path in &kept {
         std::fs::create_dir_all(path.parent().unwrap()).unwrap();
@@ -180,9 +179,9 @@ fn an_export_removes_nothing_but_its_own() {
 }
 
 #[test]
-fn what_the_actions_are_goes_with_them() {
+fn action_space_survives_a_round_trip() {
     let scratch = TempDir::new().unwrap();
-    let back = there_and_back(
+    let back = round_trip(
         scratch.path(),
         &[Episode::made(3, 0.0)],
         &ExportOptions::default(),
@@ -194,7 +193,7 @@ fn what_the_actions_are_goes_with_them() {
     };
     assert_eq!(space(&back[0]), Some(ActionSpace::bridge()));
 
-    // Another arm's: its names are the dataset's, and come back only with what they mean.
+    // For another arm, the names survive, and their meaning only with the action space.
     let joints = r#"{"name": "my_arm", "dimensions": [
         {"name": "shoulder", "unit": "rad", "kind": "joint_position"},
         {"name": "elbow", "unit": "rad", "kind": "joint_position"}]}"#;
@@ -228,7 +227,7 @@ fn what_the_actions_are_goes_with_them() {
     );
 }
 
-/// A camera at 30 Hz of which a part is missing, actions at 10 Hz whose clock trembles, and two episodes in one bag.
+/// A camera at 30 Hz with a missing part, actions at 10 Hz with jitter, and two episodes in one bag.
 fn live(bag: &Path) {
     let mut writer = BagWriter::create(bag, WriterOptions::default()).unwrap();
     for number in 0..120u64 {
@@ -277,7 +276,7 @@ fn live(bag: &Path) {
 }
 
 #[test]
-fn a_live_recording_is_sampled_at_one_rate() {
+fn live_recording_is_sampled_at_one_rate() {
     let scratch = TempDir::new().unwrap();
     let bag = scratch.path().join("live");
     live(&bag);
@@ -319,7 +318,7 @@ fn a_live_recording_is_sampled_at_one_rate() {
     }
 }
 
-/// A bag with an action, and a camera that sends video.
+/// Writes a bag with an action and a video camera.
 fn write_video(bag: &Path) {
     let mut writer = BagWriter::create(bag, WriterOptions::default()).unwrap();
     let schema = wm_bag::Schema::ros2msg("uint8[] data");
@@ -341,7 +340,7 @@ fn write_video(bag: &Path) {
 }
 
 #[test]
-fn bags_that_do_not_fit_are_named() {
+fn unsuitable_bags_are_named() {
     let scratch = TempDir::new().unwrap();
     let at = |name: &str| scratch.path().join(name);
     let episode = Episode::made(3, 0.0);
@@ -362,7 +361,7 @@ fn bags_that_do_not_fit_are_named() {
         let folder = TempDir::new().unwrap();
         let out = folder.path().join("new/dataset");
         let error = export(&bags, &out, options).unwrap_err().to_string();
-        // The second of "good" and "wide" is refused when the first has been written.
+        // "wide" is rejected after "good" was written.
         let left = std::fs::read_dir(folder.path().join("new"))
             .unwrap()
             .count();

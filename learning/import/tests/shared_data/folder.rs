@@ -1,6 +1,6 @@
 use std::path::PathBuf;
 
-/// A data set in the directory that the environment variable WM_SHARED_DATA names. Without it, the test says so and passes.
+/// A data set in the folder of the environment variable WM_SHARED_DATA; without it, the test is skipped with a message.
 pub fn shared(name: &str) -> Option<PathBuf> {
     let found = std::env::var_os("WM_SHARED_DATA")
         .map(|dir| PathBuf::from(dir).join(name))

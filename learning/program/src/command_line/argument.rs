@@ -4,7 +4,7 @@ use clap::{
 };
 use serde::{Deserialize, Serialize};
 
-/// What is told of an argument.
+/// The description of an argument.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Argument {
     id: String,
@@ -17,21 +17,21 @@ pub(crate) struct Argument {
     is_hidden: bool,
     is_required: bool,
     is_last: bool,
-    takes: Takes,
+    values: ArgumentValues,
 }
 
-/// How often an argument may come, and with what.
+/// The values of an argument, and whether it may be repeated.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
-enum Takes {
+enum ArgumentValues {
     Nothing {
         is_repeatable: bool,
     },
     Values {
         is_repeatable: bool,
         names: Vec<String>,
-        /// Fewest and most; clap counts one where it is not said.
+        /// Smallest and largest number; `None`: clap's default, one.
         count: Option<(usize, usize)>,
-        /// All that there are, where it is one of a few.
+        /// The allowed values; empty for any.
         possible: Vec<Value>,
         defaults: Vec<String>,
         /// A [`ValueHint`] by its name.
@@ -65,7 +65,7 @@ impl Argument {
             is_hidden: arg.is_hide_set(),
             is_required: arg.is_required_set(),
             is_last: arg.is_last_set(),
-            takes: Takes::of(arg),
+            values: ArgumentValues::of(arg),
         }
     }
 
@@ -75,7 +75,7 @@ impl Argument {
             .hide(self.is_hidden)
             .required(self.is_required)
             .last(self.is_last);
-        let arg = self.takes.add_to(arg);
+        let arg = self.values.add_to(arg);
         let arg = match self.heading {
             Some(heading) => arg.help_heading(heading),
             None => arg,
@@ -99,7 +99,7 @@ impl Argument {
     }
 }
 
-impl Takes {
+impl ArgumentValues {
     fn of(arg: &Arg) -> Self {
         let is_repeatable = matches!(arg.get_action(), ArgAction::Append | ArgAction::Count);
         if !arg.get_action().takes_values() {
@@ -162,7 +162,7 @@ impl Takes {
             let possible = possible.into_iter().map(Value::into_possible);
             arg = arg.value_parser(PossibleValuesParser::new(possible));
         }
-        // Another version of clap may know more of them.
+        // Another version of clap may have more hints.
         match hint.parse::<ValueHint>() {
             Ok(hint) => arg.value_hint(hint),
             Err(_) => arg,

@@ -3,7 +3,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::command_line::argument::Argument;
 
-/// What is told of a command.
+/// The description of a command.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Description {
     name: String,

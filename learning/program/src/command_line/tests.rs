@@ -48,13 +48,13 @@ enum Say {
     All,
 }
 
-/// The help of every command says the same, and so do those things that help does not show.
+/// The help of every command is equal, and so are definitions that help does not show.
 #[test]
-fn what_is_heard_is_what_was_told() {
+fn description_survives_the_transfer() {
     let own = Maker::command();
-    let heard = heard(told(&own).as_bytes()).unwrap();
-    assert_eq!(Description::of(&heard), Description::of(&own));
-    heard.clone().debug_assert();
+    let parsed = parse(serialize(&own).as_bytes()).unwrap();
+    assert_eq!(Description::of(&parsed), Description::of(&own));
+    parsed.clone().debug_assert();
     for words in [&[][..], &["make"], &["say"], &["say", "all"]] {
         let help = |command: &Command| {
             let mut command = command.clone();
@@ -65,19 +65,19 @@ fn what_is_heard_is_what_was_told() {
             }
             at.render_long_help().to_string()
         };
-        assert_eq!(help(&heard), help(&own), "{words:?}");
+        assert_eq!(help(&parsed), help(&own), "{words:?}");
     }
-    assert!(heard.find_subcommand("build").is_some());
+    assert!(parsed.find_subcommand("build").is_some());
 }
 
 #[test]
-fn a_program_that_does_not_tell_is_named() {
-    let error = ask(Path::new("/no/such/maker")).unwrap_err().to_string();
+fn program_without_description_is_named() {
+    let error = query(Path::new("/no/such/maker")).unwrap_err().to_string();
     assert!(error.starts_with("/no/such/maker: "), "{error}");
-    // It fails; it succeeds, and says something else.
+    // One fails; the other succeeds with other output.
     for program in ["/bin/false", "/bin/echo"] {
-        let error = ask(Path::new(program)).unwrap_err();
-        assert!(matches!(error, Error::NoAnswer { .. }), "{error}");
+        let error = query(Path::new(program)).unwrap_err();
+        assert!(matches!(error, Error::InvalidDescription { .. }), "{error}");
         assert!(error.to_string().starts_with(program), "{error}");
     }
 }

@@ -1,20 +1,20 @@
-//! Lines where there is no terminal.
+//! Progress lines without a terminal.
 
-use crate::progress::SharedPace;
+use super::pace::SharedPace;
 use indicatif::{BinaryBytes, HumanDuration, ProgressBar};
 use std::io::Write;
 use std::sync::mpsc::{self, RecvTimeoutError, Sender};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-/// A thread that writes a line now and then, until this is dropped.
+/// A thread that writes a line per period until this is dropped.
 pub(crate) struct Log {
     stop: Option<Sender<()>>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Log {
-    /// None where there is no thread to be had: then there is no progress to see, and that is all.
+    /// Starts the thread; without one there is no progress output, and `None` is returned.
     pub fn start(
         bar: ProgressBar,
         pace: SharedPace,
@@ -25,7 +25,7 @@ impl Log {
         let (stop, stopped) = mpsc::channel();
         let write = move || {
             while stopped.recv_timeout(period) == Err(RecvTimeoutError::Timeout) {
-                // That nobody can be told is no reason to stop the work.
+                // Without a reader, the work continues.
                 writeln!(output, "{}", line(&bar, &pace, things))
                     .and_then(|()| output.flush())
                     .ok();
@@ -71,7 +71,7 @@ fn line(bar: &ProgressBar, pace: &SharedPace, things: &str) -> String {
     }
     match bar.length() {
         None => text.push_str(&format!(", {:#} so far", HumanDuration(bar.elapsed()))),
-        total => text.push_str(&pace.in_words(total)),
+        total => text.push_str(&pace.describe_rest(total)),
     }
     text
 }
@@ -83,10 +83,9 @@ mod tests {
     use super::*;
     use indicatif::ProgressDrawTarget;
 
-    /// What was written, piece by piece.
-    struct Told(Sender<String>);
+    struct LineSender(Sender<String>);
 
-    impl Write for Told {
+    impl Write for LineSender {
         fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
             self.0
                 .send(String::from_utf8_lossy(bytes).into_owned())
@@ -103,19 +102,19 @@ mod tests {
         ProgressBar::with_draw_target(total, ProgressDrawTarget::hidden()).with_prefix("reading")
     }
 
-    /// Pieces until one has all of it.
-    fn until(told: &mpsc::Receiver<String>, wanted: &str) {
+    /// Receives pieces until they contain `wanted`.
+    fn wait_for(lines: &mpsc::Receiver<String>, wanted: &str) {
         let mut all = String::new();
         while !all.contains(wanted) {
-            all.push_str(&told.recv_timeout(Duration::from_secs(20)).unwrap());
+            all.push_str(&lines.recv_timeout(Duration::from_secs(20)).unwrap());
         }
     }
 
     #[test]
-    fn a_log_gets_whole_lines_and_goes_on_without_a_step() {
-        let (sender, told) = mpsc::channel();
+    fn log_writes_whole_lines_without_further_steps() {
+        let (sender, lines) = mpsc::channel();
         let bar = hidden(Some(4));
-        let output = Box::new(Told(sender));
+        let output = Box::new(LineSender(sender));
         let log = Log::start(
             bar.clone(),
             SharedPace::default(),
@@ -124,17 +123,17 @@ mod tests {
             output,
         )
         .unwrap();
-        until(&told, "reading: 0 of 4 bags\n");
+        wait_for(&lines, "reading: 0 of 4 bags\n");
         bar.inc(3);
         bar.set_message("loss 0.5");
-        until(&told, "reading: 3 of 4 bags, loss 0.5");
+        wait_for(&lines, "reading: 3 of 4 bags, loss 0.5");
         drop(log);
-        // Nobody tells any more: the channel ends.
-        while told.recv_timeout(Duration::from_secs(20)).is_ok() {}
+        // The thread has ended: the channel closes.
+        while lines.recv_timeout(Duration::from_secs(20)).is_ok() {}
     }
 
     #[test]
-    fn what_has_no_end_tells_how_long_it_has_taken() {
+    fn open_ended_progress_shows_the_elapsed_time() {
         let bar = hidden(None).with_elapsed(Duration::from_secs(70));
         assert_eq!(
             line(&bar, &SharedPace::default(), "bytes"),

@@ -1,18 +1,23 @@
-//! How long the rest takes.
+//! Estimate of the remaining time.
 
-use std::time::{Duration, Instant};
+use std::{
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    time::{Duration, Instant},
+};
 
-/// Things that have to be done before an estimate means anything: the first ones warm up.
-const FEWEST: u64 = 3;
+use indicatif::HumanDuration;
 
-/// How fast things are done, as far as it is known.
+/// Minimum number of things for an estimate: the first ones warm up.
+const STEPS_MIN: u64 = 3;
+
+/// The pace of finished things.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Pace {
     began: Instant,
-    /// Things that were done before that.
+    /// Number of things finished earlier.
     before: u64,
     done: u64,
-    /// When the last one was.
+    /// Time of the last one.
     last: Instant,
 }
 
@@ -26,18 +31,18 @@ impl Pace {
         }
     }
 
-    /// So many more things are done.
+    /// Counts finished things.
     pub fn step(&mut self, count: u64, now: Instant) {
         self.done += count;
         self.last = now;
     }
 
-    /// Until all of `total` are done, at the mean pace so far: it becomes less while a thing is done, and more only when that
-    /// took longer than those before it.
+    /// Remaining time for `total` things at the mean pace. It decreases during a thing, and increases only when one took longer
+    /// than the mean.
     pub fn left(&self, total: u64, now: Instant) -> Option<Duration> {
         let counted = self.done.saturating_sub(self.before);
         let rest = total.saturating_sub(self.done);
-        if counted < FEWEST || rest == 0 {
+        if counted < STEPS_MIN || rest == 0 {
             return None;
         }
         let each = self.last.duration_since(self.began).as_secs_f64() / counted as f64;
@@ -46,15 +51,40 @@ impl Pace {
     }
 }
 
+/// The pace, shared by workers and reporters.
+#[derive(Clone)]
+pub(crate) struct SharedPace(Arc<Mutex<Pace>>);
+
+impl Default for SharedPace {
+    fn default() -> Self {
+        Self(Arc::new(Mutex::new(Pace::new(0, Instant::now()))))
+    }
+}
+
+impl SharedPace {
+    /// Ignores poisoning: no invariant spans the lock.
+    pub fn get(&self) -> MutexGuard<'_, Pace> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// `, 40s left`, or empty if unknown.
+    pub fn describe_rest(&self, total: Option<u64>) -> String {
+        let left = total.and_then(|total| self.get().left(total, Instant::now()));
+        left.map_or_else(String::new, |left| {
+            format!(", {:#} left", HumanDuration(left))
+        })
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn the_rest_takes_as_long_as_what_was_done_and_not_longer_while_one_is_under_way() {
+    fn remaining_time_follows_the_mean_pace() {
         let start = Instant::now();
         let at = |seconds| start + Duration::from_secs(seconds);
-        // Ten were done before, which took no time now.
+        // Ten things were finished earlier.
         let mut pace = Pace::new(10, start);
         assert_eq!(pace.left(18, at(1)), None);
         for number in 1..=4 {

@@ -1,6 +1,6 @@
-//! Goals that suit a table: an object, and a place for it or for the hand.
+//! Draws goals that suit a table: an object, and a place for it or for the hand.
 //!
-//! What is drawn here looks possible. Whether it is, the solution shows.
+//! A drawn goal seems possible; the solution decides.
 
 use nalgebra::Vector3;
 use rand::seq::IndexedRandom;
@@ -8,29 +8,29 @@ use rand_chacha::ChaCha8Rng;
 
 use super::goal::{GoalKind, Target};
 use crate::object::{Object, Shape};
-use crate::teleop::{DIRECTIONS, Relation, Task, burdened, graspable, inside};
+use crate::teleop::{DIRECTIONS, Relation, Task, is_burdened, is_graspable, is_inside};
 use crate::variety::Span;
 use crate::world::{WORKSPACE_M, World};
 
-/// Least way of the tool to the goal of a reach, metres.
+/// Minimum distance of the tool from the goal of a reach, metres.
 const LEAST_REACH_M: f64 = 0.06;
-/// Height of that goal over the top of an object, metres: as operators keep it.
+/// Height of that goal over the top of an object, metres, as for operators.
 const HOVER_M: Span = Span::new(0.03, 0.08);
-/// How far objects are pushed, metres.
+/// Distance of a push, metres.
 const PUSH_M: Span = Span::new(0.05, 0.10);
-/// How far a push may point beside left, right, forward and away, radians: what operators do.
+/// Deviation of a push from left, right, forward and away, radians, as for operators.
 const PUSH_ANGLE_RAD: Span = Span::around_zero(0.35);
-/// Least way of an object that is carried, metres.
+/// Minimum distance of a carried object, metres.
 const LEAST_CARRY_M: f64 = 0.08;
-/// Room between an object and the one that it is put beside, metres: for a finger that opens there.
+/// Gap between an object and its neighbour at the goal, metres: a finger opens there.
 const BESIDE_M: Span = Span::new(0.045, 0.06);
-/// Least room between the place of an object and any other object, metres.
+/// Minimum gap between the goal of an object and other objects, metres.
 const CLEAR_M: f64 = 0.015;
-/// Places stay this far from the edge of the workspace, metres.
+/// Minimum distance of goals from the edge of the workspace, metres.
 const EDGE_M: f64 = 0.015;
 
-/// A goal, and the task that words tell of it, for a viewer who sees `world` along `viewer` (unit vectors to the
-/// right and ahead over the table), or `None` where this draw does not suit.
+/// Draws a goal and its task in words, for a viewer along `viewer` (unit vectors to the right and ahead over the table);
+/// `None` if the draw does not suit.
 pub fn draw(
     kind: GoalKind,
     world: &World,
@@ -53,7 +53,7 @@ fn reach(world: &World, index: usize, rng: &mut ChaCha8Rng) -> Option<(Target, T
     let object = world.objects().get(index)?;
     let up = object.shape.height() + HOVER_M.pick(rng);
     let position = object.position() + Vector3::z() * up;
-    let suits = inside(position, 0.0)
+    let suits = is_inside(position, 0.0)
         && position.z < WORKSPACE_M[1][2]
         && (position - world.tool().position).norm() >= LEAST_REACH_M;
     let task = Task::Reach { object: index };
@@ -78,8 +78,8 @@ fn push(
     let from = object.position();
     let place = from + direction * PUSH_M.pick(rng);
     let suits = !matches!(object.shape, Shape::Mat { .. })
-        && inside(place, EDGE_M)
-        && clear(world, object, index, place);
+        && is_inside(place, EDGE_M)
+        && is_clear(world, object, index, place);
     let target = Target::Object {
         object: index,
         place,
@@ -120,10 +120,10 @@ fn pick_place(
         + (viewer[0] * right + viewer[1] * ahead) * apart
         + Vector3::z() * relation.rise(other);
     let suits = index != other_index
-        && graspable(object)
-        && !burdened(world, index)
-        && inside(place, EDGE_M)
-        && clear(world, object, index, place)
+        && is_graspable(object)
+        && !is_burdened(world, index)
+        && is_inside(place, EDGE_M)
+        && is_clear(world, object, index, place)
         && (place - object.position()).norm() >= LEAST_CARRY_M;
     let target = Target::Object {
         object: index,
@@ -141,7 +141,7 @@ fn pick_place(
 }
 
 /// Whether `object` touches nothing but mats at `place`.
-fn clear(world: &World, object: &Object, index: usize, place: Vector3<f64>) -> bool {
+fn is_clear(world: &World, object: &Object, index: usize, place: Vector3<f64>) -> bool {
     world.objects().iter().enumerate().all(|(i, other)| {
         i == index
             || matches!(other.shape, Shape::Mat { .. })

@@ -1,4 +1,4 @@
-//! What is to come about in an environment, and when it has.
+//! Goals, and when they are attained.
 
 use std::fmt;
 use std::str::FromStr;
@@ -10,25 +10,23 @@ use crate::error::Error;
 use crate::teleop::LEVEL_M;
 use crate::world::World;
 
-/// The tool has reached a goal when it is nearer to it than this, metres: half of the largest step along an
-/// axis, so that a controller that only takes whole steps can stop within it.
+/// Tolerance of the tool's position, metres: half of the largest step along an axis, so that a controller with whole steps
+/// can stop within it.
 pub const REACH_TOLERANCE_M: f64 = 0.025;
-/// An object is at its place when its foot is nearer to it than this, metres: about the radius of an object,
-/// so that it covers the place. Objects start at least 0.05 m from their places.
+/// Tolerance of an object's foot, metres: about an object's radius, so that the object covers the place. Objects start at
+/// least 0.05 m from their places.
 pub const PLACE_TOLERANCE_M: f64 = 0.03;
 
-/// What kind of goal an environment sets.
+/// The kind of a goal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum GoalKind {
-    /// Bring the tool over an object, 0.06 m or more from where it starts. The hand is turned and opened at
-    /// the goal as at the start; only its position counts.
+    /// Move the tool over an object, 0.06 m or more away. Only the position counts: turn and opening stay.
     Reach,
-    /// Push an object 0.05 to 0.10 m over the table, along a straight line, about to the viewer's left or
-    /// right or forward; seldom away, where the hand would hide it. How it gets there does not count: it may be
-    /// carried.
+    /// Push an object 0.05 to 0.10 m over the table, roughly to the viewer's left or right or forward; rarely away, where the
+    /// hand would hide it. The object may also be carried there.
     Push,
-    /// Grasp an object, carry it 0.08 m or more to a clear place beside another one or on a mat, and let go
-    /// of it. The solution lifts it; an object that was pushed there, and is not held, is there all the same.
+    /// Grasp an object, carry it 0.08 m or more to a clear place beside another or on a mat, and release it. The solution lifts
+    /// it, but a pushed object counts too if it is not held.
     PickPlace,
 }
 
@@ -36,7 +34,7 @@ impl GoalKind {
     /// All kinds.
     pub const ALL: [Self; 3] = [Self::Reach, Self::Push, Self::PickPlace];
 
-    /// Its name, as [`fmt::Display`] writes it and [`FromStr`] reads it.
+    /// The name that [`fmt::Display`] writes and [`FromStr`] reads.
     pub fn name(self) -> &'static str {
         match self {
             Self::Reach => "reach",
@@ -65,7 +63,7 @@ impl FromStr for GoalKind {
     }
 }
 
-/// What has to be where; positions in the base frame, metres.
+/// Target of the tool or an object; positions in the base frame, metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Target {
     /// The tool at a position.
@@ -73,19 +71,19 @@ pub enum Target {
         /// The position.
         position: Vector3<f64>,
     },
-    /// An object, by its index, with its foot at a place on the table.
+    /// The foot of an object, by index, at a place on the table.
     Object {
         /// The object.
         object: usize,
         /// The place.
         place: Vector3<f64>,
-        /// Whether the hand is to pick it up and let go of it there, or only to push it.
+        /// Whether the hand must pick it up and release it, or push it.
         carried: bool,
     },
 }
 
 impl Target {
-    /// The object that is to move, if it is not the hand alone.
+    /// The object to move; `None` for the tool alone.
     pub fn object(&self) -> Option<usize> {
         match *self {
             Self::Tool { .. } => None,
@@ -97,12 +95,11 @@ impl Target {
         matches!(self, Self::Object { carried: true, .. })
     }
 
-    /// What is still missing in `world`, metres: from the tool, or from the object's foot, to where it is to
-    /// be.
+    /// Distance of the tool, or of the object's foot, from the target in `world`, metres.
     pub fn distance_m(&self, world: &World) -> f64 {
         match *self {
             Self::Tool { position } => (position - world.tool().position).norm(),
-            // A world without the object never shows it at its place.
+            // Without the object, the target is never attained.
             Self::Object { object, place, .. } => world
                 .objects()
                 .get(object)
@@ -110,7 +107,7 @@ impl Target {
         }
     }
 
-    /// How small that distance has to become, metres: [`REACH_TOLERANCE_M`] or [`PLACE_TOLERANCE_M`].
+    /// Tolerance of that distance, metres: [`REACH_TOLERANCE_M`] or [`PLACE_TOLERANCE_M`].
     pub fn tolerance_m(&self) -> f64 {
         match self {
             Self::Tool { .. } => REACH_TOLERANCE_M,
@@ -118,8 +115,8 @@ impl Target {
         }
     }
 
-    /// Whether `world` is as it should be: the distance is below the tolerance, an object stands on the table
-    /// or on a mat, and one that was to be let go of is not held.
+    /// Whether the target is attained: the distance is below the tolerance, and an object stands on the table or a mat and is
+    /// not held if it had to be released.
     pub fn met_by(&self, world: &World) -> bool {
         let stands = |object: usize| {
             let object = world.objects().get(object);
@@ -135,14 +132,14 @@ impl Target {
     }
 }
 
-/// The goal of an environment: what has to be where, in words, and as the world is when it is.
+/// The goal of an environment.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Goal {
-    /// What has to be where.
+    /// The target.
     pub target: Target,
     /// The task in English.
     pub instruction: String,
-    /// The world at the end of the solution, the hand included.
+    /// The world at the end of the solution, with the hand.
     pub world: World,
     /// The camera's picture of that world, 256 by 256.
     pub picture: RgbImage,

@@ -1,6 +1,6 @@
-//! A controller that sees the true state: what to do next follows from how things stand now.
+//! A controller that knows the true state and chooses its next action from it alone.
 //!
-//! It keeps no memory. A world that was disturbed is one more state to go on from.
+//! It has no memory, so it continues from any disturbed state.
 
 use nalgebra::{Vector2, Vector3};
 use std::f64::consts::FRAC_PI_2;
@@ -9,44 +9,43 @@ use super::goal::Target;
 use crate::arm::ToolPose;
 use crate::gripper::{self, CONTACT_RADIUS_M, HALF_OPENING_M};
 use crate::object::{Object, Shape};
-use crate::teleop::{CLEAR_M, grasp_level, graspable, inside, turn_towards};
+use crate::teleop::{CLEAR_M, grasp_level, is_graspable, is_inside, turn_towards};
 use crate::world::{EndEffectorAction, World};
 
-/// Top speed, metres an action: an operator's.
+/// Top speed, metres per action, as an operator's.
 const SPEED_M: f64 = 0.04;
-/// Speed of a push, metres an action: slower, so that it can be steered.
+/// Speed of a push, metres per action: slow enough to steer.
 const PUSH_SPEED_M: f64 = 0.025;
-/// Nearer to where it goes than this, the tool is there, metres.
+/// Tolerance of the tool at an aim, metres.
 const THERE_M: f64 = 0.004;
-/// So far beside the point below it the hand may go down to it, metres: the grasp allows 10 mm.
+/// Horizontal deviation at which the hand may go down, metres: the grasp allows 10 mm.
 const BESIDE_M: f64 = 0.008;
-/// And so far it may be while it is down there already, metres.
+/// Horizontal deviation at which a low hand stays down, metres.
 const BESIDE_BELOW_M: f64 = 0.014;
-/// Turned by less than this away from how it should be, the hand is held right, radians.
+/// Tolerance of the hand's turn, radians.
 const TURNED_RAD: f64 = 0.15;
-/// What is carried has its foot over all else that stands on the table, metres.
+/// Height of a carried object's foot, above all standing objects, metres.
 const CARRIED_M: f64 = 0.075;
-/// An object whose foot is nearer to the table than this is let go of, metres.
+/// Height of an object's foot at which it is released, metres.
 const RELEASE_M: f64 = 0.005;
-/// Height of the tool over an object's foot as it pushes, metres: low enough for a cone and a ball.
+/// Height of a pushing tool over an object's foot, metres: low enough for cones and balls.
 const PUSH_LEVEL_M: f64 = 0.014;
-/// Reach of the closed hand from its middle towards any of its four sides, metres.
+/// Half width of the closed hand, metres.
 const HAND_M: f64 = 0.010 + CONTACT_RADIUS_M;
-/// Room between the hand and the object that it comes down behind, metres.
+/// Gap between the hand and the object behind which it goes down, metres.
 const GAP_M: f64 = 0.012;
-/// Farther beside the line of a push than this share of its way to the object's middle, the hand would slip
-/// off.
+/// Deviation from the line of a push at which the hand would slip off, as a share of its distance to the object's middle.
 const OFF_LINE: f64 = 0.4;
-/// A push ends this near to its place, metres.
+/// Tolerance of a push, metres.
 const PUSHED_M: f64 = 0.010;
-/// Room that the open fingers should have beside other objects, metres.
+/// Gap between open fingers and other objects, metres.
 const FINGER_ROOM_M: f64 = 0.006;
-/// Widest half of an object that the fingers close on, metres.
+/// Largest half width of a is_graspable object, metres.
 const WIDEST_M: f64 = 0.92 * HALF_OPENING_M;
-/// Farthest turn of a grasp, radians.
+/// Largest turn of a grasp, radians.
 const LARGEST_YAW_RAD: f64 = 1.25;
 
-/// The next command towards `target`, or `None` when there is nothing more to do.
+/// The next command towards `target`, or `None` when it is attained.
 pub fn command(target: &Target, world: &World) -> Option<EndEffectorAction> {
     match *target {
         Target::Tool { position } => reach(world, position),
@@ -69,7 +68,7 @@ pub fn command(target: &Target, world: &World) -> Option<EndEffectorAction> {
     }
 }
 
-/// What leaves everything as it is: no motion, and the gripper stays shut or open.
+/// The action without effect: no motion, and the gripper stays closed or open.
 pub fn at_rest(world: &World) -> EndEffectorAction {
     let open = world.held().is_none() && world.opening() > 0.5;
     EndEffectorAction::still(f64::from(u8::from(open)))
@@ -81,7 +80,7 @@ fn reach(world: &World, position: Vector3<f64>) -> Option<EndEffectorAction> {
     if offset.norm() < THERE_M {
         return None;
     }
-    // Over what stands in between, and down in the end.
+    // Over the objects in between, then down.
     let over = offset.xy().norm() > SPEED_M;
     let mut aim = position;
     if over {
@@ -90,7 +89,7 @@ fn reach(world: &World, position: Vector3<f64>) -> Option<EndEffectorAction> {
     Some(go(world, aim, tool.rpy, at_rest(world).gripper))
 }
 
-/// Lets go of what the hand holds where that is low enough, and brings it down before.
+/// Lowers and releases the held object.
 fn put_down(world: &World) -> EndEffectorAction {
     let lowest = world
         .held()
@@ -101,10 +100,10 @@ fn put_down(world: &World) -> EndEffectorAction {
     }
     let tool = world.tool();
     let aim = tool.position - Vector3::z() * lowest;
-    go(world, aim, straight(tool.rpy.z), 0.0)
+    go(world, aim, upright_rpy(tool.rpy.z), 0.0)
 }
 
-/// Grasps the object, carries it over the place, puts it down and leaves it.
+/// Grasps the object, carries it over the place, puts it down and moves away.
 fn carry(
     world: &World,
     target: &Target,
@@ -128,7 +127,7 @@ fn carry(
         } else {
             Vector3::new(offset.x, offset.y, rise.z)
         };
-        return Some(go(world, tool.position + way, straight(tool.rpy.z), 0.0));
+        return Some(go(world, tool.position + way, upright_rpy(tool.rpy.z), 0.0));
     }
     if target.met_by(world) {
         return leave(world);
@@ -139,11 +138,11 @@ fn carry(
     let offset = point - tool.position;
     let at = offset.xy().norm() < BESIDE_M
         && offset.z.abs() < 0.01
-        && (tool.rpy - straight(yaw)).amax() < TURNED_RAD;
-    // Fingers that have closed further than the object is wide have missed it.
-    let width = across(object, yaw) / HALF_OPENING_M;
+        && (tool.rpy - upright_rpy(yaw)).amax() < TURNED_RAD;
+    // Fingers that closed further than the object's width have missed it.
+    let width = half_width_across(object, yaw) / HALF_OPENING_M;
     if at && world.opening() > width - 0.02 {
-        return Some(go(world, point, straight(yaw), 0.0));
+        return Some(go(world, point, upright_rpy(yaw), 0.0));
     }
     Some(descend(world, point, yaw, 1.0))
 }
@@ -197,20 +196,20 @@ fn push(
     }
     let start = object.position().xy() - direction * (apart + GAP_M);
     let point = Vector3::new(start.x, start.y, object.position().z + PUSH_LEVEL_M);
-    // At any turn that suits: the closed hand is about square.
+    // At any suitable turn: the closed hand is about square.
     let room = finger_room(world, index, (point, push_yaw(direction, 0.0)), 0.0);
-    if graspable(object) && (room < 0.0 || !inside(point, 0.0)) {
-        // The hand cannot get behind it.
+    if is_graspable(object) && (room < 0.0 || !is_inside(point, 0.0)) {
+        // The hand cannot reach the place behind it.
         return carry(world, target, index, object, place);
     }
     Some(descend(world, point, push_yaw(direction, tool.rpy.z), 0.0))
 }
 
-/// The way to `point` with the hand upright, turned by `yaw` and opened to `gripper`: up, across at a clear
-/// height, and down when the hand is over it and ready.
+/// Moves to `point` with an upright hand at `yaw` and opening `gripper`: up, across at a clear height, and down when the
+/// hand is over the point and ready.
 fn descend(world: &World, point: Vector3<f64>, yaw: f64, gripper: f64) -> EndEffectorAction {
     let tool = world.tool();
-    let rpy = straight(yaw);
+    let rpy = upright_rpy(yaw);
     let offset = point - tool.position;
     let ready = is_over(offset, -offset.z)
         && (tool.rpy - rpy).amax() < TURNED_RAD
@@ -225,7 +224,7 @@ fn descend(world: &World, point: Vector3<f64>, yaw: f64, gripper: f64) -> EndEff
     go(world, aim, rpy, gripper)
 }
 
-/// Whether what is `height` metres up can go down, that far beside the point below.
+/// Whether the hand at `height` metres may go down at this horizontal deviation.
 fn is_over(offset: Vector3<f64>, height: f64) -> bool {
     let limit = if height < 0.5 * CARRIED_M {
         BESIDE_BELOW_M
@@ -244,12 +243,11 @@ fn go(world: &World, aim: Vector3<f64>, rpy: Vector3<f64>, gripper: f64) -> EndE
     }
 }
 
-fn straight(yaw: f64) -> Vector3<f64> {
+fn upright_rpy(yaw: f64) -> Vector3<f64> {
     Vector3::new(0.0, 0.0, yaw)
 }
 
-/// The turn at which one of the closed hand's flat sides meets what is pushed along `direction`: of those,
-/// the one next to the present turn.
+/// The turn at which a flat side of the closed hand meets an object pushed along `direction`, nearest to the present turn.
 fn push_yaw(direction: Vector2<f64>, present: f64) -> f64 {
     let angle = direction.y.atan2(direction.x);
     let quarters = ((present - angle) / FRAC_PI_2).round();
@@ -264,24 +262,25 @@ fn push_yaw(direction: Vector2<f64>, present: f64) -> f64 {
 }
 
 /// Half of the object's width between fingers turned by `yaw`, metres.
-fn across(object: &Object, yaw: f64) -> f64 {
+fn half_width_across(object: &Object, yaw: f64) -> f64 {
     let own = object.base_to_own(Vector2::new(yaw.cos(), yaw.sin()));
     object.shape.half_width(grasp_level(object) + 0.008, own)
 }
 
-/// The turn of a grasp: fingers on two sides of a box, anywhere around all else, where they do not meet
-/// other objects, now or at `place`.
+/// The turn of a grasp: fingers on two sides of a box, at any angle around other shapes, without contact to other objects,
+/// now and at `place`.
 fn grasp_yaw(world: &World, index: usize, object: &Object, place: Vector3<f64>) -> f64 {
     let yaws: Vec<f64> = if let Shape::Box { .. } = object.shape {
-        // The hand opens along the base's x at zero yaw; the long sides lie across a box's y,
-        // and come last.
+        // At zero yaw, the hand opens along the base's x; a box's long sides lie across its y and
         [0.0, FRAC_PI_2]
             .map(|side| {
                 let yaw = object.yaw() + side;
                 yaw - (yaw / std::f64::consts::PI).round() * std::f64::consts::PI
             })
             .into_iter()
-            .filter(|yaw| yaw.abs() <= LARGEST_YAW_RAD && across(object, *yaw) < WIDEST_M)
+            .filter(|yaw| {
+                yaw.abs() <= LARGEST_YAW_RAD && half_width_across(object, *yaw) < WIDEST_M
+            })
             .collect()
     } else {
         vec![-1.2, 1.2, -0.8, 0.8, -0.4, 0.4, 0.0]
@@ -290,16 +289,16 @@ fn grasp_yaw(world: &World, index: usize, object: &Object, place: Vector3<f64>) 
         let at = |position| finger_room(world, index, (position, yaw), 1.0);
         at(object.position()).min(at(place))
     };
-    // All that have enough are as good as each other. Of equals the last counts: the most usual one.
+    // All turns with enough room are equal; the last one, which is the most usual, wins.
     let enough = |yaw: f64| room(yaw).min(FINGER_ROOM_M);
     let best = yaws
         .into_iter()
         .max_by(|a, b| enough(*a).total_cmp(&enough(*b)));
+    // There is always a candidate turn.
     best.unwrap_or(0.0)
 }
 
-/// Least gap between the fingers at a position and a turn, opened to `opening`, and the objects but `index`,
-/// metres.
+/// Smallest gap between the fingers, at a position, turn and `opening`, and the objects except `index`, metres.
 fn finger_room(
     world: &World,
     index: usize,
@@ -308,7 +307,7 @@ fn finger_room(
 ) -> f64 {
     let tool = ToolPose {
         position,
-        rpy: straight(yaw),
+        rpy: upright_rpy(yaw),
     };
     let spheres = gripper::contact_spheres(&tool.frame(), opening);
     let others = world.objects().iter().enumerate();

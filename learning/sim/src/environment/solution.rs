@@ -1,17 +1,17 @@
-//! How a goal is attained: what the oracle does, and what comes of it.
+//! The oracle's solution of a goal.
 
 use super::goal::Target;
 use super::oracle;
 use crate::world::{EndEffectorAction, World};
 
-/// A goal that takes longer is left to another draw, actions: 12 s.
+/// Limit of a solution, actions: 12 s.
 const LONGEST: usize = 60;
-/// A solution ends within this share of the tolerance: its last picture is of a goal that is clearly attained.
+/// Share of the tolerance within which a solution ends, so that its last picture clearly shows the goal.
 const CLEARLY: f64 = 0.6;
-/// What is not to be moved moves less than this, metres.
+/// Tolerance for objects that must not move, metres.
 const STAYED_M: f64 = 0.002;
 
-/// The oracle's actions, and the worlds that they lead from and to.
+/// The oracle's actions and their worlds.
 #[derive(Clone)]
 pub struct Solution {
     start: World,
@@ -21,8 +21,8 @@ pub struct Solution {
 }
 
 impl Solution {
-    /// The way from `start` to `target`, or `None` if the oracle does not get there, if it moves another
-    /// object on the way, or if it has to carry what is to be pushed.
+    /// Solves `target` from `start`; `None` if the oracle does not attain it, moves another object, or carries an object that
+    /// must be pushed.
     pub fn of(target: &Target, start: &World) -> Option<Self> {
         let mut world = start.clone();
         let (mut actions, mut worlds) = (Vec::new(), Vec::new());
@@ -57,6 +57,7 @@ impl Solution {
     /// The world after `step` actions, or at the end if there are fewer.
     pub fn after(&self, step: usize) -> &World {
         step.checked_sub(1)
+            // Past the end, the last world counts.
             .map_or(&self.start, |at| self.worlds.get(at).unwrap_or(self.end()))
     }
 

@@ -1,8 +1,9 @@
-//! What holds for every environment.
+//! Invariants of environments.
 
 use super::*;
 use crate::arm::Joints;
-use crate::episode::{Episode, EpisodeOptions};
+use crate::episode::Episode;
+use crate::episode_options::EpisodeOptions;
 use nalgebra::Vector3;
 use rand::Rng;
 
@@ -17,7 +18,7 @@ fn environments(kind: GoalKind) -> impl Iterator<Item = Environment> {
 }
 
 /// Lets the oracle act until the goal is attained, at most `actions` times.
-fn solves(environment: &mut Environment, actions: usize) -> bool {
+fn oracle_solves(environment: &mut Environment, actions: usize) -> bool {
     for _ in 0..actions {
         if environment.solved() {
             return true;
@@ -37,7 +38,7 @@ fn any_action(rng: &mut ChaCha8Rng) -> EndEffectorAction {
 }
 
 #[test]
-fn the_same_seed_gives_the_same_environment() {
+fn same_seed_gives_the_same_environment() {
     for kind in GoalKind::ALL {
         let (mut first, mut second) = (environment(kind, 3), environment(kind, 3));
         assert!(first.picture() == second.picture());
@@ -49,7 +50,7 @@ fn the_same_seed_gives_the_same_environment() {
 }
 
 #[test]
-fn it_starts_as_the_recorded_episode_of_its_seed() {
+fn environment_starts_as_the_episode_of_its_seed() {
     let options = EpisodeOptions {
         frames: 2,
         ..EpisodeOptions::default()
@@ -60,12 +61,11 @@ fn it_starts_as_the_recorded_episode_of_its_seed() {
             environment(GoalKind::Reach, *seed).picture() == episode.frames[0].image
         })
         .count();
-    // Nearly every table allows a reach.
     assert!(same >= 5, "{same} of 6");
 }
 
 #[test]
-fn names_of_kinds_are_read_back() {
+fn goal_kind_names_are_parsed() {
     for kind in GoalKind::ALL {
         assert_eq!(kind.to_string().parse::<GoalKind>().ok(), Some(kind));
     }
@@ -74,7 +74,7 @@ fn names_of_kinds_are_read_back() {
 }
 
 #[test]
-fn the_oracle_attains_every_goal_and_holding_still_none() {
+fn oracle_attains_every_goal_and_holding_still_none() {
     for kind in GoalKind::ALL {
         for mut environment in environments(kind) {
             for gripper in [0.0, 1.0] {
@@ -88,7 +88,7 @@ fn the_oracle_attains_every_goal_and_holding_still_none() {
             environment.reset();
             let actions = environment.solution().len();
             assert!(
-                solves(&mut environment, actions),
+                oracle_solves(&mut environment, actions),
                 "{kind} {}",
                 environment.seed()
             );
@@ -97,14 +97,14 @@ fn the_oracle_attains_every_goal_and_holding_still_none() {
 }
 
 #[test]
-fn the_oracle_attains_goals_that_were_not_chosen_for_it() {
+fn oracle_attains_arbitrary_goals() {
     let variety = Variety::default();
     for kind in GoalKind::ALL {
         let (mut drawn, mut attained) = (0, 0);
         for seed in 0..100 {
             let mut rng = ChaCha8Rng::seed_from_u64(seed);
             let viewer = [Vector3::x(), Vector3::y()];
-            let start = layout::world(&variety, &mut rng);
+            let start = layout::lay_table(&variety, &mut rng);
             let goals = (0..10).filter_map(|_| choice::draw(kind, &start, viewer, &mut rng));
             for (target, _) in goals.collect::<Vec<_>>() {
                 let mut world = start.clone();
@@ -129,7 +129,7 @@ fn the_oracle_attains_goals_that_were_not_chosen_for_it() {
 }
 
 #[test]
-fn the_oracle_recovers_from_actions_of_another() {
+fn oracle_recovers_from_random_actions() {
     for kind in GoalKind::ALL {
         let mut recovered = 0;
         for mut environment in environments(kind) {
@@ -144,7 +144,7 @@ fn the_oracle_recovers_from_actions_of_another() {
                     environment.step(&disturbance).expect("finite");
                 }
             }
-            recovered += u32::from(solves(&mut environment, 60));
+            recovered += u32::from(oracle_solves(&mut environment, 60));
         }
         println!("{kind}: {recovered} of {SEEDS}");
         assert!(recovered >= 29, "{kind}: {recovered} of {SEEDS}");
@@ -152,7 +152,7 @@ fn the_oracle_recovers_from_actions_of_another() {
 }
 
 #[test]
-fn the_goal_shows_what_the_solution_leads_to() {
+fn goal_shows_the_end_of_the_solution() {
     for kind in GoalKind::ALL {
         for mut environment in environments(kind).take(6) {
             let goal = environment.goal().clone();
@@ -192,7 +192,7 @@ fn subgoals_lead_along_the_solution_to_the_goal() {
 }
 
 #[test]
-fn what_is_imagined_comes_about_and_changes_nothing() {
+fn imagine_predicts_steps_and_changes_nothing() {
     let mut environment = environment(GoalKind::Push, 2);
     let mut rng = ChaCha8Rng::seed_from_u64(0);
     let actions: Vec<_> = (0..6).map(|_| any_action(&mut rng)).collect();
@@ -214,7 +214,7 @@ fn what_is_imagined_comes_about_and_changes_nothing() {
 }
 
 #[test]
-fn a_step_returns_the_motion_that_came_about() {
+fn step_returns_the_actual_motion() {
     let mut environment = environment(GoalKind::PickPlace, 0);
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     for _ in 0..40 {
@@ -235,7 +235,7 @@ fn a_step_returns_the_motion_that_came_about() {
 }
 
 #[test]
-fn an_action_that_is_too_large_is_cut_off_and_one_without_a_number_refused() {
+fn actions_are_limited_and_nan_is_rejected() {
     let mut environment = environment(GoalKind::Reach, 0);
     let start = environment.world().clone();
     for (at, value) in [(0, f32::NAN), (4, f32::INFINITY), (6, f32::NEG_INFINITY)] {
@@ -247,7 +247,7 @@ fn an_action_that_is_too_large_is_cut_off_and_one_without_a_number_refused() {
         assert!(environment.imagine(&[action]).is_err());
     }
     assert!(environment.world() == &start && environment.steps() == 0);
-    // Towards the middle of the workspace, so that only the size limits it.
+    // Towards the middle of the workspace: only the size limits it.
     let middle = Vector3::new(0.27, 0.0, 0.08) - start.tool().position;
     let far = EndEffectorAction {
         translation: middle.map(|v| 1e3 * v.signum()),
@@ -267,7 +267,7 @@ fn an_action_that_is_too_large_is_cut_off_and_one_without_a_number_refused() {
 }
 
 #[test]
-fn tables_that_allow_no_goal_are_an_error() {
+fn tables_without_a_possible_goal_are_an_error() {
     let variety = Variety {
         object_counts: [1.0, 0.0, 0.0, 0.0],
         mat_share: 0.0,
@@ -281,20 +281,20 @@ fn tables_that_allow_no_goal_are_an_error() {
 }
 
 #[test]
-fn the_words_are_followed_where_the_goal_is_attained() {
+fn attained_goal_fulfils_the_instruction() {
     for kind in GoalKind::ALL {
         for mut environment in environments(kind) {
             let seed = environment.seed();
-            // What is pushed has not moved yet; a hand, or a thing beside another, may be right from the start.
+            // An object to push has not moved yet; a reach or a placement may be fulfilled from the start.
             assert!(!(kind == GoalKind::Push && environment.instruction_followed()));
-            assert!(solves(&mut environment, 100), "{kind} {seed}");
+            assert!(oracle_solves(&mut environment, 100), "{kind} {seed}");
             assert!(environment.instruction_followed(), "{kind} {seed}");
         }
     }
 }
 
 #[test]
-fn the_oracle_of_another_target_goes_there() {
+fn oracle_for_another_target_attains_it() {
     for mut environment in environments(GoalKind::Reach) {
         let Target::Tool { position } = environment.goal().target else {
             panic!("a reach brings the tool somewhere");

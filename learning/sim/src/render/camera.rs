@@ -5,8 +5,8 @@ use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 /// Width and height of the pictures, pixels.
 pub const IMAGE_SIZE: u32 = 256;
 
-/// A projection to the screen whose third value grows towards the viewer and is linear over a triangle
-/// on the screen, so that it serves as depth.
+/// A projection to the screen whose third value grows towards the viewer and is linear over a projected triangle, so that
+/// it serves as depth.
 pub trait Projection {
     /// Screen x and y in pixels and nearness, or `None` behind the viewer.
     fn project(&self, point: &Vector3<f32>) -> Option<[f32; 3]>;
@@ -25,23 +25,22 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// The usual camera: beside the arm at its right, looking across and down at the workspace, which
-    /// fills most of the picture.
+    /// The usual camera: at the right of the arm, looking across and down at the workspace, which fills most of the picture.
     pub fn beside_the_arm() -> Self {
         let eye = Vector3::new(0.225, -0.47, 0.475);
         let target = Vector3::new(0.262, 0.0, 0.095);
-        Self::looking(eye, target, 0.0)
+        Self::look_at(eye, target, 0.0)
     }
 
     /// A second camera: in front of the arm, looking back at it and down at the workspace.
     pub fn facing_the_arm() -> Self {
         let eye = Vector3::new(0.84, 0.0, 0.38);
         let target = Vector3::new(0.24, 0.0, 0.06);
-        Self::looking(eye, target, 0.0)
+        Self::look_at(eye, target, 0.0)
     }
 
     /// A camera at `eye` that looks at `target` (metres), turned about its view axis by `roll` radians.
-    fn looking(eye: Vector3<f32>, target: Vector3<f32>, roll: f32) -> Self {
+    fn look_at(eye: Vector3<f32>, target: Vector3<f32>, roll: f32) -> Self {
         let ahead = (target - eye).normalize();
         let level = ahead.cross(&Vector3::z()).normalize();
         let (sin, cos) = roll.sin_cos();
@@ -59,16 +58,15 @@ impl Camera {
     /// The camera moved by `shift` and aimed `aim` beside its target (metres), then turned about its view
     /// axis by `roll` radians.
     pub fn moved(&self, shift: Vector3<f32>, aim: Vector3<f32>, roll: f32) -> Self {
-        Self::looking(self.eye + shift, self.target + aim, roll)
+        Self::look_at(self.eye + shift, self.target + aim, roll)
     }
 
-    /// Where the camera is, metres.
+    /// Position, metres.
     pub fn eye(&self) -> Vector3<f32> {
         self.eye
     }
 
-    /// Focal length, pixels of a picture of [`IMAGE_SIZE`]. The principal point is the picture's middle, and nothing is
-    /// distorted.
+    /// Focal length, pixels of a picture of [`IMAGE_SIZE`]. The principal point is the centre; there is no distortion.
     pub fn focal_px(&self) -> f64 {
         f64::from(self.focal_px)
     }
@@ -76,14 +74,14 @@ impl Camera {
     /// The optical frame in the base frame: x to the right of the picture, y down it, z ahead (REP 103).
     pub fn base_from_optical(&self) -> Isometry3<f64> {
         let axes = Matrix3::from_columns(&[self.right, self.down, self.ahead]);
-        // Orthogonal but for the rounding of single precision.
+        // Orthogonal up to rounding in single precision.
         let turn = Rotation3::from_matrix(&axes.cast::<f64>());
         let turn = UnitQuaternion::from_rotation_matrix(&turn);
         Isometry3::from_parts(self.eye.cast::<f64>().into(), turn)
     }
 
-    /// To the right and away from the viewer over the table: horizontal unit vectors by which
-    /// instructions speak of left and right, front and behind.
+    /// Horizontal unit vectors to the viewer's right and away from the viewer, which instructions call left and right, front
+    /// and behind.
     pub fn viewer_axes(&self) -> [Vector3<f32>; 2] {
         let flat = Vector3::new(self.ahead.x, self.ahead.y, 0.0).normalize();
         [Vector3::new(flat.y, -flat.x, 0.0), flat]
@@ -97,7 +95,7 @@ impl Camera {
             + self.down * ((y_px - middle) / self.focal_px)
     }
 
-    /// Where a point of the base frame is seen, in pixels, or `None` behind the camera.
+    /// Projects a point of the base frame to pixels; `None` behind the camera.
     pub fn pixel(&self, point: &Point3<f64>) -> Option<[f32; 2]> {
         let [x, y, _] = self.project(&point.coords.cast())?;
         Some([x, y])
@@ -108,7 +106,7 @@ impl Projection for Camera {
     fn project(&self, point: &Vector3<f32>) -> Option<[f32; 3]> {
         let offset = point - self.eye;
         let depth = offset.dot(&self.ahead);
-        // Parts nearer than this would fill the picture; none comes so close.
+        // No part comes nearer than this.
         if depth < 0.05 {
             return None;
         }
@@ -121,7 +119,7 @@ impl Projection for Camera {
     }
 }
 
-/// The key light: parallel rays, and the map of what they meet first.
+/// The key light: parallel rays, and the projection to its shadow map.
 #[derive(Clone, Debug)]
 pub struct Light {
     /// Unit vector towards the light.
@@ -132,14 +130,14 @@ pub struct Light {
 
 /// Width and height of the shadow map, in cells.
 pub const SHADOW_SIZE: usize = 320;
-/// Cells a metre of the shadow map: 2.5 mm each.
+/// Resolution of the shadow map, cells per metre: 2.5 mm each.
 const SHADOW_CELLS_M: f32 = 400.0;
-/// What the shadow map is centred on, metres.
+/// Centre of the shadow map, metres.
 const SHADOW_MIDDLE: [f32; 3] = [0.20, 0.02, 0.0];
 
 impl Light {
-    /// A light from the given direction (need not be of unit length).
-    pub fn from(direction: Vector3<f32>) -> Self {
+    /// A light from this direction, of any length.
+    pub fn new(direction: Vector3<f32>) -> Self {
         let towards = direction.normalize();
         let across = towards.cross(&Vector3::y()).normalize();
         Self {
@@ -173,7 +171,7 @@ mod tests {
     use crate::world::WORKSPACE_M;
 
     #[test]
-    fn the_whole_workspace_is_in_view() {
+    fn whole_workspace_is_in_view() {
         let [low, high] = WORKSPACE_M;
         for camera in [Camera::beside_the_arm(), Camera::facing_the_arm()] {
             for corner in 0..8 {
@@ -194,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn focal_length_and_frame_say_where_a_point_is_seen() {
+    fn focal_length_and_frame_give_the_pixel_of_a_point() {
         let camera = Camera::beside_the_arm().moved(
             Vector3::new(0.01, -0.02, 0.015),
             Vector3::new(-0.01, 0.01, 0.0),

@@ -20,8 +20,7 @@ pub struct Mesh {
     pub triangles: Vec<[u32; 3]>,
 }
 
-/// A point of a profile that is turned about z: radius and height in metres, and the normal's radial and
-/// upward components.
+/// A point of a profile that revolves about z: radius and height in metres, and the normal's radial and upward components.
 #[derive(Clone, Copy, Debug)]
 pub struct ProfilePoint {
     /// Distance from the axis, metres.
@@ -69,7 +68,7 @@ impl Mesh {
     }
 
     fn quad(&mut self, corners: [Vertex; 4]) {
-        // A mesh never has more than a few thousand vertices.
+        // Fits: a mesh has at most a few thousand vertices.
         let first = self.vertices.len() as u32;
         self.vertices.extend(corners);
         self.triangles.push([first, first + 1, first + 2]);
@@ -106,9 +105,9 @@ impl Mesh {
         mesh
     }
 
-    /// A body of revolution with sharp edges: straight bands through `(radius, height)` points, from the
-    /// foot's middle upwards round the outside.
-    pub fn turned(profile: &[(f32, f32)]) -> Self {
+    /// A body of revolution with sharp edges: straight bands through `(radius, height)` points, from the middle of the foot up
+    /// along the outside.
+    pub fn revolve_profile(profile: &[(f32, f32)]) -> Self {
         let bands: Vec<_> = profile
             .windows(2)
             .filter_map(|pair| {
@@ -130,7 +129,7 @@ impl Mesh {
     /// An upright cylinder with a narrow chamfer, foot at height 0, metres.
     pub fn cylinder(radius: f32, height: f32) -> Self {
         let edge = 0.06 * radius;
-        Self::turned(&[
+        Self::revolve_profile(&[
             (0.0, 0.0),
             (radius, 0.0),
             (radius, height - edge),
@@ -158,8 +157,8 @@ impl Mesh {
         Self::revolve(&bands)
     }
 
-    /// The same mesh turned so that its z axis becomes y.
-    pub fn lying_along_y(mut self) -> Self {
+    /// Rotates the mesh so that its z axis becomes y.
+    pub fn along_y(mut self) -> Self {
         // A cyclic change of axes keeps the winding.
         for vertex in &mut self.vertices {
             let (p, n) = (vertex.position, vertex.normal);
@@ -169,8 +168,8 @@ impl Mesh {
         self
     }
 
-    /// The same mesh turned so that its z axis becomes x.
-    pub fn lying_along_x(mut self) -> Self {
+    /// Rotates the mesh so that its z axis becomes x.
+    pub fn along_x(mut self) -> Self {
         for vertex in &mut self.vertices {
             let (p, n) = (vertex.position, vertex.normal);
             vertex.position = Vector3::new(p.z, p.x, p.y);
@@ -179,8 +178,8 @@ impl Mesh {
         self
     }
 
-    /// The same mesh moved by an offset in metres.
-    pub fn shifted(mut self, x: f32, y: f32, z: f32) -> Self {
+    /// Moves the mesh by an offset in metres.
+    pub fn shift(mut self, x: f32, y: f32, z: f32) -> Self {
         for vertex in &mut self.vertices {
             vertex.position += Vector3::new(x, y, z);
         }
@@ -192,7 +191,7 @@ impl Mesh {
 mod tests {
     use super::*;
 
-    /// Volume enclosed, by the divergence theorem: positive only if triangles face outwards.
+    /// Enclosed volume, by the divergence theorem: positive only if triangles face outwards.
     fn volume(mesh: &Mesh) -> f32 {
         let at = |i: u32| mesh.vertices[i as usize].position;
         mesh.triangles
@@ -207,7 +206,7 @@ mod tests {
         assert!((cuboid - 48.0).abs() < 1e-3, "{cuboid}");
         let ball = volume(&Mesh::ball(1.0));
         assert!((ball - 4.19).abs() < 0.15, "{ball}");
-        let cylinder = volume(&Mesh::cylinder(1.0, 2.0).lying_along_y());
+        let cylinder = volume(&Mesh::cylinder(1.0, 2.0).along_y());
         assert!(
             (cylinder - std::f32::consts::TAU).abs() < 0.15,
             "{cylinder}"

@@ -1,9 +1,9 @@
-//! The table's pattern: how much brighter or darker each point is.
+//! The brightness pattern of the table.
 
-/// What the pattern looks like.
+/// The kind of a pattern.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PatternKind {
-    /// None.
+    /// Uniform.
     Plain,
     /// Parallel boards of different brightness, with dark joints.
     Boards,
@@ -16,7 +16,7 @@ pub enum PatternKind {
 /// A pattern on the table.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pattern {
-    /// What it looks like.
+    /// The kind.
     pub kind: PatternKind,
     /// Width of a board, side of a square, distance of spots; metres.
     pub size_m: f32,
@@ -24,7 +24,7 @@ pub struct Pattern {
     pub contrast: f32,
     /// Turn on the table, radians.
     pub angle_rad: f32,
-    /// Decides boards and spots.
+    /// Seed of boards and spots.
     pub seed: u32,
 }
 
@@ -55,7 +55,7 @@ impl Pattern {
                 }
             }
             PatternKind::Squares => {
-                // Coordinates are far below the limits of i32.
+                // Fits: coordinates are small.
                 if (row as i32 + column as i32) % 2 == 0 {
                     0.5
                 } else {

@@ -1,8 +1,8 @@
-//! Triangles to samples.
+//! Rasterises triangles to samples.
 
-/// Calls `visit(index, weights, nearness)` for each sample centre of a `width` by `height` grid inside
-/// the triangle. Triangles seen from behind are skipped if `cull` is set. Corners are x, y in samples
-/// and nearness.
+/// Calls `visit(index, weights, nearness)` for each sample centre of a `width` by `height` grid inside the triangle. Skips
+/// triangles seen from behind if `cull` is set. Corners are x, y in samples, and nearness.
+///
 pub fn fill(
     (width, height): (usize, usize),
     [a, b, c]: [[f32; 3]; 3],
@@ -17,7 +17,7 @@ pub fn fill(
     let range = |axis: usize, size: usize| {
         let low = a[axis].min(b[axis]).min(c[axis]).max(0.0);
         let high = a[axis].max(b[axis]).max(c[axis]).min(size as f32);
-        // Both are inside 0..=size here; a NaN becomes 0.
+        // Fits: both are within 0..=size; a NaN becomes 0.
         (low.floor() as usize, high.ceil() as usize)
     };
     let (x_low, x_high) = range(0, width);

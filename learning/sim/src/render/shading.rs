@@ -1,4 +1,4 @@
-//! From parts to a picture.
+//! Draws parts to a picture.
 
 use image::{GrayImage, Luma, Rgb, RgbImage};
 use nalgebra::Vector3;
@@ -10,18 +10,18 @@ use super::{Part, Pattern, linear, raster};
 const SAMPLES: usize = 2;
 const SIZE: usize = IMAGE_SIZE as usize;
 const SAMPLED: usize = SIZE * SAMPLES;
-/// Entries of the table from linear light to sRGB bytes: steps below half of a byte in the dark.
+/// Entries of the table from linear light to sRGB bytes: dark steps are below half a byte.
 const TONES: usize = 8192;
-/// Shares of the light: from the key light, and from all around.
+/// Shares of key light and ambient light.
 const KEY: f32 = 0.78;
 const AMBIENT: f32 = 0.36;
 /// Side of a block of the shadow map, cells, and blocks along the map.
 const BLOCK: usize = 16;
 const BLOCKS: usize = SHADOW_SIZE.div_ceil(BLOCK);
-/// Surfaces within this height of the light's first hit are lit, metres: above one shadow cell.
+/// Tolerance of the shadow map, metres: larger than one cell.
 const SHADOW_BIAS_M: f32 = 0.005;
 
-/// What differs from one episode's room to the next.
+/// Colours and light of an episode's room.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Surroundings {
     /// Colour of the table, sRGB 0 to 1.
@@ -34,13 +34,12 @@ pub struct Surroundings {
     pub light: [f32; 3],
     /// Direction towards the light.
     pub light_direction: [f32; 3],
-    /// Strength of the light from all around, about 1.
+    /// Strength of the ambient light, about 1.
     pub ambient: f32,
 }
 
 #[cfg(test)]
 impl Surroundings {
-    /// A plain room.
     pub(crate) fn plain() -> Self {
         Self {
             table_srgb: [0.7, 0.7, 0.65],
@@ -58,7 +57,7 @@ impl Surroundings {
 pub struct Picture {
     /// The picture.
     pub rgb: RgbImage,
-    /// For each pixel the mask value that most of its samples have, if requested.
+    /// For each pixel, the mask value of most samples; if requested.
     pub mask: Option<GrayImage>,
 }
 
@@ -66,7 +65,7 @@ pub struct Picture {
 struct Sample {
     nearness: f32,
     normal: [f32; 3],
-    /// Index of the part plus one; 0 is the table or what is behind it.
+    /// Index of the part plus one; 0 for the backdrop.
     part: u16,
 }
 
@@ -76,20 +75,20 @@ const EMPTY: Sample = Sample {
     part: 0,
 };
 
-/// What a pixel shows where no part covers it.
+/// The backdrop of a pixel.
 #[derive(Clone, Copy)]
 struct Backdrop {
-    /// Where its ray meets the table's plane.
+    /// Intersection of its ray with the table's plane.
     on_table: Vector3<f32>,
     /// Share of the pixel that the table covers; the rest is floor.
     table: f32,
     /// Brightness of the table's pattern, averaged over the pixel.
     tone: f32,
-    /// Slow fall of brightness away from the middle of the table.
+    /// Vignette: brightness falls away from the middle of the table.
     falloff: f32,
 }
 
-/// Renders frames of one episode; keeps its buffers between frames.
+/// Renders frames of one episode and reuses its buffers.
 #[derive(Clone)]
 pub struct Renderer {
     camera: Camera,
@@ -106,7 +105,7 @@ pub struct Renderer {
     tones: Vec<u8>,
 }
 
-/// Edges of the table in the base frame, metres: x from and to, y from and to.
+/// Edges of the table in the base frame, metres: smallest and largest x, then y.
 const TABLE: [f32; 4] = [-0.30, 0.72, -0.60, 0.40];
 
 impl Renderer {
@@ -123,7 +122,7 @@ impl Renderer {
             .collect();
         Self {
             camera,
-            light: Light::from(Vector3::from(surroundings.light_direction)),
+            light: Light::new(Vector3::from(surroundings.light_direction)),
             light_colour: surroundings.light,
             ambient: AMBIENT * surroundings.ambient,
             table: linear(surroundings.table_srgb),
@@ -142,7 +141,7 @@ impl Renderer {
         self.shadow.fill(f32::MIN);
         self.blocks.fill(f32::MIN);
         for (index, part) in parts.iter().enumerate() {
-            // Scenes have some tens of parts.
+            // Fits: scenes have some tens of parts.
             self.draw(part, index as u16 + 1);
         }
         self.shade(parts, with_mask)
@@ -209,14 +208,14 @@ impl Renderer {
     }
 
     /// Share of the key light that reaches a point, averaged over `radius` cells to each side.
-    fn lit(&self, point: &Vector3<f32>, radius: isize) -> f32 {
+    fn light_share(&self, point: &Vector3<f32>, radius: isize) -> f32 {
         let [x, y, height] = self.light.place(point);
-        // Bilinear weights keep the shadow's edge from stepping as things move.
+        // Bilinear weights, so that the shadow's edge moves smoothly.
         let (x, y) = (x - 0.5, y - 0.5);
         if x < 0.0 || y < 0.0 {
             return 1.0;
         }
-        // Towards zero is down here, and a cast is much faster than `floor`.
+        // The cast rounds down (values are positive), and is much faster than `floor`.
         let (x0, y0) = (x as isize, y as isize);
         let (fx, fy) = (x - x0 as f32, y - y0 as f32);
         let size = SHADOW_SIZE as isize;
@@ -225,7 +224,7 @@ impl Renderer {
             return 1.0;
         }
         let limit = height + SHADOW_BIAS_M;
-        // Most points are far from every shadow: then the blocks around tell so at once.
+        // Fast path: no shadow in the blocks around.
         let block = |at: isize| at as usize / BLOCK;
         let columns = block(x0 - radius)..=block(x0 + radius + 1);
         let unshaded = (block(y0 - radius)..=block(y0 + radius + 1)).all(|row| {
@@ -288,6 +287,7 @@ impl Renderer {
             }
             for (sub, mask) in masks.iter_mut().enumerate() {
                 let (x, y) = (px * SAMPLES + sub % SAMPLES, py * SAMPLES + sub / SAMPLES);
+                // In range: `sub` counts the samples of a pixel.
                 let sample = four.get(sub).copied().unwrap_or(EMPTY);
                 let Some(part) = usize::from(sample.part)
                     .checked_sub(1)
@@ -317,6 +317,7 @@ impl Renderer {
     fn samples_of(&self, px: usize, py: usize) -> [Sample; SAMPLES * SAMPLES] {
         std::array::from_fn(|sub| {
             let (x, y) = (px * SAMPLES + sub % SAMPLES, py * SAMPLES + sub / SAMPLES);
+            // In range: pixels are within the picture.
             self.samples.get(y * SAMPLED + x).copied().unwrap_or(EMPTY)
         })
     }
@@ -335,6 +336,7 @@ impl Renderer {
             self.tones
                 .get((share * TONES as f32) as usize)
                 .copied()
+                // In range: tones are clamped to the table.
                 .unwrap_or(u8::MAX)
         };
         rgb.put_pixel(px as u32, py as u32, Rgb(sum.map(tone)));
@@ -350,16 +352,15 @@ impl Renderer {
         let mut key = 0.0;
         let mut highlight = 0.0;
         if facing > 0.0 {
-            // Lifted along the normal, so that a surface does not shade itself.
-            let lit = self.lit(&(point + normal * 0.004), 1);
+            // Offset along the normal, so that a surface does not shade itself.
+            let lit = self.light_share(&(point + normal * 0.004), 1);
             key = KEY * facing * lit;
             if part.gloss > 0.0 {
                 let half = (self.light.towards - ray.normalize()).normalize();
                 highlight = part.gloss * lit * normal.dot(&half).max(0.0).powi(24);
             }
         }
-        // Ambient: brighter from above, and a little from the viewer's side, so that faces in the shade
-        // still differ.
+        // Ambient light is brighter from above and a little from the viewer's side, so that faces in the shade differ.
         let ambient = self.ambient * (0.72 + 0.28 * normal.z - 0.22 * normal.y + 0.1 * normal.x);
         let mut colour = [0.0; 3];
         for ((out, albedo), light) in colour.iter_mut().zip(part.albedo).zip(self.light_colour) {
@@ -371,12 +372,13 @@ impl Renderer {
     fn background(&self, backdrop: &Backdrop) -> [f32; 3] {
         let up = self.light.towards.z;
         let lit = if backdrop.table > 0.0 {
-            self.lit(&backdrop.on_table, 3)
+            self.light_share(&backdrop.on_table, 3)
         } else {
             1.0
         };
         let mut colour = [0.0; 3];
         for (channel, out) in colour.iter_mut().enumerate() {
+            // In range: `channel` is below 3, here and below.
             let light = self.light_colour.get(channel).copied().unwrap_or(1.0);
             let of = |albedo: &[f32; 3], lit: f32| {
                 albedo.get(channel).copied().unwrap_or(0.0)
@@ -393,7 +395,7 @@ impl Renderer {
 fn backdrop_at(camera: &Camera, pattern: &Pattern, px: usize, py: usize) -> Backdrop {
     let meets = |x: f32, y: f32| {
         let ray = camera.ray(x, y);
-        // A ray at or above the horizon is taken to meet the plane far away.
+        // Rays at or above the horizon meet the plane far away.
         let distance = if ray.z < -1e-3 {
             -camera.eye().z / ray.z
         } else {
@@ -422,7 +424,7 @@ fn backdrop_at(camera: &Camera, pattern: &Pattern, px: usize, py: usize) -> Back
     }
 }
 
-/// The mean of a pixel's samples, if all show about the same surface: then it is shaded once.
+/// The mean of a pixel's samples, if all show nearly the same surface: then it is shaded once.
 fn one_surface<'a>(samples: &[Sample], parts: &'a [Part]) -> Option<(Sample, &'a Part)> {
     let first = samples.first()?;
     let part = parts.get(usize::from(first.part).checked_sub(1)?)?;
@@ -445,13 +447,14 @@ fn one_surface<'a>(samples: &[Sample], parts: &'a [Part]) -> Option<(Sample, &'a
     Some((mean, part))
 }
 
-/// The value that occurs most often; of equals the larger, so that thin things are not lost.
+/// The most frequent value; on a tie the larger one, so that thin objects are not lost.
 fn most_frequent(values: &[u8]) -> u8 {
     let count = |value: u8| values.iter().filter(|other| **other == value).count();
     values
         .iter()
         .copied()
         .max_by_key(|value| (count(*value), *value))
+        // A pixel has at least one sample.
         .unwrap_or(0)
 }
 
@@ -463,7 +466,7 @@ mod tests {
     use std::sync::Arc;
 
     #[test]
-    fn the_mask_is_where_the_part_is_seen() {
+    fn mask_covers_the_visible_part() {
         let part = Part {
             mesh: Arc::new(Mesh::ball(0.04)),
             pose: Isometry3::translation(0.25, 0.0, 0.0),
@@ -474,7 +477,7 @@ mod tests {
         let mut renderer = Renderer::new(&Surroundings::plain(), Camera::beside_the_arm());
         let with = renderer.render(std::slice::from_ref(&part), true);
         let without = renderer.render(&[], true);
-        let mask = with.mask.expect("asked for");
+        let mask = with.mask.expect("requested");
         let mut covered = 0;
         for (x, y, value) in mask.enumerate_pixels() {
             let [r, g, _] = with.rgb.get_pixel(x, y).0;
@@ -485,7 +488,7 @@ mod tests {
                     .all(|(x, y)| mask.get_pixel(*x, *y).0 == [7]);
                 assert!(!inside || r > 2 * g, "red at {x},{y}");
             } else {
-                // Outside it is the table: lit as before, or in the part's shadow, or a mixed edge.
+                // Outside is the table: lit, in the part's shadow, or a mixed edge.
                 assert!(r <= without.rgb.get_pixel(x, y).0[0].saturating_add(40));
             }
         }
@@ -498,7 +501,7 @@ mod tests {
     }
 
     #[test]
-    fn a_part_darkens_the_table_beside_it() {
+    fn part_casts_a_shadow_on_the_table() {
         let part = Part {
             mesh: Arc::new(Mesh::cuboid([-0.03, -0.03, 0.1], [0.03, 0.03, 0.15])),
             pose: Isometry3::translation(0.25, 0.0, 0.0),
@@ -509,7 +512,7 @@ mod tests {
         let mut renderer = Renderer::new(&Surroundings::plain(), Camera::beside_the_arm());
         let empty = renderer.render(&[], false);
         let shaded = renderer.render(&[part], true);
-        let mask = shaded.mask.expect("asked for");
+        let mask = shaded.mask.expect("requested");
         let darker = mask
             .enumerate_pixels()
             .filter(|(x, y, value)| {

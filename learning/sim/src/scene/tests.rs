@@ -1,4 +1,4 @@
-//! What a picture of 128 pixels shows of the hand.
+//! Visibility of the hand in a picture of 128 pixels.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -8,11 +8,11 @@ use crate::render::{Camera, IMAGE_SIZE, Renderer, Surroundings};
 use crate::world::World;
 
 const SIZE: usize = 128;
-/// Motion over one step of the model, two frames: a usual one, metres and radians.
+/// Usual motion over one step of the model (two frames), metres and radians.
 const SHIFT_M: f64 = 0.035;
 const TURN_RAD: f64 = 0.2;
 
-/// A picture at half size, and where the hand is in it.
+/// A picture at half size, and the mask of the hand.
 struct View {
     rgb: Vec<f64>,
     hand: Vec<bool>,
@@ -22,7 +22,7 @@ fn view(position: Vector3<f64>, rpy: Vector3<f64>, opening: f64) -> View {
     let world = World::new(Vec::new(), ToolPose { position, rpy }, opening);
     let mut renderer = Renderer::new(&Surroundings::plain(), Camera::beside_the_arm());
     let picture = renderer.render(&Scene::new(&world).parts(&world), true);
-    let mask = picture.mask.expect("asked for");
+    let mask = picture.mask.expect("requested");
     let mut rgb = Vec::with_capacity(3 * SIZE * SIZE);
     let mut hand = Vec::with_capacity(SIZE * SIZE);
     assert_eq!(IMAGE_SIZE as usize, 2 * SIZE);
@@ -42,7 +42,7 @@ fn view(position: Vector3<f64>, rpy: Vector3<f64>, opening: f64) -> View {
     View { rgb, hand }
 }
 
-/// `after` less `before` inside `mask`.
+/// `after` minus `before` inside `mask`.
 fn difference(before: &View, after: &View, mask: &[bool]) -> Vec<f64> {
     let pairs = after.rgb.chunks(3).zip(before.rgb.chunks(3));
     mask.iter()
@@ -60,7 +60,7 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-/// Share of `change` (root mean square) that no sum of the three `shifts` explains.
+/// Share of `change` (root mean square) outside the span of the three `shifts`.
 fn unexplained(change: &[f64], shifts: &[Vec<f64>; 3]) -> f64 {
     let gram = Matrix3::from_fn(|i, j| dot(&shifts[i], &shifts[j]));
     let onto = Vector3::from_fn(|i, _| dot(&shifts[i], change));
@@ -73,7 +73,7 @@ fn unexplained(change: &[f64], shifts: &[Vec<f64>; 3]) -> f64 {
     (dot(&residual, &residual) / dot(change, change)).sqrt()
 }
 
-/// Poses over the workspace, its middle among them: position, roll pitch yaw, opening.
+/// Poses over the workspace and its middle: position, roll pitch yaw, opening.
 fn poses() -> Vec<(Vector3<f64>, Vector3<f64>, f64)> {
     [
         ([0.27, 0.0, 0.06], [0.0, 0.0, 0.0], 1.0),
@@ -88,7 +88,7 @@ fn poses() -> Vec<(Vector3<f64>, Vector3<f64>, f64)> {
 }
 
 #[test]
-fn turns_and_openings_are_as_visible_as_shifts_and_look_different() {
+fn turns_and_openings_are_visible_and_distinct() {
     // Changes of the pose (3 shifts, then roll, pitch, yaw) and of the opening.
     let mut shift_size = 0.0;
     let mut sizes = [0.0; 4];
@@ -127,7 +127,7 @@ fn turns_and_openings_are_as_visible_as_shifts_and_look_different() {
         shift_size += shifts.iter().map(|c| mean_absolute(c)).sum::<f64>() / 3.0;
         for (kind, change) in others.iter().enumerate() {
             sizes[kind] += mean_absolute(change);
-            // Against the three others that are not shifts too: none stands for another.
+            // Compared with the three other changes that are not shifts: all differ.
             for (other, against) in others.iter().enumerate() {
                 if other != kind {
                     let cosine =

@@ -1,27 +1,29 @@
-//! How a task goes wrong: a plan that works is changed the way a person would fail at it.
+//! Failures of tasks: a working plan is changed as a person would fail.
 //!
-//! Whether the task fails is still up to the world: what is meant to miss may hit.
+//! The world decides whether the task fails: a planned miss may hit.
 
 use nalgebra::Vector3;
 use rand::Rng;
 use rand::seq::IndexedRandom;
 use rand_chacha::ChaCha8Rng;
 
-use super::plan::{Aim, DIRECTIONS, Move, go_loosely, graspable, inside, loose_rpy};
+use super::plan::{
+    Aim, DIRECTIONS, Move, draw_loose_rpy, go_with_gestures, is_graspable, is_inside,
+};
 use super::task::Task;
 use crate::object::Shape;
 use crate::world::World;
 
-/// What goes wrong.
+/// The kind of a failure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Failure {
     /// The fingers close beside the object or above it.
     MissedGrasp,
     /// The object falls out of the hand on the way.
     Dropped,
-    /// It is put down, or pushed, somewhere else.
+    /// It is put down, or pushed, to another place.
     WrongPlace,
-    /// Another object is handled than the instruction names.
+    /// The hand takes another object than the instruction names.
     WrongObject,
     /// The operator stops halfway.
     Halted,
@@ -37,7 +39,7 @@ impl Failure {
         Self::Halted,
     ];
 
-    /// Changes `task` and the moves for it so that it goes wrong; `None` where it cannot in this way.
+    /// Changes `task` and its moves to this failure; `None` if it does not apply.
     pub(super) fn spoil(
         self,
         rng: &mut ChaCha8Rng,
@@ -46,13 +48,13 @@ impl Failure {
         mut moves: Vec<Move>,
     ) -> Option<(Task, Vec<Move>)> {
         match self {
-            Self::MissedGrasp => miss(rng, &task, &mut moves)?,
-            Self::Dropped => drop_it(rng, world, &task, &mut moves)?,
-            Self::WrongPlace => return elsewhere(rng, task, moves),
-            Self::WrongObject => return Some((other_object(rng, world, task)?, moves)),
+            Self::MissedGrasp => miss_grasp(rng, &task, &mut moves)?,
+            Self::Dropped => drop_object(rng, world, &task, &mut moves)?,
+            Self::WrongPlace => return use_wrong_place(rng, task, moves),
+            Self::WrongObject => return Some((name_other_object(rng, world, task)?, moves)),
             Self::Halted => {
                 let end = match task {
-                    Task::PickUp { .. } => grasp_at(&task, &moves)?,
+                    Task::PickUp { .. } => find_grasp(&task, &moves)?,
                     Task::Place { .. } => moves
                         .iter()
                         .rposition(|step| matches!(step, Move::Grip { to, .. } if *to > 0.5))?,
@@ -67,8 +69,8 @@ impl Failure {
     }
 }
 
-/// Which move closes the fingers on the object.
-fn grasp_at(task: &Task, moves: &[Move]) -> Option<usize> {
+/// Index of the move that closes the fingers on the object.
+fn find_grasp(task: &Task, moves: &[Move]) -> Option<usize> {
     matches!(task, Task::PickUp { .. } | Task::Place { .. })
         .then(|| {
             moves
@@ -78,8 +80,8 @@ fn grasp_at(task: &Task, moves: &[Move]) -> Option<usize> {
         .flatten()
 }
 
-fn miss(rng: &mut ChaCha8Rng, task: &Task, moves: &mut [Move]) -> Option<()> {
-    let grasp = grasp_at(task, moves)?;
+fn miss_grasp(rng: &mut ChaCha8Rng, task: &Task, moves: &mut [Move]) -> Option<()> {
+    let grasp = find_grasp(task, moves)?;
     let aside = if rng.random_bool(0.35) {
         Vector3::z() * rng.random_range(0.04..0.06)
     } else {
@@ -98,10 +100,15 @@ fn miss(rng: &mut ChaCha8Rng, task: &Task, moves: &mut [Move]) -> Option<()> {
     Some(())
 }
 
-fn drop_it(rng: &mut ChaCha8Rng, world: &World, task: &Task, moves: &mut Vec<Move>) -> Option<()> {
-    let grasp = grasp_at(task, moves)?;
+fn drop_object(
+    rng: &mut ChaCha8Rng,
+    world: &World,
+    task: &Task,
+    moves: &mut Vec<Move>,
+) -> Option<()> {
+    let grasp = find_grasp(task, moves)?;
     let from = world.objects().get(task.object()?)?.position();
-    // On the way to the place where it should go, or after any of the moves that carry it about.
+    // On the way to the place, or after any move that carries it.
     let (keep, over) = match task {
         Task::Place { spot, .. } => (
             grasp + 2,
@@ -115,7 +122,11 @@ fn drop_it(rng: &mut ChaCha8Rng, world: &World, task: &Task, moves: &mut Vec<Mov
     moves.truncate(keep);
     if let Task::Place { .. } = task {
         let at = Vector3::new(over.x, over.y, rng.random_range(0.06..0.10));
-        moves.push(go_loosely(Aim::Point(at), loose_rpy(rng, 0.0), 0.0));
+        moves.push(go_with_gestures(
+            Aim::Point(at),
+            draw_loose_rpy(rng, 0.0),
+            0.0,
+        ));
     }
     moves.push(Move::Grip {
         to: 1.0,
@@ -124,7 +135,7 @@ fn drop_it(rng: &mut ChaCha8Rng, world: &World, task: &Task, moves: &mut Vec<Mov
     Some(())
 }
 
-fn elsewhere(
+fn use_wrong_place(
     rng: &mut ChaCha8Rng,
     mut task: Task,
     mut moves: Vec<Move>,
@@ -145,16 +156,16 @@ fn elsewhere(
         *direction = viewer[0] * *right + viewer[1] * *ahead;
         return Some((task, moves));
     }
-    let grasp = grasp_at(&task, &moves)?;
+    let grasp = find_grasp(&task, &moves)?;
     let Task::Place { spot, .. } = &task else {
         return None;
     };
     let aside = (0..12).find_map(|_| {
         let (sin, cos) = rng.random_range(0.0..std::f64::consts::TAU).sin_cos();
         let aside = Vector3::new(cos, sin, 0.0) * rng.random_range(0.07..0.12);
-        inside(spot + aside, 0.01).then_some(aside)
+        is_inside(spot + aside, 0.01).then_some(aside)
     })?;
-    // All that follows the grasp and the lift.
+    // All moves after grasp and lift.
     for step in moves.iter_mut().skip(grasp + 2) {
         if let Move::Go {
             aim: Aim::Point(point),
@@ -167,8 +178,8 @@ fn elsewhere(
     Some((task, moves))
 }
 
-/// The same task with another object in the instruction than the one that the moves handle.
-fn other_object(rng: &mut ChaCha8Rng, world: &World, mut task: Task) -> Option<Task> {
+/// The task with another object in the instruction than in the moves.
+fn name_other_object(rng: &mut ChaCha8Rng, world: &World, mut task: Task) -> Option<Task> {
     let present = task.object()?;
     let place = match &task {
         Task::Place { other, .. } => Some(*other),
@@ -182,7 +193,7 @@ fn other_object(rng: &mut ChaCha8Rng, world: &World, mut task: Task) -> Option<T
             let suits = match task {
                 Task::Reach { .. } => true,
                 Task::Push { .. } => !matches!(object.shape, Shape::Mat { .. }),
-                _ => graspable(object),
+                _ => is_graspable(object),
             };
             suits && *index != present && Some(*index) != place
         })

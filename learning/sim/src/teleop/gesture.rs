@@ -1,7 +1,7 @@
-//! What a hand does besides its task where nothing depends on it: it turns, and opens and closes.
+//! Gestures of the hand apart from its task: it turns, and opens and closes.
 //!
-//! People do so to try out the gripper and to see around it; here it also makes turns and openings
-//! frequent enough to be learned.
+//! People do this to try the gripper and to see around it; here it also makes turns and openings frequent enough for
+//! learning.
 
 use nalgebra::Vector3;
 use rand::Rng;
@@ -9,10 +9,10 @@ use rand_chacha::ChaCha8Rng;
 
 /// Shortest and longest gesture, actions.
 const FRAMES: std::ops::RangeInclusive<usize> = 2..=5;
-/// How often a gesture turns about an axis, and how far at most, radians: roll, pitch, yaw.
+/// Probability of a turn about an axis, and its limits, radians: roll, pitch, yaw.
 const TURN_SHARE: f64 = 0.6;
 const LARGEST_TURN_RAD: [f64; 3] = [0.5, 0.5, 0.6];
-/// How often a gesture works the gripper.
+/// Probability that a gesture moves the gripper.
 const GRIPPER_SHARE: f64 = 0.4;
 
 /// The present gesture.
@@ -24,7 +24,7 @@ pub struct Gesture {
 }
 
 impl Gesture {
-    /// One action later: keeps the gesture, or takes up the next.
+    /// Advances by one action: continues the gesture or starts the next.
     pub fn advance(&mut self, rng: &mut ChaCha8Rng) {
         if self.frames > 0 {
             self.frames -= 1;
@@ -41,13 +41,13 @@ impl Gesture {
         self.gripper = rng.random_bool(GRIPPER_SHARE);
     }
 
-    /// Turn away from how the hand would be held, radians.
+    /// Turn added to the hand's, radians.
     pub fn turn(&self) -> Vector3<f64> {
         self.turn
     }
 
-    /// Whether the gripper is worked against what the way asks for.
-    pub fn gripper_turned(&self) -> bool {
+    /// Whether the gesture inverts the gripper of the move.
+    pub fn inverts_gripper(&self) -> bool {
         self.gripper
     }
 }

@@ -1,4 +1,4 @@
-//! From a task to the sub-goals that carry it out.
+//! Plans the sub-goals of a task.
 
 use nalgebra::Vector3;
 use rand::Rng;
@@ -9,16 +9,15 @@ use super::task::{Relation, Task};
 use crate::object::{Object, Shape};
 use crate::world::{WORKSPACE_M, World};
 
-/// A point to go to.
+/// The destination of a move.
 #[derive(Clone, Debug)]
 pub enum Aim {
     /// In the base frame, metres.
     Point(Vector3<f64>),
-    /// At an offset from the foot of an object, wherever that is by then.
+    /// An offset from the present foot of an object.
     Object {
-        /// The object.
         index: usize,
-        /// From its foot, metres.
+        /// Offset, metres.
         offset: Vector3<f64>,
     },
 }
@@ -26,39 +25,31 @@ pub enum Aim {
 /// A sub-goal.
 #[derive(Clone, Debug)]
 pub enum Move {
-    /// Bring the tool to a pose.
+    /// Move the tool to a pose.
     Go {
-        /// Where.
         aim: Aim,
-        /// Roll, pitch and yaw there, radians.
+        /// Roll, pitch and yaw, radians.
         rpy: Vector3<f64>,
         /// Gripper on the way, 0 closed to 1 open.
         gripper: f64,
-        /// How near is near enough, metres.
+        /// Tolerance, metres.
         tolerance_m: f64,
-        /// Nothing depends on how the hand is held on the way.
+        /// Whether the hand may make gestures on the way.
         loose: bool,
     },
-    /// Work the gripper in place.
+    /// Move the gripper in place.
     Grip {
         /// 0 closed to 1 open.
         to: f64,
-        /// For how many actions.
         frames: usize,
     },
-    /// Stay about here, turning the hand.
-    Linger {
-        /// For how many actions.
-        frames: usize,
-    },
+    /// Stay near this place and turn the hand.
+    Linger { frames: usize },
     /// Move freely.
-    Drift {
-        /// For how many actions.
-        frames: usize,
-    },
+    Drift { frames: usize },
 }
 
-/// Ways to push: in words, and to the viewer's right and away from the viewer.
+/// Directions of pushes: in words, and as components to the viewer's right and away from the viewer.
 pub const DIRECTIONS: [(&str, [f64; 2]); 4] = [
     ("to the left", [-1.0, 0.0]),
     ("to the right", [1.0, 0.0]),
@@ -66,22 +57,22 @@ pub const DIRECTIONS: [(&str, [f64; 2]); 4] = [
     ("away", [0.0, 1.0]),
 ];
 
-/// Near enough for a passing point, and for a point where contact matters, metres.
+/// Tolerances of a passing point, and of a point where contact matters, metres.
 const ROUGH_M: f64 = 0.02;
 const FINE_M: f64 = 0.008;
 
-/// Chooses a task that suits the scene, and the moves for it.
+/// Chooses a task that suits the scene, and its moves.
 pub fn next(
     rng: &mut ChaCha8Rng,
     world: &World,
     viewer: [Vector3<f64>; 2],
     first: bool,
 ) -> (Task, Vec<Move>) {
-    // Some scenes allow no placing or pushing in the chosen way: then it is another task.
+    // If the scene does not allow the chosen task, choose another.
     for _ in 0..8 {
         let choice = rng.random_range(0.0..1.0);
         let found = if first && choice < 0.55 {
-            // Few of the pairs and places suit.
+            // Few pairs and places are suitable.
             (0..4).find_map(|_| place(rng, world, viewer))
         } else if choice < if first { 0.75 } else { 0.6 } {
             pick_up(rng, world)
@@ -97,7 +88,7 @@ pub fn next(
     (Task::Explore, vec![Move::Drift { frames: 12 }])
 }
 
-/// The moves that put down what the hand holds, if it holds something.
+/// The moves that put down the held object, if any.
 pub fn put_down(world: &World) -> Option<Vec<Move>> {
     let object = world.objects().get(world.held()?)?;
     let tool = world.tool();
@@ -111,18 +102,18 @@ pub fn put_down(world: &World) -> Option<Vec<Move>> {
     ])
 }
 
-fn some_object(rng: &mut ChaCha8Rng, world: &World) -> Option<usize> {
+fn draw_object(rng: &mut ChaCha8Rng, world: &World) -> Option<usize> {
     (!world.objects().is_empty()).then(|| rng.random_range(0..world.objects().len()))
 }
 
-fn some_other(rng: &mut ChaCha8Rng, world: &World, index: usize) -> Option<usize> {
+fn draw_other(rng: &mut ChaCha8Rng, world: &World, index: usize) -> Option<usize> {
     let others = world.objects().len().checked_sub(1).filter(|n| *n > 0)?;
     let other = rng.random_range(0..others);
     Some(if other < index { other } else { other + 1 })
 }
 
-/// How the hand is held on the way, where nothing depends on it.
-pub fn loose_rpy(rng: &mut ChaCha8Rng, yaw: f64) -> Vector3<f64> {
+/// A turn of the hand for moves where it does not matter.
+pub fn draw_loose_rpy(rng: &mut ChaCha8Rng, yaw: f64) -> Vector3<f64> {
     let tilt = |rng: &mut ChaCha8Rng| {
         if rng.random_bool(0.8) {
             rng.random_range(-0.5..0.5)
@@ -144,8 +135,8 @@ fn go(aim: Aim, rpy: Vector3<f64>, gripper: f64, tolerance_m: f64) -> Move {
     }
 }
 
-/// A way on which the hand may turn and, while it holds nothing, open and close.
-pub fn go_loosely(aim: Aim, rpy: Vector3<f64>, gripper: f64) -> Move {
+/// A move during which the hand may turn and, while empty, open and close.
+pub fn go_with_gestures(aim: Aim, rpy: Vector3<f64>, gripper: f64) -> Move {
     Move::Go {
         aim,
         rpy,
@@ -155,12 +146,12 @@ pub fn go_loosely(aim: Aim, rpy: Vector3<f64>, gripper: f64) -> Move {
     }
 }
 
-pub fn graspable(object: &Object) -> bool {
+pub fn is_graspable(object: &Object) -> bool {
     !matches!(object.shape, Shape::Bowl { .. } | Shape::Mat { .. })
 }
 
-/// Whether something stands on `object` or it holds something.
-pub fn burdened(world: &World, index: usize) -> bool {
+/// Whether `object` supports or contains another.
+pub fn is_burdened(world: &World, index: usize) -> bool {
     let Some(base) = world.objects().get(index) else {
         return false;
     };
@@ -171,11 +162,11 @@ pub fn burdened(world: &World, index: usize) -> bool {
     })
 }
 
-/// Height over its foot at which to grasp an object, metres.
+/// Height of the grasp over an object's foot, metres.
 pub fn grasp_level(object: &Object) -> f64 {
     match object.shape {
         Shape::Ball { radius } => 0.85 * radius,
-        // Low on a cone, where it is wide.
+        // Low on a cone, near its wide foot.
         Shape::Cone { .. } => 0.012,
         _ => (0.4 * object.shape.height()).clamp(0.012, 0.026),
     }
@@ -192,7 +183,7 @@ fn grasp(rng: &mut ChaCha8Rng, index: usize, object: &Object) -> (Vec<Move>, f64
         }
         _ => rng.random_range(-0.9..0.9),
     };
-    // People aim well but not always.
+    // People aim well, but not always.
     let miss = if rng.random_bool(0.1) { 0.02 } else { 0.003 };
     let mut offset = Vector3::new(
         rng.random_range(-miss..miss),
@@ -215,7 +206,7 @@ fn grasp(rng: &mut ChaCha8Rng, index: usize, object: &Object) -> (Vec<Move>, f64
     offset.z = grasp_level(object);
     let at = Aim::Object { index, offset };
     let moves = vec![
-        go_loosely(approach, loose_rpy(rng, yaw), 1.0),
+        go_with_gestures(approach, draw_loose_rpy(rng, yaw), 1.0),
         go(above, straight, 1.0, 0.015),
         go(at, straight, 1.0, FINE_M),
         Move::Grip { to: 0.0, frames: 3 },
@@ -224,20 +215,28 @@ fn grasp(rng: &mut ChaCha8Rng, index: usize, object: &Object) -> (Vec<Move>, f64
 }
 
 fn pick_up(rng: &mut ChaCha8Rng, world: &World) -> Option<(Task, Vec<Move>)> {
-    let index = some_object(rng, world)?;
+    let index = draw_object(rng, world)?;
     let object = world.objects().get(index)?;
-    if !graspable(object) || burdened(world, index) {
+    if !is_graspable(object) || is_burdened(world, index) {
         return None;
     }
     let (mut moves, yaw) = grasp(rng, index, object);
     let lift = object.position() + Vector3::z() * rng.random_range(0.08..0.13);
-    moves.push(go_loosely(Aim::Point(lift), loose_rpy(rng, yaw), 0.0));
-    // Carry it about a little, so that held objects are seen moving in every direction.
+    moves.push(go_with_gestures(
+        Aim::Point(lift),
+        draw_loose_rpy(rng, yaw),
+        0.0,
+    ));
+    // Carry it a little, so that data have held objects moving in every direction.
     for _ in 0..rng.random_range(0..=3) {
         let [low, high] = WORKSPACE_M;
         let mut point = Vector3::from_fn(|axis, _| rng.random_range(low[axis]..high[axis]));
         point.z = point.z.max(0.06);
-        moves.push(go_loosely(Aim::Point(point), loose_rpy(rng, yaw), 0.0));
+        moves.push(go_with_gestures(
+            Aim::Point(point),
+            draw_loose_rpy(rng, yaw),
+            0.0,
+        ));
     }
     Some((Task::PickUp { object: index }, moves))
 }
@@ -247,13 +246,13 @@ fn place(
     world: &World,
     viewer: [Vector3<f64>; 2],
 ) -> Option<(Task, Vec<Move>)> {
-    let index = some_object(rng, world)?;
-    let other_index = some_other(rng, world, index)?;
+    let index = draw_object(rng, world)?;
+    let other_index = draw_other(rng, world, index)?;
     let (object, other) = (
         world.objects().get(index)?,
         world.objects().get(other_index)?,
     );
-    if !graspable(object) || burdened(world, index) {
+    if !is_graspable(object) || is_burdened(world, index) {
         return None;
     }
     let relation = match other.shape {
@@ -280,12 +279,12 @@ fn place(
     let fits = match relation {
         Relation::On => {
             other.shape.carries()
-                && !burdened(world, other_index)
+                && !is_burdened(world, other_index)
                 && !matches!(object.shape, Shape::Ball { .. })
         }
         Relation::In => match other.shape {
             Shape::Bowl { radius, .. } => {
-                object.shape.bounding_radius() < 0.65 * radius && !burdened(world, other_index)
+                object.shape.bounding_radius() < 0.65 * radius && !is_burdened(world, other_index)
             }
             _ => false,
         },
@@ -296,11 +295,11 @@ fn place(
                     > object.shape.bounding_radius() + third.shape.bounding_radius() + 0.01
         }),
     };
-    if !fits || !inside(spot, 0.015) {
+    if !fits || !is_inside(spot, 0.015) {
         return None;
     }
     let (mut moves, yaw) = grasp(rng, index, object);
-    // Over a bowl the fingers open above its rim: they would push it away from within.
+    // Above a bowl's rim, since opening fingers inside would push it away.
     let release = match relation {
         Relation::In => (grasp_level(object) + 0.004).max(other.shape.height() + 0.006),
         _ => grasp_level(object) + 0.004,
@@ -308,7 +307,11 @@ fn place(
     let height = rng.random_range(0.06..0.10) + spot.z;
     let placing = Vector3::new(0.0, 0.0, yaw);
     let lift = object.position() + Vector3::z() * height;
-    moves.push(go_loosely(Aim::Point(lift), loose_rpy(rng, yaw), 0.0));
+    moves.push(go_with_gestures(
+        Aim::Point(lift),
+        draw_loose_rpy(rng, yaw),
+        0.0,
+    ));
     moves.push(go(
         Aim::Point(spot + Vector3::z() * height),
         placing,
@@ -323,7 +326,11 @@ fn place(
     ));
     moves.push(Move::Grip { to: 1.0, frames: 2 });
     let retreat = spot + Vector3::z() * (height + 0.04);
-    moves.push(go_loosely(Aim::Point(retreat), loose_rpy(rng, yaw), 1.0));
+    moves.push(go_with_gestures(
+        Aim::Point(retreat),
+        draw_loose_rpy(rng, yaw),
+        1.0,
+    ));
     let task = Task::Place {
         object: index,
         other: other_index,
@@ -339,11 +346,11 @@ fn push(
     world: &World,
     viewer: [Vector3<f64>; 2],
 ) -> Option<(Task, Vec<Move>)> {
-    let index = some_object(rng, world)?;
+    let index = draw_object(rng, world)?;
     let object = world.objects().get(index)?;
     let (words, [right, ahead]) = *DIRECTIONS.choose(rng)?;
     let towards = viewer[0] * right + viewer[1] * ahead;
-    // A hand pushes about where it means to.
+    // Pushes deviate a little.
     let (sin, cos) = rng.random_range(-0.35..0.35_f64).sin_cos();
     let direction = Vector3::new(
         cos * towards.x - sin * towards.y,
@@ -357,8 +364,8 @@ fn push(
     let end = from + direction * (rng.random_range(0.04..0.12) - object.shape.bounding_radius());
     if from.z > 0.003
         || matches!(object.shape, Shape::Mat { .. })
-        || !inside(start, 0.0)
-        || !inside(end, -0.01)
+        || !is_inside(start, 0.0)
+        || !is_inside(end, -0.01)
     {
         return None;
     }
@@ -367,14 +374,14 @@ fn push(
         rng.random_range(-0.25..0.25),
         rng.random_range(-1.1..1.1),
     );
-    // Mostly a closed hand; an open one pushes with both fingers or lets a small thing in between.
+    // Mostly a closed hand; an open one pushes with both fingers or encloses a small object.
     let gripper = if rng.random_bool(0.8) { 0.0 } else { 1.0 };
     let hover = Vector3::z() * rng.random_range(0.05..0.08);
     let moves = vec![
-        go_loosely(Aim::Point(start + hover), rpy, gripper),
+        go_with_gestures(Aim::Point(start + hover), rpy, gripper),
         go(Aim::Point(start + level), rpy, gripper, 0.01),
         go(Aim::Point(end + level), rpy, gripper, 0.01),
-        go_loosely(Aim::Point(end + hover), loose_rpy(rng, rpy.z), gripper),
+        go_with_gestures(Aim::Point(end + hover), draw_loose_rpy(rng, rpy.z), gripper),
     ];
     let task = Task::Push {
         object: index,
@@ -387,14 +394,14 @@ fn push(
 }
 
 fn reach(rng: &mut ChaCha8Rng, world: &World) -> Option<(Task, Vec<Move>)> {
-    let index = some_object(rng, world)?;
+    let index = draw_object(rng, world)?;
     let object = world.objects().get(index)?;
     let offset = Vector3::z() * (object.shape.height() + rng.random_range(0.02..0.08));
     let yaw = rng.random_range(-1.1..1.1);
     let gripper = f64::from(u8::from(rng.random_bool(0.5)));
-    let rpy = loose_rpy(rng, yaw);
+    let rpy = draw_loose_rpy(rng, yaw);
     let moves = vec![
-        go_loosely(Aim::Object { index, offset }, rpy, gripper),
+        go_with_gestures(Aim::Object { index, offset }, rpy, gripper),
         Move::Grip {
             to: 1.0 - gripper,
             frames: rng.random_range(2..=4),
@@ -407,7 +414,7 @@ fn reach(rng: &mut ChaCha8Rng, world: &World) -> Option<(Task, Vec<Move>)> {
 }
 
 /// Whether a spot on the table is inside the workspace by `margin` metres.
-pub fn inside(spot: Vector3<f64>, margin: f64) -> bool {
+pub fn is_inside(spot: Vector3<f64>, margin: f64) -> bool {
     let [low, high] = WORKSPACE_M;
     (0..2).all(|axis| spot[axis] > low[axis] + margin && spot[axis] < high[axis] - margin)
 }

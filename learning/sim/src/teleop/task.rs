@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use crate::object::{BOWL_FLOOR_M, Object};
 use crate::world::World;
 
-/// Where to put one object with respect to another, as the camera sees it.
+/// Position of an object relative to another in the camera's view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Relation {
     /// To the left of it.
@@ -24,13 +24,13 @@ pub enum Relation {
     In,
 }
 
-/// Further apart than this, one thing is not beside another, metres.
+/// Largest distance of objects beside each other, metres.
 const BESIDE_M: f64 = 0.16;
 /// Largest error of a height, metres.
 pub const LEVEL_M: f64 = 0.012;
 
 impl Relation {
-    /// Where the first thing is from the second: to the viewer's right and away from the viewer.
+    /// Direction from the second object to the first: components to the viewer's right and away from the viewer.
     pub fn direction(self) -> [f64; 2] {
         match self {
             Self::Left => [-1.0, 0.0],
@@ -41,7 +41,7 @@ impl Relation {
         }
     }
 
-    /// How far the foot of the one is over the foot of the other, metres.
+    /// Height of the first object's foot over the second's, metres.
     pub fn rise(self, other: &Object) -> f64 {
         match self {
             Self::Left | Self::Right | Self::Front | Self::Behind => 0.0,
@@ -50,14 +50,14 @@ impl Relation {
         }
     }
 
-    /// Whether `object` stands so to `other` for a viewer who sees the table along `viewer`.
+    /// Whether the relation holds for a viewer along `viewer`.
     fn holds(self, object: &Object, other: &Object, viewer: [Vector3<f64>; 2]) -> bool {
         let offset = object.position() - other.position();
         let apart = offset.xy().norm();
         let level = if matches!(self, Self::On | Self::OnMat | Self::In) {
             offset.z - self.rise(other)
         } else {
-            // On the table or on a mat there, whatever the other stands on.
+            // On the table or a mat, whatever the other object stands on.
             object.position().z
         };
         if level.abs() > LEVEL_M {
@@ -88,51 +88,40 @@ impl Relation {
     }
 }
 
-/// One thing to do; objects are indices into the world's objects.
+/// A task; objects are indices into the world's objects.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Task {
     /// Free motion.
     Explore,
-    /// Bring the hand over an object.
-    Reach {
-        /// The object.
-        object: usize,
-    },
+    /// Move the hand over an object.
+    Reach { object: usize },
     /// Lift an object.
-    PickUp {
-        /// The object.
-        object: usize,
-    },
-    /// Put an object somewhere near another.
+    PickUp { object: usize },
+    /// Put an object near another.
     Place {
-        /// The object to carry.
         object: usize,
-        /// The other object.
         other: usize,
-        /// Where.
         relation: Relation,
         /// To the viewer's right, and away from the viewer: horizontal unit vectors.
         viewer: [Vector3<f64>; 2],
-        /// The spot in the base frame that was chosen for it, metres.
+        /// The chosen place in the base frame, metres.
         spot: Vector3<f64>,
     },
     /// Push an object over the table.
     Push {
-        /// The object.
         object: usize,
-        /// Where to, in the viewer's words.
         direction_words: &'static str,
-        /// Where to, a horizontal unit vector.
+        /// Direction, a horizontal unit vector.
         direction: Vector3<f64>,
         /// To the viewer's right, and away from the viewer: horizontal unit vectors.
         viewer: [Vector3<f64>; 2],
-        /// Where it was, metres.
+        /// Start position, metres.
         from: Vector3<f64>,
     },
 }
 
 impl Task {
-    /// The object that it is about, if there is one.
+    /// The object of the task, if any.
     pub fn object(&self) -> Option<usize> {
         match self {
             Self::Explore => None,
@@ -178,7 +167,7 @@ impl Task {
         }
     }
 
-    /// Whether the world is as the task asks.
+    /// Whether the task is fulfilled in `world`.
     pub fn succeeded(&self, world: &World) -> bool {
         let at = |index: &usize| world.objects().get(*index).map(|object| object.position());
         match self {
@@ -222,7 +211,7 @@ mod tests {
     use crate::object::{COLOURS, Shape};
 
     #[test]
-    fn success_is_how_things_stand_in_the_end() {
+    fn success_depends_on_the_final_world() {
         let cylinder = Shape::Cylinder {
             radius: 0.02,
             height: 0.04,

@@ -1,4 +1,4 @@
-//! How objects give way, ride on each other and fall.
+//! Contacts: objects give way, ride on each other and fall.
 
 use nalgebra::{Vector2, Vector3};
 
@@ -10,7 +10,7 @@ use crate::object::{BOWL_FLOOR_M, Object, Shape};
 const GRAVITY: f64 = 9.81;
 
 impl World {
-    /// Objects give way to the fingers.
+    /// Pushes objects with the fingers.
     pub(super) fn fingers_push(&mut self, moved: Vector2<f64>) {
         let spheres = gripper::contact_spheres(&self.tool.frame(), self.opening);
         let held = self.held();
@@ -32,7 +32,7 @@ impl World {
                 if matches!(object.shape, Shape::Bowl { radius, .. } if offset.norm() < 0.7 * radius
                     && moved.dot(&offset) <= 0.0)
                 {
-                    // Inside the bowl, and not moving towards its wall.
+                    // Inside a bowl, without motion towards its wall.
                     continue;
                 }
                 let own = object.base_to_own(offset);
@@ -49,9 +49,9 @@ impl World {
             .is_some_and(|object| matches!(object.shape, Shape::Mat { .. }))
     }
 
-    /// Moves object `index` so that its material at `arm` (from its middle, metres) gives way by
-    /// `give`. Shift and turn share the motion as for a footprint whose friction with the table resists
-    /// both (an ellipsoidal limit surface).
+    /// Moves object `index` so that its point at `arm` (from its middle, metres) gives way by `give`. Shift and turn share the
+    /// motion as for friction of its footprint with the table (an ellipsoidal limit surface).
+    ///
     fn push(&mut self, index: usize, arm: Vector2<f64>, give: Vector2<f64>) {
         let depth = give.norm();
         let Some(object) = self.objects.get(index) else {
@@ -74,7 +74,7 @@ impl World {
         self.carry(index, shift, turn);
     }
 
-    /// Shifts and turns an object, and shifts what stands on it.
+    /// Shifts and turns an object with the objects on it.
     pub(super) fn carry(&mut self, index: usize, shift: Vector2<f64>, turn: f64) {
         let Some(base) = self.objects.get(index).cloned() else {
             return;
@@ -98,7 +98,7 @@ impl World {
         }
     }
 
-    /// Objects give way to the one that the hand holds.
+    /// Pushes objects with the held one.
     pub(super) fn held_pushes_others(&mut self, held: usize) {
         let Some(object) = self.objects.get(held).cloned() else {
             return;
@@ -125,7 +125,6 @@ impl World {
         }
     }
 
-    /// Objects that overlap part.
     pub(super) fn objects_push_each_other(&mut self) {
         let held = self.held();
         for first in 0..self.objects.len() {
@@ -138,7 +137,7 @@ impl World {
                 if flat || first == second || Some(first) == held || Some(second) == held {
                     continue;
                 }
-                // `a` is the higher one; one that rests on the other is no collision.
+                // `a` is the higher one; resting on the other is not a collision.
                 if a.position().z < b.position().z
                     || a.position().z > floor_under(a, b) - TOUCH_M && b.shape.carries()
                     || a.position().z > b.top()
@@ -156,7 +155,7 @@ impl World {
         }
     }
 
-    /// Objects fall for `time_s` seconds, down to what is below them.
+    /// Lets objects fall for `time_s` seconds, down to the support below.
     pub(super) fn fall(&mut self, time_s: f64) {
         let held = self.held();
         for index in 0..self.objects.len() {
@@ -173,7 +172,7 @@ impl World {
                 }
                 let floor = floor_under(object, other);
                 let own = other.base_to_own((object.position() - other.position()).xy());
-                // Its middle has to be over the other: else it would tip off.
+                // Its middle must be over the other, or it would tip off.
                 let over = other
                     .shape
                     .overlap(own, 0.0, other.shape.height())
@@ -196,7 +195,7 @@ impl World {
     }
 }
 
-/// Height at which `object` would rest on `below`, were it over it, metres.
+/// Height at which `object` would rest on `below`, metres.
 pub(super) fn floor_under(object: &Object, below: &Object) -> f64 {
     match below.shape {
         Shape::Bowl { radius, .. } => {

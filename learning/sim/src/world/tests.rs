@@ -1,4 +1,4 @@
-//! What the hand and the objects do together.
+//! Interaction of hand and objects.
 
 use super::*;
 use crate::object::COLOURS;
@@ -30,7 +30,7 @@ fn cube(x: f64, y: f64) -> Object {
 }
 
 #[test]
-fn a_grasped_object_moves_with_the_hand() {
+fn grasped_object_moves_with_the_hand() {
     let mut world = hand(0.25, 0.0, 0.015, 1.0, vec![cube(0.252, 0.004)]);
     for _ in 0..3 {
         world.step(&action(0.0, 0.0, 0.0, 0.0));
@@ -41,7 +41,7 @@ fn a_grasped_object_moves_with_the_hand() {
     let after = world.objects()[0].position() - world.tool().position;
     assert!((after - before).norm() < 1e-9);
     assert!(world.objects()[0].position().z > 0.035);
-    // And it falls when let go.
+    // It falls when released.
     for _ in 0..2 {
         world.step(&action(0.0, 0.0, 0.0, 1.0));
     }
@@ -50,7 +50,7 @@ fn a_grasped_object_moves_with_the_hand() {
 }
 
 #[test]
-fn a_pushed_object_moves_along_the_push() {
+fn pushed_object_moves_along_the_push() {
     let mut world = hand(0.20, 0.0, 0.015, 0.0, vec![cube(0.26, 0.003)]);
     for _ in 0..4 {
         world.step(&action(0.03, 0.0, 0.0, 0.0));
@@ -61,7 +61,7 @@ fn a_pushed_object_moves_along_the_push() {
 }
 
 #[test]
-fn an_object_placed_on_another_stays_there_and_rides_along() {
+fn object_on_another_stays_and_rides_along() {
     let base = cube(0.30, 0.0);
     let mut top = cube(0.30, 0.005);
     top.pose.translation.vector.z = 0.06;
@@ -73,7 +73,7 @@ fn an_object_placed_on_another_stays_there_and_rides_along() {
 }
 
 #[test]
-fn fingers_do_not_sink_into_an_object_or_the_table() {
+fn fingers_do_not_enter_objects_or_the_table() {
     let mut world = hand(0.25, 0.0, 0.10, 0.0, vec![cube(0.25, 0.0)]);
     let mut applied = 0.0;
     for _ in 0..5 {
@@ -89,7 +89,7 @@ fn fingers_do_not_sink_into_an_object_or_the_table() {
 }
 
 #[test]
-fn the_applied_action_is_the_change_of_pose() {
+fn applied_action_is_the_change_of_pose() {
     let mut world = hand(0.30, 0.10, 0.14, 1.0, vec![]);
     let before = *world.tool();
     let command = EndEffectorAction {

@@ -81,7 +81,7 @@ impl TrainAdapterArgs {
         width: usize,
         views: usize,
     ) -> Result<Option<Value>> {
-        let ModelFolder::Described(described) = folder else {
+        let Some(described) = folder.described() else {
             return Ok(None);
         };
         let of_folder = described.description();

@@ -4,8 +4,8 @@ use anyhow::Result;
 use candle_core::Tensor;
 use image::RgbImage;
 use wm_evaluation::{Figure, SquaredError};
-use wm_model::{autoencoder::Normalisation, image::to_rgb};
-use wm_zoo::{Checkpoint, Engine, Loader, Precision, svae::Svae, vae::PixelDecoder};
+use wm_model::{Compute, autoencoder::Normalisation, image::to_rgb};
+use wm_zoo::{Checkpoint, Loader, PixelDecoder, Svae};
 
 use super::{
     Frames,
@@ -66,8 +66,8 @@ impl Written {
         let adapter = checkpoint.require_part(ADAPTER)?;
         let decoder = checkpoint.require_part(PIXEL_DECODER)?;
         let (of_adapter, of_decoder) = (
-            Loader::new(&adapter, Engine::Cpu, Precision::F32)?,
-            Loader::new(&decoder, Engine::Cpu, Precision::F32)?,
+            Loader::new(&adapter, &Compute::default())?,
+            Loader::new(&decoder, &Compute::default())?,
         );
         let written = Self {
             adapter: Svae::load(output.svae, &of_adapter)?,

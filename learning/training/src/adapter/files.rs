@@ -10,9 +10,7 @@ use wm_model::{
     autoencoder::{MEAN, Normalisation, STD},
     weights::{Precision, WeightsBuilder},
 };
-use wm_zoo::{
-    Checkpoint, checkpoint::Average, kinds::Kind, svae::SvaeConfig, vae::PixelDecoderConfig,
-};
+use wm_zoo::{Checkpoint, PixelDecoderConfig, SvaeConfig, checkpoint::Average, kinds::Kind};
 
 use crate::{
     model_folder::{description_of, write_description},

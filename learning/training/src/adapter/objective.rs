@@ -1,10 +1,7 @@
 use anyhow::{Result, ensure};
 use candle_core::Tensor;
-use wm_zoo::{
-    Compute,
-    svae::{Svae, SvaeConfig},
-    vae::{PixelDecoder, PixelDecoderConfig},
-};
+use wm_model::Compute;
+use wm_zoo::{PixelDecoder, PixelDecoderConfig, Svae, SvaeConfig};
 
 use super::{
     AdapterRecipe, Lpips,
@@ -59,8 +56,8 @@ impl<'a> Objective<'a> {
             view.height,
             view.width
         );
-        let fresh = FreshWeights::new(recipe.seed).on(compute);
-        let device = compute.device();
+        let fresh = FreshWeights::new(recipe.seed).on(compute)?;
+        let device = compute.device()?;
         let objective = Self {
             recipe,
             steps,

@@ -1,6 +1,6 @@
 use anyhow::{Result, ensure};
 use serde::{Deserialize, Serialize};
-use wm_zoo::{svae::SvaeConfig, vae::PixelDecoderConfig};
+use wm_zoo::{PixelDecoderConfig, SvaeConfig};
 
 use crate::recipe::{Bundled, Optimisation, Span, is_recipe};
 

@@ -6,9 +6,8 @@ use serde_json::{Value, json};
 use wm_dataset::{Dataset, Latents};
 use wm_model::{Encoder, LatentSpace, transition::WeightGradients};
 use wm_zoo::{
+    ModelFolder, PixelDecoderConfig, SvaeConfig,
     folder::{DescribedFolder, write_random_weights},
-    svae::SvaeConfig,
-    vae::PixelDecoderConfig,
 };
 
 use super::{arguments::train_on, frames::View, *};
@@ -247,7 +246,8 @@ fn what_it_writes_is_a_model_with_the_encoder() {
     write_random_weights(&encoder, 1).unwrap();
 
     let frames = dataset(scratch.path(), false);
-    let opened = DescribedFolder::open(&encoder).unwrap().encoder().unwrap();
+    let opened = DescribedFolder::open(&encoder).unwrap();
+    let opened = opened.encoder(&wm_model::Compute::default()).unwrap();
     let latents = Latents::open(&frames, &*opened, &scratch.path().join("cache")).unwrap();
     let out = scratch.path().join("made");
     let encoded = (frames, latents);
@@ -268,7 +268,7 @@ fn what_it_writes_is_a_model_with_the_encoder() {
     made["transition"] = transition(6);
     write(&out, &made);
     write_random_weights(&out, 1).unwrap();
-    let model = DescribedFolder::open(&out).unwrap();
+    let model = ModelFolder::open(&out.to_string_lossy()).unwrap();
     let (picture, _) = (data.train.of(&[0, 1, 2], 1).unwrap().1, ());
     let latent = model.encoder().unwrap().encode(&picture).unwrap();
     assert_eq!(latent.dims(), [3, GRID, GRID, 6]);

@@ -1,17 +1,13 @@
 use std::path::PathBuf;
 
-use anyhow::{Result, ensure};
-use candle_core::DType;
+use anyhow::{Context as _, Result, ensure};
 use clap::Args;
 use serde_json::json;
 use wm_dataset::{Dataset, HeldOutArgs};
-use wm_model::{Autoencoder, AutoencoderConfig, Encoder as _, Fit, Framing};
-use wm_zoo::{DeviceName, ModelFolder};
+use wm_model::{AutoencoderConfig, Encoder as _, Fit, Framing, NumberFormat};
+use wm_zoo::ModelFolder;
 
-use super::{
-    AutoencoderRecipe, RECIPES, evaluate, picture,
-    trainer::{AutoencoderTask, TrainingError},
-};
+use super::{AutoencoderRecipe, RECIPES, evaluate, picture, trainer::AutoencoderTask};
 use crate::{
     arguments::RunArgs,
     recipe::Override,
@@ -58,7 +54,7 @@ impl TrainAutoencoderArgs {
     /// When the data, the recipe or a file cannot be used.
     pub fn run(&self, stop: &Stop) -> Result<Ended> {
         ensure!(
-            self.run.device == DeviceName::Cpu && self.run.dtype == DType::F32,
+            self.run.device.is_cpu() && self.run.dtype == NumberFormat::F32,
             "the autoencoder trains on the CPU, in f32: leave --device and --dtype out"
         );
         let recipe = self.recipe()?;
@@ -82,10 +78,11 @@ pub(super) fn train_on(
     let mut recipe = recipe.clone();
     let mut old = None;
     if let Some(from) = &run.from {
-        let ModelFolder::Trained(folder) = ModelFolder::open(from)? else {
+        let folder = ModelFolder::open(from)?;
+        let Some(trained) = folder.trained() else {
             anyhow::bail!("--from {from}: expected an autoencoder that was trained here");
         };
-        let model = folder.autoencoder()?;
+        let model = trained.autoencoder()?;
         recipe.model = AutoencoderConfig {
             name: recipe.model.name,
             height: recipe.model.height,
@@ -111,7 +108,7 @@ pub struct EvaluateAutoencoderArgs {
     /// What to measure on.
     #[command(flatten)]
     pub on: HeldOutArgs,
-    /// Weights: a file, or a folder with `autoencoder.safetensors` or with the two published TAEF2 files.
+    /// The autoencoder: `tiny`, a model folder, or a file of weights.
     #[arg(long)]
     pub autoencoder: PathBuf,
     /// Maximum number of frames, spread over all bags.
@@ -127,16 +124,21 @@ impl EvaluateAutoencoderArgs {
     ///
     /// # Errors
     /// When the weights or the bags cannot be read, or the picture cannot be written.
-    pub fn run(&self) -> Result<(), TrainingError> {
-        let autoencoder = Autoencoder::open(&self.autoencoder)?;
+    pub fn run(&self) -> Result<()> {
+        let name = self.autoencoder.to_string_lossy();
+        let model = ModelFolder::open(&name)?;
+        let Some(trained) = model.trained() else {
+            anyhow::bail!(
+                "--autoencoder {name}: expected an autoencoder, found published networks"
+            );
+        };
+        let autoencoder = trained.autoencoder()?;
         let dataset = self.on.open(autoencoder.framing())?;
         println!("{}", evaluate(&autoencoder, &dataset, self.frames)?);
         if let Some(path) = &self.picture {
             let picture = picture(&autoencoder, &dataset, 8)?;
-            picture.save(path).map_err(|error| TrainingError::Io {
-                path: path.clone(),
-                source: std::io::Error::other(error),
-            })?;
+            let saved = picture.save(path);
+            saved.with_context(|| path.display().to_string())?;
         }
         Ok(())
     }

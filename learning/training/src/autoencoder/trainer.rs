@@ -37,7 +37,7 @@ const VALIDATION_FRAMES: [usize; 2] = [1000, 200];
 /// Rows of the samples.
 const SAMPLES: usize = 6;
 /// The weights' file in a model's folder.
-pub(super) const FILE: &str = "autoencoder.safetensors";
+pub(super) const FILE: &str = Autoencoder::FILE;
 
 /// Why a training stopped.
 #[derive(Debug, Error)]
@@ -284,7 +284,7 @@ impl Task for AutoencoderTask<'_> {
     }
 
     fn files(&self) -> &'static [&'static str] {
-        &[FILE]
+        &[FILE, wm_zoo::folder::FILE]
     }
 
     fn parameters(&self) -> Result<Vec<Parameter>> {
@@ -356,6 +356,7 @@ impl Task for AutoencoderTask<'_> {
     ) -> Result<()> {
         let model = self.finished(averaged)?;
         model.save(folder.join(FILE), PRECISION)?;
+        wm_zoo::folder::describe_autoencoder(folder)?;
         self.written = Some(model);
         Ok(())
     }

@@ -7,14 +7,13 @@ use anyhow::{Context as _, Result};
 use candle_core::{Device, Tensor};
 use wm_dataset::Latents;
 use wm_model::{
-    Error, LatentSpace, Weights,
+    Compute, Error, LatentSpace, Weights,
     sampler::Sampler,
     transition::{
         ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, LoadedTransition, Transition, TransitionConfig,
     },
 };
 use wm_motion::actions::ActionEncoding;
-use wm_zoo::Compute;
 
 use crate::{
     optimiser::{Trained, Variables},
@@ -51,7 +50,7 @@ impl Teacher {
             let model = Transition::build(with_steps(config, steps), &mut |parameter| {
                 let tensor = weights.tensor(&parameter.name, &parameter.shape)?;
                 tensors.insert(parameter.name.clone(), tensor.clone());
-                Ok(placed(&tensor, compute)?)
+                compute.tensor(&tensor, compute.dtype())
             })?;
             let model = in_its_format(model, compute.dtype());
             Ok(Self {
@@ -88,7 +87,7 @@ impl Teacher {
         let config = with_steps(self.model.config().clone(), steps);
         let mut variables = Variables::default();
         let model = Transition::build(config, &mut |parameter| {
-            let initial = placed(&named(&self.tensors, &parameter.name)?, &self.compute)?;
+            let initial = self.placed(&named(&self.tensors, &parameter.name)?)?;
             Ok(variables.add(&parameter.name, &initial)?)
         })?;
         Ok((variables, in_its_format(model, self.compute.dtype())))
@@ -103,7 +102,7 @@ impl Teacher {
         let mut tensors = HashMap::new();
         for weight in weights {
             let tensor = Tensor::from_slice(weight.values, weight.shape, &Device::Cpu)?;
-            tensors.insert(weight.name.to_owned(), placed(&tensor, &self.compute)?);
+            tensors.insert(weight.name.to_owned(), self.placed(&tensor)?);
         }
         let model = Transition::build(config.clone(), &mut |parameter| {
             named(&tensors, &parameter.name)
@@ -124,12 +123,10 @@ impl Teacher {
         })?;
         Ok(model.pack()?)
     }
-}
 
-fn placed(tensor: &Tensor, compute: &Compute) -> candle_core::Result<Tensor> {
-    tensor
-        .to_device(compute.device())?
-        .to_dtype(compute.dtype())
+    fn placed(&self, tensor: &Tensor) -> wm_model::Result<Tensor> {
+        self.compute.tensor(tensor, self.compute.dtype())
+    }
 }
 
 fn named(tensors: &HashMap<String, Tensor>, name: &str) -> wm_model::Result<Tensor> {

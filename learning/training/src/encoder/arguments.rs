@@ -3,7 +3,7 @@ use clap::Args;
 use serde_json::json;
 use wm_dataset::Dataset;
 use wm_model::{Fit, Framing};
-use wm_zoo::vit::WebDinoConfig;
+use wm_zoo::WebDinoConfig;
 
 use super::{EncoderRecipe, EncoderTask, FILE, RECIPES, files::CONFIG_KEY};
 use crate::{

@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::Result;
 use serde_json::json;
 use wm_model::{Fit, PictureSize};
-use wm_zoo::{kinds::Kind, vit::WebDinoConfig};
+use wm_zoo::{WebDinoConfig, kinds::Kind};
 
 use crate::{optimiser::Trained, trained_weights::trained_weights};
 

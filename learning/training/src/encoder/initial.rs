@@ -2,8 +2,8 @@ use std::iter;
 
 use candle_core::{Device, Tensor};
 use wm_zoo::{
+    WebDinoConfig,
     idm::{ConvolutionalIdmConfig, IdmNetworkConfig},
-    vit::WebDinoConfig,
 };
 
 use super::network::HEAD;

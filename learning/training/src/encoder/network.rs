@@ -1,9 +1,8 @@
 use anyhow::Result;
 use candle_core::Tensor;
 use wm_zoo::{
-    Loader,
+    Loader, WebDino, WebDinoConfig,
     idm::{IdmNetwork, IdmNetworkConfig},
-    vit::{WebDino, WebDinoConfig},
 };
 
 /// What names of the head's tensors begin with.

@@ -1,7 +1,7 @@
 use anyhow::{Context as _, Result, ensure};
 use serde::{Deserialize, Serialize};
 use wm_model::Fit;
-use wm_zoo::vit::WebDinoConfig;
+use wm_zoo::WebDinoConfig;
 
 use crate::{
     idm::IdmModelRecipe,

@@ -1,7 +1,7 @@
 use anyhow::Result;
 use candle_core::{D, Device, Tensor};
 use wm_zoo::{
-    layers::Dropout,
+    Dropout,
     success_probe::{GroundedProbe, ProbeNetwork, Reading, SuccessProbe},
 };
 

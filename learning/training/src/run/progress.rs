@@ -45,7 +45,7 @@ impl Progress {
 
     /// A line of its own.
     pub(super) fn say(&self, line: &str) {
-        self.told.aside(|| println!("{line}"));
+        self.told.suspend(|| println!("{line}"));
     }
 }
 

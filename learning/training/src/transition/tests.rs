@@ -3,11 +3,10 @@ use std::path::Path;
 use half::f16;
 use wm_dataset::Episode;
 use wm_model::{
-    LatentSpace,
+    Compute, Kernels, LatentSpace, NumberFormat,
     transition::{ActionAlignment, Parametrisation},
 };
 use wm_motion::actions::{Accumulation, ActionSpace};
-use wm_zoo::{Compute, Engine, Precision};
 
 use super::*;
 use crate::{
@@ -250,8 +249,10 @@ fn in_sixteen_bits_it_learns_as_in_f32() {
     let clips = ClipSource::new(&latents, &encoding, 5).unwrap();
     let config = config(Parametrisation::Residual, ActionAlignment::WithResult);
     let workers = Workers::new(2).unwrap();
-    let [exact, rounded] = [Precision::F32, Precision::Bf16].map(|precision| {
-        let fresh = FreshWeights::new(3).on(&Compute::on_cpu(Engine::Candle, precision).unwrap());
+    let [exact, rounded] = [NumberFormat::F32, NumberFormat::Bf16].map(|format| {
+        let compute = Compute::on_cpu(Kernels::Candle);
+        let compute = compute.with_format(format).unwrap();
+        let fresh = FreshWeights::new(3).on(&compute).unwrap();
         let model = trainable(&config, &fresh, 3).unwrap();
         let trained = (fresh.into_variables().0, model);
         let parameters = trained.0.parameters(|_| 0).unwrap();

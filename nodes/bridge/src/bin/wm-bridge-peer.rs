@@ -1,5 +1,5 @@
-//! `wm-bridge-peer CONFIG`: the real zenoh-bridge-ros2dds, for the tests of `wm-bridge`. Its plugin is linked in and started
-//! as its own program does it; the configuration, JSON5, is given as text instead of by options.
+//! `wm-bridge-peer CONFIG`: the real zenoh-bridge-ros2dds for the tests of `wm-bridge`. Its plugin is linked in and
+//! started as in its own program. The configuration is a JSON5 text instead of options.
 //!
 //! The plugin reads `ROS_DOMAIN_ID`, `ROS_DISTRO` and `CYCLONEDDS_URI`.
 
@@ -10,7 +10,7 @@ use zenoh::{
 };
 use zenoh_plugin_ros2dds::ROS2Plugin;
 
-/// What that program sets whatever its user says.
+/// Settings that the real program always sets.
 const ALWAYS: [(&str, &str); 3] = [
     // latched topics are kept by time
     ("timestamping/enabled", "true"),

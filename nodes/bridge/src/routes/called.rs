@@ -1,4 +1,4 @@
-//! A service on Zenoh to this side's clients.
+//! A service on Zenoh for clients of this side.
 
 use super::{Ends, OPEN_CALLS, ROUTING, Task};
 use crate::{announcement::Subject, plan::Route, request_header::RequestHeader};
@@ -11,9 +11,9 @@ use zenoh::{
     key_expr::OwnedKeyExpr, liveliness::LivelinessToken, query::Querier, sample::Locality,
 };
 
-/// A service that is called on Zenoh. It is served on this side while another bridge announces it: a client that finds
-/// a server which nobody answers for would wait for ever.
-pub struct Called {
+/// A service on Zenoh. This side serves it only while another bridge announces it: a client of a server without replies
+/// would wait forever.
+pub(crate) struct RemoteService {
     ends: Arc<Ends>,
     name: String,
     key: OwnedKeyExpr,
@@ -22,12 +22,12 @@ pub struct Called {
     token: Option<LivelinessToken>,
 }
 
-impl Called {
-    /// Serves the service on this side, where it is there.
+impl RemoteService {
+    /// Serves the service on this side if it exists.
     ///
     /// # Errors
     /// Its name has no key expression, or the session is closed.
-    pub async fn begin(ends: Arc<Ends>, name: &str, route: &Route) -> Result<Self> {
+    pub(crate) async fn begin(ends: Arc<Ends>, name: &str, route: &Route) -> Result<Self> {
         let mut called = Self {
             key: ends.key_of(name)?,
             ends,
@@ -40,11 +40,11 @@ impl Called {
         Ok(called)
     }
 
-    /// Begins or ends to serve it, and to announce this side's clients.
+    /// Starts or stops serving and announcing.
     ///
     /// # Errors
     /// The session is closed.
-    pub async fn change(&mut self, route: &Route) -> Result<()> {
+    pub(crate) async fn change(&mut self, route: &Route) -> Result<()> {
         self.serving = match (self.serving.take(), route.is_remote) {
             (_, false) => None,
             (Some(serving), true) => Some(serving),
@@ -79,13 +79,13 @@ async fn serve(caller: Arc<Caller>, name: &str, type_name: &str) -> Result<()> {
     let mut service = node.raw_service_for_others(name, type_name)?;
     let places = Arc::new(Semaphore::new(OPEN_CALLS));
     while let Some(call) = service.recv().await {
-        // The service's own queue is bounded, and drops the oldest call.
+        // the service's own queue is bounded, and drops the oldest call
         let place = Arc::clone(&places).acquire_owned().await?;
         let caller = Arc::clone(&caller);
         tokio::spawn(async move {
             if let Err(error) = caller.carry(call).await {
                 let key = &caller.key;
-                // ROS has no way to tell the client; it waits until it gives up.
+                // ROS cannot report this to the client, which waits until its timeout
                 tracing::warn!("a call of {key} is not answered: {error:#}");
                 let diagnostics = caller.ends.node.diagnostics();
                 diagnostics.count_drop(&format!("calls of zenoh {key}: not answered"));
@@ -124,7 +124,7 @@ impl Caller {
             .await
             .map_err(|error| anyhow!("{error}"))?;
         let reply = replies.recv_async().await;
-        // When the time is over, Zenoh itself answers that.
+        // Zenoh itself replies when the time is over
         let reply = reply.ok().context("the other side did not answer")?;
         match reply.result() {
             Ok(sample) => {
@@ -138,8 +138,8 @@ impl Caller {
         }
     }
 
-    /// Waits until Zenoh knows a way to the other side: it tells of the server before it does, and a query without a way is
-    /// answered by nobody, at once.
+    /// Waits for a route to the other side: Zenoh announces the server before it has a route, and replies to a query
+    /// without a route at once with nothing.
     async fn reach(&self) -> Result<()> {
         let failed = |error| anyhow!("cannot watch the servers of {}: {error}", self.key);
         let listener = self.querier.matching_listener().await.map_err(failed)?;

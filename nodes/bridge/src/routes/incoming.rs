@@ -1,4 +1,4 @@
-//! A topic from Zenoh to this side's subscriptions.
+//! A topic from Zenoh to subscriptions of this side.
 
 use super::{Ends, ROUTING, Task};
 use crate::{announcement::Subject, plan::Route};
@@ -22,42 +22,43 @@ use zenoh::{
 };
 use zenoh_ext::{AdvancedSubscriberBuilderExt as _, HistoryConfig};
 
-/// Samples that DDS may at least take at once: what comes after the network has been held up, comes in one burst.
+/// Samples that DDS must accept at once: after the network was blocked, they arrive in a burst.
 const BURST: usize = 512;
 
-/// How long this side's subscription is waited for to be connected, at most.
+/// The longest wait for the connection of this side's subscription.
 const CONNECTING: Duration = Duration::from_secs(2);
 
-/// Pauses before the history of a latched topic is requested again, until a sample arrives. The real bridge starts to read a
-/// topic when it sees a subscriber on Zenoh. What it sends at once may be lost ([`ROUTING`]), but stays in its history.
+/// Pauses before the history of a latched topic is requested again, until a sample arrives. The real bridge starts
+/// reading a topic when it sees a subscriber on Zenoh. Samples sent at once may be lost ([`ROUTING`]), but stay in its
+/// history.
 const AGAIN: [Duration; 3] = [
     Duration::from_secs(1),
     Duration::from_secs(2),
     Duration::from_secs(4),
 ];
 
-/// Sources of a latched topic that are remembered; beyond that it has met more restarts than anybody repeats samples over.
+/// The most sources of a latched topic: more than the restarts that repeat samples.
 const MOST_SOURCES: usize = 64;
 
-/// A topic on its way in. Its publisher on this side is there from the start, so that nodes see the topic; samples are
-/// fetched for as long as nodes subscribe to it. A latched topic is followed from then on.
-pub struct Incoming {
+/// An incoming topic. Its publisher on this side always exists, so that nodes see the topic. Samples are fetched while
+/// nodes subscribe to it; of a latched topic from then on.
+pub(crate) struct IncomingTopic {
     stream: Arc<Stream>,
     type_name: String,
     /// Whether another bridge publishes the topic.
     is_remote: bool,
     task: Option<Task>,
-    /// What this side's subscriptions are announced with, for as long as samples are fetched: the real bridge sends nothing
-    /// to a subscriber on Zenoh that it was not told of, and does not begin again when it is.
+    /// The QoS with which this side's subscriptions are announced while samples are fetched. The real bridge sends
+    /// nothing to a subscriber that was not announced, even if it is announced later.
     announced: Option<(Qos, LivelinessToken)>,
 }
 
-impl Incoming {
+impl IncomingTopic {
     /// Publishes the topic on this side.
     ///
     /// # Errors
-    /// Its name or type is none of ROS, or one of the sides is closed.
-    pub async fn begin(ends: Arc<Ends>, name: &str, route: &Route) -> Result<Self> {
+    /// Its name or type is invalid in ROS, or a side is closed.
+    pub(crate) async fn begin(ends: Arc<Ends>, name: &str, route: &Route) -> Result<Self> {
         let depth = match route.qos.durability {
             Durability::Volatile => route.qos.depth.max(BURST),
             Durability::TransientLocal => route.qos.depth,
@@ -82,18 +83,19 @@ impl Incoming {
         Ok(incoming)
     }
 
-    /// Begins or ends to fetch samples.
+    /// Starts or stops fetching samples.
     ///
     /// # Errors
     /// The session is closed.
-    pub async fn change(&mut self, route: &Route) -> Result<()> {
+    pub(crate) async fn change(&mut self, route: &Route) -> Result<()> {
         let stream = &self.stream;
         let is_latched = stream.qos.durability == Durability::TransientLocal;
         let is_new = route.is_remote && !self.is_remote;
         self.is_remote = route.is_remote;
         let is_due = match &self.task {
             None => route.local.is_some(),
-            // What another bridge holds is fetched when there is a way to it. Until then the subscription before goes on.
+            // the other bridge's history is fetched when there is a route to it; until then the previous subscription
+            // continues
             Some(_) => is_latched && is_new,
         };
         if is_due {
@@ -121,7 +123,7 @@ struct Stream {
     key: OwnedKeyExpr,
     qos: Qos,
     publisher: RawPublisher,
-    /// Of a latched topic, when the newest sample of each source was sent.
+    /// Of a latched topic: when the newest sample of each source was sent.
     newest: Mutex<HashMap<TimestampId, NTP64>>,
     has_come: AtomicBool,
 }
@@ -145,7 +147,7 @@ impl Stream {
                 if self.has_come.load(Ordering::Relaxed) {
                     break;
                 }
-                // The one before is let go of when this one is there.
+                // drops the previous subscription when the new one exists
                 _held = Arc::clone(self).subscribe().await?;
             }
         }
@@ -155,14 +157,14 @@ impl Stream {
     async fn subscribe(self: Arc<Self>) -> Result<Box<dyn Any + Send + Sync>> {
         let is_latched = self.qos.durability == Durability::TransientLocal;
         if !is_latched {
-            // Who sees a subscriber on the other side sends: what comes before this side's is connected would be lost. One
-            // that asks for what no bridge can give is never connected.
+            // The other side sends as soon as it sees a subscriber: samples before this side's subscription is
+            // connected would be lost. A subscription that requests more than a bridge can offer is never connected.
             let connected = self.publisher.wait_for_subscribers(1);
             tokio::time::timeout(CONNECTING, connected).await.ok();
         }
         let failed = |error| anyhow!("cannot subscribe to {}: {error}", self.key);
         let input = format!("zenoh {}", self.key);
-        // Of publishers that number their samples, as `wm bridge` does for topics that are not latched.
+        // for publishers that number their samples, as `wm bridge` does for topics that are not latched
         let gaps = Mutex::new(Gaps::default());
         let stream = Arc::clone(&self);
         let subscriber = self
@@ -199,7 +201,7 @@ impl Stream {
         Ok(Box::new(subscriber.map_err(failed)?))
     }
 
-    /// Takes a sample that the subscription before this one has not taken.
+    /// Takes a sample unless the previous subscription has taken it.
     fn take_latched(&self, sample: &Sample, input: &str) {
         let mut newest = lock(&self.newest);
         if let Some(stamp) = sample.timestamp() {
@@ -230,7 +232,7 @@ impl Stream {
     }
 }
 
-/// A panic elsewhere leaves nothing half done under these locks.
+/// no invariant spans these locks
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

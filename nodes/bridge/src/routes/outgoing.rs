@@ -1,4 +1,4 @@
-//! A topic of this side's publishers to Zenoh.
+//! A topic from publishers of this side to Zenoh.
 
 use super::{Ends, ROUTING, Task};
 use crate::{announcement::Subject, limiter::Limiter, plan::Route};
@@ -14,21 +14,20 @@ use zenoh_ext::{
     AdvancedPublisher, AdvancedPublisherBuilderExt as _, CacheConfig, MissDetectionConfig,
 };
 
-/// Samples that may at least wait for the network; policy DropOldest.
+/// The least size of the queue to the network; policy DropOldest.
 const QUEUE: usize = 32;
 
-/// A topic on its way out.
-pub struct Outgoing {
+pub(crate) struct OutgoingTopic {
     _task: Task,
     _token: LivelinessToken,
 }
 
-impl Outgoing {
+impl OutgoingTopic {
     /// Publishes the topic on Zenoh.
     ///
     /// # Errors
     /// Its name has no key expression, or the session is closed.
-    pub async fn begin(ends: Arc<Ends>, name: &str, route: &Route) -> Result<Self> {
+    pub(crate) async fn begin(ends: Arc<Ends>, name: &str, route: &Route) -> Result<Self> {
         let key = ends.key_of(name)?;
         let subject = Subject::Publisher(route.local.unwrap_or(route.qos));
         let publisher = publish(&ends, name, &key, route.qos).await?;
@@ -60,7 +59,7 @@ async fn publish(
     key: &OwnedKeyExpr,
     qos: Qos,
 ) -> Result<AdvancedPublisher<'static>> {
-    // As the real bridge: who sends reliably rather waits for the network than loses samples in it.
+    // as in the real bridge: reliable publishers wait for the network instead of losing samples
     let is_blocking =
         qos.reliability == Reliability::Reliable && ends.settings.reliable_routes_blocking;
     let congestion_control = match is_blocking {
@@ -78,7 +77,7 @@ async fn publish(
         .allowed_destination(Locality::Remote)
         .advanced();
     let publisher = match qos.durability {
-        // Zenoh drops without a word: the other end sees it by the numbers.
+        // Zenoh drops silently: the other end detects loss by the numbers
         Durability::Volatile => {
             let numbered = publisher.sample_miss_detection(MissDetectionConfig::default());
             numbered.await
@@ -111,8 +110,8 @@ impl Stream {
         }
     }
 
-    /// Subscribes to the topic while somebody on Zenoh does. A latched one is always subscribed to, so that its last
-    /// samples are there when somebody does.
+    /// Subscribes to the topic while it has subscribers on Zenoh. A latched topic is always subscribed to, so that late
+    /// subscribers get its last samples.
     async fn forward(&mut self) -> Result<()> {
         let failed = |error| anyhow!("cannot watch the subscribers on Zenoh: {error}");
         let is_latched = self.qos.durability == Durability::TransientLocal;
@@ -128,7 +127,7 @@ impl Stream {
                 is_heard = listener.recv_async().await.map_err(failed)?.matching();
             }
             if !is_latched {
-                // Publishers of this side see a subscription once what they send arrives.
+                // publishers of this side see a subscription once its samples arrive
                 tokio::time::sleep(ROUTING).await;
             }
             let mut samples =
@@ -140,7 +139,7 @@ impl Stream {
                     status = listener.recv_async() => {
                         is_heard = status.map_err(failed)?.matching();
                     }
-                    // The sending itself is not cancelled: the next sample would overtake this one.
+                    // sending is not cancelled: the next sample would overtake this one
                     sample = samples.recv() => match sample {
                         Some(sample) => self.carry(sample.message).await?,
                         None => return Ok(()),
@@ -158,7 +157,7 @@ impl Stream {
     }
 
     fn is_due(&mut self) -> bool {
-        // The last state of a latched topic must arrive, however soon after the one before it came.
+        // the last state of a latched topic must arrive, even if it closely follows another
         if self.qos.durability == Durability::TransientLocal {
             return true;
         }
@@ -177,7 +176,7 @@ impl Stream {
 
     async fn send(&self, sample: Bytes) -> Result<()> {
         let publisher = Arc::clone(&self.publisher);
-        // A thread of its own: under congestion this waits.
+        // a separate thread, since this blocks under congestion
         let put = tokio::task::spawn_blocking(move || publisher.put(sample).wait());
         let diagnostics = self.ends.node.diagnostics();
         match put.await.context("sending")? {

@@ -1,4 +1,4 @@
-//! A service of this side to callers on Zenoh.
+//! A service of this side for callers on Zenoh.
 
 use super::{Ends, OPEN_CALLS};
 use crate::{announcement::Subject, plan::Route};
@@ -14,21 +14,20 @@ use zenoh::{
     sample::Locality,
 };
 
-/// The request of a query without payload: the CDR of a request without fields, which ROS gives one byte.
+/// The request of a query without payload: the CDR of an empty request, which has one byte in ROS.
 const EMPTY_REQUEST: &[u8] = &[0, 1, 0, 0, 0];
 
-/// A service that is called from Zenoh.
-pub struct Served {
+pub(crate) struct LocalService {
     _queryable: Queryable<()>,
     _token: LivelinessToken,
 }
 
-impl Served {
+impl LocalService {
     /// Answers queries of the service's key.
     ///
     /// # Errors
-    /// Its name or type is none of ROS, or one of the sides is closed.
-    pub async fn begin(ends: Arc<Ends>, name: &str, route: &Route) -> Result<Self> {
+    /// Its name or type is invalid in ROS, or a side is closed.
+    pub(crate) async fn begin(ends: Arc<Ends>, name: &str, route: &Route) -> Result<Self> {
         let key = ends.key_of(name)?;
         let server = Arc::new(Server {
             client: ends.node.raw_client(name, &route.type_name)?,
@@ -97,7 +96,7 @@ impl Server {
         };
         let timeout = self.ends.settings.queries_timeout;
         let call = async {
-            // A request that is sent before the server is connected reaches nobody.
+            // a request before the connection would be lost
             self.client.wait_for_service().await;
             self.client.call(request).await
         };

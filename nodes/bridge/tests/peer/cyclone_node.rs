@@ -1,6 +1,5 @@
-//! A node that calls and serves as those of rmw_cyclonedds do, which are the ones whose services the real bridge carries:
-//! who asks, and which answer this is, stands in front of request and answer. Other nodes, ours among them, have it in
-//! the header of the datagram.
+//! A node whose services work like those of rmw_cyclonedds, which the real bridge requires: the client's identity and
+//! the call's number precede request and response. Other nodes, ours included, have them in the header of the datagram.
 
 use ros2_client::{
     Client, Context, Message, Name, Node, NodeName, NodeOptions, QosProfile, Server,
@@ -12,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use std::net::{IpAddr, Ipv4Addr};
 use wm_msgs::wm_msgs::{ResetRequest, ResetResponse};
 
-/// A request or answer.
+/// A request or response.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Body<T>(pub T);

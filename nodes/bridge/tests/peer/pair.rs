@@ -5,11 +5,11 @@ use std::process::Command;
 use wm_msgs::std_msgs::String as Text;
 use wm_ros::Subscription;
 
-/// Loopback alone, as the nodes have it; that no multicast is used there, the bridge says itself.
+/// Loopback only, like the nodes. The bridge itself disables multicast there.
 const CYCLONE: &str = r#"<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="lo"/></Interfaces></General>
     </Domain></CycloneDDS>"#;
 
-/// The real bridge of a domain on loopback, which connects to an endpoint; `mode`: `router`, its default, or `peer`.
+/// The real bridge of a domain on loopback, connected to an endpoint; `mode`: `router`, its default, or `peer`.
 pub fn real_bridge(domain: u16, endpoint: &str, mode: &str) -> Process {
     let config = format!(
         r#"{{ mode: "{mode}", connect: {{ endpoints: ["{endpoint}"] }}, listen: {{ endpoints: [] }},
@@ -20,7 +20,7 @@ pub fn real_bridge(domain: u16, endpoint: &str, mode: &str) -> Process {
     command
         .arg(config)
         .env("CYCLONEDDS_URI", CYCLONE)
-        // by which it knows the form of the graph's messages
+        // selects the format of the graph's messages
         .env("ROS_DISTRO", "kilted");
     in_domain(&mut command, domain);
     Process::start(command)
@@ -41,7 +41,7 @@ impl Pair {
         let (domain_here, domain_there) = (fresh_domain(), fresh_domain());
         let endpoint = fresh_endpoint();
         Self {
-            // It has to try again.
+            // it has to retry
             _real_bridge: real_bridge(domain_there, &endpoint, "router"),
             _bridge: bridge(domain_here, &[&["--listen", &endpoint], args].concat()),
             here: Site::join(domain_here),

@@ -1,4 +1,4 @@
-//! A real ROS 2 behind the real bridge: rclpy on Fast DDS, which tells the types' hashes that our own nodes cannot.
+//! A real ROS 2 behind the real bridge: rclpy on Fast DDS, which announces the types' hashes, unlike our nodes.
 
 use crate::{
     harness::{in_domain, root, soon, text},
@@ -11,7 +11,7 @@ use std::{
 use wm_msgs::std_msgs::String as Text;
 use wm_ros::Qos;
 
-/// What the environment of the real ROS 2 is set up by; `None` (with a plain message) where `tests/setup_ros2` was not run.
+/// The setup script of the real ROS 2; `None` (with a message) without `tests/setup_ros2`.
 fn ros2() -> Option<PathBuf> {
     let environment = root().join(".venv/ros2/ros2_env.sh");
     if environment.is_file() {
@@ -25,7 +25,7 @@ fn ros2() -> Option<PathBuf> {
     None
 }
 
-/// A Python program, which ends with the test.
+/// A Python program that ends with the test.
 struct Python(Child);
 
 impl Python {
@@ -56,7 +56,7 @@ impl Drop for Python {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_real_ros_2_behind_the_real_bridge_hears_and_is_heard() {
+async fn real_ros_2_communicates_through_the_real_bridge() {
     let Some(ros2) = ros2() else { return };
     let pair = Pair::new(&[]);
     let (here, there) = (&pair.here.node, pair.domain_there);

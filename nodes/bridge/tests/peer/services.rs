@@ -19,7 +19,7 @@ fn request(seed: u64) -> ResetRequest {
     }
 }
 
-/// An answer that tells what was asked.
+/// A response that repeats the request.
 fn answer(request: &ResetRequest) -> ResetResponse {
     ResetResponse {
         success: request.keep_seed,
@@ -27,7 +27,7 @@ fn answer(request: &ResetRequest) -> ResetResponse {
     }
 }
 
-/// Waits until the services that this node sees have a server of `reset` or have none.
+/// Waits until this node does or does not see a server of `reset`.
 async fn served(node: &Node, is_wanted: bool) {
     let mut changes = node.graph_changes();
     let is_served = || {
@@ -44,7 +44,7 @@ async fn served(node: &Node, is_wanted: bool) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_client_behind_the_real_bridge_calls_a_service() {
+async fn client_behind_the_real_bridge_calls_a_service() {
     let pair = Pair::new(&[]);
     let mut service = pair.here.node.service::<Reset>("reset").unwrap();
     let mut node = CycloneNode::join(pair.domain_there);
@@ -63,14 +63,14 @@ async fn a_client_behind_the_real_bridge_calls_a_service() {
         let Body(answered) = soon("an answer", call).await.unwrap();
         assert_eq!(answered, answer(&request(seed)));
     }
-    // When the server goes, it goes on the other side too.
+    // when the server ends, the remote server ends too
     served(&pair.there.node, true).await;
     drop(soon("serving", serving).await.unwrap());
     served(&pair.there.node, false).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_service_behind_the_real_bridge_is_called() {
+async fn service_behind_the_real_bridge_is_called() {
     let pair = Pair::new(&["--queries-timeout", "20"]);
     let client = pair.here.node.client::<Reset>("reset").unwrap();
     let mut node = CycloneNode::join(pair.domain_there);
@@ -93,7 +93,7 @@ async fn a_service_behind_the_real_bridge_is_called() {
     served(&pair.here.node, false).await;
 }
 
-/// Waits until the bridge reports a call that nobody answered.
+/// Waits until the bridge reports a call without a response.
 async fn told_of(reports: &mut Subscription<DiagnosticArray>) {
     let tells = |report: &DiagnosticArray| {
         let mut values = report.status.iter().flat_map(|status| &status.values);
@@ -111,7 +111,7 @@ fn reports(pair: &Pair) -> Subscription<DiagnosticArray> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_call_that_nobody_answers_behind_the_real_bridge_is_told_of() {
+async fn unanswered_call_behind_the_real_bridge_is_reported() {
     let pair = Pair::new(&["--queries-timeout", "0.5"]);
     let mut reports = reports(&pair);
     let client = pair.here.node.client::<Reset>("reset").unwrap();
@@ -125,10 +125,9 @@ async fn a_call_that_nobody_answers_behind_the_real_bridge_is_told_of() {
     calling.abort();
 }
 
-/// Not what anybody wants, but what the real bridge does: it writes 16 bytes in front of what other servers than those of
-/// rmw_cyclonedds take for the request.
+/// A fault of the real bridge: it writes 16 bytes in front of the request, which only servers of rmw_cyclonedds expect.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_service_of_another_rmw_behind_the_real_bridge_is_asked_something_else() {
+async fn real_bridge_corrupts_requests_to_other_rmws() {
     let pair = Pair::new(&["--queries-timeout", "0.5"]);
     let mut reports = reports(&pair);
     let client = pair.here.node.client::<Reset>("reset").unwrap();

@@ -26,8 +26,8 @@ async fn across<M: Message + Default + PartialEq>(
     (publisher, subscription)
 }
 
-/// Publishes until a message arrives: what the real bridge sends within 0.1 s after it has learned of a subscriber may end on
-/// the way.
+/// Publishes until a message arrives: messages of the real bridge within 0.1 s after a subscriber's discovery may be
+/// lost.
 async fn arrives<M: Message + PartialEq>(
     publisher: &Publisher<M>,
     message: &M,
@@ -47,17 +47,17 @@ async fn arrives<M: Message + PartialEq>(
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_topic_crosses_both_ways_and_nothing_comes_back() {
+async fn topic_crosses_both_ways_without_echo() {
     let pair = Pair::new(&[]);
     let qos = Qos::reliable(100);
     let out = pair.here.node.publisher::<Text>("said", qos).unwrap();
     let back = pair.there.node.publisher::<Text>("said", qos).unwrap();
-    // Subscriptions of other participants than the publishers', who hear both.
+    // subscriptions of other participants than the publishers', which receive both
     let (ear_here, ear_there) = (Site::join(pair.domain_here), Site::join(pair.domain_there));
     let mut heard_here = ear_here.node.subscription::<Text>("said", qos).unwrap();
     let mut heard_there = ear_there.node.subscription::<Text>("said", qos).unwrap();
     soon("connecting", async {
-        // The subscription of this side, and the bridge's.
+        // the subscription of this side and the bridge's
         out.wait_for_subscribers(2).await;
         back.wait_for_subscribers(2).await;
         heard_here.wait_for_publishers(2).await;
@@ -81,7 +81,7 @@ async fn a_topic_crosses_both_ways_and_nothing_comes_back() {
             assert_eq!(of_side, expected.iter().collect::<Vec<_>>());
         }
     }
-    // One more of each: whatever had come back would come before it.
+    // one more of each: a message that came back would arrive before it
     for (publisher, words) in [(&out, "last"), (&back, "very last")] {
         publisher.publish(&text(words)).unwrap();
         assert_eq!(word(&mut heard_here).await, words);
@@ -89,7 +89,7 @@ async fn a_topic_crosses_both_ways_and_nothing_comes_back() {
     }
 }
 
-/// The next message after those that were published until one arrived.
+/// The next message after those published until the first arrival.
 async fn word(heard: &mut Subscription<Text>) -> String {
     loop {
         let word = next(heard).await;
@@ -100,10 +100,10 @@ async fn word(heard: &mut Subscription<Text>) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_image_crosses_both_ways() {
+async fn image_crosses_both_ways() {
     let pair = Pair::new(&[]);
     let (here, there) = (&pair.here.node, &pair.there.node);
-    // More than a datagram, and less than overflows the receive buffer of another DDS at Linux's default.
+    // more than a datagram, but not more than another DDS' receive buffer at Linux's default
     let (height, width) = (160, 160);
     for (from, to, topic) in [(here, there, "image_here"), (there, here, "image_there")] {
         let (publisher, mut subscription) = across::<Image>(from, to, topic).await;
@@ -147,7 +147,7 @@ async fn names_and_lists_hold() {
     assert_eq!(secret.subscribers(), 0);
 }
 
-/// A latched publisher on one side, and those who come late to the other.
+/// A latched publisher on one side, and late subscribers on the other.
 struct Latched {
     from: Site,
     to: Site,
@@ -167,7 +167,7 @@ impl Latched {
         }
     }
 
-    /// As a peer: a router of Zenoh 1.10.2 that comes back at once may be told nothing.
+    /// A peer: a router of Zenoh 1.10.2 that returns at once may get no data.
     fn real_bridge(&self, domain: u16) -> Process {
         real_bridge(domain, &self.endpoint, "peer")
     }
@@ -181,29 +181,29 @@ impl Latched {
     }
 }
 
-/// Waits for the last of the states that are held: a bridge that has begun anew may send some before it once more.
+/// Waits for the last latched state: a restarted bridge may repeat earlier ones.
 async fn until(heard: &mut Subscription<Text>, last: &str) {
     while next(heard).await != last {}
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn who_comes_late_behind_the_real_bridge_gets_what_is_latched() {
+async fn late_subscriber_behind_the_real_bridge_gets_latched_state() {
     let latched = Latched::new();
     let map = latched.publisher();
     map.publish(&text("new")).unwrap();
-    // The bridges come after it was said,
+    // the bridges start after the first message
     let [domain_here, domain_there] = latched.domains;
     let _bridge = bridge(domain_here, &["--listen", &latched.endpoint]);
     let real = latched.real_bridge(domain_there);
     let mut first = latched.late();
     assert_eq!(next(&mut first).await, "new");
-    // and a second subscriber later,
+    // a second subscriber later
     let mut second = latched.late();
     assert_eq!(next(&mut second).await, "new");
     map.publish(&text("newer")).unwrap();
     assert_eq!(next(&mut first).await, "newer");
     assert_eq!(next(&mut second).await, "newer");
-    // and a third when the real bridge has begun anew.
+    // a third one after a restart of the real bridge
     drop((first, second, real));
     let _real = latched.real_bridge(domain_there);
     let mut third = latched.late();
@@ -213,7 +213,7 @@ async fn who_comes_late_behind_the_real_bridge_gets_what_is_latched() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn who_comes_late_gets_what_is_latched_behind_the_real_bridge() {
+async fn late_subscriber_gets_latched_state_of_the_real_bridge() {
     let latched = Latched::new();
     let map = latched.publisher();
     map.publish(&text("new")).unwrap();
@@ -235,10 +235,10 @@ async fn who_comes_late_gets_what_is_latched_behind_the_real_bridge() {
     until(&mut third, "newest").await;
 }
 
-/// The real bridge stops to read a topic when no subscriber of it is announced any more, and reads it again only when one
-/// comes to a network that had none.
+/// The real bridge stops reading a topic when the last announced subscriber leaves, and resumes only when one joins a
+/// network without any.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_latched_topic_is_heard_again_when_all_its_subscribers_had_gone() {
+async fn latched_topic_resumes_after_its_subscribers_left() {
     let latched = Latched::new();
     let [domain_there, domain_here] = latched.domains;
     let _bridge = bridge(domain_here, &["--listen", &latched.endpoint]);
@@ -249,7 +249,7 @@ async fn a_latched_topic_is_heard_again_when_all_its_subscribers_had_gone() {
     assert_eq!(next(&mut first).await, "new");
     drop(first);
     gone(domain_here, "/wm/map").await;
-    // Whoever carries what comes after it has seen it go.
+    // a route for a later message has handled the departure
     let (from, to) = (&latched.from.node, &latched.to.node);
     let _after = across::<Text>(from, to, "map_after").await;
     let mut second = latched.late();

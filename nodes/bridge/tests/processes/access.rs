@@ -1,5 +1,5 @@
-//! Who may join and what they may get, by Zenoh's own configuration file: TLS with certificates on both sides, and access
-//! control by the name in the certificate.
+//! Access control by Zenoh's configuration file: TLS with certificates on both sides, and rules for the name in the
+//! certificate.
 
 use crate::harness::{PATIENCE, Process, Site, bridge, fresh_domain, fresh_endpoint, soon, text};
 use rcgen::{
@@ -15,7 +15,6 @@ use wm_ros::{Publisher, Qos, Subscription};
 
 const ADDRESS: &str = "127.0.0.1";
 
-/// A certificate authority.
 struct Authority(CertifiedIssuer<'static, KeyPair>);
 
 impl Authority {
@@ -27,14 +26,14 @@ impl Authority {
     }
 }
 
-/// What a certificate for this name on loopback says.
+/// A certificate for this name on loopback.
 fn named(name: &str) -> CertificateParams {
     let mut params = CertificateParams::new([ADDRESS.to_owned()]).unwrap();
     params.distinguished_name.push(DnType::CommonName, name);
     params
 }
 
-/// Bridges of one network: where they listen, and whom they trust.
+/// Bridges of one network: their endpoint and trusted authority.
 struct Network {
     files: tempfile::TempDir,
     endpoint: String,
@@ -56,7 +55,7 @@ impl Network {
         path
     }
 
-    /// The configuration file of a bridge of this name, whose certificate is by that authority.
+    /// The configuration file of a bridge with this name, certified by `authority`.
     fn configuration(&self, name: &str, authority: &Authority, more: Value) -> PathBuf {
         let key = KeyPair::generate().unwrap();
         let certificate = named(name).signed_by(&key, &authority.0).unwrap();
@@ -84,7 +83,7 @@ impl Network {
     }
 }
 
-/// One side publishes it, the other hears it.
+/// One side publishes it, the other subscribes to it.
 async fn topic(name: &str, here: &Site, there: &Site) -> (Publisher<Text>, Subscription<Text>) {
     let said = here
         .node
@@ -112,7 +111,7 @@ fn without_patience(limit: Duration) -> Value {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn who_has_no_certificate_of_the_networks_authority_is_not_let_in() {
+async fn bridge_without_a_trusted_certificate_is_rejected() {
     let network = Network::new();
     let (domain_here, domain_there) = (fresh_domain(), fresh_domain());
     let here = network.configuration("here", &network.trusted, json!({}));
@@ -124,7 +123,7 @@ async fn who_has_no_certificate_of_the_networks_authority_is_not_let_in() {
     said.publish(&text("over TLS")).unwrap();
     assert_eq!(next(&mut heard).await, "over TLS");
 
-    // The same but for the authority, while the network is there.
+    // only the authority differs, and the network exists
     let others = Authority::new("another's");
     let limit = Duration::from_secs(2);
     let stranger = network.configuration("stranger", &others, without_patience(limit));

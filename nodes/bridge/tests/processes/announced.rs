@@ -1,4 +1,4 @@
-//! What the bridge announces, to a Zenoh session that plays another bridge.
+//! The bridge's announcements, as a Zenoh session sees them that acts as another bridge.
 
 use crate::harness::{Site, bridge, fresh_domain, fresh_endpoint, gone, soon};
 use serde_json::json;
@@ -7,7 +7,7 @@ use wm_ros::Qos;
 use zenoh::{Config, sample::SampleKind};
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_latched_topic_is_announced_for_as_long_as_it_is_subscribed_to() {
+async fn latched_topic_is_announced_while_subscribed() {
     let (domain, endpoint) = (fresh_domain(), fresh_endpoint());
     let _bridge = bridge(domain, &["--connect", &endpoint]);
     let mut config = Config::default();
@@ -19,14 +19,14 @@ async fn a_latched_topic_is_announced_for_as_long_as_it_is_subscribed_to() {
     }
     let session = zenoh::open(config).await.unwrap();
     let publisher = session.declare_publisher("wm/map").await.unwrap();
-    // As deep as the subscription is taken to be, so that the route stays when that goes.
+    // with the assumed depth of the subscription, so that the route stays when it leaves
     let token = "@/a1/@ros2_lv/MP/wm§map/std_msgs§msg§String/:1:1:0,100";
     let liveliness = session.liveliness();
     let _token = liveliness.declare_token(token).await.unwrap();
     let subscribers = "@/*/@ros2_lv/MS/**";
     let tokens = liveliness.declare_subscriber(subscribers).history(true);
     let tokens = tokens.await.unwrap();
-    // Waits for the announcement of a topic, and gives those that were withdrawn meanwhile.
+    // waits for the announcement of a topic, and returns those withdrawn meanwhile
     let announced = async |topic: &str| {
         let mut withdrawn = Vec::new();
         soon("an announcement", async {
@@ -53,7 +53,7 @@ async fn a_latched_topic_is_announced_for_as_long_as_it_is_subscribed_to() {
     }
     drop(first);
     gone(domain, "/wm/map").await;
-    // Before this is announced, the bridge has done what follows from that.
+    // when this is announced, the bridge has handled the change
     let _after = subscribe("map_after", Qos::reliable(1));
     assert_eq!(announced("map_after").await, [""; 0]);
     assert!(publisher.matching_status().await.unwrap().matching());

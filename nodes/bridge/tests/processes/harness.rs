@@ -13,13 +13,13 @@ use std::{
 use wm_msgs::std_msgs;
 use wm_ros::{Context, Environment, Node, NodeArgs, Reach, Role};
 
-/// Far above anything that happens on one host; it only ends a test that hangs.
+/// Far longer than anything on one host; only ends a hanging test.
 pub const PATIENCE: Duration = Duration::from_secs(60);
 
 /// The program under test.
 pub const BRIDGE: &str = "wm-bridge";
 
-/// Where cargo puts a program of the workspace: one folder above the tests'.
+/// Where cargo puts a program of the workspace: one folder above the tests.
 pub fn program(name: &str) -> PathBuf {
     let tests = std::env::current_exe().unwrap();
     tests.parent().unwrap().with_file_name(name)
@@ -32,12 +32,12 @@ pub fn root() -> &'static Path {
 
 /// A ROS domain that no other test of this run uses.
 pub fn fresh_domain() -> u16 {
-    // Domains up to 101 keep RTPS ports below the ephemeral range of Linux.
+    // domains up to 101 keep RTPS ports below the ephemeral range of Linux
     static NEXT: AtomicU16 = AtomicU16::new(0);
     20 + (std::process::id() as u16 % 2) * 40 + NEXT.fetch_add(1, Ordering::Relaxed) % 40
 }
 
-/// An endpoint on this host that nobody listens on.
+/// A free endpoint on this host.
 pub fn fresh_endpoint() -> String {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     format!("tcp/{}", listener.local_addr().unwrap())
@@ -55,7 +55,7 @@ pub fn text(data: &str) -> std_msgs::String {
     }
 }
 
-/// A process that is ended by its pid when the test lets go of it.
+/// A process that is ended by its pid when this is dropped.
 pub struct Process {
     child: Child,
 }
@@ -63,7 +63,7 @@ pub struct Process {
 impl Process {
     /// Starts it; its stderr goes to the test's own.
     pub fn start(mut command: Command) -> Self {
-        // A group of its own: what the process started ends with it.
+        // in its own process group, so that its children end with it
         let child = command
             .stdin(Stdio::null())
             .process_group(0)
@@ -99,7 +99,7 @@ impl Drop for Process {
     }
 }
 
-/// Puts `command` into a ROS domain, on loopback.
+/// Sets the ROS domain of `command`, on loopback.
 pub fn in_domain(command: &mut Command, domain: u16) {
     command
         .env("ROS_DOMAIN_ID", domain.to_string())
@@ -115,8 +115,7 @@ pub fn bridge(domain: u16, args: &[impl AsRef<OsStr>]) -> Process {
     Process::start(command)
 }
 
-/// The nodes' program, which cargo builds beside the bridge's when it tests the workspace; `None` (with a plain message)
-/// where it was not built.
+/// The nodes' program, which cargo builds when it tests the workspace; `None` (with a message) if it is missing.
 pub fn wm() -> Option<PathBuf> {
     let wm = program("wm");
     if wm.is_file() {
@@ -151,7 +150,7 @@ impl Site {
     }
 }
 
-/// Waits until nobody subscribes to a topic any more but the bridge.
+/// Waits until only the bridge subscribes to a topic.
 pub async fn gone(domain: u16, topic: &str) {
     let observer = Site::join(domain);
     let mut changes = observer.node.graph_changes();
@@ -161,7 +160,7 @@ pub async fn gone(domain: u16, topic: &str) {
         endpoints.any(|endpoint| endpoint.role == role && endpoint.name == name)
     };
     soon("seeing the subscriptions go", async {
-        // By the time that it knows of the bridge's publisher it knows of all.
+        // when it knows the bridge's publisher, it knows all endpoints
         while !is_there(Role::Publisher, topic) || is_there(Role::Subscription, topic) {
             changes.changed().await.unwrap();
         }

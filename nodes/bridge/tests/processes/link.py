@@ -19,7 +19,7 @@ import time
 
 TUNSETIFF = 0x400454CA
 IFF_TUN, IFF_NO_PI = 0x0001, 0x1000
-# Packets on their way: beyond that a link of 1 Gbit/s and 50 ms would drop them too.
+# The most packets in transit: a link of 1 Gbit/s and 50 ms would also drop more.
 MOST_WAITING = 4096
 
 

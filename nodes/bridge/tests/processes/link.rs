@@ -1,4 +1,4 @@
-//! A slow and lossy link between two machines, as network namespaces of this one.
+//! A slow and lossy link between two network namespaces, which act as machines.
 
 use crate::harness::{Process, Site, in_domain};
 use std::{
@@ -10,9 +10,9 @@ use std::{
     time::Duration,
 };
 
-/// From one end to the other.
+/// From end to end.
 pub const DELAY: Duration = Duration::from_millis(50);
-/// The part of the packets that never arrives.
+/// The share of lost packets.
 const LOSS: f64 = 0.02;
 const SEED: u32 = 7;
 const CONGESTION_CONTROL: &str = "bbr";
@@ -22,7 +22,7 @@ fn ip(args: &[&str]) -> bool {
     status.is_ok_and(|status| status.success())
 }
 
-/// Two namespaces and the link between them, until it is dropped.
+/// Two namespaces and the link between them, until dropped.
 pub struct Link {
     namespaces: [String; 2],
     relay: Child,
@@ -30,7 +30,7 @@ pub struct Link {
 }
 
 impl Link {
-    /// `None`, with a plain message, where this takes rights that the test does not have.
+    /// `None`, with a message, without the necessary rights.
     pub fn new() -> Option<Self> {
         let skip = |reason: &str| eprintln!("skipped: the test over a lossy link {reason}");
         if !rustix::process::geteuid().is_root() {
@@ -75,7 +75,7 @@ impl Link {
         };
         assert_eq!(link.line(), "ready");
         for namespace in &link.namespaces {
-            // What loss means to it decides what a link of this kind carries; the machine's own may be any.
+            // a fixed congestion control, since it decides the link's throughput under loss
             let set =
                 format!("echo {CONGESTION_CONTROL} > /proc/sys/net/ipv4/tcp_congestion_control");
             if !ip(&["netns", "exec", namespace, "sh", "-c", &set]) {
@@ -94,19 +94,19 @@ impl Link {
         line.trim_end().to_owned()
     }
 
-    /// A program at that end.
+    /// Starts a program at this end.
     pub fn start(&self, end: usize, program: &Path, args: &[&str]) -> Process {
         let mut command = Command::new("ip");
         command
             .args(["netns", "exec", &self.namespaces[end]])
             .arg(program)
             .args(args);
-        // The same domain on both machines: they do not see each other but for the bridges.
+        // both machines use the same domain: only the bridges connect them
         in_domain(&mut command, 0);
         Process::start(command)
     }
 
-    /// A participant at that end: what it opens, and the threads that it starts, are of the namespace.
+    /// A participant at this end: its sockets and threads belong to the namespace.
     pub fn site(&self, end: usize) -> Site {
         let path = format!("/run/netns/{}", self.namespaces[end]);
         let joining = std::thread::spawn(move || {
@@ -117,13 +117,13 @@ impl Link {
         joining.join().unwrap()
     }
 
-    /// Drops every packet from now on for so long.
+    /// Drops all packets for this long.
     pub fn fail_for(&mut self, outage: Duration) {
         let input = self.relay.stdin.as_mut().unwrap();
         writeln!(input, "{}", outage.as_secs_f64()).unwrap();
     }
 
-    /// How many packets it was given, and dropped.
+    /// The numbers of packets and of dropped ones.
     pub fn finish(mut self) -> (u64, u64) {
         drop(self.relay.stdin.take());
         let line = self.line();

@@ -1,5 +1,5 @@
-//! A robot and a desk, with 50 ms and 2 % loss between them: the robot's predictions come to the desk, and the desk's
-//! goals and calls to the robot's planner. The nodes are the real ones, and the camera is the bundled bag.
+//! A robot and a desk with 50 ms and 2 % loss between them: predictions go to the desk, goals and calls to the robot's
+//! planner. The nodes are real, and the camera is the bundled bag.
 
 use crate::{
     harness::{BRIDGE, Process, program, root, soon, wm},
@@ -22,25 +22,25 @@ use wm_ros::{Node, Qos, Subscription};
 const ROBOT: usize = 0;
 const DESK: usize = 1;
 
-/// Predictions that the robot sends before it is counted what came: 75 observations of 8 steps, two rounds of the bag.
+/// Predictions that the robot sends: 75 observations of 8 steps, two rounds of the bag.
 const MESSAGES: usize = 600;
-/// After so many of them nothing arrives for a while, as when the robot drives out of reach. TCP tries again about 0.5, 1.1
-/// and 2.3 s after what was lost first.
+/// After this many, nothing arrives for a while, as if the robot were out of reach. TCP retries about 0.5, 1.1 and 2.3
+/// s after the first loss.
 const BEFORE_OUTAGE: usize = 200;
 const OUTAGE: Duration = Duration::from_millis(1300);
 const GOALS: i32 = 5;
-/// Between two observations at the camera's 5 Hz; a round of the bag is further from the next.
+/// The longest time between observations at the camera's 5 Hz; between rounds of the bag it is longer.
 const NEXT_OBSERVATION_NS: i64 = 300_000_000;
 
-/// Of which observation it is, and which step: every prediction has its own.
+/// The observation and the step of a prediction.
 type PredictionId = (i64, u32);
 
-/// When each prediction came to one end, by its clock \[ns\].
+/// When each prediction arrived at one end, by its clock \[ns\].
 #[derive(Default)]
 struct Arrivals(BTreeMap<PredictionId, i64>);
 
 impl Arrivals {
-    /// Takes the next prediction; gives how long it took from the predictor's hand \[s\].
+    /// Takes the next prediction; returns its delay since the predictor \[s\].
     async fn next(&mut self, predicted: &mut Subscription<Prediction>) -> f64 {
         let received = soon("a prediction", predicted.recv()).await.unwrap();
         let prediction = received.message;
@@ -61,7 +61,7 @@ impl Arrivals {
         self.0.keys().copied().collect()
     }
 
-    /// Observations a second, by when the last step of each came; between rounds of the bag there is no rate.
+    /// Observations per second, by the arrival of each one's last step; without the pauses between rounds of the bag.
     fn rate_hz(&self) -> f64 {
         let mut last_came = BTreeMap::new();
         for (&(observed_ns, _), &came_ns) in &self.0 {
@@ -79,7 +79,7 @@ impl Arrivals {
     }
 }
 
-/// The robot's nodes, and its camera.
+/// The robot's nodes and camera.
 fn robot(link: &Link, wm: &Path) -> Vec<Process> {
     let bag = root().join("bags/tabletop");
     let play = [
@@ -107,7 +107,7 @@ fn goal_image() -> CompressedImage {
     frames.last().unwrap().unwrap().decode().unwrap()
 }
 
-/// Publishes goals at the desk, one after the other, and waits for a plan for each \[s\].
+/// Publishes goals at the desk, one after the other, and measures the time to a plan for each \[s\].
 async fn plans_answer_goals(desk: &Node) -> Vec<f64> {
     let goals = desk
         .publisher::<CompressedImage>("goal/image/compressed", Qos::latched(1))
@@ -141,7 +141,7 @@ async fn plans_answer_goals(desk: &Node) -> Vec<f64> {
     answered_in
 }
 
-/// What the nodes of a side say that they have dropped of the predictions, in the last of their reports.
+/// Drops of predictions on one side, from the nodes' last reports.
 struct Drops {
     reports: Subscription<DiagnosticArray>,
     counted: BTreeMap<String, u64>,
@@ -171,7 +171,7 @@ impl Drops {
     }
 }
 
-/// The value below which this part of them is.
+/// The quantile `part`.
 fn quantile(values: &mut [f64], part: f64) -> f64 {
     values.sort_unstable_by(f64::total_cmp);
     values[((values.len() - 1) as f64 * part).round() as usize]
@@ -212,7 +212,7 @@ async fn predictions_and_plans_cross_50_ms_and_2_percent_loss() {
         }
         sent
     });
-    // They come in their order, so that what is missing when the last of them, or a later one, has come is lost.
+    // predictions arrive in order, so those missing when the last or a later one has arrived are lost
     let mut sent: Option<Arrivals> = None;
     while sent
         .as_ref()
@@ -266,11 +266,9 @@ async fn predictions_and_plans_cross_50_ms_and_2_percent_loss() {
     assert!(dropped > 0, "nothing was lost on the link");
     assert!(called_for >= 2 * DELAY, "the answer came in {called_for:?}");
     assert!(delays.iter().all(|&delay| delay >= DELAY.as_secs_f64()));
-    // They are sent with best effort, and how fast the robot computes is the machine's; but what comes during the outage
-    // waits for its end.
+    // Best effort, and the robot's speed depends on the machine; but predictions during the outage wait for its end.
     assert!(20 * lost <= MESSAGES, "{lost} of {MESSAGES} are lost");
-    // The outage, and a packet that is lost several times, hold up the stream for seconds; a link that is too slow for ever
-    // more.
+    // the outage and repeated losses delay the stream for seconds; a link that is too slow would delay it more and more
     let longest = quantile(&mut delays, 1.0);
     assert!(
         longest < 8.0,

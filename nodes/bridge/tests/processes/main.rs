@@ -1,5 +1,4 @@
-//! The bridge as a process, between nodes of this process in domains of their own, and with a Zenoh client that nobody
-//! here wrote.
+//! The bridge as a process, between nodes of this process in their own domains, and with an independent Zenoh client.
 
 #![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
 

@@ -1,4 +1,4 @@
-"""A Zenoh client of the bridge: peer.py ENDPOINT COMMAND ...; payloads are hexadecimal, and so is what is printed.
+"""A Zenoh client of the bridge: peer.py ENDPOINT COMMAND ...; payloads and output are hexadecimal.
 
 subscribe KEY         prints the first sample of the key
 publish KEY PAYLOAD   publishes until it is told to end by its standard input's
@@ -78,7 +78,7 @@ def main():
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", json.dumps([endpoint]))
-    # The bridge may not listen yet.
+    # The bridge may not be listening yet.
     config.insert_json5("connect/timeout_ms", str(1000 * PATIENCE_S))
     config.insert_json5("scouting/multicast/enabled", "false")
     commands = {f.__name__: f for f in (subscribe, publish, call, announced, serve)}

@@ -1,4 +1,4 @@
-//! The bridge and the Zenoh client of PyPI, `eclipse-zenoh`, which knows nothing of ROS.
+//! The bridge and the Zenoh client of PyPI, `eclipse-zenoh`, which does not know ROS.
 
 use crate::harness::{Process, Site, bridge, fresh_domain, fresh_endpoint, root, soon, text};
 use std::{
@@ -13,7 +13,7 @@ use wm_msgs::{
 };
 use wm_ros::Qos;
 
-/// The Python that has the client; `None` (with a plain message) where `tests/setup_ros2` was not run.
+/// The Python with the client; `None` (with a message) without `tests/setup_ros2`.
 fn python() -> Option<PathBuf> {
     let python = root().join(".venv/tools/bin/python");
     let has_zenoh = Command::new(&python).args(["-c", "import zenoh"]).status();
@@ -50,14 +50,14 @@ impl Peer {
         Self { child, output }
     }
 
-    /// Waits for a line; the peer itself gives up after 30 s.
+    /// Waits for a line; the peer gives up after 30 s.
     fn line(&mut self) -> String {
         let mut line = String::new();
         self.output.read_line(&mut line).unwrap();
         line.trim_end().to_owned()
     }
 
-    /// Ends its input, by which some of its commands end.
+    /// Closes its input, which ends some of its commands.
     fn finish(mut self) {
         drop(self.child.stdin.take());
         let status = self.child.wait().unwrap();
@@ -108,7 +108,7 @@ fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// A message's CDR as hexadecimal. Its length is a multiple of four, to which DDS would fill it up on its way.
+/// A message's CDR as hexadecimal. Its length is a multiple of four; DDS would pad other lengths.
 fn padded(message: &impl serde::Serialize) -> String {
     let mut bytes = cdr::to_bytes(message).unwrap();
     bytes.resize(bytes.len().next_multiple_of(4), 0);
@@ -116,7 +116,7 @@ fn padded(message: &impl serde::Serialize) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_client_subscribes_to_a_topic_and_publishes_one() {
+async fn python_client_subscribes_and_publishes() {
     let Some(side) = side() else { return };
     let said = side
         .site
@@ -142,7 +142,7 @@ async fn a_client_subscribes_to_a_topic_and_publishes_one() {
     assert_eq!(received.message, message);
     publisher.finish();
 
-    // What the real bridge would see of them.
+    // the tokens that the real bridge would see
     let of = |kind: &str, topic: &str| {
         let found = tokens_of(&side, kind);
         let wanted = format!("/@ros2_lv/{kind}/wm§{topic}/std_msgs§msg§String/:1:0:0,10");
@@ -181,16 +181,16 @@ async fn a_client_calls_a_service() {
         "{tokens:?}"
     );
 
-    // What is not CDR comes back as an error, and the service goes on.
+    // invalid CDR results in an error, and the service continues
     let mut caller = side.peer(&["call", "wm/planner/reset", "ffffffff"]);
     let line = caller.line();
     assert!(line.starts_with("error ") && line.contains("CDR"), "{line}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_node_calls_a_service_that_another_bridge_announces() {
+async fn node_calls_a_service_of_another_bridge() {
     let Some(side) = side() else { return };
-    // The answer is the request, so the types of both are alike as bytes.
+    // the response equals the request, so both types have equal bytes
     let mut server = side.peer(&["serve", "wm/echo", "wm_msgs/srv/Reset"]);
     let client = side
         .site

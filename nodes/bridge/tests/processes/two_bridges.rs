@@ -24,7 +24,7 @@ struct Pair {
 fn pair(args_here: &[&str], args_there: &[&str]) -> Pair {
     let (domain_here, domain_there) = (fresh_domain(), fresh_domain());
     let endpoint = fresh_endpoint();
-    // The one that connects is first: it has to try again.
+    // the connecting bridge starts first: it has to retry
     let there = [&["--connect", &endpoint], args_there].concat();
     let here = [&["--listen", &endpoint], args_here].concat();
     Pair {
@@ -51,12 +51,12 @@ async fn next(subscription: &mut Subscription<Text>) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_topic_crosses_both_ways_and_nothing_comes_back() {
+async fn topic_crosses_both_ways_without_echo() {
     let pair = pair(&[], &[]);
     let (here, there) = (&pair.here.node, &pair.there.node);
     let out = here.publisher::<Text>("said", Qos::reliable(100)).unwrap();
     let back = there.publisher::<Text>("said", Qos::reliable(100)).unwrap();
-    // Subscriptions of other participants than the publishers', who hear both.
+    // subscriptions of other participants than the publishers', which receive both
     let (ear_here, ear_there) = (Site::join(pair.domain_here), Site::join(pair.domain_there));
     let mut heard_here = ear_here
         .node
@@ -67,7 +67,7 @@ async fn a_topic_crosses_both_ways_and_nothing_comes_back() {
         .subscription::<Text>("said", Qos::reliable(100))
         .unwrap();
     soon("connecting", async {
-        // The subscription of this side, and the bridge's.
+        // the subscription of this side and the bridge's
         out.wait_for_subscribers(2).await;
         back.wait_for_subscribers(2).await;
         heard_here.wait_for_publishers(2).await;
@@ -89,7 +89,7 @@ async fn a_topic_crosses_both_ways_and_nothing_comes_back() {
             assert_eq!(of_side, expected.iter().collect::<Vec<_>>());
         }
     }
-    // One more of each: whatever had come back would come before it.
+    // one more of each: a message that came back would arrive before it
     out.publish(&text("last")).unwrap();
     assert_eq!(next(&mut heard_here).await, "last");
     assert_eq!(next(&mut heard_there).await, "last");
@@ -103,7 +103,7 @@ async fn a_topic_crosses_both_ways_and_nothing_comes_back() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_service_is_called_from_the_other_side() {
+async fn service_is_called_from_the_other_side() {
     let pair = pair(&[], &["--queries-timeout", "20"]);
     let mut service = pair.here.node.service::<Reset>("planner/reset").unwrap();
     let client = pair.there.node.client::<Reset>("planner/reset").unwrap();
@@ -128,7 +128,7 @@ async fn a_service_is_called_from_the_other_side() {
         let answer = soon("an answer", client.call(&request)).await.unwrap();
         assert_eq!(answer.message, format!("seed {seed}"));
     }
-    // When the server goes, it goes on the other side too.
+    // when the server ends, the remote server ends too
     drop(soon("serving", serving).await.unwrap());
     let mut changes = pair.there.node.graph_changes();
     soon("the service's end", async {
@@ -146,7 +146,7 @@ async fn a_service_is_called_from_the_other_side() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn who_comes_late_gets_what_is_latched() {
+async fn late_subscriber_gets_latched_state() {
     let domain_here = fresh_domain();
     let domain_there = fresh_domain();
     let endpoint = fresh_endpoint();
@@ -154,18 +154,18 @@ async fn who_comes_late_gets_what_is_latched() {
     let map = here.node.publisher::<Text>("map", Qos::latched(1)).unwrap();
     map.publish(&text("new")).unwrap();
 
-    // The bridges come after it was said,
+    // the bridges start after the first message
     let _bridge_here = bridge(domain_here, &["--listen", &endpoint]);
-    // A router of Zenoh 1.10.2 that comes back at once may be told nothing; a peer is.
+    // a router of Zenoh 1.10.2 that returns at once may get no data; a peer does
     let as_peer = ["--connect", &endpoint, "--mode", "peer"];
     let bridge_there = bridge(domain_there, &as_peer);
     let late = || there.node.subscription::<Text>("map", Qos::latched(1));
     let mut first = late().unwrap();
     assert_eq!(next(&mut first).await, "new");
-    // and a second subscriber later,
+    // a second subscriber later
     let mut second = late().unwrap();
     assert_eq!(next(&mut second).await, "new");
-    // and a third when the other side has begun anew.
+    // a third one after a restart of the other side
     drop((first, second));
     bridge_there.signal(Signal::INT);
     bridge_there.finish(PATIENCE);
@@ -177,7 +177,7 @@ async fn who_comes_late_gets_what_is_latched() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_latched_comes_once_to_who_waited_for_the_link() {
+async fn early_subscriber_gets_latched_sample_once() {
     let (domain_here, domain_there) = (fresh_domain(), fresh_domain());
     let endpoint = fresh_endpoint();
     let (here, there) = (Site::join(domain_here), Site::join(domain_there));
@@ -233,12 +233,12 @@ async fn lists_namespaces_and_rates_hold() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn of_two_bridges_in_one_domain_one_stands_by_until_the_other_is_gone() {
+async fn second_bridge_of_a_domain_takes_over_from_the_first() {
     let endpoint = fresh_endpoint();
     let (domain_here, domain_there) = (fresh_domain(), fresh_domain());
     let _router = bridge(domain_there, &["--listen", &endpoint]);
     let connect = ["--connect", endpoint.as_str()];
-    // Ids that say which of them goes first.
+    // ids with a known precedence
     let configured = |id: &str| {
         let file = tempfile::Builder::new()
             .suffix(".json5")
@@ -267,7 +267,7 @@ async fn of_two_bridges_in_one_domain_one_stands_by_until_the_other_is_gone() {
         .subscription::<DiagnosticArray>("/diagnostics", Qos::reliable(10))
         .unwrap();
     connected(&said, &heard).await;
-    // Until both have seen each other, a message may come twice.
+    // until both have discovered each other, a message may arrive twice
     soon("standing by", async {
         let stands_by = |report: &DiagnosticArray| {
             let mut messages = report.status.iter().map(|status| &status.message);
@@ -284,7 +284,7 @@ async fn of_two_bridges_in_one_domain_one_stands_by_until_the_other_is_gone() {
         assert_eq!(next(&mut heard).await, number.to_string());
     }
     drop(first);
-    // What is said while the other takes over may be lost, and then it is heard again.
+    // messages during the takeover may be lost; then the topic works again
     let mut said_since = 0;
     loop {
         said.publish(&text(&format!("again {said_since}"))).unwrap();
@@ -298,8 +298,8 @@ async fn of_two_bridges_in_one_domain_one_stands_by_until_the_other_is_gone() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_a_full_network_drops_is_counted_at_the_other_end() {
-    // Zenoh has room for one batch of 64 KiB, and waits for no more: what takes several is dropped as a rule.
+async fn receiver_counts_drops_of_a_full_network() {
+    // Zenoh has room for one batch of 64 KiB and does not wait for more: larger messages are usually dropped
     let config = tempfile::Builder::new()
         .suffix(".json5")
         .tempfile()
@@ -324,7 +324,8 @@ async fn what_a_full_network_drops_is_counted_at_the_other_end() {
         .subscription::<DiagnosticArray>("/diagnostics", reports)
         .unwrap();
     connected(&said, &heard).await;
-    // Each message begins with its number. The first and the last that come are small ones, of which any may be dropped too.
+    // each message begins with its number; the first and last that arrive are small ones, of which any may be dropped
+    // too
     let mut numbers = 0..;
     let mut say = |filling: &str| {
         let message = format!("{:04}{filling}", numbers.next().unwrap());
@@ -367,7 +368,7 @@ async fn what_a_full_network_drops_is_counted_at_the_other_end() {
 }
 
 #[test]
-fn wrong_usage_is_told_from_failure() {
+fn wrong_usage_differs_from_failure() {
     let code = |args: &[&str]| {
         let output = Command::new(program(BRIDGE)).args(args).output().unwrap();
         let reason = String::from_utf8_lossy(&output.stderr).into_owned();

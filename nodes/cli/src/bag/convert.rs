@@ -29,7 +29,7 @@ use wm_robot_nodes::ending::Ending;
     wm bag convert drive pictures --video jpeg\n\n\
     Exit codes: 0 done, 3 messages are missing: the bag is damaged, or packets have no picture; 1 failed."
 )]
-pub struct ConvertCommand {
+pub(crate) struct ConvertCommand {
     /// Folder of the bag, or one of its files
     #[arg(value_name = "IN")]
     input: PathBuf,
@@ -47,14 +47,14 @@ pub struct ConvertCommand {
     jpeg_quality: Option<u8>,
 }
 
-/// What becomes of compressed video.
+/// The treatment of compressed video.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Video {
     Keep,
     Jpeg,
 }
 
-/// A compression of chunks, as the recorder names it.
+/// A compression of chunks, with the recorder's name.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum Format {
     None,
@@ -63,8 +63,7 @@ enum Format {
 }
 
 impl ConvertCommand {
-    /// Runs it.
-    pub fn run(self) -> Result<ExitCode> {
+    pub(crate) fn run(self) -> Result<ExitCode> {
         if self.video == Video::Jpeg {
             return external::exec("wm-datasets", self.arguments());
         }
@@ -102,7 +101,7 @@ impl ConvertCommand {
         if let Some(quality) = self.jpeg_quality {
             arguments.extend(["--jpeg-quality".into(), quality.to_string().into()]);
         }
-        // A path may begin with a dash.
+        // a path may begin with a dash
         arguments.extend(["--".into(), self.input.into(), self.output.into()]);
         arguments
     }

@@ -30,7 +30,7 @@ use wm_program::progress::Progress;
     wm bag cut run small --exclude-topics /camera/image_raw\n\n\
     Exit codes: 0 done, 3 the bag is damaged and only its readable part was kept, 1 failed."
 )]
-pub struct CutCommand {
+pub(crate) struct CutCommand {
     /// Folder of the bag, or one of its files
     #[arg(value_name = "IN")]
     input: PathBuf,
@@ -54,8 +54,7 @@ pub struct CutCommand {
 }
 
 impl CutCommand {
-    /// Runs it.
-    pub fn run(self) -> Result<ExitCode> {
+    pub(crate) fn run(self) -> Result<ExitCode> {
         let start = match (self.start_offset, self.start_time) {
             (Some(offset), _) => CutStart::After(offset),
             (None, Some(time_ns)) => CutStart::At(time_ns),

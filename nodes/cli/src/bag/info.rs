@@ -18,12 +18,12 @@ const DECODER: &str = "wm-datasets";
 #[derive(Args, Debug)]
 #[command(
     after_help = "--audit decodes every picture: it reports repeated and frozen frames with the true rate of the camera, missing\n\
-    frames, stamps that cannot be used, the lag between pictures, actions and state, actions against the change of the\n\
-    state, idle time, outliers and sizes that change. Each finding says what to do (docs/bags.md). Pictures of h264\n\
-    topics are judged by the program wm-datasets; without it, these topics are named.\n\n\
+    frames, unusable stamps, the lag between pictures, actions and state, actions against the change of the\n\
+    state, idle time, outliers and sizes that change. Each finding suggests a fix (docs/bags.md). Pictures of h264\n\
+    topics are examined by the program wm-datasets; without it, they are listed.\n\n\
     Exit codes: 0 done, also with findings; 1 failed; 2 wrong usage; 3 the bag has lost messages."
 )]
-pub struct InfoCommand {
+pub(crate) struct InfoCommand {
     /// Folder of the bag, or one of its files
     bag: PathBuf,
     /// Examine pictures, stamps, actions and state too
@@ -42,8 +42,7 @@ pub struct InfoCommand {
 }
 
 impl InfoCommand {
-    /// Runs it.
-    pub fn run(self) -> Result<ExitCode> {
+    pub(crate) fn run(self) -> Result<ExitCode> {
         let reader = BagReader::open(&self.bag)?;
         let summary = reader.summary();
         if !self.json {
@@ -77,7 +76,7 @@ impl InfoCommand {
         Ok(Ending::lost_if(is_lost).into())
     }
 
-    /// Runs the program that has a video decoder, which prints the audit.
+    /// Runs the program with a video decoder, which prints the audit.
     fn audit_by(&self, program: &Path) -> Result<()> {
         let mut command = Command::new(program);
         command.arg("audit");

@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use wm_bag::{BagSummary, BagWarning};
 use wm_robot_nodes::ending::Ending;
 
-/// Prints the size and the place of the new bag.
+/// Prints the size and path of the new bag.
 pub(super) fn print_size(bag: &BagSummary) -> Result<()> {
     print(format_args!(
         "wrote {} message(s) of {} topic(s) to {}\n",
@@ -16,7 +16,7 @@ pub(super) fn print_size(bag: &BagSummary) -> Result<()> {
     ))
 }
 
-/// Prints the warnings of the old bag; gives the exit code.
+/// Prints the warnings of the old bag, and returns the exit code.
 pub(super) fn print_warnings(warnings: &[BagWarning]) -> Result<ExitCode> {
     for warning in warnings {
         print(format_args!("Warning: {warning}\n"))?;

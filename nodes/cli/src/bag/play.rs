@@ -27,7 +27,7 @@ use wm_ros::{NodeArgs, ParameterSpec};
     ros2 service call /wm/player/pause rosbag2_interfaces/srv/Pause\n\n\
     Exit codes: 0 everything was played, 3 something was lost or unreadable, 1 failed."
 )]
-pub struct PlayCommand {
+pub(crate) struct PlayCommand {
     /// Folder of the bag, or one of its files
     bag: PathBuf,
     #[command(flatten)]
@@ -44,7 +44,7 @@ pub struct PlayCommand {
     log_level: Option<String>,
 }
 
-/// The player's parameters as flags; those that `ros2 bag play` has too are named as there.
+/// The player's parameters as flags, named as in `ros2 bag play` if it has them.
 struct Player;
 
 impl Flagged for Player {
@@ -77,8 +77,7 @@ fn parse_rule(text: &str) -> Result<String, String> {
 }
 
 impl PlayCommand {
-    /// Runs it.
-    pub fn run(self, ros_args: Vec<String>) -> Result<ExitCode> {
+    pub(crate) fn run(self, ros_args: Vec<String>) -> Result<ExitCode> {
         let mut parameters = Parameters::new();
         parameters.set("bag", &self.bag)?;
         self.flags.parameters(&mut parameters)?;
@@ -87,6 +86,6 @@ impl PlayCommand {
             parameters.remap(rule);
         }
         parameters.log_level(self.log_level);
-        Ok(player::run(&NodeArgs::parse(parameters.with(ros_args))?)?.into())
+        (player::NODE.run)(&NodeArgs::parse(parameters.with(ros_args))?)
     }
 }

@@ -27,7 +27,7 @@ use wm_ros::{NodeArgs, ParameterSpec};
     wm bag record -a -o run --max-bag-size 1000000000 --storage-preset-profile fastwrite\n\n\
     Exit codes: 0 everything is in the bag, 3 something was lost, 1 failed."
 )]
-pub struct RecordCommand {
+pub(crate) struct RecordCommand {
     /// Topics to record; the same as --topics
     #[arg(value_name = "TOPIC")]
     names: Vec<String>,
@@ -48,7 +48,7 @@ pub struct RecordCommand {
     compression_mode: Option<String>,
 }
 
-/// The recorder's parameters as flags; those that `ros2 bag record` has too are named as there.
+/// The recorder's parameters as flags, named as in `ros2 bag record` if it has them.
 struct Recorder;
 
 impl Flagged for Recorder {
@@ -80,8 +80,7 @@ fn parse_compression_mode(text: &str) -> Result<String, String> {
 }
 
 impl RecordCommand {
-    /// Runs it.
-    pub fn run(mut self, ros_args: Vec<String>) -> Result<ExitCode> {
+    pub(crate) fn run(mut self, ros_args: Vec<String>) -> Result<ExitCode> {
         self.flags.extend("topics", self.names);
         let is_named = ["topics", "regex", "topic_types"]
             .iter()
@@ -95,6 +94,6 @@ impl RecordCommand {
         self.flags.parameters(&mut parameters)?;
         parameters.set("use_sim_time", self.use_sim_time)?;
         parameters.log_level(self.log_level);
-        Ok(recorder::run(&NodeArgs::parse(parameters.with(ros_args))?)?.into())
+        (recorder::NODE.run)(&NodeArgs::parse(parameters.with(ros_args))?)
     }
 }

@@ -19,7 +19,7 @@ use wm_robot_nodes::ending::Ending;
     wm bag recover download.mcap sound                 # a copy was truncated\n\n\
     Exit codes: 0 nothing was lost, 3 something was lost (each loss is listed with its byte), 1 there is no bag to recover."
 )]
-pub struct RecoverCommand {
+pub(crate) struct RecoverCommand {
     /// Folder of the bag, or one of its files
     #[arg(value_name = "IN")]
     input: PathBuf,
@@ -29,8 +29,7 @@ pub struct RecoverCommand {
 }
 
 impl RecoverCommand {
-    /// Runs it.
-    pub fn run(self) -> Result<ExitCode> {
+    pub(crate) fn run(self) -> Result<ExitCode> {
         let progress = Progress::open_ended("recovering", "messages");
         let recovery = wm_bag::recover(&self.input, &self.output)?;
         drop(progress);

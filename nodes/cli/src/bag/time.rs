@@ -2,16 +2,16 @@
 
 use std::time::{Duration, UNIX_EPOCH};
 
-/// A time span in seconds, not negative.
-pub fn parse_seconds(text: &str) -> Result<Duration, String> {
+/// A duration in seconds.
+pub(super) fn parse_seconds(text: &str) -> Result<Duration, String> {
     let seconds: f64 = text
         .parse()
         .map_err(|_| format!("expected a number of seconds, got {text:?}"))?;
     Duration::try_from_secs_f64(seconds).map_err(|error| error.to_string())
 }
 
-/// A time in ns since the epoch, from seconds since then with up to nine decimals, or from a date in UTC.
-pub fn parse_stamp_ns(text: &str) -> Result<u64, String> {
+/// A time in ns since the epoch, from seconds with up to nine decimals, or from a date in UTC.
+pub(super) fn parse_stamp_ns(text: &str) -> Result<u64, String> {
     let stamp_ns = if text.contains(['T', '-']) {
         let date = humantime::parse_rfc3339(text).map_err(|error| error.to_string())?;
         date.duration_since(UNIX_EPOCH)
@@ -25,7 +25,7 @@ pub fn parse_stamp_ns(text: &str) -> Result<u64, String> {
     })
 }
 
-/// Not by way of a float, whose 53 bits hold a stamp of today to 200 ns.
+/// A float, whose 53 bits resolve today's stamps to 200 ns, is too coarse.
 fn decimal_seconds(text: &str) -> Option<u64> {
     let (seconds, fraction) = text.split_once('.').unwrap_or((text, "0"));
     let is_number = |part: &str| !part.is_empty() && part.bytes().all(|byte| byte.is_ascii_digit());

@@ -1,4 +1,4 @@
-//! The options of `ros2 bag` that say which topics are meant.
+//! The options of `ros2 bag` that select topics.
 
 use anyhow::Result;
 use clap::Args;
@@ -6,7 +6,7 @@ use wm_bag::TopicFilter;
 
 /// Which topics.
 #[derive(Args, Debug)]
-pub struct TopicOptions {
+pub(super) struct TopicOptions {
     /// Select these topics; all topics if neither this option nor --regex is given
     #[arg(long, value_name = "TOPIC", num_args = 1..)]
     topics: Vec<String>,
@@ -22,11 +22,11 @@ pub struct TopicOptions {
 }
 
 impl TopicOptions {
-    /// The topics meant.
+    /// The selected topics.
     ///
     /// # Errors
     /// A text is not a regular expression.
-    pub fn filter(self) -> Result<TopicFilter> {
+    pub(super) fn filter(self) -> Result<TopicFilter> {
         Ok(TopicFilter::new(
             self.topics,
             self.regex.as_deref(),

@@ -10,9 +10,9 @@ use wm_program::progress::Progress;
 use wm_zoo::ModelFolder;
 use wm_zoo::folder::Summary;
 
-/// Loads a world model as the nodes do, runs it once, and says what it is.
+/// Loads a world model as the nodes do, runs it once, and prints its properties.
 #[derive(Args, Debug)]
-pub struct CheckCommand {
+pub(crate) struct CheckCommand {
     /// A model folder, or `tiny`, as for the parameter `model` of a node
     #[arg(value_name = "DIR")]
     model: String,
@@ -21,7 +21,7 @@ pub struct CheckCommand {
     rate: f64,
 }
 
-/// Rates whose period the nodes take as `frame_period`.
+/// The nodes accept the periods of these rates as `frame_period`.
 fn parse_rate(text: &str) -> Result<f64, String> {
     match text.parse() {
         Ok(rate) if (1.0 / 60.0..=1000.0).contains(&rate) => Ok(rate),
@@ -30,10 +30,9 @@ fn parse_rate(text: &str) -> Result<f64, String> {
 }
 
 impl CheckCommand {
-    /// Runs it.
-    pub fn run(self) -> Result<()> {
+    pub(crate) fn run(self) -> Result<()> {
         let model = ModelFolder::open(&self.model)?;
-        if let ModelFolder::Described(folder) = &model {
+        if let Some(folder) = model.described() {
             print(format_args!("{}", table(&folder.summary()?)?))?;
         }
         let started = Instant::now();
@@ -65,7 +64,7 @@ impl CheckCommand {
     }
 }
 
-/// The parts, and what they make of a picture.
+/// The parts and the shapes of their outputs.
 fn table(summary: &Summary) -> Result<String> {
     let mut text = String::new();
     writeln!(
@@ -109,24 +108,24 @@ fn table(summary: &Summary) -> Result<String> {
     Ok(text)
 }
 
-/// One picture through all parts, how long each takes here, and whether that is fast enough for a camera with
+/// Runs one picture through all parts: their durations, and whether they are fast enough for a camera with
 /// `frame_period` between frames.
 fn run_once(parts: &Parts, frame_period: Duration) -> Result<String> {
-    let progress = Progress::open_ended("trying each part out", "parts");
+    let progress = Progress::open_ended("running each part", "parts");
     let trial = parts.try_out()?;
     drop(progress);
     let mut text = String::new();
     line(&mut text, "encode a frame", trial.encode)?;
     match trial.predict {
-        None => writeln!(text, "no transition: nothing will be predicted")?,
+        None => writeln!(text, "no transition: no predictions")?,
         Some(time) => line(&mut text, "predict a frame", time)?,
     }
     match trial.decode {
-        None => writeln!(text, "no decoder: there will be no pictures")?,
+        None => writeln!(text, "no decoder: no pictures")?,
         Some(time) => line(&mut text, "decode a frame", time)?,
     }
     match trial.judge {
-        None => writeln!(text, "no probe: there will be no success probabilities")?,
+        None => writeln!(text, "no probe: no success probabilities")?,
         Some(judge) => writeln!(
             text,
             "read an instruction {:>8.1} ms\njudge two frames  {:>10.1} ms, of at most {} frames",
@@ -152,7 +151,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_embedded_default_runs() {
+    fn embedded_default_runs() {
         let model = ModelFolder::open("tiny").unwrap();
         let parts = Parts::load(&model).unwrap();
         let text = run_once(&parts, Duration::from_secs(1)).unwrap();
@@ -163,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn a_rate_is_one_that_the_nodes_take() {
+    fn rates_match_the_nodes_limits() {
         assert_eq!(parse_rate("2.5"), Ok(2.5));
         for wrong in ["0", "-5", "1e9", "nan", "fast"] {
             assert!(parse_rate(wrong).is_err(), "{wrong}");
@@ -171,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_without_a_transition_is_encoder_and_decoder_only() {
+    fn folder_without_transition_has_encoder_and_decoder() {
         let folder = tempfile::tempdir().unwrap();
         let autoencoder =
             wm_model::Autoencoder::random(wm_model::autoencoder::AutoencoderConfig::tiny(), 1)
@@ -188,7 +187,7 @@ mod tests {
         let text = run_once(&parts, Duration::from_secs(1)).unwrap();
         assert!(text.contains("encoder and decoder only"), "{text}");
 
-        // Where the transition is there and damaged, that is an error.
+        // a damaged transition is an error
         std::fs::write(folder.path().join("transition.safetensors"), "x").unwrap();
         assert!(Parts::load(&model).is_err());
     }

@@ -1,23 +1,24 @@
 //! `wm model convert`.
 
 use crate::output::print;
-use anyhow::{Result, ensure};
+use anyhow::{Context as _, Result, ensure};
 use clap::Args;
 use std::path::PathBuf;
 use wm_program::progress::Progress;
 use wm_zoo::Checkpoint;
 use wm_zoo::checkpoint::{Average, convert};
+use wm_zoo::folder::describe_autoencoder;
 
-/// Writes a checkpoint as safetensors. Only the tensors of the network are written: of `model` and `ema` the average,
-/// and no optimiser state. Nothing in a torch file is executed.
+/// Writes a checkpoint as safetensors, or the model.json of a folder without one. Of a checkpoint, only the tensors of the
+/// network are written: of `model` and `ema` the average, and no optimiser state. Nothing in a torch file is executed.
 #[derive(Args, Debug)]
-pub struct ConvertCommand {
-    /// Checkpoint: a torch file, or safetensors
-    #[arg(value_name = "IN.pt")]
+pub(crate) struct ConvertCommand {
+    /// Checkpoint: a torch file, or safetensors; or a model folder that a training of version 0.1 wrote
+    #[arg(value_name = "IN.pt|DIR")]
     input: PathBuf,
-    /// File to write
+    /// File to write; not for a folder
     #[arg(value_name = "OUT.safetensors")]
-    output: PathBuf,
+    output: Option<PathBuf>,
     /// Take the raw weights instead of their moving average
     #[arg(long, conflicts_with = "all")]
     raw: bool,
@@ -30,8 +31,18 @@ pub struct ConvertCommand {
 }
 
 impl ConvertCommand {
-    /// Runs it.
-    pub fn run(self) -> Result<()> {
+    pub(crate) fn run(self) -> Result<()> {
+        if self.input.is_dir() {
+            ensure!(
+                self.output.is_none(),
+                "{}: a folder gets its model.json in place; leave out the second argument",
+                self.input.display()
+            );
+            let path = describe_autoencoder(&self.input)?;
+            return print(format_args!("{}\n", path.display()));
+        }
+        let usage = "expected a file to write: wm model convert IN.pt OUT.safetensors";
+        let output = self.output.as_deref().context(usage)?;
         let mut checkpoint = Checkpoint::open(&self.input)?;
         if let Some(part) = &self.part {
             for name in part.split('.') {
@@ -43,11 +54,10 @@ impl ConvertCommand {
             checkpoint = checkpoint.weights(average);
         }
         // The input is mapped into memory: it must stay as it is until the output is written.
-        let same =
-            std::fs::canonicalize(&self.input).ok() == std::fs::canonicalize(&self.output).ok();
+        let same = std::fs::canonicalize(&self.input).ok() == std::fs::canonicalize(output).ok();
         ensure!(!same, "input and output are the same file");
         let progress = Progress::open_ended("converting", "tensors");
-        let written = convert(&checkpoint, &self.output)?;
+        let written = convert(&checkpoint, output)?;
         drop(progress);
         let part = match checkpoint.part_name() {
             "" => String::new(),
@@ -55,7 +65,7 @@ impl ConvertCommand {
         };
         print(format_args!(
             "{}: {} tensors{part}, {:.3} M values, {:.1} MB\n",
-            self.output.display(),
+            output.display(),
             written.tensors,
             written.parameters as f64 / 1e6,
             written.bytes as f64 / 1e6,
@@ -76,7 +86,7 @@ mod tests {
     }
 
     #[test]
-    fn the_average_is_taken_unless_told_otherwise() {
+    fn averaged_weights_are_the_default() {
         let folder = tempfile::tempdir().unwrap();
         let (input, output) = (folder.path().join("in"), folder.path().join("out"));
         let tensor = |value: f32| Tensor::new(&[value], &Device::Cpu).unwrap();
@@ -90,7 +100,7 @@ mod tests {
         let convert = |raw, part: Option<&str>, all| {
             let command = ConvertCommand {
                 input: input.clone(),
-                output: output.clone(),
+                output: Some(output.clone()),
                 raw,
                 part: part.map(ToOwned::to_owned),
                 all,
@@ -116,11 +126,36 @@ mod tests {
         assert!(message.contains("ema, model, optimizer"), "{message}");
         let same = ConvertCommand {
             input: input.clone(),
-            output: input.clone(),
+            output: Some(input.clone()),
             raw: false,
             part: None,
             all: false,
         };
         assert!(same.run().is_err());
+    }
+
+    #[test]
+    fn a_folder_gets_its_model_json_in_place() {
+        let folder = tempfile::tempdir().unwrap();
+        let config = wm_model::AutoencoderConfig::tiny();
+        let autoencoder = wm_model::Autoencoder::random(config, 1).unwrap();
+        let weights = folder.path().join(wm_model::Autoencoder::FILE);
+        autoencoder
+            .save(weights, wm_model::weights::Precision::F16)
+            .unwrap();
+        let convert = |output| {
+            let command = ConvertCommand {
+                input: folder.path().to_owned(),
+                output,
+                raw: false,
+                part: None,
+                all: false,
+            };
+            command.run()
+        };
+        convert(None).unwrap();
+        assert!(folder.path().join("model.json").is_file());
+        let other = folder.path().join("other");
+        assert!(convert(Some(other.clone())).is_err() && !other.exists());
     }
 }

@@ -13,7 +13,7 @@ use anyhow::Context as _;
 use anyhow::{Result, bail};
 use catalogue::{MODELS, Model};
 use clap::Args;
-use config_file::Written;
+use config_file::WriteOutcome;
 use std::path::{Path, PathBuf};
 
 /// Downloads a published model from its authors' site, and writes its configuration beside it.
@@ -23,7 +23,7 @@ use std::path::{Path, PathBuf};
 /// with `--overwrite`. An interrupted download continues where it stopped if the server still has the same file.
 #[derive(Args, Debug)]
 #[command(after_help = catalogue::names())]
-pub struct FetchCommand {
+pub(crate) struct FetchCommand {
     /// Name of the model
     #[arg(value_name = "NAME")]
     name: String,
@@ -42,8 +42,7 @@ pub struct FetchCommand {
 }
 
 impl FetchCommand {
-    /// Runs it.
-    pub fn run(self) -> Result<()> {
+    pub(crate) fn run(self) -> Result<()> {
         let Some(model) = MODELS.iter().find(|model| model.name == self.name) else {
             bail!("unknown model `{}`; {}", self.name, catalogue::names());
         };
@@ -55,8 +54,8 @@ impl FetchCommand {
         if let Some(config) = model.config() {
             let path = folder.join("config.json");
             match config_file::write(&path, &config, self.overwrite)? {
-                Written::Yes => print(format_args!("{}\n", path.display()))?,
-                Written::Kept => print(format_args!("{}\n", kept(&path)))?,
+                WriteOutcome::Yes => print(format_args!("{}\n", path.display()))?,
+                WriteOutcome::Kept => print(format_args!("{}\n", kept(&path)))?,
             }
         }
         Ok(())
@@ -81,7 +80,7 @@ impl FetchCommand {
         for file in model.files {
             let name = file_name(file);
             let path = folder.join(name);
-            // A configuration is the user's once it is there.
+            // an existing configuration belongs to the user
             if name.ends_with(".json") && path.exists() && !self.overwrite {
                 print(format_args!("{}\n", kept(&path)))?;
                 continue;
@@ -95,7 +94,7 @@ impl FetchCommand {
                 false => url.clone(),
             };
             let stated = client.stated(&url).with_context(hint)?;
-            // A branch may move between two files: from here on it is the commit that it stands for now.
+            // a branch may move between two files: use its current commit from here on
             if let Some(commit) = &stated.commit {
                 revision = Some(commit.clone());
                 pin.revision = Some(commit.clone());
@@ -128,7 +127,7 @@ impl FetchCommand {
             );
             by_hand.push_str(&format!("\n  {url}\n    -> {}", path.display()));
         }
-        // Read only with the feature.
+        // used only with the feature
         let _ = &self.token_file;
         bail!(
             "this wm was built without downloads: build it with `cargo build --release --features fetch`, \
@@ -137,7 +136,7 @@ impl FetchCommand {
     }
 }
 
-/// Name in the folder of a file of a repository.
+/// The file's name in the folder.
 fn file_name(file: &str) -> &str {
     file.rsplit('/').next().unwrap_or(file)
 }

@@ -5,7 +5,7 @@ use anyhow::{Context as _, Result};
 use clap::Args;
 use wm_zoo::kinds::{self, Kind};
 
-/// What each kind takes and gives; the same table as in `wm_zoo::kinds`.
+/// Inputs and outputs of each kind; the same table as in `wm_zoo::kinds`.
 const KINDS: &str = "\
 Kinds, their configurations and tensors (image: N,256,256,3 in 0..1; latent: N,h,w,D):
   dit                      {hidden, depth, heads, channels, patch, grid [h,w] before patching, action_dim, max_frames,
@@ -35,7 +35,7 @@ Kinds, their configurations and tensors (image: N,256,256,3 in 0..1; latent: N,h
 /// Runs a model.
 #[derive(Args, Debug)]
 #[command(after_help = KINDS)]
-pub struct ForwardCommand {
+pub(crate) struct ForwardCommand {
     /// Kind of the model
     #[arg(long)]
     kind: Kind,
@@ -44,8 +44,7 @@ pub struct ForwardCommand {
 }
 
 impl ForwardCommand {
-    /// Runs it.
-    pub fn run(self) -> Result<()> {
+    pub(crate) fn run(self) -> Result<()> {
         let files = self.running.read(self.kind)?;
         let outputs = kinds::forward(
             self.kind,

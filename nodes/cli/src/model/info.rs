@@ -10,9 +10,9 @@ use serde_json::{Map, json};
 use std::fmt::Write as _;
 use wm_zoo::cost::Row;
 
-/// Says what a model's folder has, or counts the parameters and operations of the paper's systems.
+/// Lists the parts of a model folder, or counts the parameters and operations of the paper's systems.
 #[derive(Args, Debug)]
-pub struct InfoCommand {
+pub(crate) struct InfoCommand {
     /// A model: `tiny`, or a folder; or a system of the paper, by the name of its row; without one, all of these
     #[arg(value_name = "MODEL")]
     name: Option<String>,
@@ -22,13 +22,12 @@ pub struct InfoCommand {
 }
 
 impl InfoCommand {
-    /// Runs it.
-    pub fn run(self) -> Result<()> {
+    pub(crate) fn run(self) -> Result<()> {
         let is_model = |name: &&String| !Row::NAMES.contains(&name.as_str());
         if let Some(name) = self.name.as_ref().filter(is_model) {
             let folder = Folder::open(name).with_context(|| {
                 let rows = Row::NAMES.join(", ");
-                format!("`{name}` is none of the table's rows ({rows}), and as a model")
+                format!("`{name}` is not a row of the table ({rows}), and as a model")
             })?;
             return match self.json {
                 true => print(format_args!("{:#}\n", folder.json())),
@@ -56,7 +55,7 @@ impl InfoCommand {
     }
 }
 
-/// The table for people.
+/// The table as text.
 fn table(rows: &[Row]) -> Result<String> {
     let mut text = String::new();
     let part = "parameters [M]";
@@ -88,7 +87,7 @@ fn table(rows: &[Row]) -> Result<String> {
     Ok(text)
 }
 
-/// Cells of one width side by side.
+/// Cells of equal width.
 fn cells(texts: [String; 9]) -> String {
     texts.map(|text| format!("{text:>8}")).join(" ")
 }
@@ -98,7 +97,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_row_has_all_its_figures() {
+    fn row_has_all_its_figures() {
         let text = table(&[Row::count("cosmos-ci16x16").unwrap()]).unwrap();
         let last = text.lines().last().unwrap();
         let words: Vec<&str> = last.split_whitespace().collect();

@@ -6,7 +6,7 @@ use clap::Args;
 use wm_model::sampler::Sampler;
 use wm_zoo::kinds::{self, DitConfig, Kind, RolloutOptions};
 
-/// What goes in and comes out.
+/// Inputs and outputs.
 const TENSORS: &str =
     "Input: context (B,T,H,W,C), T observed latents (2 in the paper); actions (B,T+K,A), where \
                        action i is paired with frame i
@@ -17,7 +17,7 @@ and leads from it to the next frame; noise (B,K,H,W,C). Output: \
 /// Predicts frames.
 #[derive(Args, Debug)]
 #[command(after_help = TENSORS)]
-pub struct RolloutCommand {
+pub(crate) struct RolloutCommand {
     /// Kind of the model; only one kind predicts frames
     #[arg(long, default_value_t = Kind::Dit)]
     kind: Kind,
@@ -39,8 +39,7 @@ pub struct RolloutCommand {
 }
 
 impl RolloutCommand {
-    /// Runs it.
-    pub fn run(self) -> Result<()> {
+    pub(crate) fn run(self) -> Result<()> {
         ensure!(
             self.kind == Kind::Dit,
             "kind {} predicts no frames; expected dit",

@@ -1,4 +1,4 @@
-//! What every run of a model needs: its files and a compute engine.
+//! Options of all runs of a model: its files and a compute engine.
 
 use crate::output::print;
 use anyhow::{Context as _, Result};
@@ -6,13 +6,14 @@ use candle_core::Device;
 use clap::Args;
 use std::collections::HashMap;
 use std::path::PathBuf;
+use wm_model::{Compute, Kernels, NumberFormat};
+use wm_zoo::Checkpoint;
 use wm_zoo::checkpoint::Average;
 use wm_zoo::kinds::{Kind, Tensors};
-use wm_zoo::{Checkpoint, Compute, DeviceName, Engine, Precision};
 
 /// Files and engine of a model.
 #[derive(Args, Debug)]
-pub struct RunningArgs {
+pub(super) struct RunningArgs {
     /// Configuration in JSON: a Hugging Face config.json, or wm's own format (`wm model forward --help`)
     #[arg(long, value_name = "FILE")]
     config: PathBuf,
@@ -26,35 +27,35 @@ pub struct RunningArgs {
     #[arg(long, value_name = "FILE")]
     output: PathBuf,
     /// Compute engine: `cpu` (wm's own kernels) or `candle` (the reference)
-    #[arg(long, default_value_t = Engine::Cpu)]
-    engine: Engine,
+    #[arg(long, default_value_t = Kernels::Cpu)]
+    engine: Kernels,
     /// Device: `cpu`, or with `--engine candle` also `cuda` or `cuda:N`, an NVIDIA GPU
-    #[arg(long, default_value_t = DeviceName::Cpu)]
-    device: DeviceName,
+    #[arg(long, default_value = "cpu")]
+    device: Compute,
     /// Number format of the weights: f32, bf16, or with `--engine cpu` int8
-    #[arg(long, default_value_t = Precision::F32)]
-    dtype: Precision,
+    #[arg(long, default_value_t = NumberFormat::F32)]
+    dtype: NumberFormat,
     /// Take the raw weights, even if the checkpoint also has their moving average
     #[arg(long)]
     raw: bool,
 }
 
-/// A model's files, read, and what computes it.
-pub struct Files {
-    /// The configuration, JSON.
+/// A model's files in memory, and its compute engine.
+pub(super) struct Files {
+    /// JSON.
     pub config: String,
-    /// The weights.
     pub checkpoint: Checkpoint,
-    /// The input.
     pub inputs: Tensors,
-    /// Engine, device and number format.
+    /// Kernels, device and number format.
     pub compute: Compute,
 }
 
 impl RunningArgs {
     /// Opens the device and reads the files of a model of `kind`.
-    pub fn read(&self, kind: Kind) -> Result<Files> {
-        let compute = Compute::new(self.engine, self.device.open()?, self.dtype)?;
+    pub(super) fn read(&self, kind: Kind) -> Result<Files> {
+        let compute = self.device.clone();
+        compute.device()?;
+        let compute = compute.with_kernels(self.engine)?.with_format(self.dtype)?;
         let config = std::fs::read_to_string(&self.config)
             .with_context(|| self.config.display().to_string())?;
         let mut checkpoint = Checkpoint::open(&self.weights)?;
@@ -71,8 +72,8 @@ impl RunningArgs {
         })
     }
 
-    /// Writes the output and says what it is.
-    pub fn write(&self, outputs: Tensors) -> Result<()> {
+    /// Writes the output and prints its shapes.
+    pub(super) fn write(&self, outputs: Tensors) -> Result<()> {
         for (name, tensor) in &outputs {
             print(format_args!("{name} {:?}\n", tensor.dims()))?;
         }
@@ -100,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn a_device_that_is_none_is_wrong_usage() {
+    fn unknown_device_is_wrong_usage() {
         let message = parse("gpu").unwrap_err().to_string();
         assert!(
             message.contains("expected cpu, cuda or cuda:N"),
@@ -110,7 +111,7 @@ mod tests {
 
     #[test]
     #[cfg(not(feature = "cuda"))]
-    fn a_device_that_was_not_built_is_refused_before_anything_is_read() {
+    fn unsupported_device_is_refused_before_files_are_read() {
         let error = parse("cuda:1").unwrap().read(Kind::Dit).err().unwrap();
         let message = error.to_string();
         assert!(

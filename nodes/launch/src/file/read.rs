@@ -1,4 +1,4 @@
-//! The reader of a launch file's entries, one function an action.
+//! Reads the entries of a launch file: one function per action.
 
 use super::{Action, ActionKind, Argument, Node, Parameter, ParameterValue, ProcessKeys, Scalar};
 use crate::{
@@ -9,10 +9,10 @@ use crate::{
 use serde_yaml_ng::Value;
 use std::path::Path;
 
-/// Groups within groups deeper than this are refused: the reader recurses.
+/// The deepest nesting of groups; the reader is recursive.
 const DEPTH_LIMIT: usize = 16;
 
-/// The actions that this launcher knows, for error messages.
+/// The known actions, for error messages.
 const ACTIONS: [&str; 9] = [
     "arg",
     "let",
@@ -25,7 +25,7 @@ const ACTIONS: [&str; 9] = [
     "executable",
 ];
 
-/// The types that a parameter may be declared to have.
+/// The known types of parameters.
 const PARAMETER_TYPES: [&str; 9] = [
     "str",
     "bool",
@@ -94,7 +94,7 @@ fn read_action(
         Some(label) => format!("{entry} {kind} {label:?}"),
         None => format!("{entry} {kind}"),
     };
-    // `group:` may be the bare list of its children
+    // `group:` may be a bare list of its children
     if kind == "group" && body.is_sequence() {
         let actions = read_actions(file, &entry, body, depth + 1)?;
         return Ok(Action {
@@ -323,7 +323,7 @@ fn read_process(entity: &mut Entity<'_>) -> Result<ProcessKeys, LaunchError> {
     };
     let respawn_max_retries = match entity.value("respawn_max_retries") {
         None => None,
-        // ROS 2: a negative number means without end
+        // in ROS 2, a negative number means unlimited
         Some(value) => match value.as_i64() {
             Some(retries) => u32::try_from(retries).ok(),
             None => {

@@ -1,4 +1,4 @@
-//! One process of a plan, and how a `node` or `executable` becomes one.
+//! A process of a plan, made from a `node` or `executable`.
 
 use super::Site;
 use crate::{
@@ -11,62 +11,60 @@ use serde_yaml_ng::Value;
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// The package whose executables are subcommands of this program itself.
+/// The package whose executables are subcommands of this program.
 const OWN_PACKAGE: &str = "wm_nodes";
-/// That package's program itself, whose arguments say what it is to do.
+/// The executable that is this program itself, with its own arguments.
 const OWN_PROGRAM: &str = "wm";
 
-/// ROS 2's defaults for both steps of a stop.
+/// ROS 2's default for both steps of a stop.
 const STOP_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// What a process runs.
+/// The program of a process.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Program {
-    /// This very program, with the node's name as first argument.
+    /// This program, with the node's name as first argument.
     Own,
-    /// A program, by path or by name in `PATH`.
+    /// A path, or a name in `PATH`.
     Path(PathBuf),
 }
 
-/// Where a process's lines go.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Output {
     /// Both streams to the screen.
     Screen,
-    /// Standard error to the screen only: ROS 2's default, which writes standard output to a log file; this launcher
-    /// keeps none.
+    /// Only standard error to the screen: ROS 2's default, which writes standard output to a log file; this launcher
+    /// has none.
     Log,
 }
 
-/// Whether and how a process is started again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Respawn {
-    /// Time from its end to its new start.
+    /// Time from its end to its next start.
     pub delay: Duration,
-    /// How often; none: without end.
+    /// `None`: unlimited.
     pub max_retries: Option<u32>,
 }
 
-/// A process to start.
+/// A process of a launch.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Process {
-    /// Its name in logs and errors: the node's name, or the executable's, and a running number.
+    /// Its name in logs and errors: the name of the node or executable, and a number.
     pub name: String,
-    /// The full name of the ROS node, where it is given.
+    /// The full name of the ROS node, if given.
     pub node: Option<String>,
-    /// A command, with arguments, that is given the program and its arguments to run; empty: none.
+    /// A command that runs the program with its arguments; may be empty.
     pub prefix: Vec<String>,
-    /// What it runs.
+    /// The program, without its arguments.
     pub program: Program,
-    /// Its arguments.
+    /// The arguments of `program`.
     pub arguments: Vec<String>,
     /// Changes to the environment; `None` removes.
     pub environment: Vec<(String, Option<String>)>,
-    /// Its working directory, where it is not the launcher's.
+    /// `None`: the launcher's.
     pub working_directory: Option<PathBuf>,
-    /// Where its lines go.
+    /// The streams on the screen.
     pub output: Output,
-    /// Whether it is started again; without this it never is.
+    /// `None`: it is not restarted.
     pub respawn: Option<Respawn>,
     /// Whether its end ends the launch.
     pub ends_launch: bool,
@@ -144,7 +142,7 @@ pub(super) fn executable(
     Ok(process)
 }
 
-/// An absolute namespace from that of the group and that of the node, which replaces it where it is absolute.
+/// Joins the namespaces of the group and the node. An absolute namespace of the node replaces the group's.
 pub(super) fn join_namespaces(outer: Option<&str>, inner: Option<&str>) -> Option<String> {
     let joined = match (outer, inner) {
         (_, Some(inner)) if inner.starts_with('/') => inner.to_owned(),
@@ -194,7 +192,7 @@ fn with_keys(
         name: format!("{label}-{}", index + 1),
         node: None,
         prefix: match &keys.prefix {
-            // As ROS 2 does, and other than in `args`: a variable may hold a whole prefix, or nothing.
+            // as in ROS 2, unlike `args`: a variable may contain a whole prefix, or nothing
             Some(template) => {
                 let text = site.resolve("launch-prefix", template)?;
                 site.words("launch-prefix", &Template::plain(text))?
@@ -218,7 +216,7 @@ fn with_keys(
     })
 }
 
-/// Seconds of a launch file, known to be finite and not negative; at most a day, so that timers cannot overflow.
+/// Converts seconds that are finite and not negative; at most a day, so that timers do not overflow.
 fn seconds(value: f64) -> Duration {
     Duration::from_secs_f64(value.min(86_400.0))
 }
@@ -299,7 +297,7 @@ fn parameter_arguments(parameter: &Parameter, site: &Site<'_>) -> Result<[String
     }
 }
 
-/// What a scalar stands for. Without a type, a text that has no substitution stays one, whatever it looks like.
+/// Resolves a scalar. Without a type, a text without substitutions stays a text.
 fn resolve_scalar(
     name: &str,
     scalar: &Scalar,
@@ -313,7 +311,7 @@ fn resolve_scalar(
             let is_text = wanted.map_or(template.is_plain(), |wanted| wanted == "str");
             Ok(match (is_text, wanted) {
                 (true, _) => Value::String(text),
-                // "2" is a number to who asks for a float; the literal 2 is not, to ROS 2's frontend either
+                // if a float is expected, the text "2" is a number; the literal 2 is not, as in ROS 2's frontend
                 (false, Some("float")) => match text.trim().parse::<f64>() {
                     Ok(number) => Value::Number(number.into()),
                     Err(_) => Value::String(text),
@@ -324,7 +322,7 @@ fn resolve_scalar(
     }
 }
 
-/// The value, where it is of the type asked for; else the type's name and the value.
+/// The value if it has the expected type; otherwise the type's name and the value.
 fn check_type(value: Value, wanted: Option<&str>) -> Result<Value, (String, Value)> {
     let fits = match (wanted, &value) {
         (Some("str"), value) => value.is_string(),
@@ -339,7 +337,7 @@ fn check_type(value: Value, wanted: Option<&str>) -> Result<Value, (String, Valu
     }
 }
 
-/// What YAML makes of a resolved text, where that is a scalar or a list; else the text.
+/// The YAML value of a resolved text if it is a scalar or a list; otherwise the text.
 fn read_text(text: String) -> Value {
     match serde_yaml_ng::from_str(&text) {
         Ok(value @ (Value::Bool(_) | Value::Number(_) | Value::Sequence(_))) => value,
@@ -347,11 +345,11 @@ fn read_text(text: String) -> Value {
     }
 }
 
-/// A scalar or a list of scalars as one line of YAML. Strings are written as JSON, which YAML reads alike.
+/// A scalar or a list of scalars as one line of YAML. JSON strings are valid YAML.
 fn flow_yaml(value: &Value) -> Option<String> {
     match value {
         Value::Bool(value) => Some(value.to_string()),
-        // YAML has to see that 1.0 is no integer, and this prints it as 1.0
+        // YAML must recognise 1.0 as a float; this prints 1.0
         Value::Number(number) => Some(number.to_string()),
         Value::String(text) => serde_json::to_string(text).ok(),
         Value::Sequence(items) => {

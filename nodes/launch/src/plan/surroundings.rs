@@ -1,17 +1,17 @@
-//! What a launch file may read from its environment, behind a trait so that plans are tested without a system.
+//! The system that a launch file reads, behind a trait so that tests need no system.
 
 use std::path::{Path, PathBuf};
 
-/// The outside of a launch file.
+/// The files and variables that a launch file reads.
 pub trait Surroundings {
     /// An environment variable of the launcher.
     fn environment(&self, name: &str) -> Option<String>;
     /// The text of a file.
     ///
     /// # Errors
-    /// As [`std::fs::read_to_string`].
+    /// See [`std::fs::read_to_string`].
     fn read(&self, path: &Path) -> std::io::Result<String>;
-    /// Whether there is a file or folder.
+    /// Whether the file or folder exists.
     fn exists(&self, path: &Path) -> bool;
 
     /// The install prefix of a ROS package: the first folder of `AMENT_PREFIX_PATH` with `share/<package>`.
@@ -25,7 +25,7 @@ pub trait Surroundings {
     }
 }
 
-/// The real one.
+/// The real system.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct System;
 

@@ -49,7 +49,7 @@ fn message(text: &str, arguments: &[(&str, &str)]) -> String {
 }
 
 #[test]
-fn a_node_becomes_a_command_line() {
+fn node_becomes_a_command_line() {
     let text = r#"
 launch:
 - arg: {name: rate, default: "1.5"}
@@ -175,7 +175,7 @@ fn executables_and_respawn() {
 }
 
 #[test]
-fn another_package_is_found_by_its_prefix() {
+fn other_packages_are_found_by_their_prefix() {
     let memory = Memory {
         files: [
             ("/opt/ros/share/cam/package.xml", ""),
@@ -202,7 +202,7 @@ fn another_package_is_found_by_its_prefix() {
 }
 
 #[test]
-fn an_included_file_gets_its_arguments() {
+fn included_file_receives_its_arguments() {
     let memory = Memory {
         files: [
             (
@@ -257,7 +257,7 @@ fn wrong_arguments_are_named() {
 }
 
 #[test]
-fn two_nodes_of_one_name_are_a_warning() {
+fn two_nodes_of_one_name_cause_a_warning() {
     let node = "- node: {pkg: wm_nodes, exec: encoder, name: a}\n";
     let plan = resolve(&format!("launch:\n{node}{node}"), &[]).unwrap();
     assert_eq!(plan.warnings, ["more than one node is named /a"]);

@@ -1,15 +1,15 @@
-//! The last few times of something.
+//! The last few times of runs and inputs.
 
 use std::{
     collections::VecDeque,
     time::{Duration, Instant},
 };
 
-/// Runs that are judged by; most of them decide.
+/// Runs that are kept; their median decides.
 const RUNS: usize = 5;
-/// Fewest that say anything.
+/// Fewest runs for a result.
 const FEWEST_RUNS: usize = 3;
-/// Inputs that their rate is measured over.
+/// Inputs over which the rate is measured.
 const INPUTS: usize = 10;
 /// Fewest that say anything.
 const FEWEST_INPUTS: usize = 4;

@@ -186,14 +186,14 @@ fn inputs_that_come_slower_than_was_thought_are_used_at_once() {
 }
 
 #[test]
-fn what_is_measured_while_everything_starts_is_believed_only_if_it_is_slow() {
+fn a_time_measured_at_the_start_counts_only_if_it_is_long() {
     assert_eq!(Cadence::new(PERIOD, Some(PERIOD * 2)).nth(), 1);
     assert_eq!(Cadence::new(PERIOD, Some(PERIOD * 5 / 2)).nth(), 3);
 }
 
 /// A machine that was busy while the node started: the first run shows that the estimate was wrong.
 #[test]
-fn an_estimate_that_was_far_too_long_costs_one_run_and_not_a_whole_bag() {
+fn an_estimate_far_too_long_costs_one_run_only() {
     let mut cadence = Cadence::new(PERIOD, Some(PERIOD * 20));
     assert_eq!(cadence.nth(), 20);
     let found = run(&mut cadence, 50, PERIOD, |_| PERIOD / 2);

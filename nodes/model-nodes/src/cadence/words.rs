@@ -1,8 +1,8 @@
-//! Times and rates as people say them.
+//! Times and rates in words.
 
 use std::time::Duration;
 
-/// A time with two digits, as nobody plans by more: `70 ms`, `1.5 s`, `11 s`.
+/// A time with two digits: `70 ms`, `1.5 s`, `11 s`.
 pub fn rough(time: Duration) -> String {
     match time.as_secs_f64() {
         long if long >= 9.95 => format!("{long:.0} s"),
@@ -11,7 +11,7 @@ pub fn rough(time: Duration) -> String {
     }
 }
 
-/// The rate of what comes once in `period`: `5 Hz`, `0.25 Hz`.
+/// The rate of one input per `period`: `5 Hz`, `0.25 Hz`.
 pub fn hertz(period: Duration) -> String {
     let rate = 1.0 / period.as_secs_f64().max(1e-9);
     let rounded = match rate {

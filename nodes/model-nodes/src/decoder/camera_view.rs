@@ -2,7 +2,7 @@
 
 use wm_camera::{
     camera_frame::CameraFrame,
-    camera_info::{CameraInfoError, check, part, picture_size},
+    camera_info::{CameraInfoError, check, picture_size, scale_part},
 };
 use wm_model::{Fit, PictureSize};
 use wm_msgs::{sensor_msgs::CameraInfo, std_msgs::Header};
@@ -109,7 +109,7 @@ fn info_of(
         of_width / columns,
         of_height / rows,
     ];
-    let info = part(camera, shown, (width, height))?;
+    let info = scale_part(camera, shown, (width, height))?;
     Ok(Some(CameraInfo {
         header: header.clone(),
         ..info

@@ -6,14 +6,14 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
-use wm_camera::camera_info::topic_beside;
+use wm_camera::camera_info::info_topic;
 use wm_model::Fit;
 use wm_msgs::{sensor_msgs::CameraInfo, std_msgs::String as Text, wm_msgs::Prediction};
 use wm_ros::{
-    Diagnostics, Input, Level, Node, NodeDefinition, Parameter, Publisher, Qos, Subscription,
-    complaints::Complaints,
+    Diagnostics, Input, Level, Node, NodeDefinition, NodeProgram, Parameter, Publisher, Qos, Setup,
+    Subscription, complaints::Complaints,
 };
-use wm_zoo::PlacedModel;
+use wm_zoo::ModelFolder;
 
 use super::{
     DecoderError, DecoderStep,
@@ -24,14 +24,14 @@ use super::{
 };
 use crate::{
     cadence::{PACE, SKIPPED, every_nth, measured, rough},
-    harness::{self, Configured, ModelNode},
+    harness::{self, WithModel},
     pool::Pool,
     work::Work,
 };
 use wm_wire::transport::{ImagePublisher, Pictures, Transports};
 
 /// The node.
-pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Decoder>();
+pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition::of::<Decoder>();
 
 /// Predictions that may wait: two rollouts of eight, since they come faster than one by one.
 pub(super) const WAITING: usize = 16;
@@ -46,14 +46,6 @@ const NO_PREDICTOR: &str =
     "start the predictor; it predicts once latents and an action have arrived";
 /// What a stock ROS 2 machine receives without a larger buffer \[byte\].
 const SAFE_BYTES: usize = 98_000;
-
-/// The node itself, in a process that may run other nodes too.
-///
-/// # Errors
-/// Parameters are invalid, weights cannot be loaded, or the graph fails.
-pub async fn body(node: Node) -> Result<()> {
-    harness::body::<Decoder>(node).await
-}
 
 wm_ros::parameters! {
     /// The node's parameters.
@@ -83,7 +75,7 @@ wm_ros::endpoints! {
         /// How the camera sees: beside its images, wherever /camera/image_raw is remapped to.
         camera_infos: Subscription<CameraInfo> = "/camera/camera_info", qos(Qos::best_effort(1)), made(|node, _, qos| {
             let images = node.resolve("/camera/image_raw")?;
-            node.subscription(&topic_beside(&images), qos)
+            node.subscription(&info_topic(&images), qos)
         });
         /// The same for pictures of the size of the predicted ones, with each of them. Not published if camera_info does
         /// not fit the camera's pictures.
@@ -154,14 +146,8 @@ impl Model {
     }
 }
 
-impl ModelNode for Decoder {
-    const NAME: &'static str = "decoder";
-    const ABOUT: &'static str = "Decodes predicted latents to pictures.";
-    type Parameters = Parameters;
-    type Endpoints = Endpoints;
-    type Model = Model;
-
-    fn load(folder: PlacedModel, parameters: &Parameters) -> Result<Model> {
+impl Model {
+    fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Self> {
         let step = folder.decoder()?.map(DecoderStep::new);
         if let Some(step) = &step
             && parameters.image_transport.raw
@@ -173,7 +159,7 @@ impl ModelNode for Decoder {
                 step.raw_bytes(),
             );
         }
-        let pool = Pool::background(Self::NAME, parameters.nice)?;
+        let pool = Pool::background(Decoder::NAME, parameters.nice)?;
         let estimate = step.as_ref().and_then(|step| {
             pool.run(|| measured(|| step.try_out()))
                 .inspect_err(|error| tracing::warn!("decoding was tried out, and failed: {error}"))
@@ -182,7 +168,7 @@ impl ModelNode for Decoder {
         if let Some(taken) = estimate {
             tracing::info!("decoding a picture takes about {} here", rough(taken));
         }
-        let model = Model {
+        let model = Self {
             name: folder.name(),
             fit: folder.fit()?,
             step: step.map(|step| Arc::new(Mutex::new(step))),
@@ -194,21 +180,43 @@ impl ModelNode for Decoder {
         }
         Ok(model)
     }
+}
 
-    fn activate(at: &Configured<Self>) -> Result<Self> {
+impl NodeProgram for Decoder {
+    const NAME: &'static str = "decoder";
+    const ABOUT: &'static str = "Decodes predicted latents to pictures.";
+    const IS_MANAGED: bool = true;
+    type Parameters = WithModel<Parameters>;
+    type Endpoints = Endpoints;
+    type Resources = Model;
+    type Error = anyhow::Error;
+
+    fn check(parameters: &Self::Parameters) -> Result<()> {
+        parameters.check_device()
+    }
+
+    async fn load(_: &Node, parameters: &Arc<Self::Parameters>) -> Result<Model> {
+        harness::load(parameters, Model::load).await
+    }
+
+    fn activate(at: &Setup<Self>) -> Result<Self> {
         let (parameters, diagnostics) = (&*at.parameters, at.node.diagnostics());
-        let Some(step) = &at.model.step else {
+        let Some(step) = &at.resources.step else {
             return Ok(Self { decoding: None });
         };
         let topic = at.endpoints.predictions.topic();
         diagnostics.expect_input(Input::new("predictions", [topic], NO_PREDICTOR));
         Ok(Self {
             decoding: Some(Decoding {
-                work: work(Arc::clone(step), parameters.image_transport, &at.model.pool),
+                work: work(
+                    Arc::clone(step),
+                    parameters.image_transport,
+                    &at.resources.pool,
+                ),
                 // The range keeps it within an hour.
                 rollouts: Rollouts::every(
                     (parameters.decode_period * 1e9) as i64,
-                    at.model.estimate.map(|picture| picture * USUAL_HORIZON),
+                    at.resources.estimate.map(|picture| picture * USUAL_HORIZON),
                 ),
                 held: Held::new(),
                 pictures: USUAL_HORIZON,
@@ -219,7 +227,7 @@ impl ModelNode for Decoder {
         })
     }
 
-    async fn run(&mut self, at: &mut Configured<Self>) -> Result<()> {
+    async fn run(&mut self, at: &mut Setup<Self>) -> Result<()> {
         let Endpoints {
             predictions,
             pictures,
@@ -227,12 +235,12 @@ impl ModelNode for Decoder {
             infos,
             fit: announced,
         } = &mut at.endpoints;
-        let fit = at.model.fit;
+        let fit = at.resources.fit;
         let Some(decoding) = &mut self.decoding else {
             // after the lifecycle has said that the node runs
             at.node
                 .diagnostics()
-                .set_status(Level::Warn, at.model.idle());
+                .set_status(Level::Warn, at.resources.idle());
             while predictions.recv_shared().await.is_some() {}
             return Ok(());
         };

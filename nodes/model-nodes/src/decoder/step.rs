@@ -1,9 +1,8 @@
 //! One prediction to one picture.
 
-use candle_core::{DType, Device, Tensor};
 use image::RgbImage;
 use thiserror::Error;
-use wm_model::{Decoder, image::to_rgb};
+use wm_model::Decoder;
 use wm_msgs::{
     sensor_msgs::{CompressedImage, Image},
     std_msgs::Header,
@@ -13,7 +12,7 @@ use wm_msgs::{
 use wm_camera::image_message::{ImageError, encode_image, encode_jpeg};
 use wm_wire::latent_message::{LatentError, decode_latent};
 
-/// Why a prediction has no picture.
+/// Why a prediction gives no picture.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum DecoderError {
@@ -26,12 +25,6 @@ pub enum DecoderError {
     /// The picture cannot be compressed.
     #[error(transparent)]
     Image(#[from] ImageError),
-}
-
-impl From<candle_core::Error> for DecoderError {
-    fn from(error: candle_core::Error) -> Self {
-        Self::Model(error.into())
-    }
 }
 
 impl DecoderError {
@@ -60,24 +53,17 @@ impl DecoderStep {
     /// # Errors
     /// [`DecoderError::Latent`] where the latent is of a different space or malformed, and the decoder's own.
     pub fn decode(&self, prediction: &Prediction) -> Result<RgbImage, DecoderError> {
-        let space = self.decoder.space();
-        let values = decode_latent(&prediction.latent, space)?;
-        let latent = Tensor::from_vec(
-            values,
-            (1, space.height, space.width, space.channels),
-            &Device::Cpu,
-        )?;
-        Ok(to_rgb(&self.decoder.decode(&latent)?.squeeze(0)?)?)
+        let values = decode_latent(&prediction.latent, self.decoder.space())?;
+        Ok(self.decoder.picture(&values)?)
     }
 
-    /// Decodes an empty latent, to see that it works and how long that takes.
+    /// Decodes an empty latent: a trial, which also shows how long decoding takes.
     ///
     /// # Errors
     /// Those of the decoder.
     pub fn try_out(&self) -> Result<(), DecoderError> {
-        let (height, width, channels) = self.decoder.space().shape();
-        let latent = Tensor::zeros((1, height, width, channels), DType::F32, &Device::Cpu)?;
-        to_rgb(&self.decoder.decode(&latent)?.squeeze(0)?)?;
+        let latent = vec![0.0; self.decoder.space().elements()];
+        self.decoder.picture(&latent)?;
         Ok(())
     }
 

@@ -1,4 +1,4 @@
-//! Which camera frames an encoder takes that is slower than the camera.
+//! The choice of frames, for an encoder that is slower than the camera.
 
 use std::time::{Duration, Instant};
 
@@ -6,14 +6,14 @@ use wm_motion::motion::Pace;
 
 use crate::cadence::{Arrivals, Recent, every_nth, rough};
 
-/// Times the longest of the last runs, this has to fit before more frames are taken.
+/// The longest of the last runs times this must fit before more frames are taken.
 const MARGIN: f64 = 1.1;
-/// A machine that starts loads other models too: what was measured then has to take this many periods to be believed.
+/// A machine that starts loads other models too: a time measured then counts only if it takes this many periods.
 const BELIEVED_PERIODS: u32 = 2;
 /// A stamp this far behind the newest means that time jumped, or that the newest was wrong \[ns\].
 const JUMP_NS: i64 = 1_000_000_000;
 
-/// What the nodes that predict need.
+/// The frames that predicting nodes need.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Needs {
     /// From one camera frame to the next, as the model counts them.
@@ -37,8 +37,8 @@ impl Needs {
     }
 }
 
-/// Which frames are encoded. Each mode takes less time than the one before. In each of them whole contexts come: a
-/// prediction starts from frames one model step apart.
+/// Which frames are encoded. Each mode takes less time than the one before, and each yields complete contexts: a prediction
+/// starts from frames one model step apart.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Mode {
     /// Every camera frame.
@@ -50,8 +50,8 @@ pub enum Mode {
 }
 
 impl Mode {
-    /// The first in which encoding keeps up, where it takes `taken` a frame and camera frames come `gap` apart.
-    /// `pace`: how long the time of one camera stamp takes here; a bag may be played slower or faster.
+    /// The first mode in which encoding keeps up, if it takes `taken` per frame and frames arrive `gap` apart. `pace` is real
+    /// time per time of the stamps; a bag may be played slower or faster.
     fn fitting(taken: Duration, gap: Duration, pace: f64, needs: &Needs) -> Self {
         if taken <= gap {
             return Self::All;
@@ -109,14 +109,14 @@ impl Mode {
     }
 }
 
-/// What becomes of a camera frame.
+/// What happens to a camera frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fate {
     /// It is encoded.
     Encode,
-    /// It is left out by choice.
+    /// It is skipped.
     Skip,
-    /// It was to be encoded, but frames before it still wait.
+    /// It was due, but earlier frames still wait.
     Late,
 }
 
@@ -132,14 +132,14 @@ pub struct Choice {
     /// Which frames are on the grid of the mode.
     pace: Pace,
     newest_ns: Option<i64>,
-    /// The last frame on the grid, and what became of it.
+    /// The last frame on the grid, and its fate.
     last: Option<(i64, Fate)>,
-    /// Frames on the grid since the first one of the last context; none where there was none.
+    /// Frames on the grid since the first one of the last context; `None` before the first context.
     since: Option<usize>,
 }
 
 impl Choice {
-    /// For an encoder that took `estimate` a frame when it was tried.
+    /// For an encoder that took `estimate` per frame in a trial.
     pub fn new(needs: Needs, estimate: Option<Duration>) -> Self {
         let believed = estimate.filter(|taken| *taken > needs.frame_period * BELIEVED_PERIODS);
         let mode = believed.map_or(Mode::All, |taken| Mode::of(taken, &needs));
@@ -159,7 +159,7 @@ impl Choice {
         choice
     }
 
-    /// Whether the first frames are to tell how long encoding takes: what was measured at the start is not enough.
+    /// Whether the time of encoding is still to be measured by the first frames.
     pub fn is_open(&self) -> bool {
         let tried = self.estimate.map(|taken| Mode::of(taken, &self.needs));
         self.taken.median().is_none() && tried != Some(self.mode)
@@ -178,7 +178,7 @@ impl Choice {
         }
     }
 
-    /// What becomes of the frame of `stamp_ns` that comes at `now`, while `waiting` frames wait to be encoded.
+    /// Decides on the frame of `stamp_ns` that arrives at `now`, while `waiting` frames wait to be encoded.
     pub fn arrived(&mut self, stamp_ns: i64, now: Instant, waiting: usize) -> Fate {
         // The same frame by another transport, since the first could not be used.
         if let Some((_, fate)) = self.last.filter(|(last_ns, _)| *last_ns == stamp_ns) {
@@ -209,7 +209,7 @@ impl Choice {
         fate
     }
 
-    /// What becomes of a frame on the grid of model steps, where contexts begin `steps` of them apart.
+    /// Decides on a frame on the grid of model steps, if contexts begin `steps` of them apart.
     fn of_context(&mut self, stamp_ns: i64, steps: usize, waiting: usize) -> Fate {
         let context = self.needs.context_frames.max(1);
         let step_ns = nanos(self.needs.step());
@@ -229,7 +229,7 @@ impl Choice {
             _ => {}
         }
         if waiting > 0 {
-            // Behind others it would come late; the next one is newer.
+            // It would be late after the others; the next one is newer.
             self.since = since;
             return Fate::Late;
         }
@@ -247,7 +247,7 @@ impl Choice {
         let fitting = |taken| Mode::fitting(taken, gap, pace, &needs);
         let slower = self.taken.median().map(fitting);
         let longest = self.taken.longest();
-        // Too few to be sure of how long it takes, but one shows where the estimate was too long.
+        // Too few for a measurement, but one is enough to show that the estimate was too long.
         let likely = longest.or(self.taken.at_most(self.estimate));
         let faster = likely.map(|taken| fitting(taken.mul_f64(MARGIN)));
         let change = slower.filter(|mode| *mode > self.mode);
@@ -257,7 +257,7 @@ impl Choice {
         }
     }
 
-    /// How long a frame takes here, where the mode has changed since this was last asked.
+    /// The time per frame, if the mode has changed since the last call.
     pub fn change(&mut self) -> Option<Duration> {
         if self.mode == self.told {
             return None;
@@ -267,7 +267,7 @@ impl Choice {
         taken.or(self.taken.at_most(self.estimate))
     }
 
-    /// The next frame begins anew: it is of another time or another camera.
+    /// Starts anew with the next frame, which is of another time or another camera.
     pub fn restart(&mut self) {
         let period = match self.mode {
             Mode::All => self.needs.frame_period,

@@ -73,7 +73,7 @@ impl Decoding {
         }
     }
 
-    /// Takes a frame; gives the oldest that waits, if there is no room for it.
+    /// Takes a frame; returns the oldest waiting one if the queue is full.
     #[must_use = "a frame that is given back is lost: count it"]
     pub fn submit(
         &mut self,

@@ -16,10 +16,10 @@ use wm_msgs::{
     wm_msgs::{Action, CameraState, Latent},
 };
 use wm_ros::{
-    Clock, Diagnostics, Input, Level, Node, NodeDefinition, Publisher, Qos, Subscription,
-    complaints::Complaints, frame_trace,
+    Clock, Diagnostics, Input, Level, Node, NodeDefinition, NodeProgram, Publisher, Qos, Setup,
+    Subscription, complaints::Complaints, frame_trace,
 };
-use wm_zoo::PlacedModel;
+use wm_zoo::ModelFolder;
 
 use super::{
     Choice, EncoderError, EncoderStep, Fate, Mismatch, Mode, Needs, Repetition, Sight, Stillness,
@@ -31,7 +31,7 @@ use super::{
 use crate::{
     cadence::{OPEN, PACE, SKIPPED, hertz, measured, rough},
     camera::{Admission, Camera, Source, WrongCamera},
-    harness::{self, Configured, ModelNode},
+    harness::{self, WithModel},
     history::{Reception, epoch_after, seconds, stamp_of_frame, stamp_of_other},
     pool::Pool,
     work::Work,
@@ -43,7 +43,7 @@ use wm_wire::{
 };
 
 /// The node.
-pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Encoder>();
+pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition::of::<Encoder>();
 
 /// A camera that is silent for longer may be replaced by another: as long as it takes to start a driver again.
 const SILENCE: Duration = Duration::from_secs(1);
@@ -53,14 +53,6 @@ const MISSING: Duration = Duration::from_secs(5);
 const FASTER: &str = "for more: a smaller encoder, or a faster processor";
 /// Advice for a missing camera.
 const NO_CAMERA: &str = "start the camera's driver, or name its topic: camera:=TOPIC for wm launch, -r /camera/image_raw:=TOPIC for the node";
-
-/// The node itself, in a process that may run other nodes too.
-///
-/// # Errors
-/// Parameters are invalid, weights cannot be loaded, or the graph fails.
-pub async fn body(node: Node) -> Result<()> {
-    harness::body::<Encoder>(node).await
-}
 
 wm_ros::parameters! {
     /// The node's parameters.
@@ -147,14 +139,8 @@ struct Encoder {
     diagnostics: Diagnostics,
 }
 
-impl ModelNode for Encoder {
-    const NAME: &'static str = "encoder";
-    const ABOUT: &'static str = "Encodes camera frames to latents.";
-    type Parameters = Parameters;
-    type Endpoints = Endpoints;
-    type Model = Model;
-
-    fn load(folder: PlacedModel, parameters: &Parameters) -> Result<Self::Model> {
+impl Model {
+    fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Self> {
         let step = EncoderStep::new(folder.encoder()?, parameters.dtype);
         tracing::info!("encoding to latent space {}", step.space());
         let encoding = folder.action_encoding()?;
@@ -174,7 +160,7 @@ impl ModelNode for Encoder {
             say(&Choice::new(needs, estimate), taken, &needs);
         }
         let sizes = PictureSizes::new(step.framing(), folder.trained_on()?);
-        Ok(Model {
+        Ok(Self {
             sizes,
             step: Arc::new(Mutex::new(step)),
             estimate,
@@ -182,15 +168,33 @@ impl ModelNode for Encoder {
             actions: encoding.map_or_else(ActionSpace::bridge, |encoding| encoding.space().clone()),
         })
     }
+}
 
-    fn activate(at: &Configured<Self>) -> Result<Self> {
+impl NodeProgram for Encoder {
+    const NAME: &'static str = "encoder";
+    const ABOUT: &'static str = "Encodes camera frames to latents.";
+    const IS_MANAGED: bool = true;
+    type Parameters = WithModel<Parameters>;
+    type Endpoints = Endpoints;
+    type Resources = Model;
+    type Error = anyhow::Error;
+
+    fn check(parameters: &Self::Parameters) -> Result<()> {
+        parameters.check_device()
+    }
+
+    async fn load(_: &Node, parameters: &Arc<Self::Parameters>) -> Result<Model> {
+        harness::load(parameters, Model::load).await
+    }
+
+    fn activate(at: &Setup<Self>) -> Result<Self> {
         let Model {
             step,
             estimate,
             needs,
             actions,
             sizes,
-        } = &at.model;
+        } = &at.resources;
         let step = Arc::clone(step);
         let choice = Choice::new(*needs, *estimate);
         let work = Work::new(choice.room(), move |job: Job, _| {
@@ -234,7 +238,7 @@ impl ModelNode for Encoder {
         })
     }
 
-    async fn run(&mut self, at: &mut Configured<Self>) -> Result<()> {
+    async fn run(&mut self, at: &mut Setup<Self>) -> Result<()> {
         let Endpoints {
             images,
             actions,

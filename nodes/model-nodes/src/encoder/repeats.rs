@@ -1,10 +1,10 @@
-//! Frames that come by two transports, or twice.
+//! Frames that arrive by two transports, or twice.
 
 use std::collections::VecDeque;
 
 use wm_msgs::builtin_interfaces::Time;
 
-/// Frames that are remembered: the two transports of one frame are never further apart.
+/// Number of frames that are kept: the two transports of one frame are never further apart.
 const REMEMBERED: usize = 16;
 /// A stamp this far behind means that time jumped back, and earlier frames may come again. Nearer ones were overtaken, as
 /// raw frames are by compressed ones \[ns\].
@@ -18,7 +18,7 @@ pub(super) struct Repeats {
     distrusted: Option<bool>,
 }
 
-/// What an arrival is.
+/// The kind of an arrival.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Arrival {
     /// A frame's first.
@@ -30,7 +30,7 @@ pub(super) enum Arrival {
 }
 
 impl Repeats {
-    /// Takes note that a frame of this transport could not be used.
+    /// Records that a frame of this transport could not be used.
     pub(super) fn distrust(&mut self, is_raw: bool) {
         self.distrusted = Some(is_raw);
     }

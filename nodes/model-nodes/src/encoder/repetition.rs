@@ -69,7 +69,7 @@ impl Repetition {
         }
     }
 
-    /// The next frame is of another time or another camera.
+    /// Starts anew with the next frame, which is of another time or another camera.
     pub fn restart(&mut self) {
         *self = Self::default();
     }

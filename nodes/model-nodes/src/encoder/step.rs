@@ -1,6 +1,5 @@
 //! One image to one latent.
 
-use candle_core::Tensor;
 use image::RgbImage;
 use thiserror::Error;
 use wm_model::{Encoder, Framing};
@@ -10,14 +9,14 @@ use wm_camera::{camera_frame::CameraFrame, image_message::ImageError};
 use wm_ros::frame_trace;
 use wm_wire::latent_message::{LatentDtype, LatentError, encode_latent};
 
-/// Least side of a picture that says anything of a scene \[px\].
+/// Least side of a picture that shows a scene \[px\].
 const LEAST_SIDE: u32 = 8;
 
 /// Why an image has no latent.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum EncoderError {
-    /// The message is no image.
+    /// The message is not a valid image.
     #[error(transparent)]
     Image(#[from] ImageError),
     /// A picture too small to show a scene.
@@ -34,12 +33,6 @@ pub enum EncoderError {
     /// The latent does not fit its message.
     #[error(transparent)]
     Latent(#[from] LatentError),
-}
-
-impl From<candle_core::Error> for EncoderError {
-    fn from(error: candle_core::Error) -> Self {
-        Self::Model(error.into())
-    }
 }
 
 /// The encoder node's computation: an image message to a latent message of the same stamp.
@@ -71,9 +64,10 @@ impl EncoderStep {
         picture: &RgbImage,
         header: &Header,
     ) -> Result<Latent, EncoderError> {
-        let pixels = self.pixels(picture)?;
+        expect_scene(picture)?;
+        let image = self.encoder.prepare(picture)?;
         frame_trace::passed("picture resized", header.stamp);
-        let values = self.values(&pixels)?;
+        let values = self.encoder.values(&image)?;
         frame_trace::passed("latent computed", header.stamp);
         let space = self.encoder.space();
         Ok(encode_latent(&values, space, self.dtype, header.clone())?)
@@ -84,24 +78,11 @@ impl EncoderStep {
     /// # Errors
     /// [`EncoderError::Small`], and those of the encoder.
     pub fn encode_values(&self, rgb: &RgbImage) -> Result<Vec<f32>, EncoderError> {
-        self.values(&self.pixels(rgb)?)
+        expect_scene(rgb)?;
+        Ok(self.encoder.values(&self.encoder.prepare(rgb)?)?)
     }
 
-    /// An image as the encoder takes it, (1, H, W, 3).
-    fn pixels(&self, rgb: &RgbImage) -> Result<Tensor, EncoderError> {
-        let (width, height) = rgb.dimensions();
-        if width.min(height) < LEAST_SIDE {
-            return Err(EncoderError::Small { width, height });
-        }
-        Ok(self.encoder.prepare(rgb)?)
-    }
-
-    fn values(&self, pixels: &Tensor) -> Result<Vec<f32>, EncoderError> {
-        let latent = self.encoder.encode(pixels)?;
-        Ok(latent.flatten_all()?.to_vec1::<f32>()?)
-    }
-
-    /// Encodes a grey picture, to see that it works and how long that takes.
+    /// Encodes a grey picture: a trial, which also shows how long encoding takes.
     ///
     /// # Errors
     /// Those of the encoder.
@@ -112,7 +93,7 @@ impl EncoderStep {
         self.encode_values(&grey).map(|_| ())
     }
 
-    /// How it takes pictures.
+    /// How pictures are fitted to the encoder.
     pub fn framing(&self) -> Framing {
         self.encoder.framing()
     }
@@ -120,6 +101,15 @@ impl EncoderStep {
     /// The space of its latents.
     pub fn space(&self) -> &wm_model::LatentSpace {
         self.encoder.space()
+    }
+}
+
+/// That a picture is large enough to show a scene.
+fn expect_scene(rgb: &RgbImage) -> Result<(), EncoderError> {
+    let (width, height) = rgb.dimensions();
+    match width.min(height) < LEAST_SIDE {
+        true => Err(EncoderError::Small { width, height }),
+        false => Ok(()),
     }
 }
 

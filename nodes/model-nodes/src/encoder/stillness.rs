@@ -1,4 +1,4 @@
-//! Whether a camera has stopped, though frames with fresh stamps go on.
+//! Whether a camera has stopped although frames with fresh stamps arrive.
 //!
 //! Two live pictures are never the same: a sensor has noise. So a camera has stopped if its picture repeats byte for byte
 //! for longer than `frozen_after`. A picture that differs by noise alone may be of a still scene, or of a camera that has

@@ -1,4 +1,4 @@
-//! The episode that a policy plays through topics.
+//! The episode of a policy that is attached by topics.
 
 use std::sync::Arc;
 
@@ -15,7 +15,7 @@ use wm_motion::{
 
 use crate::history::{ChunkMerging, HistoryError, Timing, period_of, stamp_of_other};
 
-/// Where an episode stands that is played through topics: what the policy has said so far of the moments to come.
+/// The state of an episode that is played through topics: the policy's actions for the coming steps.
 #[derive(Clone, Debug)]
 pub struct Attached {
     episode_id: String,
@@ -99,8 +99,8 @@ impl Attached {
         Ok(end_ns > self.stamp_ns)
     }
 
-    /// The actions of the next step, one for each frame period, where the policy has said what it does now; with `hold`,
-    /// its last action stands in where it has not.
+    /// The actions of the next step, one per frame period, if the policy has sent them. With `hold`, its last action replaces
+    /// missing ones.
     pub fn next(&self, hold: bool) -> Option<Vec<Action>> {
         let end_ns = self.timing.step_at(self.stamp_ns, 1);
         let step = self
@@ -126,7 +126,7 @@ impl Attached {
         Some(actions.collect())
     }
 
-    /// Takes note of the observation that the last step led to.
+    /// Records the observation after the last step.
     pub fn observed(&mut self, stamp: Time) {
         self.stamp_ns = stamp.to_nanos();
     }

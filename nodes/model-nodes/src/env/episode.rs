@@ -56,7 +56,7 @@ impl Episode {
         self.steps
     }
 
-    /// Takes note of where `action` led.
+    /// Records the latent after `action`.
     pub fn push(&mut self, action: Vec<f32>, frame: Arc<[f32]>) {
         self.actions.push_back(action);
         self.frames.push_back(frame);

@@ -1,4 +1,4 @@
-//! What can go wrong in the env.
+//! The env's errors.
 
 use thiserror::Error;
 use wm_bag::BagError;
@@ -17,8 +17,7 @@ pub enum EnvError {
         "{0} of bag, image and topic are set; set exactly one, in the request or in the env's parameters"
     )]
     Starts(usize),
-    /// A file that a call names and that is not for it, or no start. It does not say why: a call that could tell a file that
-    /// is not there from one that is, or is of another kind, would read the env's disk.
+    /// A start that a call may not use. The reason is not given: a caller could explore the env's disk by the answers.
     #[error(
         "no episode can start from this bag or image: expected a bag, or a PNG or JPEG file, below the env's parameter \
          start_root"
@@ -27,7 +26,7 @@ pub enum EnvError {
     /// Too many calls wait.
     #[error("{0} calls are already waiting: try again later")]
     Busy(usize),
-    /// An offset that is no time.
+    /// An invalid offset.
     #[error("bag_offset is {0} s; expected 0 or more")]
     Offset(f64),
     /// The bag has no frame there.
@@ -38,26 +37,26 @@ pub enum EnvError {
         /// Where a frame was looked for \[s\].
         offset_s: f64,
     },
-    /// No image came.
+    /// No image arrived.
     #[error("no image arrived on {topic} within {seconds} s")]
     Silent {
         /// The camera's topic.
         topic: String,
-        /// How long it was waited \[s\].
+        /// How long the env waited \[s\].
         seconds: f64,
     },
-    /// A name that is none.
+    /// An invalid name.
     #[error(
         "invalid episode_id \"{0}\"; expected 1 to 100 characters: letters, digits, \"_\", \"-\" and \".\", and no \
          \".\" at the start"
     )]
     Name(String),
-    /// An episode that is not there.
+    /// An unknown episode.
     #[error("there is no episode \"{name}\"; there are: {known}")]
     Unknown {
         /// What was requested.
         name: String,
-        /// Those that there are.
+        /// The open episodes.
         known: String,
     },
     /// No room.
@@ -77,7 +76,7 @@ pub enum EnvError {
     /// The actions of the start are not in the model's action space.
     #[error(transparent)]
     Actions(ActionError),
-    /// Values that are no action.
+    /// Invalid values of an action.
     #[error("action {index}: {source}")]
     Action {
         /// Which one of the call.
@@ -85,17 +84,17 @@ pub enum EnvError {
         /// What is wrong with it.
         source: ActionError,
     },
-    /// The model predicted something that is no number.
+    /// The model predicted a value that is not finite.
     #[error("step {step} of episode \"{name}\": {source}")]
     Prediction {
         /// The episode.
         name: String,
         /// Its step, from 1.
         step: u32,
-        /// What is wrong with the latent.
+        /// The latent's fault.
         source: LatentError,
     },
-    /// The first frame is no image.
+    /// The first frame is not a valid image.
     #[error(transparent)]
     Image(#[from] ImageError),
     /// The image file cannot be read.
@@ -124,9 +123,8 @@ pub enum EnvError {
 }
 
 impl EnvError {
-    /// What a caller hears who has named the file of the start: nothing of what was found there, but for a bag that has
-    /// no frame at the offset, or other actions than the
-    /// model's.
+    /// The answer to a caller that named the file of the start. It reveals nothing about the file, except that a bag has no
+    /// frame at the offset, or actions of another space.
     pub(super) fn without_file(self) -> Self {
         match self {
             Self::File { .. }
@@ -136,11 +134,5 @@ impl EnvError {
             | Self::History(_) => Self::NoStart,
             other => other,
         }
-    }
-}
-
-impl From<candle_core::Error> for EnvError {
-    fn from(error: candle_core::Error) -> Self {
-        Self::Model(error.into())
     }
 }

@@ -2,12 +2,10 @@
 
 use std::sync::Arc;
 
-use candle_core::{Device, Tensor};
 use image::RgbImage;
 use wm_model::{
-    Decoder, LatentSpace,
-    image::to_rgb,
-    sampler::{Given, Noise, Rollout, Sampler},
+    Decoder,
+    sampler::{Noise, Observed, Rollout, Sampler},
 };
 use wm_motion::actions::ActionError;
 use wm_msgs::wm_msgs::Action;
@@ -38,8 +36,8 @@ pub struct EnvModel {
 }
 
 impl EnvModel {
-    /// A world of these models, with `integration_steps` Euler steps a frame (0: what the model was trained for), that
-    /// computes at most `batch` episodes together.
+    /// A world of these models, with `integration_steps` Euler steps per frame (0: the model's own number), that computes at
+    /// most `batch` episodes together.
     pub fn new(
         encoder: EncoderStep,
         predictor: WorldModel,
@@ -60,7 +58,7 @@ impl EnvModel {
         }
     }
 
-    /// The transition model and what messages say of it.
+    /// The transition model and its description for messages.
     pub fn predictor(&self) -> &WorldModel {
         &self.predictor
     }
@@ -74,10 +72,6 @@ impl EnvModel {
     pub fn raw_bytes(&self) -> usize {
         let (height, width) = self.decoder.output_size();
         height * width * 3
-    }
-
-    fn space(&self) -> &LatentSpace {
-        &self.predictor.space
     }
 
     /// Past frames that a prediction can use.
@@ -98,14 +92,12 @@ impl EnvModel {
         Ok(self.encoder.encode_values(picture)?.into())
     }
 
-    /// What a latent looks like.
+    /// The picture of a latent.
     ///
     /// # Errors
     /// Those of the decoder.
     pub fn picture(&self, latent: &[f32]) -> Result<RgbImage, EnvError> {
-        let (height, width, channels) = self.space().shape();
-        let latent = Tensor::from_slice(latent, (1, height, width, channels), &Device::Cpu)?;
-        Ok(to_rgb(&self.decoder.decode(&latent)?.squeeze(0)?)?)
+        Ok(self.decoder.picture(latent)?)
     }
 
     /// The model action of a robot that stands still: no change, and states at their middle; a gripper is open.
@@ -134,8 +126,8 @@ impl EnvModel {
             .values)
     }
 
-    /// The latents to which each episode's model action leads, in their order. Episodes whose histories are of one
-    /// length are computed together.
+    /// The latent after each episode's model action, in their order. Episodes with histories of one length are computed
+    /// together.
     pub(super) fn predict(&self, rows: &[Row<'_>]) -> Result<Vec<Arc<[f32]>>, EnvError> {
         let mut order: Vec<usize> = (0..rows.len()).collect();
         let length = |index: &usize| rows.get(*index).map_or(0, |row| row.episode.frames().len());
@@ -154,51 +146,24 @@ impl EnvModel {
         Ok(predicted.into_iter().map(|(_, latent)| latent).collect())
     }
 
-    /// As [`Self::predict`], of episodes whose histories are of one length.
+    /// As [`Self::predict`], for episodes with histories of one length.
     fn predict_alike(&self, rows: &[Row<'_>]) -> Result<Vec<Arc<[f32]>>, EnvError> {
-        let (height, width, channels) = self.space().shape();
-        let action_dim = self.predictor.encoding.action_dim();
-        let (batch, frames) = (
-            rows.len(),
-            rows.first().map_or(0, |row| row.episode.frames().len()),
-        );
-        let context: Vec<f32> = rows
+        let observed: Vec<Observed<'_>> = rows
             .iter()
-            .flat_map(|row| row.episode.frames().flat_map(|frame| frame.iter().copied()))
-            .collect();
-        let context = Tensor::from_vec(
-            context,
-            (batch, frames, height, width, channels),
-            &Device::Cpu,
-        )?;
-        let past: Vec<f32> = rows
-            .iter()
-            .flat_map(|row| row.episode.actions().flatten().copied())
-            .collect();
-        let past = (frames > 1)
-            .then(|| Tensor::from_vec(past, (batch, frames - 1, action_dim), &Device::Cpu))
-            .transpose()?;
-        let stack = |of: fn(&Row<'_>) -> Vec<f32>| {
-            let values: Vec<f32> = rows.iter().flat_map(of).collect();
-            Tensor::from_vec(values, (batch, action_dim), &Device::Cpu)
-        };
-        let action = stack(|row| row.action.to_vec())?;
-        let next = stack(|row| row.next.to_vec())?;
-        let noise: Vec<Noise> = rows
-            .iter()
-            .map(|row| Noise {
-                seed: row.episode.seed(),
-                first_step: row.episode.steps(),
+            .map(|row| Observed {
+                frames: row.episode.frames().map(|frame| &**frame).collect(),
+                actions: row.episode.actions().map(Vec::as_slice).collect(),
+                noise: Noise {
+                    seed: row.episode.seed(),
+                    first_step: row.episode.steps(),
+                },
             })
             .collect();
+        let actions: Vec<&[f32]> = rows.iter().map(|row| row.action).collect();
+        let next: Vec<&[f32]> = rows.iter().map(|row| row.next).collect();
         let model = &self.predictor.transition;
-        let mut rollout = Rollout::batch(model, &self.sampler, &context, past.as_ref(), &noise)?;
-        let given = Given {
-            own_action: Some(&next),
-            ..Given::default()
-        };
-        let latents = rollout.next_given(&action, given)?;
-        let latents = latents.flatten_from(1)?.to_vec2::<f32>()?;
+        let mut rollout = Rollout::of_values(model, &self.sampler, &observed)?;
+        let latents = rollout.predict(&actions, Some(&next))?;
         Ok(latents.into_iter().map(Into::into).collect())
     }
 }

@@ -19,14 +19,15 @@ use wm_msgs::{
     },
 };
 use wm_ros::{
-    Node, NodeDefinition, Publisher, Qos, Received, Service, Subscription, complaints::Complaints,
+    Node, NodeDefinition, NodeProgram, Publisher, Qos, Received, Service, Setup, Subscription,
+    complaints::Complaints,
 };
-use wm_zoo::PlacedModel;
+use wm_zoo::ModelFolder;
 
 use super::{Env, EnvModel, Start, StartRoot, parameters::Parameters, start::INSTRUCTION};
 use crate::{
     encoder::EncoderStep,
-    harness::{self, Configured, ModelNode},
+    harness::{self, WithModel},
     history::Timing,
     work::Work,
 };
@@ -35,7 +36,7 @@ use wm_camera::camera_frame::CameraFrame;
 use wm_wire::{latent_message::LatentDtype, transport::ImagePublisher};
 
 /// The node.
-pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Active>();
+pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition::of::<Active>();
 
 /// Observations by service that may wait for a client: a chunk of each of some episodes.
 const OBSERVATIONS: usize = 64;
@@ -43,15 +44,6 @@ const OBSERVATIONS: usize = 64;
 const FAREWELL: Duration = Duration::from_millis(500);
 /// What a stock ROS 2 machine receives without a larger buffer \[byte\].
 const SAFE_BYTES: usize = 98_000;
-
-/// The node itself, in a process that may run other nodes too. It ends when the episodes are played that the parameter
-/// `episodes` asks for.
-///
-/// # Errors
-/// Parameters are invalid, weights cannot be loaded, or the graph fails.
-pub async fn body(node: Node) -> Result<()> {
-    harness::body::<Active>(node).await
-}
 
 // Reliable matches who asks for best effort too, and a policy must not miss a frame.
 wm_ros::endpoints! {
@@ -89,24 +81,10 @@ struct Model {
 }
 
 /// The node, configured.
-type EnvNode = Configured<Active>;
+type EnvNode = Setup<Active>;
 
-impl ModelNode for Active {
-    const NAME: &'static str = "env";
-    const ABOUT: &'static str =
-        "Makes the world model the environment of a policy, in place of camera and robot.";
-    type Parameters = Parameters;
-    type Endpoints = Endpoints;
-    type Model = Model;
-
-    fn check(parameters: &Parameters) -> Result<()> {
-        if parameters.episodes > 0 {
-            parameters.own_start()?;
-        }
-        Ok(())
-    }
-
-    fn load(folder: PlacedModel, parameters: &Parameters) -> Result<Model> {
+impl Model {
+    fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Self> {
         let encoder = EncoderStep::new(folder.encoder()?, LatentDtype::F32);
         let (predictor, decoder) = (folder.world_model()?, folder.decoder()?);
         let decoder = decoder.with_context(|| {
@@ -147,16 +125,38 @@ impl ModelNode for Active {
             }
         }
         let env = Arc::new(Mutex::new(env));
-        Ok(Model {
+        Ok(Self {
             env,
             timing,
             encoding,
             start_root: StartRoot::new(&parameters.start_root)?,
         })
     }
+}
+
+impl NodeProgram for Active {
+    const NAME: &'static str = "env";
+    const ABOUT: &'static str =
+        "Makes the world model the environment of a policy, in place of camera and robot.";
+    const IS_MANAGED: bool = true;
+    type Parameters = WithModel<Parameters>;
+    type Endpoints = Endpoints;
+    type Resources = Model;
+    type Error = anyhow::Error;
+
+    fn check(parameters: &Self::Parameters) -> Result<()> {
+        if parameters.episodes > 0 {
+            parameters.own_start()?;
+        }
+        parameters.check_device()
+    }
+
+    async fn load(_: &Node, parameters: &Arc<Self::Parameters>) -> Result<Model> {
+        harness::load(parameters, Model::load).await
+    }
 
     fn activate(at: &EnvNode) -> Result<Self> {
-        let env = Arc::clone(&at.model.env);
+        let env = Arc::clone(&at.resources.env);
         let clock = at.node.clock();
         let work = Work::new(1, move |job: Job, _| {
             let mut env = lock(&env);
@@ -194,7 +194,7 @@ impl ModelNode for Active {
 
     async fn run(&mut self, at: &mut EnvNode) -> Result<()> {
         let result = self.serve(at).await;
-        let env = Arc::clone(&at.model.env);
+        let env = Arc::clone(&at.resources.env);
         let failed = tokio::task::spawn_blocking(move || lock(&env).close()).await?;
         for error in failed {
             tracing::error!("cannot finish the bag of an episode: {error}");

@@ -61,7 +61,7 @@ wm_ros::parameters! {
 }
 
 impl Parameters {
-    /// What is asked of an episode that is played through topics, and where the others begin that do not say so.
+    /// Settings of an episode that is played through topics, and the default start of others.
     pub(super) fn reset(&self) -> EnvResetRequest {
         EnvResetRequest {
             bag: self.bag.clone(),
@@ -92,7 +92,7 @@ impl Parameters {
         Duration::from_secs_f64(1.0 / self.rate)
     }
 
-    /// Where an episode begins: as the request says, below `root`, else as the parameters do.
+    /// The start of an episode: from the request, below `root`, else from the parameters.
     pub(super) fn start(
         &self,
         request: &EnvResetRequest,
@@ -104,7 +104,7 @@ impl Parameters {
         }
     }
 
-    /// Where an episode begins whose request does not say it.
+    /// The start of an episode if its request names none.
     pub(super) fn own_start(&self) -> Result<Start, EnvError> {
         Start::of(&self.reset())?.ok_or(EnvError::Starts(0))
     }

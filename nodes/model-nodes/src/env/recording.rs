@@ -16,7 +16,7 @@ const CAMERA: &str = "/camera/image_raw/compressed";
 const ACTION: &str = "/wm/action";
 const PREDICTED: &str = "/wm/predicted";
 const SUCCESS: &str = "/task/success";
-/// Bags of one name at most: an env that is asked for more than that is asked in error.
+/// Most bags of one name; more are a client's mistake.
 const MOST_OF_A_NAME: u32 = 100_000;
 
 /// A bag that is being written.

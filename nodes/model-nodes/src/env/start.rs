@@ -1,4 +1,4 @@
-//! Where an episode begins.
+//! The start of an episode.
 
 use std::{
     fs::File,
@@ -36,10 +36,10 @@ pub(crate) const INSTRUCTION: &str = "/task/instruction";
 const ACTION: &str = "/wm/action";
 const NANOS: f64 = 1e9;
 
-/// Where the first frame comes from.
+/// The source of the first frame.
 #[derive(Clone, Debug)]
 pub enum Start {
-    /// A bag, so many seconds after its first camera frame, with what came just before.
+    /// A bag, this many seconds after its first camera frame, with the history before it.
     Bag {
         /// Folder or `.mcap`.
         path: PathBuf,
@@ -55,7 +55,7 @@ pub enum Start {
 }
 
 impl Start {
-    /// What a request asks for; none where it leaves that to the env's parameters.
+    /// The start that a request names; `None` if it names none.
     ///
     /// # Errors
     /// [`EnvError::Starts`] where it asks for several, [`EnvError::Offset`].
@@ -79,7 +79,7 @@ impl Start {
     }
 }
 
-/// What an episode begins with.
+/// The frames and actions at the start of an episode.
 #[derive(Debug)]
 pub(super) struct Opening {
     /// Latents one model step apart, oldest first.
@@ -118,7 +118,7 @@ pub(super) fn open(
     still(latent, &frame.header().frame_id, world, context_frames)
 }
 
-/// The robot stood still before the only frame that is known.
+/// Repeats the only known frame, as if the robot had stood still.
 fn still(
     latent: Arc<[f32]>,
     frame_id: &str,
@@ -134,7 +134,7 @@ fn still(
     })
 }
 
-/// Opens a file. A pipe or a device, which may keep who opens or reads it waiting, is an error.
+/// Opens a file. A pipe or a device, which may block, is an error.
 fn open_regular(path: &Path) -> io::Result<File> {
     let flags = OFlags::RDONLY | OFlags::NONBLOCK | OFlags::CLOEXEC;
     let file = File::from(rustix::fs::open(path, flags, Mode::empty())?);
@@ -151,7 +151,7 @@ fn read_image(path: &Path) -> Result<CompressedImage, EnvError> {
         source,
     };
     let mut data = Vec::new();
-    // One byte more than is accepted, so that a longer file is refused, not cut.
+    // One byte above the limit, so that a longer file is refused, not cut.
     let limit = MAX_COMPRESSED as u64 + 1;
     open_regular(path)
         .and_then(|file| file.take(limit).read_to_end(&mut data))

@@ -1,4 +1,4 @@
-//! Which files a call may name as the start of an episode.
+//! The files that a call may name as the start of an episode.
 
 use std::{
     fs,
@@ -9,16 +9,16 @@ use anyhow::{Context as _, Result};
 
 use super::{EnvError, Start};
 
-/// The folder below which bags and images may be that a call names. Who may call is anybody in the ROS graph, so that
-/// whatever else is on the disk must not show, nor may a pipe or a device keep the env waiting.
+/// The folder of the bags and images that a call may name. Any node in the ROS graph can call: the rest of the disk must not
+/// show in the answers, and a pipe or a device must not block the env.
 #[derive(Clone, Debug, Default)]
 pub struct StartRoot {
-    /// Canonical; none: no file may be named.
+    /// Canonical; `None`: no file may be named.
     folder: Option<PathBuf>,
 }
 
 impl StartRoot {
-    /// The folder; where it is empty, or the root of the file system, a call may name no file.
+    /// The folder. If it is empty or the root of the file system, a call may name no file.
     ///
     /// # Errors
     /// There is no such folder.
@@ -63,7 +63,7 @@ impl StartRoot {
     }
 }
 
-/// A file, and neither a link nor something that could block who opens it.
+/// Whether this is a regular file: no link, and nothing that could block.
 fn is_regular(path: &Path) -> bool {
     fs::symlink_metadata(path).is_ok_and(|found| found.is_file())
 }
@@ -83,7 +83,7 @@ mod tests {
     use std::os::unix::fs::symlink;
 
     #[test]
-    fn a_call_names_regular_files_below_the_root_and_learns_of_no_other() {
+    fn a_call_can_name_only_regular_files_below_the_root() {
         let scratch = tempfile::tempdir().unwrap();
         let (root, outside) = (scratch.path().join("root"), scratch.path().join("outside"));
         for folder in [

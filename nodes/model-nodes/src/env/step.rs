@@ -29,24 +29,24 @@ use wm_wire::latent_message::{LatentDtype, encode_latent};
 /// Longest name of an episode.
 const MAX_NAME: usize = 100;
 
-/// What can be chosen of an env.
+/// Settings of an env.
 #[derive(Clone, Debug)]
 pub struct EnvSettings {
     /// Episodes that may be open at once.
     pub max_episodes: usize,
-    /// Steps of an episode that asks for no number.
+    /// Steps of an episode whose request gives no number.
     pub max_steps: u32,
     /// Frames that an episode starts from, one model step apart.
     pub context_frames: usize,
     /// JPEG quality of observations, 1 to 100.
     pub jpeg_quality: u8,
-    /// Instruction where neither request nor bag has one.
+    /// Instruction if neither request nor bag has one.
     pub instruction: String,
-    /// Folder of the episodes' bags; none: no bags.
+    /// Folder of the episodes' bags; `None`: no bags.
     pub output: Option<PathBuf>,
 }
 
-/// What the camera sees, or is predicted to see.
+/// An observed or predicted picture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Observation {
     /// As a message; its stamp is the episode's time.
@@ -68,10 +68,10 @@ pub struct Move {
     pub outcome: Option<bool>,
 }
 
-/// What a [`Move`] led to.
+/// The result of a [`Move`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Moved {
-    /// One a step.
+    /// One per step.
     pub observations: Vec<Observation>,
     /// Steps of the episode so far.
     pub steps: u32,
@@ -268,7 +268,7 @@ impl Env {
             .collect()
     }
 
-    /// Takes the episode of a move out, with what it is to do.
+    /// Takes the episode of a move out of the map, with its actions.
     fn begin(&mut self, asked: &Move) -> Result<Running, EnvError> {
         let Some(session) = self.sessions.get(&asked.episode_id) else {
             return Err(self.unknown(&asked.episode_id));
@@ -323,7 +323,7 @@ impl Env {
             if running.failure.is_some() {
                 continue;
             }
-            // The newest frame carries the action after it; where none is known, this one goes on.
+            // The newest frame carries the action after it; if none is known, this one continues.
             let next = running.todo.get(round + 1).map_or(action, |(_, next)| next);
             let (action, next) = (action.clone(), next.clone());
             active.push((asked, running, action, next));
@@ -348,7 +348,7 @@ impl Env {
                 }
             }
             Err(error) => {
-                // The batch has failed as a whole: each of its episodes says so.
+                // The batch has failed as a whole, so each of its episodes fails.
                 let text = error.to_string();
                 for (_, running, _, _) in active {
                     running.failure =
@@ -358,7 +358,7 @@ impl Env {
         }
     }
 
-    /// Takes note of a predicted latent, and shows and records it.
+    /// Records a predicted latent and its picture.
     fn take(
         &self,
         name: &str,
@@ -468,7 +468,7 @@ impl Env {
         Ok(Observation { jpeg, picture })
     }
 
-    /// What the bag's metadata says of an episode.
+    /// The metadata of an episode's bag.
     fn notes(&self, start: &Start, seed: u64) -> Result<[(&'static str, String); 7], ActionError> {
         let model = self.world.predictor();
         let start = match start {
@@ -520,7 +520,7 @@ fn finish(session: Session, outcome: Option<bool>) -> Result<Option<PathBuf>, En
         .transpose()
 }
 
-/// A name becomes a folder's: nothing in it leads elsewhere.
+/// Checks a name that becomes a folder's: it must not lead elsewhere.
 fn is_name(name: &str) -> bool {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "_-.".contains(c);
     name.len() <= MAX_NAME && !name.starts_with('.') && name.chars().all(is_plain)

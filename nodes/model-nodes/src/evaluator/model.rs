@@ -2,9 +2,6 @@
 
 use std::sync::Arc;
 
-use candle_core::{Device, Tensor};
-use wm_model::sampler::Given;
-use wm_motion::motion::StepAction;
 use wm_msgs::wm_msgs::{Assessment, CandidateAssessment, Timing as TimingMessage};
 use wm_planner::Target;
 use wm_zoo::success_probe::{Instruction, SuccessClassifier};
@@ -12,10 +9,10 @@ use wm_zoo::success_probe::{Instruction, SuccessClassifier};
 use super::{EvaluationRequest, EvaluatorError};
 use wm_model::WorldModel;
 
-use crate::history::stack;
+use crate::history::model_values;
 use wm_wire::latent_message::{LatentDtype, encode_latent};
 
-/// The transition model, how it predicts here, and what judges the predictions.
+/// The transition model, its settings, and the success probe.
 #[derive(Clone, Debug)]
 pub struct EvaluatorModel {
     model: WorldModel,
@@ -23,17 +20,17 @@ pub struct EvaluatorModel {
     probe: Option<Arc<SuccessClassifier>>,
 }
 
-/// What an evaluation found.
+/// The result of an evaluation.
 #[derive(Clone, Debug)]
 pub struct Evaluation {
-    /// The message, but for its `timing`, which is the sender's to fill.
+    /// The message without its `timing`, which the sender fills in.
     pub assessment: Assessment,
-    /// Predicted latents (candidates, steps, h, w, C), normalised.
-    pub latents: Tensor,
+    /// Predicted latents of each step, one for each candidate; normalised, row-major, channels last.
+    pub latents: Vec<Vec<Vec<f32>>>,
 }
 
 impl EvaluatorModel {
-    /// Evaluates with `model`, in `integration_steps` Euler steps a frame (0: what it was trained for).
+    /// Evaluates with `model`, in `integration_steps` Euler steps per frame (0: the model's own number).
     pub fn new(model: WorldModel, integration_steps: usize) -> Self {
         let integration_steps = match integration_steps {
             0 => model.transition.config().sampler.steps,
@@ -61,50 +58,42 @@ impl EvaluatorModel {
         } = &self.model;
         let moment = &request.moment;
         let (horizon, count) = (request.horizon, request.candidates.len());
-        // (candidates, A) of one step.
-        let actions = |step: usize| -> Result<Tensor, EvaluatorError> {
-            let of_step = request
-                .candidates
-                .iter()
-                .filter_map(|steps| steps.get(step));
-            let of_step: Vec<StepAction> = of_step.cloned().collect();
-            stack(&of_step)?.ok_or(EvaluatorError::Count { count, max: count })
+        // One of each candidate.
+        let actions = |step: usize| -> Vec<&[f32]> {
+            let candidates = request.candidates.iter();
+            let of_step = candidates.filter_map(|steps| steps.get(step));
+            of_step.map(model_values).collect()
         };
-        let context = moment.context(space)?;
         let mut sampler = transition.config().sampler.clone();
         sampler.steps = self.integration_steps;
-        let mut rollout = moment.rollout(transition, space, &sampler, request.seed)?;
+        let mut rollout = moment.rollout(transition, &sampler, request.seed)?;
         rollout.prepare()?;
         let mut rollout = rollout.candidates(count)?;
         let mut latents = Vec::with_capacity(horizon);
         for step in 0..horizon {
-            let next = actions(step + 1)?;
-            let given = Given {
-                own_action: Some(&next),
-                ..Given::default()
-            };
-            latents.push(rollout.next_given(&actions(step)?, given)?);
+            latents.push(rollout.predict(&actions(step), Some(&actions(step + 1)))?);
         }
-        let latents = Tensor::stack(&latents, 1)?;
-        let probabilities =
-            self.probabilities(&context, &latents, request.instruction.as_deref())?;
+        let probabilities = self.probabilities(
+            &moment.context(),
+            &latents,
+            count,
+            request.instruction.as_deref(),
+        )?;
 
         let mut step_costs = vec![Vec::new(); count];
         if let Some(goal) = request.goal.as_ref().and_then(|goal| goal.latents.last()) {
-            let target = Target::LastStep(Tensor::from_slice(goal, space.shape(), &Device::Cpu)?);
-            for step in 0..horizon {
-                let costs = target.costs(&latents.narrow(1, step, 1)?)?;
+            let target = Target::last_step(space, goal)?;
+            for of_step in &latents {
+                let of_step: Vec<&[f32]> = of_step.iter().map(Vec::as_slice).collect();
+                let costs = target.step_costs(space, &of_step)?;
                 for (all, cost) in step_costs.iter_mut().zip(costs) {
                     all.push(cost);
                 }
             }
         }
-        let last = latents
-            .narrow(1, horizon.saturating_sub(1), 1)?
-            .flatten_from(1)?
-            .to_vec2::<f32>()?;
         let mut candidates = Vec::with_capacity(count);
-        let found = (0_u32..).zip(&last).zip(step_costs).zip(probabilities);
+        let last = latents.last().into_iter().flatten();
+        let found = (0_u32..).zip(last).zip(step_costs).zip(probabilities);
         for (((index, values), step_costs), success_probability) in found {
             candidates.push(CandidateAssessment {
                 index,
@@ -138,23 +127,26 @@ impl EvaluatorModel {
         })
     }
 
-    /// Of each candidate the probability that its imagined episode does what is asked for, NaN where there is no probe or
-    /// no instruction. The probe was trained on whole episodes, `context` (1, H, h, w, C) is the newest of what was
-    /// observed: with the predicted `latents` (candidates, steps, h, w, C) behind it, this is as much of an episode as
-    /// is known. One by one, so that an episode's probability depends on no other.
+    /// Probability of each of `count` candidates that its imagined episode carries out the instruction; NaN without a
+    /// probe or an instruction. The probe was trained on whole episodes; known of this one are the newest observed frames,
+    /// `context`, and then the predicted `latents`. One by one, so that an episode's probability depends on no other.
     fn probabilities(
         &self,
-        context: &Tensor,
-        latents: &Tensor,
+        context: &[&[f32]],
+        latents: &[Vec<Vec<f32>>],
+        count: usize,
         instruction: Option<&Instruction>,
     ) -> Result<Vec<f32>, EvaluatorError> {
-        let count = latents.dim(0)?;
         let (Some(probe), Some(instruction)) = (&self.probe, instruction) else {
             return Ok(vec![f32::NAN; count]);
         };
-        let observed = context.squeeze(0)?;
         let of_one = |index| {
-            let episode = Tensor::cat(&[&observed, &latents.get(index)?], 0)?;
+            let mut frames = context.to_vec();
+            let predicted = latents
+                .iter()
+                .filter_map(|of_step: &Vec<Vec<f32>>| of_step.get(index));
+            frames.extend(predicted.map(Vec::as_slice));
+            let episode = self.model.space.stack(&frames)?;
             let probability = probe.probability(&episode, instruction);
             Ok(probability.map_err(wm_model::Error::from)?)
         };
@@ -162,7 +154,7 @@ impl EvaluatorModel {
     }
 }
 
-/// The candidate of least cost, the first of equals; -1 where no cost is a number.
+/// The candidate of least cost, the first of equals; -1 if every cost is NaN.
 fn best(candidates: &[CandidateAssessment]) -> i32 {
     let costs = candidates
         .iter()

@@ -6,10 +6,9 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
-use candle_core::IndexOp as _;
 use image::RgbImage;
 use tokio::task::JoinError;
-use wm_model::{Decoder, LatentSpace, image::to_rgb};
+use wm_model::{Decoder, LatentSpace};
 use wm_motion::actions::ActionEncoding;
 use wm_msgs::{
     builtin_interfaces::Time,
@@ -17,10 +16,10 @@ use wm_msgs::{
     wm_msgs::{ActionCandidates, Assessment, Timing as TimingMessage},
 };
 use wm_ros::{
-    Clock, Diagnostics, Node, NodeDefinition, Publisher, Qos, Received, Subscription,
-    complaints::Complaints,
+    Clock, Diagnostics, Node, NodeDefinition, NodeProgram, Publisher, Qos, Received, Setup,
+    Subscription, complaints::Complaints,
 };
-use wm_zoo::PlacedModel;
+use wm_zoo::ModelFolder;
 use wm_zoo::success_probe::{Instruction, SuccessClassifier};
 
 use super::{
@@ -32,7 +31,7 @@ use crate::{
     chunk_merging::Merging,
     encoder::EncoderStep,
     env::INSTRUCTION,
-    harness::{self, Configured, Follower, GoalInputs, Goals, Inputs, ModelNode, Told},
+    harness::{self, Follower, GoalInputs, Goals, Inputs, Told, WithModel},
     history::{History, HistorySettings, Timing, seconds},
     planner::GoalReader,
     pool::Pool,
@@ -45,15 +44,7 @@ use wm_wire::{
 };
 
 /// The node.
-pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Evaluator>();
-
-/// The node itself, in a process that may run other nodes too.
-///
-/// # Errors
-/// Parameters are invalid, weights cannot be loaded, or the graph fails.
-pub async fn body(node: Node) -> Result<()> {
-    harness::body::<Evaluator>(node).await
-}
+pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition::of::<Evaluator>();
 
 wm_ros::parameters! {
     /// The node's parameters.
@@ -140,15 +131,8 @@ struct Evaluator {
     readings: Option<Work<String, Reading>>,
 }
 
-impl ModelNode for Evaluator {
-    const NAME: &'static str = "evaluator";
-    const ABOUT: &'static str =
-        "Predicts and scores what each candidate chunk of a policy would do.";
-    type Parameters = Parameters;
-    type Endpoints = Endpoints;
-    type Model = Model;
-
-    fn load(folder: PlacedModel, parameters: &Parameters) -> Result<Model> {
+impl Model {
+    fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Self> {
         let (encoder, model) = (folder.encoder()?, folder.world_model()?);
         let (decoder, probe) = (folder.decoder()?, folder.probe()?.map(Arc::new));
         let history = HistorySettings {
@@ -161,7 +145,7 @@ impl ModelNode for Evaluator {
         tracing::info!("evaluating with {name} in latent space {space} on {place}");
         let evaluator =
             EvaluatorModel::new(model, parameters.integration_steps).with_probe(probe.clone());
-        Ok(Model {
+        Ok(Self {
             encoder: Arc::new(Mutex::new(EncoderStep::new(encoder, LatentDtype::F32))),
             evaluator: Arc::new(evaluator),
             decoder: decoder.map(|decoder| Arc::new(Mutex::new(decoder))),
@@ -169,12 +153,31 @@ impl ModelNode for Evaluator {
             history,
             space,
             encoding,
-            pool: Pool::background(Self::NAME, parameters.nice)?,
+            pool: Pool::background(Evaluator::NAME, parameters.nice)?,
         })
     }
+}
 
-    fn activate(at: &Configured<Self>) -> Result<Self> {
-        let (node, parameters, model) = (&at.node, &*at.parameters, &at.model);
+impl NodeProgram for Evaluator {
+    const NAME: &'static str = "evaluator";
+    const ABOUT: &'static str =
+        "Predicts and scores what each candidate chunk of a policy would do.";
+    const IS_MANAGED: bool = true;
+    type Parameters = WithModel<Parameters>;
+    type Endpoints = Endpoints;
+    type Resources = Model;
+    type Error = anyhow::Error;
+
+    fn check(parameters: &Self::Parameters) -> Result<()> {
+        parameters.check_device()
+    }
+
+    async fn load(_: &Node, parameters: &Arc<Self::Parameters>) -> Result<Model> {
+        harness::load(parameters, Model::load).await
+    }
+
+    fn activate(at: &Setup<Self>) -> Result<Self> {
+        let (node, parameters, model) = (&at.node, &*at.parameters, &at.resources);
         let (evaluator, clock) = (Arc::clone(&model.evaluator), node.clock());
         let evaluations = Work::new(
             1,
@@ -241,7 +244,7 @@ impl ModelNode for Evaluator {
         Ok(evaluator)
     }
 
-    async fn run(&mut self, at: &mut Configured<Self>) -> Result<()> {
+    async fn run(&mut self, at: &mut Setup<Self>) -> Result<()> {
         let Endpoints {
             inputs,
             candidates,
@@ -456,16 +459,15 @@ fn picture(
     evaluation: &Evaluation,
     columns: usize,
 ) -> Result<(RgbImage, Header)> {
-    let (candidates, horizon, ..) = evaluation.latents.dims5()?;
-    let shown = shown_steps(horizon, columns);
-    let mut rows = Vec::with_capacity(candidates);
-    for candidate in 0..candidates {
-        let mut row = Vec::with_capacity(shown.len());
-        for step in &shown {
-            let latent = evaluation.latents.i((candidate, *step))?.unsqueeze(0)?;
-            row.push(to_rgb(&decoder.decode(&latent)?.squeeze(0)?)?);
-        }
-        rows.push(row);
+    let shown = shown_steps(evaluation.latents.len(), columns);
+    let mut rows = Vec::new();
+    for candidate in 0..evaluation.assessment.candidates.len() {
+        let latents = shown
+            .iter()
+            .filter_map(|step| evaluation.latents.get(*step));
+        let latents = latents.filter_map(|of_step| of_step.get(candidate));
+        let row = latents.map(|latent| decoder.picture(latent));
+        rows.push(row.collect::<wm_model::Result<Vec<_>>>()?);
     }
     let best = usize::try_from(evaluation.assessment.best).ok();
     Ok((tile(&rows, best), evaluation.assessment.header.clone()))

@@ -26,7 +26,7 @@ use crate::{
 };
 use wm_wire::latent_message::LatentError;
 
-/// What can be chosen of an evaluation.
+/// Settings of an evaluation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct EvaluatorSettings {
     /// Greatest age of the newest frame, by when it was received.
@@ -54,7 +54,7 @@ pub enum EvaluatorError {
         /// Most that are taken.
         max: usize,
     },
-    /// A message whose stamp is no time.
+    /// A message with an invalid stamp.
     #[error(transparent)]
     Stamp(#[from] HistoryError),
     /// A chunk that cannot be used.
@@ -62,7 +62,7 @@ pub enum EvaluatorError {
     Candidate {
         /// Which one.
         index: usize,
-        /// What is wrong with it.
+        /// The fault.
         source: HistoryError,
     },
     /// All of a chunk lies before the observed frame.
@@ -82,12 +82,6 @@ pub enum EvaluatorError {
     /// The model cannot compute it.
     #[error(transparent)]
     Model(#[from] wm_model::Error),
-}
-
-impl From<candle_core::Error> for EvaluatorError {
-    fn from(error: candle_core::Error) -> Self {
-        Self::Model(error.into())
-    }
 }
 
 impl EvaluatorError {
@@ -110,7 +104,7 @@ impl EvaluatorError {
     }
 }
 
-/// All that an evaluation is computed from.
+/// The inputs of an evaluation.
 #[derive(Clone, Debug)]
 pub struct EvaluationRequest {
     /// The policy's name.
@@ -123,9 +117,9 @@ pub struct EvaluationRequest {
     pub candidates: Vec<Vec<StepAction>>,
     /// Model steps to predict.
     pub horizon: usize,
-    /// What to reach, where that is known.
+    /// The goal, if there is one.
     pub goal: Option<Goal>,
-    /// What to do, where that is known and has been read.
+    /// The instruction, if there is one and it has been encoded.
     pub instruction: Option<Arc<Instruction>>,
     /// Seed of the noise.
     pub seed: u64,
@@ -170,7 +164,7 @@ impl EvaluatorStep {
         self.history.latent(latent, reception)
     }
 
-    /// Takes an action that was taken.
+    /// Takes an action of the robot.
     ///
     /// # Errors
     /// [`HistoryError`]: it is dropped.
@@ -178,7 +172,7 @@ impl EvaluatorStep {
         self.history.action(action, now)
     }
 
-    /// Takes the actions that are under way: what the robot does before a candidate begins.
+    /// Takes the current chunk: what the robot does before a candidate begins.
     ///
     /// # Errors
     /// [`HistoryError`]: it is dropped.
@@ -191,18 +185,17 @@ impl EvaluatorStep {
         self.goal = Some(goal);
     }
 
-    /// What the policy is asked to do.
+    /// The policy's task.
     pub fn task_mut(&mut self) -> &mut Task {
         &mut self.task
     }
 
-    /// Takes note that the node's clock jumped back to `now`; whether that flushed the history.
+    /// Handles a jump of the node's clock back to `now`; returns whether the history was flushed.
     pub fn clock_jumped(&mut self, now: Time) -> bool {
         self.history.clock_jumped(now)
     }
 
-    /// Forgets all history and takes a new seed where one is given; says what was done. Goal and task
-    /// stay.
+    /// Clears the history and takes a new seed if one is given; returns a description. Goal and task stay.
     pub fn reset(&mut self, seed: Option<u64>, now: Time) -> String {
         self.history.reset(now);
         if let Some(seed) = seed {
@@ -211,18 +204,18 @@ impl EvaluatorStep {
         format!("forgot all frames and actions; seed {}", self.settings.seed)
     }
 
-    /// The history's epoch: what was computed of an earlier one is of the past.
+    /// The history's epoch: results of an earlier epoch are out of date.
     pub fn epoch(&self) -> u64 {
         self.history.epoch()
     }
 
-    /// How stamps make model steps.
+    /// How stamps are grouped into model steps.
     pub fn timing(&self) -> Timing {
         self.history.timing()
     }
 
-    /// Whether candidates answer a frame that is still on its way, so that it is better to wait for it: a policy may be
-    /// faster than the encoder. Candidates that begin later than the next model step wait for nothing.
+    /// Whether candidates answer a frame that has not arrived yet, because the policy is faster than the encoder. Candidates
+    /// that begin later than the next model step do not wait.
     pub fn awaits_frame(&self, message: &ActionCandidates) -> bool {
         let timing = self.history.timing();
         let begins = message.chunks.iter().map(|chunk| chunk.header.stamp);
@@ -278,7 +271,7 @@ impl EvaluatorStep {
             if left_ns <= timing.tolerance_ns {
                 return Err(EvaluatorError::Past { index, observed_ns });
             }
-            // A stamp that is a jitter early is of the step all the same.
+            // A stamp that is slightly early belongs to the step.
             let steps = left_ns.saturating_add(timing.tolerance_ns) / timing.step_ns().max(1);
             horizon = horizon.min(usize::try_from(steps.max(1)).unwrap_or(usize::MAX));
             histories.push(history);
@@ -287,7 +280,7 @@ impl EvaluatorStep {
         let future = |history: &History| history.future_from(observed_ns, horizon + 1);
         let candidates = histories.iter().map(future);
         let candidates = candidates.collect::<Result<_, _>>()?;
-        // A chunk may say what was done where an action itself is missing.
+        // If an action is missing, a chunk may contain it.
         let moment = match histories.first() {
             Some(first) => first.latest_moment()?,
             None => self.history.latest_moment()?,

@@ -1,25 +1,25 @@
-//! What the policy is asked to do.
+//! The policy's task: its instruction, encoded.
 
 use std::{fmt, sync::Arc};
 
 use wm_msgs::std_msgs::String as Text;
 use wm_zoo::success_probe::Instruction;
 
-/// The most of an instruction that is shown \[character\].
+/// Longest part of an instruction that is shown \[character\].
 const SHOWN: usize = 80;
 
-/// The instruction of the task, and how far it has been read. Reading takes the text tower, and so is done once for
-/// each instruction, beside the node's loop.
+/// The instruction of the task, and whether it has been encoded. The text tower is slow, so each instruction is encoded once,
+/// outside the node's loop.
 #[derive(Clone, Debug, Default)]
 pub enum Task {
     /// No instruction has arrived, or an empty one.
     #[default]
     Unknown,
-    /// It is being read.
+    /// It is being encoded.
     Reading(String),
-    /// It has been read.
+    /// It has been encoded.
     Read(Arc<Instruction>),
-    /// It cannot be read.
+    /// It cannot be encoded.
     Refused {
         /// The instruction.
         text: String,
@@ -29,8 +29,8 @@ pub enum Task {
 }
 
 impl Task {
-    /// Takes an instruction; gives what has to be read now, nothing where it is the one already known. Until it has been
-    /// read there is none: the one before is no longer what the policy does.
+    /// Takes an instruction; returns the text to encode, or `None` if it has not changed. Until it is encoded, there is no
+    /// instruction: the earlier one is out of date.
     pub fn take(&mut self, message: &Text) -> Option<String> {
         let text = message.data.trim();
         if text == self.text() {
@@ -58,7 +58,7 @@ impl Task {
         };
     }
 
-    /// The instruction, once it has been read.
+    /// The instruction, once it has been encoded.
     pub fn instruction(&self) -> Option<Arc<Instruction>> {
         match self {
             Self::Read(instruction) => Some(Arc::clone(instruction)),
@@ -66,7 +66,7 @@ impl Task {
         }
     }
 
-    /// Its words; none while it is not known.
+    /// Its words; `None` without an instruction.
     fn text(&self) -> &str {
         match self {
             Self::Unknown => "",

@@ -5,15 +5,18 @@
 //!
 //! ```no_run
 //! use std::convert::Infallible;
-//! use wm_model_nodes::harness::{self, Configured, Follower, Follows, Inputs, ModelNode, Told};
+//! use std::sync::Arc;
+//! use wm_model_nodes::harness::{self, Follower, Follows, Inputs, Told, WithModel};
 //! use wm_model_nodes::history::{
 //!     Arrival, ChunkMerging, History, HistoryError, HistorySettings, Reception, Timing, Wait,
 //! };
 //! use wm_msgs::builtin_interfaces::Time;
 //! use wm_msgs::std_msgs::Float32;
 //! use wm_msgs::wm_msgs::{Action, ActionChunk, Latent};
-//! use wm_ros::{NodeDefinition, Parameter, Publisher, complaints::Complaints};
-//! use wm_zoo::PlacedModel;
+//! use wm_ros::{
+//!     Node, NodeDefinition, NodeProgram, Parameter, Publisher, Setup, complaints::Complaints,
+//! };
+//! use wm_zoo::ModelFolder;
 //!
 //! wm_ros::parameters! {
 //!     /// Its parameters.
@@ -90,19 +93,29 @@
 //!     complaints: Complaints,
 //! }
 //!
-//! impl ModelNode for Change {
+//! fn load(folder: ModelFolder, _: &Parameters) -> anyhow::Result<wm_model::WorldModel> {
+//!     Ok(folder.world_model()?)
+//! }
+//!
+//! impl NodeProgram for Change {
 //!     const NAME: &'static str = "change";
 //!     const ABOUT: &'static str = "Measures how much latents change in a model step.";
-//!     type Parameters = Parameters;
+//!     const IS_MANAGED: bool = true;
+//!     type Parameters = WithModel<Parameters>;
 //!     type Endpoints = Endpoints;
-//!     type Model = wm_model::WorldModel;
+//!     type Resources = wm_model::WorldModel;
+//!     type Error = anyhow::Error;
 //!
-//!     fn load(folder: PlacedModel, _: &Parameters) -> anyhow::Result<Self::Model> {
-//!         Ok(folder.world_model()?)
+//!     fn check(parameters: &Self::Parameters) -> anyhow::Result<()> {
+//!         parameters.check_device()
 //!     }
 //!
-//!     fn activate(at: &Configured<Self>) -> anyhow::Result<Self> {
-//!         let model = &at.model;
+//!     async fn load(_: &Node, parameters: &Arc<Self::Parameters>) -> anyhow::Result<Self::Resources> {
+//!         harness::load(parameters, load).await
+//!     }
+//!
+//!     fn activate(at: &Setup<Self>) -> anyhow::Result<Self> {
+//!         let model = &at.resources;
 //!         let settings = HistorySettings {
 //!             timing: Timing::of_camera(at.parameters.frame_period, &model.encoding),
 //!             context_frames: 2,
@@ -117,7 +130,7 @@
 //!         })
 //!     }
 //!
-//!     async fn run(&mut self, at: &mut Configured<Self>) -> anyhow::Result<()> {
+//!     async fn run(&mut self, at: &mut Setup<Self>) -> anyhow::Result<()> {
 //!         let Endpoints { inputs, changes } = &mut at.endpoints;
 //!         while let Some(event) = self.follower.next(inputs).await {
 //!             let told = self.follower.tell(event, &mut self.step, &mut self.complaints);
@@ -139,7 +152,7 @@
 //! }
 //!
 //! /// For the registry, `NODES` in `lib.rs`.
-//! pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Change>();
+//! pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition::of::<Change>();
 //! ```
 
 use std::sync::Arc;
@@ -150,8 +163,7 @@ use wm_msgs::{
     wm_msgs::{Action, ActionChunk, Latent, Reset, ResetResponse},
 };
 use wm_ros::{
-    Call, Clock, Input, Node, Received, Service, Subscription, calls::answer,
-    complaints::Complaints,
+    Call, Clock, Input, Node, Received, Service, Subscription, answer, complaints::Complaints,
 };
 use wm_wire::latent_message::LATENT_QOS;
 

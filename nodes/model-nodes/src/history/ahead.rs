@@ -1,20 +1,19 @@
-//! What is known of an observation's moment before the observation comes.
+//! The context of an observation, computed before the observation arrives.
 
-use candle_core::{Device, Tensor};
 use wm_model::{
     WorldModel,
-    sampler::{Prepared, Rollout},
+    sampler::{Noise, Observed, Prepared, Rollout},
 };
 use wm_motion::motion::StepAction;
 
-use super::{Frame, History, moment::stack};
+use super::{Frame, History, moment::model_values};
 
 /// The context of an observation that is still to come: all frames but the observation itself.
 #[derive(Clone, Debug)]
 pub struct Ahead {
     /// One model step apart, oldest first; at least one.
     earlier: Vec<Frame>,
-    /// What was done from each to the next.
+    /// The actions from each frame to the next.
     past: Vec<StepAction>,
 }
 
@@ -40,20 +39,22 @@ impl History {
 }
 
 impl Ahead {
-    /// What rollouts from the observation can take over.
+    /// The part of the computation that rollouts from the observation reuse.
     ///
     /// # Errors
     /// Where the model does not take the context.
     pub fn prepare(&self, model: &WorldModel) -> wm_model::Result<Prepared> {
-        let values = self.earlier.iter().flat_map(|frame| frame.values.iter());
-        let (height, width, channels) = model.space.shape();
-        let shape = (1, self.earlier.len(), height, width, channels);
-        let values: Vec<f32> = values.copied().collect();
-        let context = Tensor::from_vec(values, shape, &Device::Cpu)?;
-        let (transition, past) = (&model.transition, stack(&self.past)?);
-        let sampler = &transition.config().sampler;
-        // No noise is drawn.
-        let mut rollout = Rollout::new(transition, sampler, &context, past.as_ref(), 0)?;
+        let observed = Observed {
+            frames: self.earlier.iter().map(|frame| &*frame.values).collect(),
+            actions: self.past.iter().map(model_values).collect(),
+            // No noise is drawn.
+            noise: Noise {
+                seed: 0,
+                first_step: 0,
+            },
+        };
+        let sampler = &model.transition.config().sampler;
+        let mut rollout = Rollout::of_values(&model.transition, sampler, &[observed])?;
         rollout.prepare()?;
         Ok(rollout.prepared())
     }

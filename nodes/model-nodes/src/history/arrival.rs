@@ -1,26 +1,26 @@
-//! What an input did to a history.
+//! The effect of an input on a history.
 
 use super::{CameraStep, seconds_of};
 
-/// What an input did to the history.
+/// The effect of an input on the history.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Arrival {
-    /// A new epoch has begun, and what was observed before is forgotten.
+    /// A new epoch has begun, and earlier observations are dropped.
     pub flushed: bool,
     /// The clock of the camera has stepped, and that of the actions has not.
     pub camera_step: Option<CameraStep>,
-    /// It may be of a time that time is about to jump to: it waits for the next frame to say so.
+    /// The frame may be the first after a jump of time: it is held back until the next frame confirms the jump.
     /// [`History::moment`](super::History::moment) is still that of the frame before.
     pub held_back: bool,
     /// Inputs that were held back for a jump of time that did not come.
     pub untimely: u64,
-    /// Camera frames that are missing between this frame and the one before. A slow encoder leaves out frames on
-    /// purpose: what it does again and again is not counted.
+    /// Camera frames that are missing between this frame and the one before. A slow encoder skips frames on purpose: regular
+    /// gaps are not counted.
     pub missed_frames: u64,
     /// Whether a model step is due: frames faster than the model's are kept, but not each is worth a prediction. Of a
     /// chunk: whether it answers the newest frame.
     pub is_due: bool,
-    /// A chunk that has come since the frame before, and had ended by then already: it says nothing.
+    /// A chunk that arrived since the frame before and had already ended: it is not used.
     pub late_chunk: Option<LateChunk>,
 }
 

@@ -1,8 +1,8 @@
-//! A camera whose clock is not the arm's.
+//! A camera whose clock differs from the arm's.
 
 use std::fmt;
 
-/// An arm that stands still may publish nothing for so long \[ns\].
+/// How long an arm that stands still may publish nothing \[ns\].
 const SILENT_NS: i64 = 60_000_000_000;
 
 /// The clock of the camera has jumped, and that of the actions has not.
@@ -24,8 +24,8 @@ impl fmt::Display for CameraStep {
     }
 }
 
-/// Whether the stamps of frames and of actions are of one clock. After a step of the camera's clock alone, the stamps of
-/// actions are moved by as much, so that frames and actions still meet.
+/// Whether frames and actions are stamped by one clock. After a step of the camera's clock alone, the stamps of actions are
+/// moved by as much, so that frames and actions still match.
 #[derive(Clone, Debug, Default)]
 pub(super) struct CameraClock {
     /// Stamp of the newest action, in the camera's time \[ns\].
@@ -51,7 +51,7 @@ impl CameraClock {
         stamp_ns.saturating_add(self.shift_ns)
     }
 
-    /// Takes note that frames have jumped from `from_ns` to `to_ns`, by `by_ns` more than time has passed.
+    /// Handles a jump of the frames from `from_ns` to `to_ns`, `by_ns` more than the time that has passed.
     pub fn jumped(&mut self, from_ns: i64, to_ns: i64, by_ns: i64, tolerance_ns: i64) {
         let Some(action_ns) = self.action_ns else {
             return;

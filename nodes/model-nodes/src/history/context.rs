@@ -83,8 +83,7 @@ impl History {
         Ok(frames)
     }
 
-    /// What happens in the model steps after the newest frame: what was taken or is announced, and beyond that the last
-    /// action is held.
+    /// The actions of the model steps after the newest frame: taken or announced ones, then the last action, held.
     ///
     /// # Errors
     /// [`Wait`] says what is missing.

@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 use wm_motion::actions::ActionError;
-use wm_msgs::builtin_interfaces::InvalidNanoseconds;
+use wm_msgs::InvalidNanoseconds;
 use wm_wire::latent_message::LatentError;
 
 use super::seconds_of;
@@ -15,7 +15,7 @@ pub enum HistoryError {
     /// A latent message that cannot be used.
     #[error(transparent)]
     Latent(#[from] LatentError),
-    /// A stamp that is no time.
+    /// An invalid stamp.
     #[error(
         "{what} is stamped {sec} s and {nanosec} ns: expected a time after 1970 and less than 1e9 ns"
     )]
@@ -27,7 +27,7 @@ pub enum HistoryError {
         /// Its nanoseconds.
         nanosec: u32,
     },
-    /// A frame of a time that has not come.
+    /// A frame stamped in the future.
     #[error(
         "{what} is stamped {ahead_s:.2} s ahead of this node's clock, at most {most_s:.1} s are accepted: synchronise the \
          clocks of the machines, or set use_sim_time on all nodes of a replay"
@@ -81,18 +81,18 @@ pub enum HistoryError {
         /// The newest epoch of its publisher.
         newest: u64,
     },
-    /// Values that are no action.
+    /// Invalid values of an action.
     #[error("{what}: {source}")]
     Action {
         /// Where it came from.
         what: String,
-        /// What is wrong with it.
+        /// The fault.
         source: ActionError,
     },
-    /// A chunk that says nothing about when or what.
+    /// A chunk without actions or without times.
     #[error("{0}")]
     Chunk(ActionError),
-    /// The period of a chunk that is no time.
+    /// An invalid period of a chunk.
     #[error("period of an action chunk: {0}")]
     Period(InvalidNanoseconds),
     /// An action or chunk so far ahead that it answers no frame that has come.

@@ -6,7 +6,7 @@ use wm_msgs::std_msgs::Header;
 
 use super::Reception;
 
-/// Frames that the camera's period is measured over.
+/// Number of frames over which the camera's period is measured.
 const RECENT: usize = 5;
 
 /// One observed frame.
@@ -91,7 +91,7 @@ impl Frames {
             .is_some_and(|frame| frame.stamp_ns <= stamp_ns)
     }
 
-    /// From one frame to the next, the least of the last few: a lost frame says nothing of the camera \[ns\].
+    /// The shortest of the last few gaps between frames, so that lost frames do not count \[ns\].
     pub(super) fn period_ns(&self) -> Option<i64> {
         let newest = self.frames.iter().rev().take(RECENT);
         let before = self.frames.iter().rev().skip(1);

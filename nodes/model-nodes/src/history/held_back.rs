@@ -1,4 +1,4 @@
-//! Messages that may belong to a time to which the clock is about to jump.
+//! Messages that may be the first after a jump of time.
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -9,22 +9,21 @@ use wm_motion::{
 
 use super::Frame;
 
-/// Most actions that wait for a jump of time: in a loop, those that outrun the first frame.
+/// Most actions that are held back: in a loop, those that arrive before the first frame.
 const MOST: usize = 64;
 
-/// Inputs that wait until a second frame says that time has jumped, or the next one says that it has not.
+/// Inputs that are held back until the next frame confirms or refutes a jump of time.
 #[derive(Clone, Debug, Default)]
 pub(super) struct HeldBack {
     frame: Option<Frame>,
     actions: BTreeMap<i64, Arc<[f32]>>,
     chunk: Option<Chunk>,
-    /// Inputs that there was no room for.
+    /// Inputs dropped because there was no room.
     lost: u64,
 }
 
 impl HeldBack {
-    /// Holds a frame back; gives it and the one that was held back before where both are of one time, at most
-    /// `jump_ns` apart.
+    /// Holds a frame back. Returns it with the one held back before if they are at most `jump_ns` apart.
     pub fn confirm(&mut self, frame: Frame, jump_ns: i64) -> Option<(Frame, Frame)> {
         let follows = |before: &Frame| {
             let since_ns = frame.stamp_ns.saturating_sub(before.stamp_ns);
@@ -53,7 +52,7 @@ impl HeldBack {
         self.lost += u64::from(before.is_some());
     }
 
-    /// Gives what is of the time around `stamp_ns` to `motion`.
+    /// Passes inputs of the time around `stamp_ns` to `motion`.
     pub fn release(
         &mut self,
         motion: &mut Motion,
@@ -79,7 +78,7 @@ impl HeldBack {
         }
     }
 
-    /// Forgets all of it: time has not jumped. How many inputs were lost.
+    /// Drops all, because time has not jumped. Returns how many inputs were lost.
     pub fn discard(&mut self) -> u64 {
         let frame = u64::from(self.frame.take().is_some());
         let chunk = u64::from(self.chunk.take().is_some());

@@ -1,11 +1,9 @@
-//! The picture of one moment that every node of the model shares.
+//! One moment, as every node of the model sees it.
 
 use std::{sync::Arc, time::Instant};
 
-use candle_core::{Device, Tensor};
 use wm_model::{
-    LatentSpace,
-    sampler::{Rollout, Sampler},
+    sampler::{Noise, Observed, Rollout, Sampler},
     transition::LoadedTransition,
 };
 use wm_motion::motion::StepAction;
@@ -17,7 +15,7 @@ use wm_msgs::{
 
 use super::{CameraStep, Frame, Timing, Wait};
 
-/// What was observed and done up to a frame: all that a prediction, a plan or an assessment starts from.
+/// The observations and actions up to a frame, from which a prediction, a plan or an assessment starts.
 #[derive(Clone, Debug)]
 pub struct Moment {
     /// The history that it belongs to.
@@ -28,11 +26,11 @@ pub struct Moment {
     pub observed: Frame,
     /// Frames before it, one model step apart, oldest first.
     pub earlier: Vec<Frame>,
-    /// What was done from each earlier frame to the next, in their order.
+    /// The actions from each earlier frame to the next, in order.
     pub past: Vec<StepAction>,
     /// The frame of the actions' deltas, as the robot names it; empty if no action has arrived.
     pub base_frame: Arc<str>,
-    /// How stamps make model steps.
+    /// How stamps are grouped into model steps.
     pub timing: Timing,
     /// Whether the camera had stopped by the newest frame, which may be later than the observed one.
     pub is_frozen: bool,
@@ -41,41 +39,31 @@ pub struct Moment {
 }
 
 impl Moment {
-    /// Context frames as (1, T, h, w, C).
-    ///
-    /// # Errors
-    /// Where latents are not of the space.
-    pub fn context(&self, space: &LatentSpace) -> Result<Tensor, candle_core::Error> {
+    /// Latents of the context frames, oldest first.
+    pub fn context(&self) -> Vec<&[f32]> {
         let frames = self.earlier.iter().chain([&self.observed]);
-        let values: Vec<f32> = frames
-            .flat_map(|frame| frame.values.iter().copied())
-            .collect();
-        let (height, width, channels) = space.shape();
-        let shape = (1, self.earlier.len() + 1, height, width, channels);
-        Tensor::from_vec(values, shape, &Device::Cpu)
-    }
-
-    /// The model actions between context frames as (T - 1, A); none for a single frame.
-    ///
-    /// # Errors
-    /// Where they are not of one length.
-    pub fn past_actions(&self) -> Result<Option<Tensor>, candle_core::Error> {
-        stack(&self.past)
+        frames.map(|frame| &*frame.values).collect()
     }
 
     /// A rollout from here, with the noise of `seed`.
     ///
     /// # Errors
-    /// Where the model does not take the context.
+    /// If the context does not fit the model.
     pub fn rollout<'m>(
         &self,
         model: &'m LoadedTransition,
-        space: &LatentSpace,
         sampler: &Sampler,
         seed: u64,
     ) -> wm_model::Result<Rollout<'m>> {
-        let past = self.past_actions()?;
-        Rollout::new(model, sampler, &self.context(space)?, past.as_ref(), seed)
+        let observed = Observed {
+            frames: self.context(),
+            actions: self.past.iter().map(model_values).collect(),
+            noise: Noise {
+                seed,
+                first_step: 0,
+            },
+        };
+        Rollout::of_values(model, sampler, &[observed])
     }
 
     /// The header of the moment `steps` model steps later.
@@ -109,7 +97,7 @@ impl Moment {
         Duration::from_nanos(self.timing.step_ns())
     }
 
-    /// That the observed frame is fresh at `now`, so that an arm may act on it.
+    /// Checks that the observed frame is fresh at `now`, so that an arm may act on it.
     ///
     /// # Errors
     /// [`Wait::Frozen`] if the camera has stopped, [`Wait::CameraClock`] if its clock has stepped, [`Wait::Stale`] if the
@@ -132,15 +120,7 @@ impl Moment {
     }
 }
 
-/// Model actions as (n, A); none for none.
-pub(crate) fn stack(steps: &[StepAction]) -> Result<Option<Tensor>, candle_core::Error> {
-    let Some(first) = steps.first() else {
-        return Ok(None);
-    };
-    let values: Vec<f32> = steps
-        .iter()
-        .flat_map(|step| step.model.values.iter().copied())
-        .collect();
-    let shape = (steps.len(), first.model.values.len());
-    Tensor::from_vec(values, shape, &Device::Cpu).map(Some)
+/// The values that the model takes for an action.
+pub(crate) fn model_values(step: &StepAction) -> &[f32] {
+    &step.model.values
 }

@@ -1,26 +1,26 @@
-//! How frames follow one another, where an encoder takes some of them only.
+//! The gaps between frames of an encoder that skips some.
 
 use std::{collections::VecDeque, time::Duration};
 
 use super::{Reception, Timing};
 
-/// Gaps that are remembered.
+/// Number of gaps that are kept.
 const RECENT: usize = 8;
-/// A gap that came so often among them is how the encoder works, not a loss.
+/// A gap that occurs this often is the encoder's choice, not a loss.
 const USUAL: usize = 2;
 /// A bag may be played faster than it was recorded, by this much.
 const FASTEST_PLAYBACK: u32 = 10;
 
-/// The last gaps between frames, and whether contexts become whole.
+/// The last gaps between frames, and whether contexts become complete.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Rhythm {
     gaps_ns: VecDeque<i64>,
-    /// Frames since the last one with a whole context; none where there was none.
+    /// Frames since the last one with a complete context; `None` if no context was ever complete.
     incomplete: Option<usize>,
 }
 
 impl Rhythm {
-    /// Takes note of the time from one frame to the next; gives the number of frames that are missing in between.
+    /// Records the time from one frame to the next; returns the number of missing frames in between.
     pub fn missed(&mut self, gap_ns: i64, timing: &Timing) -> u64 {
         let period_ns = timing.frame_period_ns;
         let periods = gap_ns.saturating_add(period_ns / 2) / period_ns;
@@ -42,7 +42,7 @@ impl Rhythm {
         self.gaps_ns.iter().max().copied().unwrap_or(0)
     }
 
-    /// Takes note of whether the newest frame has a whole context.
+    /// Records whether the newest frame has a complete context.
     pub fn context(&mut self, is_whole: bool) {
         self.incomplete = match (is_whole, self.incomplete) {
             (true, _) => Some(0),
@@ -57,8 +57,7 @@ impl Rhythm {
     }
 }
 
-/// How much later frames may be stamped that were received so: as much time as passed by the node's clock, or by one that
-/// never jumps where a bag is played fast \[ns\].
+/// The time between the arrivals of two frames \[ns\]: by the node's clock, or by the monotonic clock if a bag is played fast.
 pub(super) fn passed_ns(before: &Reception, now: &Reception) -> i64 {
     let nanos = |time: Duration| i64::try_from(time.as_nanos()).unwrap_or(i64::MAX);
     let real_ns = nanos(now.at.saturating_duration_since(before.at) * FASTEST_PLAYBACK);

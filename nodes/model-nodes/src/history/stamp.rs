@@ -6,7 +6,7 @@ use wm_wire::stamp::AHEAD_NS;
 
 use super::{HistoryError, Reception};
 
-/// A policy may announce actions; further ahead it is of another clock \[ns\].
+/// A policy may announce actions this far ahead; beyond, its clock differs \[ns\].
 pub(super) const ANNOUNCED_NS: i64 = 10_000_000_000;
 
 /// The stamp of a received message \[ns\].
@@ -52,7 +52,7 @@ pub(super) fn stamp_of(
     Ok(stamp_ns)
 }
 
-/// The stamp of a frame that arrived so.
+/// The stamp of a frame.
 ///
 /// # Errors
 /// [`HistoryError::Stamp`] and [`HistoryError::Future`].
@@ -60,7 +60,7 @@ pub(crate) fn stamp_of_frame(stamp: Time, reception: &Reception) -> Result<i64, 
     stamp_of("frame", stamp, reception.latest(), AHEAD_NS)
 }
 
-/// A stamp as people read it.
+/// A stamp for messages to people.
 pub fn seconds(stamp: Time) -> String {
     format!("{}.{:09} s", stamp.sec, stamp.nanosec)
 }

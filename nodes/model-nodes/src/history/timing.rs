@@ -9,9 +9,9 @@ pub struct Timing {
     pub frame_period_ns: i64,
     /// Camera frames of one model step.
     pub frame_skip: usize,
-    /// How far a stamp may lie from where it is looked for \[ns\].
+    /// Tolerance when a frame or action is looked up by stamp \[ns\].
     pub tolerance_ns: i64,
-    /// How far a stamp must lie from the newest to mean that time jumped, not that a message was late or lost \[ns\].
+    /// Distance of a stamp from the newest that means a jump of time, not a late or lost message \[ns\].
     pub jump_ns: i64,
 }
 

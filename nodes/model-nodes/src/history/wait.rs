@@ -1,4 +1,4 @@
-//! What a context waits for.
+//! Why a context is not complete yet.
 
 use thiserror::Error;
 
@@ -39,7 +39,7 @@ pub enum Wait {
         /// A model step at the camera's rate \[s\].
         step_s: f64,
     },
-    /// Nothing says what the robot does.
+    /// No action covers the newest frame.
     #[error("no action has arrived that is stamped {} or earlier, which the newest frame needs", seconds_of(*.needed_ns))]
     NoAction {
         /// The moment whose action is needed.
@@ -67,7 +67,7 @@ pub enum Wait {
 }
 
 impl Wait {
-    /// One word: waits of one kind are said once.
+    /// One word: waits of one kind are logged once.
     pub fn kind(&self) -> &'static str {
         match self {
             Self::NoFrame => "no frame",
@@ -81,7 +81,7 @@ impl Wait {
         }
     }
 
-    /// Whether every start goes through it.
+    /// Whether every start passes through this wait.
     pub fn is_usual(&self) -> bool {
         matches!(self, Self::NoFrame | Self::Context { .. })
     }

@@ -1,4 +1,4 @@
-//! The goal of an action that is under way.
+//! A running goal of the planner's action.
 
 use std::time::{Duration, Instant};
 
@@ -10,23 +10,23 @@ use wm_msgs::wm_msgs::{
 use wm_planner::Progress;
 use wm_ros::{GoalId, ServerGoal};
 
-/// How an action's goal comes to its end.
+/// The end of an action's goal.
 #[derive(Clone, Debug, PartialEq)]
 pub enum End {
-    /// As it was asked for.
+    /// It succeeded.
     Succeeded {
         /// Whether the observed distance came down to the tolerance.
         reached: bool,
         /// Why.
         message: String,
     },
-    /// It was given up.
+    /// It was aborted.
     Aborted(String),
-    /// The client wanted it to end.
+    /// The client cancelled it.
     Canceled,
 }
 
-/// What is known of an action's goal: how long it goes on, and what has come of it.
+/// The course of an action's goal: its time limit and its result so far.
 #[derive(Clone, Debug)]
 pub struct Course {
     /// When it is over; `None`: with its first plan.
@@ -40,7 +40,7 @@ impl Course {
     /// The course of a goal that is accepted at `now`.
     ///
     /// # Errors
-    /// Says which of its values is none.
+    /// [`GoalError`] names the invalid value.
     pub fn new(goal: &PlanGoal, now: Instant) -> Result<Self, String> {
         let duration = goal.duration.checked_nanos();
         let duration = duration.map_err(|error| format!("its duration is {error}"))?;
@@ -101,7 +101,7 @@ impl Course {
         }
     }
 
-    /// What is told of it during a search.
+    /// The feedback during a search.
     pub fn feedback(&self, heard: Heard) -> PlanFeedback {
         PlanFeedback {
             plan: self.plans,
@@ -110,7 +110,7 @@ impl Course {
         }
     }
 
-    /// What is told of it after a search.
+    /// The feedback after a search.
     pub fn summary(&self, plan: &Plan) -> PlanFeedback {
         let iterations = u32::try_from(plan.iteration_costs.len()).unwrap_or(u32::MAX);
         PlanFeedback {
@@ -135,12 +135,12 @@ impl Course {
     }
 }
 
-/// What is heard of a search on its way.
+/// The progress of a search.
 #[derive(Clone, Debug)]
 pub struct Heard(PlanFeedback);
 
 impl Heard {
-    /// Of a search with these `terms`; none before there is a best candidate.
+    /// Of a search with these `terms`; `None` before there is a best candidate.
     pub fn of(progress: &Progress<'_>, terms: &[&str]) -> Option<Self> {
         Some(Self(PlanFeedback {
             iteration: u32::try_from(progress.iteration.saturating_sub(1)).unwrap_or(u32::MAX),
@@ -161,7 +161,7 @@ impl Heard {
 /// An action's goal and its course.
 pub struct ActionRun {
     goal: ServerGoal<PlanAction>,
-    /// What is known of it.
+    /// Its course.
     pub course: Course,
 }
 
@@ -176,7 +176,7 @@ impl ActionRun {
         self.goal.id()
     }
 
-    /// Tells the client how it goes.
+    /// Sends feedback to the client.
     ///
     /// # Errors
     /// The middleware failed.
@@ -198,7 +198,7 @@ impl ActionRun {
         Ok(())
     }
 
-    /// How it ends, if by the client or by its time; never, where there is none. Cancel safe.
+    /// Its end by the client or by its time limit; pending without a goal. Cancel safe.
     pub async fn over(run: Option<&Self>) -> End {
         let Some(run) = run else {
             return std::future::pending().await;

@@ -1,4 +1,4 @@
-//! What can go wrong in the planner.
+//! The planner's errors.
 
 use thiserror::Error;
 use wm_motion::actions::ActionError;
@@ -44,12 +44,6 @@ pub enum PlannerError {
     /// The model cannot compute it.
     #[error(transparent)]
     Model(#[from] wm_model::Error),
-}
-
-impl From<candle_core::Error> for PlannerError {
-    fn from(error: candle_core::Error) -> Self {
-        Self::Model(error.into())
-    }
 }
 
 impl From<PredictorError> for PlannerError {

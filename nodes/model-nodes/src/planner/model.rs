@@ -8,24 +8,23 @@ use std::{
     sync::{Arc, Mutex, PoisonError},
 };
 
-use candle_core::{Device, Tensor};
 use image::RgbImage;
 use serde::Serialize;
-use wm_model::{Decoder, WorldModel, image::to_rgb, sampler::Given};
+use wm_model::{Decoder, WorldModel};
 use wm_msgs::{
     builtin_interfaces::Duration,
     std_msgs::Header,
     wm_msgs::{Action, Plan},
 };
 use wm_planner::{
-    Coordinate, Dynamics as _, Objective, PlannedActions, PlannerChoice, PlannerSettings, Problem,
-    Progress, SearchSpace, Success, TransitionDynamics, Waypoint, WorkerCounts, WorkerPool,
-    WorkspaceMargin, latent_distance, one_a_step, spread, timed,
+    Coordinate, Dynamics as _, Goals, Objective, PlannedActions, PlannerChoice, PlannerSettings,
+    Problem, Progress, SearchSpace, Success, TransitionDynamics, Waypoint, WorkerCounts,
+    WorkerPool, WorkspaceMargin, goals_by_time, spread,
 };
 use wm_zoo::{idm::TrainedIdm, success_probe::SuccessClassifier};
 
 use super::{PlanRequest, PlannerError, PlannerSetup};
-use crate::history::stack;
+use crate::history::model_values;
 
 /// What plans are made with.
 #[derive(Clone)]
@@ -94,7 +93,7 @@ struct SettingsText<'a> {
 
 /// The latents that a plan is to be at, one a model step, and where along the goal's latents that begins.
 struct Course {
-    goals: Vec<Tensor>,
+    goals: Goals,
     waypoint: Waypoint,
     /// Of the observation to the goal's last latent.
     distance: f32,
@@ -114,8 +113,9 @@ impl PlannerModel {
         });
         let coordinates = limits::coordinates(&model.encoding, &setup.search, &setup.limits)?;
         // What cannot serve is found here, not at the first goal.
-        let nowhere = Tensor::zeros(model.space.shape(), candle_core::DType::F32, &Device::Cpu)?;
-        choice.build(&setup.settings, parts.idm.as_ref(), &[nowhere])?;
+        let nowhere = vec![0.0; model.space.elements()];
+        let nowhere = Goals::of_values(&model.space, &[&nowhere])?;
+        choice.build(&setup.settings, parts.idm.as_ref(), nowhere.latents())?;
         SearchSpace::new(vec![0.0; model.encoding.action_dim()], coordinates.clone())?;
         let integration_steps = setup
             .integration_steps
@@ -169,7 +169,7 @@ impl PlannerModel {
         watch: &mut dyn FnMut(&Progress<'_>, &[&str]) -> bool,
     ) -> Result<Planned, PlannerError> {
         let mut dynamics = self.dynamics(request)?;
-        let course = self.course(request, &dynamics.start()?)?;
+        let course = self.course(request, &dynamics)?;
         let space = self.space(request)?;
         let objective = self.objective(request, &course.goals)?;
         let choice = match course.goals.is_empty() {
@@ -177,7 +177,8 @@ impl PlannerModel {
             true => self.choice.unseeded().ok_or(PlannerError::NoLatent)?,
             false => self.choice,
         };
-        let planner = choice.build(&self.setup.settings, self.parts.idm.as_ref(), &course.goals)?;
+        let (settings, idm) = (&self.setup.settings, self.parts.idm.as_ref());
+        let planner = choice.build(settings, idm, course.goals.latents())?;
         // A plan of another horizon, from before a parameter changed, is no start.
         let mut starts = request
             .start
@@ -202,7 +203,7 @@ impl PlannerModel {
         let watch = &mut |progress: &Progress<'_>| watch(progress, &terms);
         let found = planner.plan(&mut problem, request.seed, watch)?;
         let outcome = match request.is_shown {
-            true => self.outcome(&problem.imagine(&found.actions)?)?,
+            true => self.picture(&problem.outcome(&found.actions)?)?,
             false => None,
         };
         // Other seeds than those of the plans to come.
@@ -242,22 +243,11 @@ impl PlannerModel {
         let mut sampler = model.transition.config().sampler.clone();
         sampler.steps = self.integration_steps;
         let moment = &request.moment;
-        let mut rollout =
-            moment.rollout(&model.transition, &model.space, &sampler, request.seed)?;
+        let mut rollout = moment.rollout(&model.transition, &sampler, request.seed)?;
         // What happens while the search goes on, so that the plan starts where the robot will be.
         for pair in request.until.windows(2) {
             let [action, next] = pair else { continue };
-            let (fed, own) = (
-                stack(std::slice::from_ref(action))?,
-                stack(std::slice::from_ref(next))?,
-            );
-            if let Some(fed) = fed {
-                let given = Given {
-                    own_action: own.as_ref(),
-                    ..Given::default()
-                };
-                rollout.next_given(&fed, given)?;
-            }
+            rollout.predict(&[model_values(action)], Some(&[model_values(next)]))?;
         }
         Ok(TransitionDynamics::after(rollout)?)
     }
@@ -277,41 +267,43 @@ impl PlannerModel {
         Ok(space)
     }
 
-    /// Which latents to be at, from where the plan begins: the latent `start` (h, w, C).
-    fn course(&self, request: &PlanRequest, start: &Tensor) -> Result<Course, PlannerError> {
-        let shape = self.parts.model.space.shape();
-        let latent = |values: &Arc<[f32]>| Tensor::from_slice(values, shape, &Device::Cpu);
+    /// The latents to reach from where `dynamics` begins.
+    fn course(
+        &self,
+        request: &PlanRequest,
+        dynamics: &TransitionDynamics<'_>,
+    ) -> Result<Course, PlannerError> {
+        let space = &self.parts.model.space;
         let goal = &request.goal;
-        let latents: Vec<Tensor> = goal.latents.iter().map(latent).collect::<Result<_, _>>()?;
-        let Some(last) = latents.last() else {
+        let values: Vec<&[f32]> = goal.latents.iter().map(|latent| &**latent).collect();
+        let latents = Goals::of_values(space, &values)?;
+        if latents.is_empty() {
             return Ok(Course {
-                goals: Vec::new(),
+                goals: latents,
                 waypoint: request.waypoint,
                 distance: f32::NAN,
             });
-        };
-        let observed = latent(&request.moment.observed.values)?;
-        let distance = latent_distance(&observed, last)?;
+        }
+        let observed = Goals::of_values(space, &[&request.moment.observed.values])?;
+        let distance = latents.distance(&observed)?;
         let horizon = self.setup.horizon;
         let (goals, waypoint) = if goal.times_ns.is_empty() {
             let waypoint = request.waypoint.advance(
                 request.passed_steps,
-                &latents,
-                start,
+                latents.latents(),
+                &dynamics.start()?,
                 self.setup.arrival,
             )?;
-            let left = latents.get(waypoint.index..).unwrap_or_default();
-            (one_a_step(left, horizon), waypoint)
+            (latents.one_per_step(waypoint.index, horizon), waypoint)
         } else {
             let begin_ns = request.begin_ns().saturating_sub(request.goal_set_ns);
             let step_ns = request.moment.timing.step_ns();
-            let indices = timed(&goal.times_ns, begin_ns, step_ns, horizon);
+            let indices = goals_by_time(&goal.times_ns, begin_ns, step_ns, horizon);
             let waypoint = Waypoint {
                 index: indices.first().copied().unwrap_or_default(),
                 steps: 0.0,
             };
-            let of_step = |index: &usize| latents.get(*index).cloned();
-            (indices.iter().filter_map(of_step).collect(), waypoint)
+            (latents.at(&indices), waypoint)
         };
         Ok(Course {
             goals,
@@ -320,23 +312,11 @@ impl PlannerModel {
         })
     }
 
-    fn objective(
-        &self,
-        request: &PlanRequest,
-        goals: &[Tensor],
-    ) -> Result<Objective, PlannerError> {
-        let space = &self.parts.model.space;
-        let mask = request
-            .goal
-            .mask
-            .as_deref()
-            .map(|mask| Tensor::from_slice(mask, (space.height, space.width), &Device::Cpu));
-        let mut objective = self
-            .setup
-            .weights
-            .objective(goals, mask.transpose()?.as_ref())?;
+    fn objective(&self, request: &PlanRequest, goals: &Goals) -> Result<Objective, PlannerError> {
+        let (weights, mask) = (&self.setup.weights, request.goal.mask.as_deref());
+        let mut objective = weights.objective(goals.latents(), mask)?;
         if let (Some(probe), Some(instruction)) = (&self.parts.probe, &request.goal.instruction) {
-            let observed = request.moment.context(space)?.squeeze(0)?;
+            let observed = self.parts.model.space.stack(&request.moment.context())?;
             let success = Success::new(Arc::clone(probe), (**instruction).clone(), observed);
             objective = objective.and(self.setup.success, success);
         }
@@ -347,15 +327,13 @@ impl PlannerModel {
         Ok(objective)
     }
 
-    /// The picture of the last of the imagined `latents` (k, h, w, C); none without a decoder.
-    fn outcome(&self, latents: &Tensor) -> Result<Option<RgbImage>, PlannerError> {
+    /// The picture of `latent`; none without a decoder.
+    fn picture(&self, latent: &[f32]) -> Result<Option<RgbImage>, PlannerError> {
         let Some(decoder) = &self.parts.decoder else {
             return Ok(None);
         };
-        let last = latents.dim(0)?.saturating_sub(1);
         let decoder = decoder.lock().unwrap_or_else(PoisonError::into_inner);
-        let picture = decoder.decode(&latents.narrow(0, last, 1)?)?;
-        Ok(Some(to_rgb(&picture.squeeze(0)?)?))
+        Ok(Some(decoder.picture(latent)?))
     }
 
     /// Values of dimensions that are not searched: deltas and velocities are zero, states hold.

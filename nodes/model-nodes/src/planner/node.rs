@@ -16,10 +16,10 @@ use wm_msgs::{
     wm_msgs::{Goal as GoalMessage, Plan, action::Plan as PlanAction},
 };
 use wm_ros::{
-    ActionServer, Diagnostics, GoalId, GoalRequest, Level, Node, NodeDefinition, Publisher, Qos,
-    Subscription, complaints::Complaints,
+    ActionServer, Diagnostics, GoalId, GoalRequest, Level, Node, NodeDefinition, NodeProgram,
+    Publisher, Qos, Setup, Subscription, complaints::Complaints,
 };
-use wm_zoo::{PlacedModel, success_probe::SuccessClassifier};
+use wm_zoo::{ModelFolder, success_probe::SuccessClassifier};
 
 use super::{
     ActionRun, Course, End, Goal, GoalError, GoalReader, Heard, PlanRequest, PlanWait, Planned,
@@ -29,7 +29,7 @@ use super::{
 use crate::{
     cadence::{Cadence, SKIPPED, rough},
     encoder::EncoderStep,
-    harness::{self, Configured, Follower, GoalInputs, Goals, Inputs, ModelNode, Told},
+    harness::{self, Follower, GoalInputs, Goals, Inputs, Told, WithModel},
     history::{FROZEN_CAMERA, History, HistorySettings, Timing, Wait, seconds},
     pool::Pool,
     work::{Stop, Work},
@@ -40,17 +40,10 @@ use wm_wire::{
 };
 
 /// The node.
-pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Planner>();
+pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition::of::<Planner>();
 
 /// Of the picture of what a plan leads to.
 const JPEG_QUALITY: u8 = 90;
-/// The node itself, in a process that may run other nodes too.
-///
-/// # Errors
-/// Parameters are invalid, weights cannot be loaded, or the graph fails.
-pub async fn body(node: Node) -> Result<()> {
-    harness::body::<Planner>(node).await
-}
 
 wm_ros::endpoints! {
     /// Topics and services.
@@ -117,18 +110,8 @@ struct Planner {
     diagnostics: Diagnostics,
 }
 
-impl ModelNode for Planner {
-    const NAME: &'static str = "planner";
-    const ABOUT: &'static str = "Plans actions that lead to a goal.";
-    type Parameters = Parameters;
-    type Endpoints = Endpoints;
-    type Model = Model;
-
-    fn check(parameters: &Parameters) -> Result<()> {
-        parameters.workspace().map(|_| ())
-    }
-
-    fn load(folder: PlacedModel, parameters: &Parameters) -> Result<Model> {
+impl Model {
+    fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Self> {
         let (encoder, model) = (folder.encoder()?, folder.world_model()?);
         let history = HistorySettings {
             timing: Timing::of_camera(parameters.frame_period, &model.encoding),
@@ -156,19 +139,38 @@ impl ModelNode for Planner {
         let choice = planner.choice();
         tracing::info!("planning with {name} by {choice} in latent space {space} on {place}");
         let encoder = EncoderStep::new(encoder, LatentDtype::F32);
-        Ok(Model {
+        Ok(Self {
             encoder: Arc::new(Mutex::new(encoder)),
             planner: Arc::new(planner),
             probe,
             history,
             space,
             encoding,
-            pool: Pool::background(Self::NAME, parameters.nice)?,
+            pool: Pool::background(Planner::NAME, parameters.nice)?,
         })
     }
+}
 
-    fn activate(at: &Configured<Self>) -> Result<Self> {
-        let (node, model) = (&at.node, &at.model);
+impl NodeProgram for Planner {
+    const NAME: &'static str = "planner";
+    const ABOUT: &'static str = "Plans actions that lead to a goal.";
+    const IS_MANAGED: bool = true;
+    type Parameters = WithModel<Parameters>;
+    type Endpoints = Endpoints;
+    type Resources = Model;
+    type Error = anyhow::Error;
+
+    fn check(parameters: &Self::Parameters) -> Result<()> {
+        parameters.workspace()?;
+        parameters.check_device()
+    }
+
+    async fn load(_: &Node, parameters: &Arc<Self::Parameters>) -> Result<Model> {
+        harness::load(parameters, Model::load).await
+    }
+
+    fn activate(at: &Setup<Self>) -> Result<Self> {
+        let (node, model) = (&at.node, &at.resources);
         let (deadline, planner) = (at.parameters.deadline, Arc::clone(&model.planner));
         let transports = at.parameters.image_transport;
         let (tell, heard) = mpsc::channel(MOST_HEARD);
@@ -226,7 +228,7 @@ impl ModelNode for Planner {
         })
     }
 
-    async fn run(&mut self, at: &mut Configured<Self>) -> Result<()> {
+    async fn run(&mut self, at: &mut Setup<Self>) -> Result<()> {
         let Endpoints {
             inputs,
             goals,

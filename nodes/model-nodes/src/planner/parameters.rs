@@ -12,9 +12,9 @@ use wm_wire::transport::Transports;
 use super::{Lead, MotionLimits, PlannerSettings, PlannerSetup, WorkspaceBox};
 use crate::chunk_merging::Merging;
 
-/// Largest population, iteration count and the like that is accepted: far beyond use, within every integer type.
+/// Largest accepted population, iteration count and so on: far beyond use, within every integer type.
 const MANY: i64 = 1_000_000;
-/// How long the first search is taken to be where there is no deadline.
+/// Assumed time of the first search if there is no deadline.
 const FIRST_SEARCH: Duration = Duration::from_secs(1);
 
 /// A planner by name; `None` for auto.
@@ -128,7 +128,7 @@ wm_ros::parameters! {
 }
 
 impl Parameters {
-    /// How to plan, where a model step takes `step_s`.
+    /// The planner's setup, for model steps of `step_s`.
     pub(super) fn setup(&self, step_s: f64) -> Result<PlannerSetup> {
         let (population, iterations, elites) = (self.population, self.iterations, self.elites);
         let (initial_std, std_floor) = (self.initial_std as f32, self.std_floor as f32);
@@ -234,7 +234,7 @@ impl Parameters {
     }
 }
 
-/// A limit, where 0 says that there is none.
+/// A limit; `None` for 0.
 fn positive(limit: f64) -> Option<f64> {
     Some(limit).filter(|limit| *limit > 0.0)
 }

@@ -1,13 +1,13 @@
-//! How to plan.
+//! The planner's setup.
 
 use serde::Serialize;
 use wm_planner::{Arrival, PlannerChoice, PlannerSettings, Weights};
 
-/// How to plan.
+/// The planner's setup.
 #[derive(Clone, Debug, Serialize)]
 pub struct PlannerSetup {
-    /// Which planner; `None` for the fastest one that the model allows: iCEM, from what the inverse dynamics model tells
-    /// where there is one.
+    /// The planner; `None` for the fastest one that the model allows: iCEM, started by the inverse dynamics model if there is
+    /// one.
     #[serde(skip)]
     pub choice: Option<PlannerChoice>,
     /// Settings of all planners.
@@ -31,11 +31,11 @@ pub struct PlannerSetup {
     /// Names of the dimensions to search; none: all but grippers.
     #[serde(skip)]
     pub search: Vec<String>,
-    /// What motions may be.
+    /// Limits of motions.
     pub limits: MotionLimits,
 }
 
-/// What the motions of a plan may be, besides the model's own bounds; `None` for no limit.
+/// Limits of the motions of a plan, besides the model's own bounds; `None` for no limit.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct MotionLimits {
     /// Along each axis in one model step \[m\].

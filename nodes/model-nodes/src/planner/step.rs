@@ -24,12 +24,12 @@ use crate::{
     history::{Arrival, FROZEN_CAMERA, History, HistoryError, Moment, Reception, Wait},
 };
 
-/// Searches that the lead of the next one is estimated from.
+/// Number of searches from which the next lead is estimated.
 const RECENT: usize = 4;
-/// Model steps that a plan may begin after its observation at most: beyond that a prediction says little.
+/// Most model steps between observation and plan: predictions further ahead are poor.
 const MOST_LEAD: usize = 16;
 
-/// What can be chosen of when to plan and from what.
+/// Settings of when and from what to plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PlannerSettings {
     /// Least time between the observations of two plans for one goal \[ns\].
@@ -47,23 +47,23 @@ pub struct PlannerSettings {
 /// When a plan begins: the robot keeps moving during a search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Lead {
-    /// When the search will be over, as the last ones were; before the first one it takes `first`.
+    /// When the search is expected to end, by the times of the last ones.
     Measured {
-        /// How long the first search is taken to be.
+        /// Assumed time of the first search.
         first: Duration,
     },
-    /// So many model steps after the observation.
+    /// This many model steps after the observation.
     Steps(usize),
 }
 
-/// All that a plan is computed from.
+/// The inputs of a plan.
 #[derive(Clone, Debug)]
 pub struct PlanRequest {
     /// The observation.
     pub moment: Moment,
-    /// What the robot does until the plan begins, one a model step, and what it would do then.
+    /// The robot's actions until the plan begins, one per model step, and the one after them.
     pub until: Vec<StepAction>,
-    /// What to reach.
+    /// The goal.
     pub goal: Arc<Goal>,
     /// When that was set, by the node's clock \[ns\].
     pub goal_set_ns: i64,
@@ -71,16 +71,15 @@ pub struct PlanRequest {
     pub waypoint: Waypoint,
     /// Model steps between the observation of the plan before and this one; 0 for the first one.
     pub passed_steps: f32,
-    /// Where the end effector is when the plan begins \[m\], in the frame of the actions; `None` where that is not
-    /// known.
+    /// Position of the end effector when the plan begins \[m\], in the frame of the actions; `None` if unknown.
     pub position: Option<[f64; 3]>,
-    /// First mean of the search: the last plan for this goal, without what has passed of it.
+    /// First mean of the search: the rest of the last plan for this goal.
     pub start: Option<PlannedActions>,
     /// Seed of the candidates and of the noise.
     pub seed: u64,
-    /// Whether a picture of what the plan leads to is wanted.
+    /// Whether to make a picture of the plan's result.
     pub is_shown: bool,
-    /// Whether somebody wants to hear how the search goes.
+    /// Whether to report the progress of the search.
     pub is_followed: bool,
 }
 
@@ -99,20 +98,20 @@ impl PlanRequest {
     }
 }
 
-/// Why a plan that was made is not sent.
+/// Why a plan is not sent.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum Unsent {
-    /// There is another goal, or another history.
+    /// The goal or the history has changed.
     #[error("it was ready only after a new goal, a reset or a clock jump")]
     Superseded,
     /// The camera stopped during the search.
     #[error(transparent)]
     Frozen(Wait),
-    /// No frame has arrived for long: nobody knows what the robot has done since.
+    /// No frame has arrived for long, so the robot's state is unknown.
     #[error(transparent)]
     Stale(Wait),
-    /// Its last action would be over.
+    /// Its last action would have ended.
     #[error(
         "it took {taken_s:.1} s, and its last action would be over: raise horizon, or lower deadline or population"
     )]
@@ -134,7 +133,7 @@ impl Unsent {
     }
 }
 
-/// Why there is nothing to plan.
+/// Why no plan is made.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum PlanWait {
@@ -150,7 +149,7 @@ pub enum PlanWait {
         /// Whether a plan was due, which is dropped.
         is_due: bool,
     },
-    /// A workspace is set, and nobody says where the end effector is.
+    /// A workspace is set, and no pose of the end effector has arrived.
     #[error(
         "no pose has arrived on ee_pose for {max_s} s, which workspace_min and workspace_max need"
     )]
@@ -158,7 +157,7 @@ pub enum PlanWait {
         /// `max_age` \[s\].
         max_s: f64,
     },
-    /// A pose whose axes are not those of the actions.
+    /// The axes of the pose differ from those of the actions.
     #[error("the frame of ee_pose is {actual:?}; expected that of the actions, {expected:?}")]
     PoseFrame {
         /// Of the actions.
@@ -177,19 +176,19 @@ struct LastPlan {
     actions: PlannedActions,
 }
 
-/// A goal, and how far one has come.
+/// A goal and the progress towards it.
 struct SetGoal {
     goal: Arc<Goal>,
     set_ns: i64,
     waypoint: Waypoint,
 }
 
-/// Where the end effector is.
+/// The position of the end effector.
 struct Pose {
     frame_id: String,
     /// \[m\].
     position: [f64; 3],
-    /// When that was received.
+    /// When it was received.
     at: Instant,
 }
 
@@ -230,7 +229,7 @@ impl PlannerStep {
         }
     }
 
-    /// Takes a latent; [`Self::request`] then says whether to plan.
+    /// Takes a latent; [`Self::request`] then decides whether to plan.
     ///
     /// # Errors
     /// [`HistoryError`]: it is dropped.
@@ -246,7 +245,7 @@ impl PlannerStep {
         Ok(arrival)
     }
 
-    /// Takes an action that was taken.
+    /// Takes an action of the robot.
     ///
     /// # Errors
     /// [`HistoryError`]: it is dropped.
@@ -262,8 +261,7 @@ impl PlannerStep {
         self.history.chunk(chunk, now)
     }
 
-    /// Takes where the end effector is; it came at `at`. A position that is not finite is left out, and the answer is
-    /// false.
+    /// Takes the position of the end effector, received at `at`. Returns false, and drops it, if it is not finite.
     pub fn pose(&mut self, pose: &PoseStamped, at: Instant) -> bool {
         let Point { x, y, z } = pose.pose.position;
         let position = [x, y, z];
@@ -347,7 +345,7 @@ impl PlannerStep {
         self.history.encoding().space()
     }
 
-    /// Forgets the goal: there is nothing to plan until the next one.
+    /// Clears the goal: no plans until the next one.
     pub fn clear_goal(&mut self) {
         self.goal = None;
         self.forget_plans();
@@ -359,7 +357,7 @@ impl PlannerStep {
         goal.is_some_and(|set| Arc::ptr_eq(&set.goal, &request.goal))
     }
 
-    /// Whether the newest frame is so much newer than that of the last request that it is to be planned from.
+    /// Whether the newest frame is newer than that of the last request by the plan period.
     pub fn is_due(&self) -> bool {
         let newest = self.history.newest();
         newest.is_none_or(|newest| self.is_due_at(newest.stamp_ns))
@@ -369,12 +367,12 @@ impl PlannerStep {
         let Some(requested_ns) = self.requested_ns else {
             return true;
         };
-        // A stamp that is a jitter early is due all the same.
+        // A stamp that is slightly early is due.
         let due_ns = self.settings.plan_period_ns - self.history.timing().tolerance_ns;
         stamp_ns - requested_ns >= due_ns.max(1)
     }
 
-    /// Where the end effector is after all but the last of the steps `until` a plan begins.
+    /// Position of the end effector after all but the last of the steps `until` a plan begins.
     fn position_after(
         &self,
         until: &[StepAction],
@@ -420,8 +418,7 @@ impl PlannerStep {
         (steps.round() as usize).min(MOST_LEAD)
     }
 
-    /// Takes note of what a request led to, in `taken`: the start of the next search, and how far ahead it has to
-    /// begin.
+    /// Records the result of a request and its time `taken`: the start of the next search, and its lead.
     ///
     /// # Errors
     /// [`Unsent`] says why the plan must not be sent at `now`.
@@ -475,8 +472,7 @@ impl PlannerStep {
         Ok(())
     }
 
-    /// Forgets all history and the last plan, and takes a new seed where one is given. The goal stays, from its beginning:
-    /// it is the user's.
+    /// Clears the history and the last plan, and takes a new seed if one is given. The user's goal stays, from its beginning.
     pub fn reset(&mut self, seed: Option<u64>, now: Time) -> String {
         self.history.reset(now);
         self.forget_plans();
@@ -498,7 +494,7 @@ impl PlannerStep {
         )
     }
 
-    /// Takes note that the node's clock jumped back to `now`; whether that flushed the history.
+    /// Handles a jump of the node's clock back to `now`; returns whether the history was flushed.
     pub fn clock_jumped(&mut self, now: Time) -> bool {
         let has_flushed = self.history.clock_jumped(now);
         if has_flushed {

@@ -1,4 +1,4 @@
-//! Planner workers, which this crate does not link: a program that does says here how they are reached.
+//! Planner workers. This crate does not link them: a program that does registers here how to reach them.
 
 use std::{
     path::Path,
@@ -15,7 +15,7 @@ pub type ConnectWorkers = fn(&WorldModel, &[String], Option<&Path>) -> Result<Ar
 
 static CONNECT: OnceLock<ConnectWorkers> = OnceLock::new();
 
-/// Has the planner nodes of this process reach workers by this; the first call holds.
+/// Registers how the planner nodes of this process reach workers; only the first call has an effect.
 pub fn connect_workers_by(connect: ConnectWorkers) {
     CONNECT.get_or_init(|| connect);
 }

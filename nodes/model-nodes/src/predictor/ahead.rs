@@ -1,4 +1,4 @@
-//! What is computed of the next rollout while its observation is still on its way.
+//! The part of the next rollout that is computed before its observation arrives.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -6,7 +6,7 @@ use wm_model::{WorldModel, sampler::Prepared};
 
 use crate::history::Ahead;
 
-/// The last observation, and what is ready for the one after it.
+/// The last observation, and the computation that is ready for the next one.
 #[derive(Debug, Default)]
 pub(super) struct Preparation(Mutex<State>);
 
@@ -17,8 +17,8 @@ struct State {
 }
 
 impl Preparation {
-    /// Takes what is ready for the rollout from the observation of `observed_ns`, and says when to expect the next one:
-    /// as long after it as it came after the one before.
+    /// Returns the computation that is ready for the observation of `observed_ns`, and the expected time of the next one,
+    /// after the same gap as the last.
     pub(super) fn take(&self, observed_ns: i64) -> (Option<Prepared>, Option<i64>) {
         let mut state = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let since = state.observed_ns.replace(observed_ns);
@@ -28,7 +28,7 @@ impl Preparation {
         (state.prepared.take(), next)
     }
 
-    /// Computes what can be of the rollout from the next observation.
+    /// Computes the part of the next rollout that does not need its observation.
     ///
     /// # Errors
     /// Where the model does not take the context.

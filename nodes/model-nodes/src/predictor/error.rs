@@ -1,4 +1,4 @@
-//! What can go wrong in the predictor.
+//! The predictor's errors.
 
 use thiserror::Error;
 use wm_motion::actions::ActionError;
@@ -22,12 +22,6 @@ pub enum PredictorError {
     /// The model cannot compute it.
     #[error(transparent)]
     Model(#[from] wm_model::Error),
-}
-
-impl From<candle_core::Error> for PredictorError {
-    fn from(error: candle_core::Error) -> Self {
-        Self::Model(error.into())
-    }
 }
 
 impl PredictorError {

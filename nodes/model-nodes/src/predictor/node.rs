@@ -14,10 +14,10 @@ use wm_msgs::{
     wm_msgs::{Prediction, PredictionError},
 };
 use wm_ros::{
-    Clock, Deadline, Diagnostics, Input, Level, Node, NodeDefinition, Parameter, Publisher, Qos,
-    complaints::Complaints, frame_trace,
+    Clock, Deadline, Diagnostics, Input, Level, Node, NodeDefinition, NodeProgram, Parameter,
+    Publisher, Qos, Setup, complaints::Complaints, frame_trace,
 };
-use wm_zoo::PlacedModel;
+use wm_zoo::ModelFolder;
 
 use super::{
     Doubt, PredictorSettings, PredictorStep, RolloutRequest, RunningRollout, Seen,
@@ -29,7 +29,7 @@ use super::{
 use crate::{
     cadence::{Cadence, OPEN, PACE, SKIPPED, every_nth, hertz, rough},
     chunk_merging::Merging,
-    harness::{self, Configured, Follower, Inputs, ModelNode, Told},
+    harness::{self, Follower, Inputs, Told, WithModel},
     history::{History, HistorySettings, Timing, seconds},
     paced_work::{Offered, PacedWork},
     pool::Pool,
@@ -38,7 +38,7 @@ use crate::{
 use wm_wire::latent_message::LatentDtype;
 
 /// The node.
-pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Predictor>();
+pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition::of::<Predictor>();
 
 /// Advice for missing inputs and for rollouts that take too long.
 const NO_ENCODER: &str = "start the encoder";
@@ -51,14 +51,6 @@ const REMINDER: Duration = Duration::from_secs(2);
 /// What raises the rate.
 const FASTER: &str =
     "for more: a smaller horizon, fewer integration_steps, a smaller model, or a faster processor";
-
-/// The node itself, in a process that may run other nodes too.
-///
-/// # Errors
-/// Parameters are invalid, weights cannot be loaded, or the graph fails.
-pub async fn body(node: Node) -> Result<()> {
-    harness::body::<Predictor>(node).await
-}
 
 wm_ros::parameters! {
     /// The node's parameters.
@@ -139,14 +131,8 @@ struct Predictor {
     complaints: Complaints,
 }
 
-impl ModelNode for Predictor {
-    const NAME: &'static str = "predictor";
-    const ABOUT: &'static str = "Predicts the next latents for the actions that the robot takes.";
-    type Parameters = Parameters;
-    type Endpoints = Endpoints;
-    type Model = Model;
-
-    fn load(folder: PlacedModel, parameters: &Parameters) -> Result<Self::Model> {
+impl Model {
+    fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Self> {
         let model = folder.world_model()?;
         tracing::info!(
             "predicting with {} in latent space {} on {}",
@@ -168,14 +154,32 @@ impl ModelNode for Predictor {
                 horizon,
             );
         }
-        Ok(Model {
+        Ok(Self {
             model: Arc::new(model),
             estimate,
         })
     }
+}
 
-    fn activate(at: &Configured<Self>) -> Result<Self> {
-        let (node, parameters, model) = (&at.node, &*at.parameters, &at.model.model);
+impl NodeProgram for Predictor {
+    const NAME: &'static str = "predictor";
+    const ABOUT: &'static str = "Predicts the next latents for the actions that the robot takes.";
+    const IS_MANAGED: bool = true;
+    type Parameters = WithModel<Parameters>;
+    type Endpoints = Endpoints;
+    type Resources = Model;
+    type Error = anyhow::Error;
+
+    fn check(parameters: &Self::Parameters) -> Result<()> {
+        parameters.check_device()
+    }
+
+    async fn load(_: &Node, parameters: &Arc<Self::Parameters>) -> Result<Model> {
+        harness::load(parameters, Model::load).await
+    }
+
+    fn activate(at: &Setup<Self>) -> Result<Self> {
+        let (node, parameters, model) = (&at.node, &*at.parameters, &at.resources.model);
         let horizon = horizon(parameters);
         let settings = PredictorSettings {
             horizon,
@@ -203,7 +207,10 @@ impl ModelNode for Predictor {
             diagnostics: node.diagnostics(),
             clock: node.clock(),
         };
-        let estimate = at.model.estimate.map(|step| rollout_time(step, horizon));
+        let estimate = at
+            .resources
+            .estimate
+            .map(|step| rollout_time(step, horizon));
         let cadence = Cadence::new(frame_period(parameters), estimate);
         shared
             .diagnostics
@@ -231,7 +238,7 @@ impl ModelNode for Predictor {
         })
     }
 
-    async fn run(&mut self, at: &mut Configured<Self>) -> Result<()> {
+    async fn run(&mut self, at: &mut Setup<Self>) -> Result<()> {
         let inputs = &mut at.endpoints.inputs;
         loop {
             tokio::select! {

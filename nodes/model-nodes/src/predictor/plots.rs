@@ -1,4 +1,4 @@
-//! Single numbers, for whoever plots without this suite's messages.
+//! Single numbers, for plots without wm's messages.
 
 use anyhow::Result;
 use wm_msgs::{
@@ -9,7 +9,7 @@ use wm_ros::{Publisher, Qos};
 
 use super::Trust;
 
-/// As many as a rollout of the default horizon gives at once.
+/// The steps of a rollout of the default horizon, which arrive at once.
 const QOS: Qos = Qos::reliable(16);
 
 wm_ros::endpoints! {
@@ -74,8 +74,7 @@ impl Plots {
     }
 }
 
-/// A plot has no use for a ratio to nothing: where the camera's picture has not changed at all, the persistence baseline is
-/// never wrong.
+/// Skips ratios to zero: if the camera's picture does not change, the persistence baseline has no error.
 fn show(plot: &Publisher<Float64>, data: f64) -> Result<()> {
     match data.is_finite() {
         true => Ok(plot.publish(&Float64 { data })?),
@@ -83,7 +82,7 @@ fn show(plot: &Publisher<Float64>, data: f64) -> Result<()> {
     }
 }
 
-/// What speaks for or against the predictions, as far as it is known.
+/// The figures of the predictions' quality that are known.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Measured {
     ratio: Option<f64>,

@@ -2,10 +2,9 @@
 
 use std::sync::Arc;
 
-use candle_core::Tensor;
 use wm_model::{
     WorldModel,
-    sampler::{Given, Prepared, Rollout},
+    sampler::{Prepared, Rollout},
 };
 use wm_motion::motion::StepAction;
 use wm_msgs::{
@@ -15,12 +14,12 @@ use wm_msgs::{
 use wm_wire::latent_message::{LatentDtype, encode_latent};
 
 use super::PredictorError;
-use crate::history::{Frame, Moment, stack};
+use crate::history::{Frame, Moment, model_values};
 
-/// All that a rollout is computed from.
+/// The inputs of a rollout.
 #[derive(Clone, Debug)]
 pub struct RolloutRequest {
-    /// What it starts from.
+    /// Its start.
     pub moment: Moment,
     /// The actions assumed for each coming model step, and for one more.
     pub future: Vec<StepAction>,
@@ -28,7 +27,7 @@ pub struct RolloutRequest {
     pub horizon: usize,
     /// Seed of the noise.
     pub seed: u64,
-    /// Euler steps a predicted frame.
+    /// Euler steps per predicted frame.
     pub integration_steps: usize,
     /// Type of the numbers in the messages.
     pub dtype: LatentDtype,
@@ -41,9 +40,9 @@ pub struct PredictedStep {
     pub observed: Frame,
     /// The latent before it was rounded for the wire.
     pub values: Arc<[f32]>,
-    /// Values of its action that were beyond the model's clips.
+    /// Number of values of its action beyond the model's clips.
     pub clipped: usize,
-    /// The message, but for `ready_stamp`, which is the sender's to fill.
+    /// The message without `ready_stamp`, which the sender fills in.
     pub prediction: Prediction,
 }
 
@@ -65,10 +64,8 @@ impl<'m> RunningRollout<'m> {
     pub fn new(model: &'m WorldModel, request: RolloutRequest) -> Result<Self, PredictorError> {
         let mut sampler = model.transition.config().sampler.clone();
         sampler.steps = request.integration_steps;
-        let rollout =
-            request
-                .moment
-                .rollout(&model.transition, &model.space, &sampler, request.seed)?;
+        let moment = &request.moment;
+        let rollout = moment.rollout(&model.transition, &sampler, request.seed)?;
         Ok(Self {
             model,
             request,
@@ -79,7 +76,7 @@ impl<'m> RunningRollout<'m> {
         })
     }
 
-    /// Takes over what was computed before the observation came; see [`Rollout::take_over`].
+    /// Takes over the computation from before the observation; see [`Rollout::take_over`].
     #[must_use]
     pub fn taking_over(mut self, prepared: Option<&Prepared>) -> Self {
         if let Some(prepared) = prepared {
@@ -93,15 +90,9 @@ impl<'m> RunningRollout<'m> {
         action: &StepAction,
         next: &StepAction,
     ) -> Result<PredictedStep, PredictorError> {
-        let tensor = |action: &StepAction| stack(std::slice::from_ref(action));
-        let (fed, own) = (tensor(action)?, tensor(next)?);
-        let given = Given {
-            own_action: own.as_ref(),
-            ..Given::default()
-        };
-        let fed = fed.ok_or_else(|| wm_model::Error::config("the action", "it is empty"))?;
-        let values: Tensor = self.rollout.next_given(&fed, given)?;
-        let values = values.flatten_all()?.to_vec1::<f32>()?;
+        let (fed, own) = ([model_values(action)], [model_values(next)]);
+        // One candidate has one latent.
+        let values = self.rollout.predict(&fed, Some(&own))?.concat();
         let moment = &self.request.moment;
         self.actions.extend(moment.messages(self.step, action));
         self.step += 1;

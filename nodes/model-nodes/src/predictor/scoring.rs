@@ -7,13 +7,13 @@ use wm_msgs::{builtin_interfaces::Time, std_msgs::Header, wm_msgs::PredictionErr
 
 use crate::history::Frame;
 
-/// Most predictions that wait for their moment, whatever the horizon.
+/// Most predictions that wait for their frame, for any horizon.
 const MAX_PENDING: usize = 8192;
 
 /// A prediction to be compared with the frame of the predicted time.
 #[derive(Clone, Debug)]
 pub(super) struct Pending {
-    /// The moment that is predicted \[ns\].
+    /// The predicted time \[ns\].
     pub due_ns: i64,
     /// The observation it started from.
     pub observed: Frame,
@@ -26,7 +26,7 @@ pub(super) struct Pending {
 impl Pending {
     /// The message of this prediction's error against `seen`.
     fn score(&self, seen: &Frame) -> PredictionError {
-        // Lengths are those of one latent space: no error is possible, and NaN would say so.
+        // Both latents are of one space, so no error is possible; NaN would show one.
         let error = |values: &[f32]| mean_squared_error(values, &seen.values).unwrap_or(f64::NAN);
         let (mse, persistence_mse) = (error(&self.predicted), error(&self.observed.values));
         PredictionError {
@@ -52,19 +52,19 @@ pub(super) struct Scoring {
 }
 
 impl Scoring {
-    /// Makes room for the predictions of rollouts of `horizon` steps from every camera frame, `frame_skip` of which
-    /// make a step: step k waits while k * frame_skip frames come. Half as much again for frames that are lost.
+    /// Makes room for rollouts of `horizon` steps from every camera frame, `frame_skip` of which make a step: step k waits for
+    /// k * frame_skip frames. Half as much again allows for lost frames.
     pub(super) fn make_room(&mut self, horizon: usize, frame_skip: usize) {
         let waiting = frame_skip * horizon * (horizon + 1) / 2 + horizon;
         self.capacity = (waiting + waiting / 2).min(MAX_PENDING);
     }
 
-    /// Predictions that were given up before their moment came, since too many waited.
+    /// Predictions dropped before their frame arrived, because too many waited.
     pub(super) fn given_up(&self) -> u64 {
         self.given_up
     }
 
-    /// Adds a prediction; `seen` is the frame of the same time where that came first.
+    /// Adds a prediction; `seen` is the frame of the same time if it arrived first.
     pub(super) fn add(
         &mut self,
         pending: Pending,
@@ -85,8 +85,8 @@ impl Scoring {
         None
     }
 
-    /// Errors of all predictions of the moment of `seen`, the earliest observation first. Those of earlier moments,
-    /// whose frame never came, are forgotten.
+    /// Errors of all predictions of the time of `seen`, the earliest observation first. Predictions of earlier times, whose
+    /// frame never arrived, are dropped.
     pub(super) fn seen(&mut self, seen: &Frame, tolerance_ns: i64) -> Vec<PredictionError> {
         let mut errors = Vec::new();
         self.pending.retain(|pending| {

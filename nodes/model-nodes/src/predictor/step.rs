@@ -17,12 +17,12 @@ use crate::{
     history::{Ahead, Arrival, History, HistoryError, Reception, Wait},
 };
 
-/// What can be chosen of a rollout.
+/// Settings of a rollout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PredictorSettings {
     /// Model steps K of a rollout.
     pub horizon: usize,
-    /// Euler steps a predicted frame.
+    /// Euler steps per predicted frame.
     pub integration_steps: usize,
     /// Seed of the noise; the same for every rollout, so that a prediction does not depend on how many came before.
     pub seed: u64,
@@ -30,18 +30,18 @@ pub struct PredictorSettings {
     pub dtype: LatentDtype,
 }
 
-/// What an input brought about.
+/// The effects of an input.
 #[derive(Debug)]
 pub struct Outcome {
-    /// What it did to the history.
+    /// The effect on the history.
     pub arrival: Arrival,
     /// The errors of the predictions of this time.
     pub errors: Vec<PredictionError>,
-    /// The rollout that is due, or what that waits for; none where none is due.
+    /// The rollout that is due, or the reason for waiting; `None` if none is due.
     pub rollout: Option<Result<RolloutRequest, Wait>>,
 }
 
-/// What a latent leads to: the errors of the predictions of its time, and a rollout, or what that waits for.
+/// The results of a latent: the errors of the predictions of its time, and a rollout or the reason for waiting.
 pub(super) type Seen = (Vec<PredictionError>, Option<Result<RolloutRequest, Wait>>);
 
 /// The predictor node's state: messages in, rollout requests and prediction errors out.
@@ -101,7 +101,7 @@ impl PredictorStep {
         errors.iter().for_each(|error| self.scored(error));
         let is_due = arrival.is_due && !arrival.held_back;
         let rollout = match is_due.then(|| self.request()) {
-            // The next frames make it whole: nothing to speak of.
+            // The next frames complete it: not worth a report.
             Some(Err(_)) if self.history.is_between_contexts() => None,
             rollout => rollout,
         };
@@ -112,7 +112,7 @@ impl PredictorStep {
         })
     }
 
-    /// Takes an action that was taken.
+    /// Takes an action of the robot.
     ///
     /// # Errors
     /// [`HistoryError`]: it is dropped.
@@ -120,15 +120,15 @@ impl PredictorStep {
         self.history.action(action, now)
     }
 
-    /// Takes the actions to come. Where they answer the newest frame, its rollout is due again: a policy is slower than
-    /// the encoder.
+    /// Takes a chunk of coming actions. If it answers the newest frame, that frame's rollout is due again, because a policy may
+    /// be slower than the encoder.
     ///
     /// # Errors
     /// [`HistoryError`]: it is dropped, and the previous one stays.
     pub fn chunk(&mut self, chunk: &ActionChunk, now: Time) -> Result<Outcome, HistoryError> {
         let arrival = self.history.chunk(chunk, now)?;
         let rollout = match arrival.is_due.then(|| self.request()) {
-            // What is missing was said when the frame came.
+            // The missing parts were reported with the frame.
             Some(Err(_)) | None => None,
             request => request,
         };
@@ -157,12 +157,12 @@ impl PredictorStep {
         error
     }
 
-    /// What is known of an observation that is still to come at `stamp_ns`.
+    /// The context of an observation that is expected at `stamp_ns`.
     pub fn ahead(&self, stamp_ns: i64) -> Option<Ahead> {
         self.history.ahead(stamp_ns)
     }
 
-    /// Forgets all history and takes a new seed where one is given; says what was done.
+    /// Clears the history and takes a new seed if one is given; returns a description.
     pub fn reset(&mut self, seed: Option<u64>, now: Time) -> String {
         self.history.reset(now);
         self.forget();
@@ -175,7 +175,7 @@ impl PredictorStep {
         )
     }
 
-    /// Takes note that the node's clock jumped back to `now`; whether that flushed the history.
+    /// Handles a jump of the node's clock back to `now`; returns whether the history was flushed.
     pub fn clock_jumped(&mut self, now: Time) -> bool {
         let has_flushed = self.history.clock_jumped(now);
         if has_flushed {
@@ -200,18 +200,18 @@ impl PredictorStep {
         self.trust.clear();
     }
 
-    /// What the last seconds say of the predictions.
+    /// Figures of the predictions' quality over the last seconds.
     pub(super) fn trust(&self) -> &Trust {
         &self.trust
     }
 
-    /// What speaks against the predictions of the last seconds.
+    /// Reasons to doubt the predictions of the last seconds.
     pub fn doubt(&self) -> Option<Doubt> {
         let step = self.history.camera_step();
         step.map(Doubt::CameraClock).or_else(|| self.trust.doubt())
     }
 
-    /// Predictions that were given up before their moment came, since too many waited.
+    /// Predictions dropped before their frame arrived, because too many waited.
     pub fn unscored(&self) -> u64 {
         self.scoring.given_up()
     }

@@ -1,4 +1,4 @@
-//! A rollout in one line, for a person at a console: a prediction itself is thousands of numbers.
+//! A rollout in one line for a console: a prediction itself has thousands of numbers.
 
 use std::{collections::BTreeMap, fmt};
 
@@ -33,7 +33,7 @@ pub(super) struct Summary {
 }
 
 impl Summary {
-    /// Takes note of a step that is ready.
+    /// Records a step that is ready.
     pub fn predicted(&mut self, prediction: &Prediction) {
         self.horizon = prediction.step;
         let ready_ns = prediction.ready_stamp.to_nanos();
@@ -49,7 +49,7 @@ impl Summary {
     }
 }
 
-/// How far the arm comes in a rollout, by unit.
+/// The distance that the arm moves in a rollout, by unit.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Motion {
     lengths: BTreeMap<String, f64>,

@@ -1,16 +1,18 @@
-//! How long predicting takes on this machine.
+//! A trial: the time of a prediction on this machine.
 
 use std::time::Duration;
 
-use candle_core::{DType, Device, Tensor};
-use wm_model::{WorldModel, sampler::Rollout};
+use wm_model::{
+    WorldModel,
+    sampler::{Noise, Observed, Rollout},
+};
 
 use crate::cadence::measured;
 
-/// Steps that are tried: the first one computes the context's keys and values too.
+/// Steps of the trial: the first one computes the context's keys and values too.
 const STEPS: u32 = 2;
 
-/// How long a predicted frame takes with `integration_steps` Euler steps, from a context of `context_frames` empty ones.
+/// The time per predicted frame with `integration_steps` Euler steps, from a context of `context_frames` empty frames.
 ///
 /// # Errors
 /// Where the model cannot compute it.
@@ -23,17 +25,22 @@ pub(super) fn time_of_step(
     let config = transition.config();
     let mut sampler = config.sampler.clone();
     sampler.steps = integration_steps;
-    let ((height, width, channels), frames) = (model.space.shape(), context_frames.max(1));
-    let zeros = |shape: &[usize]| Tensor::zeros(shape, DType::F32, &Device::Cpu);
-    let context = zeros(&[1, frames, height, width, channels])?;
-    let past = match frames {
-        1 => None,
-        frames => Some(zeros(&[frames - 1, config.action_dim])?),
-    };
-    let action = zeros(&[1, config.action_dim])?;
+    let (frame, action) = (
+        vec![0.0; model.space.elements()],
+        vec![0.0; config.action_dim],
+    );
+    let frames = context_frames.max(1);
+    let observed = [Observed {
+        frames: vec![frame.as_slice(); frames],
+        actions: vec![action.as_slice(); frames - 1],
+        noise: Noise {
+            seed: 0,
+            first_step: 0,
+        },
+    }];
     let taken = measured(|| {
-        let mut rollout = Rollout::new(transition, &sampler, &context, past.as_ref(), 0)?;
-        (0..STEPS).try_for_each(|_| rollout.next(&action).map(|_| ()))
+        let mut rollout = Rollout::of_values(transition, &sampler, &observed)?;
+        (0..STEPS).try_for_each(|_| rollout.predict(&[&action], None).map(|_| ()))
     })?;
     Ok(taken / STEPS)
 }

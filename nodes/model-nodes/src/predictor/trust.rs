@@ -1,4 +1,4 @@
-//! Whether the predictions are to be trusted, measured while they are made.
+//! Whether the predictions can be trusted, measured while they are made.
 
 use std::{collections::VecDeque, fmt};
 
@@ -6,9 +6,9 @@ use wm_msgs::wm_msgs::PredictionError;
 
 use crate::history::{CameraStep, Frame};
 
-/// What is judged \[ns\]: a moment in which nothing moves, or a hand passes the camera, says nothing.
+/// The span that is judged \[ns\]: longer than a pause in the motion, or a hand before the camera.
 const SPAN_NS: i64 = 5_000_000_000;
-/// Fewest frames or errors in that span that are judged.
+/// Fewest frames or errors in that span for a judgement.
 const LEAST: usize = 8;
 /// Latents are normalised over the training data: of normally distributed values, 0.3 % lie beyond so many standard
 /// deviations.
@@ -20,14 +20,14 @@ pub const UNLIKE: f32 = 0.02;
 /// Squared latent change, normalised, below which nothing moves, so that holding still cannot be beaten.
 const STILL: f64 = 1e-3;
 
-/// What speaks against the predictions.
+/// A reason to doubt the predictions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Doubt {
     /// The camera's clock has stepped: frames and actions may be of different moments.
     CameraClock(CameraStep),
     /// The camera has stopped: its still picture is predicted well, but is outdated.
     Frozen,
-    /// The camera shows what the model was not trained on.
+    /// The pictures are unlike those of the model's training.
     UnlikeTraining {
         /// Part of the latents' values that are far from the training's.
         part: f32,
@@ -83,7 +83,7 @@ pub fn part_far_out(values: &[f32]) -> f32 {
     far as f32 / values.len().max(1) as f32
 }
 
-/// The last seconds of what speaks for or against the predictions.
+/// Figures of the predictions' quality over the last seconds.
 #[derive(Clone, Debug, Default)]
 pub struct Trust {
     /// Stamp, and the part of values that are far out.
@@ -95,7 +95,7 @@ pub struct Trust {
 }
 
 impl Trust {
-    /// Takes note of an observed latent.
+    /// Records an observed latent.
     pub fn seen(&mut self, frame: &Frame) {
         self.is_frozen = frame.is_frozen;
         self.frames
@@ -103,7 +103,7 @@ impl Trust {
         forget(&mut self.frames, |(stamp_ns, _)| *stamp_ns);
     }
 
-    /// Takes note of how a prediction did; only first steps count, where a model is best.
+    /// Records the error of a prediction; only first steps count, at which a model is best.
     pub fn scored(&mut self, error: &PredictionError) {
         if error.step != 1 {
             return;
@@ -114,7 +114,7 @@ impl Trust {
         forget(&mut self.errors, |(stamp_ns, ..)| *stamp_ns);
     }
 
-    /// What speaks against the predictions of the last seconds, the cause before its effect.
+    /// Reasons to doubt the predictions of the last seconds, causes before effects.
     pub fn doubt(&self) -> Option<Doubt> {
         if self.is_frozen {
             return Some(Doubt::Frozen);
@@ -129,14 +129,14 @@ impl Trust {
         (!is_better).then_some(Doubt::NoBetterThanPersistence { ratio })
     }
 
-    /// Mean part of the values that are far out; none before enough frames were seen.
+    /// Mean part of the values that are far out; `None` before enough frames have arrived.
     pub fn far(&self) -> Option<f32> {
         let count = self.frames.len();
         let sum: f32 = self.frames.iter().map(|(_, part)| part).sum();
         (count >= LEAST).then(|| sum / count as f32)
     }
 
-    /// Squared error of the first steps over that of the persistence baseline; none before enough were scored.
+    /// Squared error of the first steps over that of the persistence baseline; `None` before enough are scored.
     pub fn ratio(&self) -> Option<f64> {
         let error: f64 = self.errors.iter().map(|(_, error, _)| error).sum();
         (self.errors.len() >= LEAST).then(|| error / self.still())
@@ -147,7 +147,7 @@ impl Trust {
         self.errors.iter().map(|(.., still)| still).sum()
     }
 
-    /// Forgets what was measured: another history begins.
+    /// Clears the figures, because another history begins.
     pub fn clear(&mut self) {
         self.frames.clear();
         self.errors.clear();
@@ -210,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn figures_are_known_after_seconds_and_forgotten_with_the_history() {
+    fn figures_are_known_after_seconds_and_cleared_with_the_history() {
         let mut trust = Trust::default();
         for index in 0..7 {
             trust.seen(&frame(index, 50));
@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_unlike_the_trainings_are_named_after_seconds_and_not_at_once() {
+    fn pictures_unlike_the_trainings_are_reported_after_seconds() {
         let mut trust = Trust::default();
         for index in 0..7 {
             trust.seen(&frame(index, 6));
@@ -260,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn predictions_that_do_not_beat_the_last_frame_are_named_where_something_moves() {
+    fn predictions_no_better_than_the_last_frame_are_reported() {
         let doubt = |mse, persistence_mse| {
             let mut trust = Trust::default();
             (0..20).for_each(|index| trust.scored(&error(index, mse, persistence_mse)));

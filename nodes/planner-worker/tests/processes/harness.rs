@@ -1,4 +1,4 @@
-//! Workers as processes, and a problem that they can help with.
+//! Workers as processes, and a planning problem.
 
 use std::{
     net::TcpListener,
@@ -19,7 +19,7 @@ use wm_planner_worker::{Identity, PlannerWorkers};
 use wm_ros::zenoh::{Mode, NetworkArguments};
 use wm_zoo::ModelFolder;
 
-/// Far above anything that happens on one host; it only ends a test that hangs.
+/// Far longer than anything on one host; only ends a hanging test.
 pub const PATIENCE: Duration = Duration::from_secs(60);
 
 const MODEL: &str = "tiny";
@@ -31,13 +31,13 @@ pub fn model() -> &'static WorldModel {
     &LOADED
 }
 
-/// A worker, which ends with the test.
+/// A worker that ends with the test.
 pub struct Process {
     child: Child,
     endpoint: String,
 }
 
-/// Where a worker was.
+/// The endpoint of an ended worker.
 pub struct Place(String);
 
 impl Place {
@@ -47,7 +47,7 @@ impl Place {
     }
 }
 
-/// A worker on a port of its own.
+/// A worker on a free port.
 pub fn worker() -> Process {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let endpoint = format!("tcp/{}", listener.local_addr().unwrap());
@@ -58,7 +58,7 @@ pub fn worker() -> Process {
 fn worker_at(endpoint: String) -> Process {
     let child = Command::new(env!("CARGO_BIN_EXE_wm-planner-worker"))
         .args(["--model", MODEL, "--listen", &endpoint])
-        // On machines with few cores, so that none waits for the others.
+        // few threads, so that workers do not compete on machines with few cores
         .env("RAYON_NUM_THREADS", "1")
         .stdin(Stdio::null())
         .process_group(0)
@@ -72,7 +72,7 @@ impl Process {
         rustix::process::kill_process(Pid::from_child(&self.child), signal).unwrap();
     }
 
-    /// Ends it as a machine that loses its power does; where it was.
+    /// Kills it, as a power loss would; returns its endpoint.
     pub fn kill(mut self) -> Place {
         self.child.kill().unwrap();
         self.child.wait().unwrap();
@@ -114,14 +114,13 @@ pub fn pool(workers: &[&Process], identity: Identity) -> PlannerWorkers {
     PlannerWorkers::connect(&network, identity).unwrap()
 }
 
-/// A goal, an observation, and what may be chosen.
+/// A goal, an observation, and the action bounds.
 pub struct Scene {
     dynamics: TransitionDynamics<'static>,
     objective: Objective,
     space: SearchSpace,
 }
 
-/// Steps of a plan.
 const HORIZON: usize = 2;
 
 impl Scene {
@@ -146,7 +145,7 @@ impl Scene {
         pool.share(&self.dynamics, &self.objective, &self.space, HORIZON)
     }
 
-    /// Plans, by 16 batches an iteration; `midway` is called after each.
+    /// Plans with 16 batches per iteration; calls `midway` after each.
     pub fn plan(
         &self,
         seed: u64,

@@ -1,4 +1,4 @@
-//! A planner in this process, and workers as processes of their own: what one of them does to a plan, alive, slow or dead.
+//! A planner in this process, and workers as processes: effects of live, slow and dead workers on a plan.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::indexing_slicing)] // the helpers of tests too
 
@@ -11,7 +11,7 @@ use rustix::process::Signal;
 use wm_planner::WorkerPool as _;
 use wm_planner_worker::{Identity, PlannerWorkers};
 
-/// Two workers, once both take part.
+/// Two workers that have joined.
 fn two() -> ([Process; 2], PlannerWorkers) {
     let (first, second) = (worker(), worker());
     let pool = pool(&[&first, &second], Identity::of(model()).unwrap());
@@ -20,7 +20,7 @@ fn two() -> ([Process; 2], PlannerWorkers) {
     ([first, second], pool)
 }
 
-/// Plans, alone and with the workers, until these have had a part in one.
+/// Plans, alone and with the workers, until they have contributed.
 fn until_answered(pool: &PlannerWorkers, scene: &Scene) {
     let before = pool.counts().answered;
     for seed in 0.. {
@@ -33,7 +33,7 @@ fn until_answered(pool: &PlannerWorkers, scene: &Scene) {
 }
 
 #[test]
-fn with_two_workers_a_plan_is_the_same_to_the_bit() {
+fn plan_with_two_workers_is_identical_bit_for_bit() {
     let (_workers, pool) = two();
     let scene = Scene::new();
     until_answered(&pool, &scene);
@@ -42,7 +42,7 @@ fn with_two_workers_a_plan_is_the_same_to_the_bit() {
 }
 
 #[test]
-fn a_worker_that_dies_midway_is_done_without() {
+fn planning_continues_without_a_dead_worker() {
     let ([first, second], pool) = two();
     let scene = Scene::new();
     let alone = scene.plan(1, None, &mut || {});
@@ -58,7 +58,7 @@ fn a_worker_that_dies_midway_is_done_without() {
     });
     assert_eq!((counts.gone, counts.taking_part), (1, 1), "{counts:?}");
 
-    // The other takes part as before, until it is told to end.
+    // the other one continues until it is ended
     assert_eq!(
         scene.plan(2, Some(&pool), &mut || {}),
         scene.plan(2, None, &mut || {})
@@ -74,7 +74,7 @@ fn a_worker_that_dies_midway_is_done_without() {
         scene.plan(2, None, &mut || {})
     );
 
-    // One that is started in the place of another is found by itself.
+    // a worker that replaces another is found automatically
     let _third = place.unwrap().worker();
     let counts = pool.wait_until(PATIENCE, |counts| counts.taking_part == 1);
     assert_eq!(counts.taking_part, 1, "{counts:?}");
@@ -82,11 +82,11 @@ fn a_worker_that_dies_midway_is_done_without() {
 }
 
 #[test]
-fn a_worker_that_is_slow_is_left_out_until_it_answers_again() {
+fn slow_worker_is_excluded_until_it_answers() {
     let ([slow, _other], pool) = two();
     let scene = Scene::new();
     let alone = scene.plan(1, None, &mut || {});
-    // How long a batch takes here is known then.
+    // the duration of a batch here is now known
     assert_eq!(scene.plan(1, Some(&pool), &mut || {}), alone);
     slow.signal(Signal::STOP);
     assert_eq!(scene.plan(1, Some(&pool), &mut || {}), alone);
@@ -99,7 +99,7 @@ fn a_worker_that_is_slow_is_left_out_until_it_answers_again() {
 }
 
 #[test]
-fn a_worker_that_would_round_otherwise_takes_no_part() {
+fn worker_with_different_rounding_is_rejected() {
     let worker = worker();
     let mut identity = Identity::of(model()).unwrap();
     identity.fingerprint[0] ^= 1;
@@ -115,7 +115,7 @@ fn a_worker_that_would_round_otherwise_takes_no_part() {
 }
 
 #[test]
-fn a_plan_whose_workers_another_plan_has_goes_on_alone() {
+fn second_plan_continues_without_workers() {
     let (_workers, pool) = two();
     let scene = Scene::new();
     let lent = scene.share(&pool);

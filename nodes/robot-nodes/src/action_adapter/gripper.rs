@@ -1,4 +1,4 @@
-//! How far the gripper is open.
+//! The opening of the gripper.
 
 use std::collections::VecDeque;
 
@@ -9,10 +9,10 @@ use super::{Problem, poses::JUMP_NS, step::stamp_of};
 /// Openings that are kept: those of a second or more.
 const KEPT: usize = 512;
 
-/// Where the gripper's opening comes from.
+/// The source of the gripper's opening.
 #[derive(Clone, Debug, PartialEq)]
 pub enum GripperSource {
-    /// Nowhere: it counts as open.
+    /// None: it counts as open.
     Open,
     /// A topic of openings, 0 closed to 1 open.
     Topic,
@@ -27,7 +27,7 @@ pub enum GripperSource {
     },
 }
 
-/// How far the gripper was open, and when.
+/// The openings of the gripper, with their times.
 #[derive(Clone, Debug)]
 pub(super) struct Gripper {
     source: GripperSource,
@@ -58,7 +58,7 @@ impl Gripper {
                 return Ok(*newest);
             }
             if before_ns >= JUMP_NS {
-                // Nothing of before the clock was set counts.
+                // Openings from before the clock was set do not count.
                 self.known.clear();
             } else if before_ns > 0 {
                 return Err(Problem::Older {
@@ -74,7 +74,7 @@ impl Gripper {
         Ok(opening)
     }
 
-    /// The opening by the joint's place, where it is among the joints.
+    /// The opening by the joint's position, if the message has that joint.
     pub(super) fn joints(
         &mut self,
         joints: &JointState,

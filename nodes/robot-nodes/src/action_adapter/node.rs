@@ -1,6 +1,6 @@
 //! The adapter on the wire.
 
-use std::{process::ExitCode, time::Duration};
+use std::{sync::Arc, time::Duration};
 
 use anyhow::Result;
 use tokio::time::MissedTickBehavior;
@@ -10,119 +10,106 @@ use wm_msgs::{
     std_msgs::{Float64, Header},
     wm_msgs::Action,
 };
-use wm_ros::{
-    Component, EndpointSet as _, NAMESPACE, Node, NodeArgs, NodeDefinition, ParameterSet as _,
-    Publisher, complaints::Complaints,
-};
-
-use super::{AdapterStep, Done, Problem, outlets::Endpoints, parameters::Parameters};
+use wm_ros::{Node, NodeDefinition, NodeProgram, Setup, complaints::Complaints};
 use wm_sim::message::pose as pose_message;
 
+use super::{
+    AdapterStep, Done, Problem, Settings,
+    outlets::{Endpoints, Inlets, Outlets},
+    parameters::Parameters,
+};
 use crate::optional::next;
 
-const NAME: &str = "action_adapter";
-
 /// The node.
-pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition {
-    name: NAME,
-    about: "Makes actions of velocities, poses or transforms, for arms that do not publish them.",
-    parameters: Parameters::specs,
-    endpoints: Endpoints::specs,
-    is_managed: false,
-    run,
-    component: Some(|| Component::new(NAME, body)),
-};
+pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition::of::<Adapter>();
 
-/// How often it looks whether its source is silent.
+/// From one check whether the source is silent to the next.
 const LOOK: Duration = Duration::from_millis(50);
-
-fn run(args: &NodeArgs) -> Result<ExitCode> {
-    args.expect_no_rest()?;
-    wm_ros::run(NAME, NAMESPACE, args, body).map(|()| ExitCode::SUCCESS)
-}
-
-/// The node itself, in a process that may run other nodes too.
-///
-/// # Errors
-/// Parameters contradict each other, or the graph fails.
-pub async fn body(node: Node) -> Result<()> {
-    let parameters = Parameters::declare(&node)?;
-    node.seal_parameters()?;
-    let step = AdapterStep::new(parameters.settings()?);
-    let Endpoints {
-        mut twists,
-        mut poses,
-        mut transforms,
-        mut static_transforms,
-        mut openings,
-        mut joints,
-        actions,
-        states,
-        grippers,
-    } = Endpoints::make(&node)?;
-    node.seal_endpoints()?;
-    let mut adapter = Adapter {
-        step,
-        base_frame: parameters.base_frame.clone(),
-        is_lost: false,
-        actions,
-        states,
-        grippers,
-        complaints: Complaints::new(node.diagnostics()),
-    };
-    let (clock, shutdown) = (node.clock(), node.shutdown());
-    let mut jumps = clock.jumps();
-    let mut looks = tokio::time::interval(LOOK);
-    looks.set_missed_tick_behavior(MissedTickBehavior::Skip);
-    loop {
-        tokio::select! {
-            () = shutdown.wait() => return Ok(()),
-            Ok(()) = jumps.changed() => adapter.step.forget(),
-            Some(received) = next(&mut static_transforms) => {
-                let problems = adapter.step.transforms(&received.message, true);
-                adapter.left_out(&problems);
-            }
-            Some(received) = next(&mut transforms) => {
-                let problems = adapter.step.transforms(&received.message, false);
-                adapter.left_out(&problems);
-                adapter.follow()?;
-            }
-            Some(received) = next(&mut twists) => {
-                let taken = adapter.step.twist(&received.message, received.received.to_nanos());
-                adapter.taken(taken)?;
-            }
-            Some(received) = next(&mut poses) => {
-                let taken = adapter.step.pose(&received.message, received.received.to_nanos());
-                adapter.taken(taken)?;
-            }
-            Some(received) = next(&mut openings) => {
-                let taken = adapter.step.gripper(received.message.data, received.received.to_nanos());
-                adapter.taken(taken)?;
-            }
-            Some(received) = next(&mut joints) => {
-                let taken = adapter.step.joints(&received.message, received.received.to_nanos());
-                adapter.opened(taken)?;
-            }
-            _ = looks.tick() => {
-                let is_silent = adapter.step.tick(clock.now().to_nanos());
-                adapter.publish()?;
-                if is_silent && !adapter.is_lost {
-                    adapter.complaints.waiting("motion", true, &"motions of the arm");
-                }
-            }
-        }
-    }
-}
 
 struct Adapter {
     step: AdapterStep,
     base_frame: String,
     /// Whether transforms are missing, which then is what it waits for.
     is_lost: bool,
-    actions: Publisher<Action>,
-    states: Option<Publisher<PoseStamped>>,
-    grippers: Option<Publisher<Float64>>,
+    outlets: Outlets,
     complaints: Complaints,
+}
+
+impl NodeProgram for Adapter {
+    const NAME: &'static str = "action_adapter";
+    const ABOUT: &'static str =
+        "Makes actions of velocities, poses or transforms, for arms that do not publish them.";
+    type Parameters = Parameters;
+    type Endpoints = Endpoints;
+    type Resources = Settings;
+    type Error = anyhow::Error;
+
+    async fn load(_: &Node, parameters: &Arc<Parameters>) -> Result<Settings> {
+        parameters.settings()
+    }
+
+    fn activate(at: &Setup<Self>) -> Result<Self> {
+        Ok(Self {
+            step: AdapterStep::new(at.resources.clone()),
+            base_frame: at.parameters.base_frame.clone(),
+            is_lost: false,
+            outlets: at.endpoints.outlets.clone(),
+            complaints: Complaints::new(at.node.diagnostics()),
+        })
+    }
+
+    async fn run(&mut self, at: &mut Setup<Self>) -> Result<()> {
+        let (clock, shutdown) = (at.node.clock(), at.node.shutdown());
+        let Inlets {
+            twists,
+            poses,
+            transforms,
+            static_transforms,
+            openings,
+            joints,
+        } = &mut at.endpoints.inlets;
+        let mut jumps = clock.jumps();
+        let mut looks = tokio::time::interval(LOOK);
+        looks.set_missed_tick_behavior(MissedTickBehavior::Skip);
+        loop {
+            tokio::select! {
+                () = shutdown.wait() => return Ok(()),
+                Ok(()) = jumps.changed() => self.step.forget(),
+                Some(received) = next(static_transforms) => {
+                    let problems = self.step.transforms(&received.message, true);
+                    self.report(&problems);
+                }
+                Some(received) = next(transforms) => {
+                    let problems = self.step.transforms(&received.message, false);
+                    self.report(&problems);
+                    self.follow()?;
+                }
+                Some(received) = next(twists) => {
+                    let taken = self.step.twist(&received.message, received.received.to_nanos());
+                    self.taken(taken)?;
+                }
+                Some(received) = next(poses) => {
+                    let taken = self.step.pose(&received.message, received.received.to_nanos());
+                    self.taken(taken)?;
+                }
+                Some(received) = next(openings) => {
+                    let taken = self.step.gripper(received.message.data, received.received.to_nanos());
+                    self.taken(taken)?;
+                }
+                Some(received) = next(joints) => {
+                    let taken = self.step.joints(&received.message, received.received.to_nanos());
+                    self.opened(taken)?;
+                }
+                _ = looks.tick() => {
+                    let is_silent = self.step.tick(clock.now().to_nanos());
+                    self.publish()?;
+                    if is_silent && !self.is_lost {
+                        self.complaints.waiting("motion", true, &"motions of the arm");
+                    }
+                }
+            }
+        }
+    }
 }
 
 impl Adapter {
@@ -133,7 +120,7 @@ impl Adapter {
         }
     }
 
-    fn left_out(&mut self, problems: &[Problem]) {
+    fn report(&mut self, problems: &[Problem]) {
         for problem in problems {
             self.complaints
                 .left_out_many(problem.reason(), problem.count(), problem);
@@ -142,13 +129,13 @@ impl Adapter {
 
     fn taken(&mut self, taken: Result<(), Problem>) -> Result<()> {
         if let Err(problem) = taken {
-            self.left_out(&[problem]);
+            self.report(&[problem]);
         }
         self.publish()
     }
 
     fn opened(&mut self, taken: Result<Option<f64>, Problem>) -> Result<()> {
-        if let (Ok(Some(opening)), Some(grippers)) = (&taken, &self.grippers) {
+        if let (Ok(Some(opening)), Some(grippers)) = (&taken, &self.outlets.grippers) {
             grippers.publish(&Float64 { data: *opening })?;
         }
         self.taken(taken.map(drop))
@@ -159,7 +146,7 @@ impl Adapter {
         self.is_lost = followed.is_err();
         match followed {
             Ok(Some((stamp_ns, pose))) => {
-                if let Some(states) = &self.states {
+                if let Some(states) = &self.outlets.states {
                     states.publish(&PoseStamped {
                         header: self.header(stamp_ns),
                         pose: pose_message(&pose),
@@ -181,12 +168,12 @@ impl Adapter {
             match done {
                 Ok(Done { stamp_ns, values }) => {
                     self.complaints.working("actions are published");
-                    self.actions.publish(&Action {
+                    self.outlets.actions.publish(&Action {
                         header: self.header(stamp_ns),
                         values,
                     })?;
                 }
-                Err(problem) => self.left_out(&[problem]),
+                Err(problem) => self.report(&[problem]),
             }
         }
         Ok(())

@@ -1,4 +1,4 @@
-//! Displacements by periods, of poses.
+//! Displacements of each period, from poses.
 
 use nalgebra::Isometry3;
 use wm_wire::frames::pose::between;
@@ -6,13 +6,13 @@ use wm_wire::frames::pose::between;
 use super::{Problem, speeds::Speeds, step::Period};
 use crate::displacement::Displacement;
 
-/// Stamps that go back by less belong to messages that overtook each other; by more, the clock was set \[ns\].
+/// Stamps that go back by less are of messages that overtook each other; by more, the clock was set \[ns\].
 pub(super) const JUMP_NS: i64 = 100_000_000;
 
-/// Poses in a row that agree with each other after a leap: the end effector is there.
+/// Number of poses in a row that confirm a leap.
 const STAYS: u32 = 3;
 
-/// Where the end effector was last, and where it was when the period began.
+/// The last pose of the end effector, and its pose at the beginning of the period.
 #[derive(Clone, Debug)]
 pub(super) struct Poses {
     what: &'static str,
@@ -63,7 +63,7 @@ impl Poses {
         (self.state, self.leap) = (None, None);
     }
 
-    /// Takes a pose, and gives the periods that are over with it, and how many are lost.
+    /// Takes a pose; returns the periods that it completes, and how many are lost.
     pub(super) fn take(
         &mut self,
         stamp_ns: i64,

@@ -1,14 +1,14 @@
-//! What cannot become an action, and why.
+//! Problems of messages that give no action.
 
 use thiserror::Error;
 use wm_motion::actions::ActionError;
-use wm_wire::frames::{LeftOut, pose::PoseError};
+use wm_wire::frames::{TransformError, pose::PoseError};
 
-/// What cannot become an action, and why.
+/// A problem of a message that gives no action.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum Problem {
-    /// A value that is no number, or infinite.
+    /// A value that is not finite.
     #[error("{what} has {value}; expected finite numbers")]
     NotFinite {
         /// The message.
@@ -16,7 +16,7 @@ pub enum Problem {
         /// What came.
         value: f64,
     },
-    /// Four numbers that are no orientation.
+    /// A quaternion that is no orientation.
     #[error("the quaternion of {what} has the norm {norm}; expected 1, within 1 %")]
     NotUnit {
         /// The message.
@@ -34,7 +34,7 @@ pub enum Problem {
         /// What came.
         actual: String,
     },
-    /// A stamp that is none.
+    /// An invalid stamp.
     #[error("the stamp of {what} is {sec} s and {nanosec} ns")]
     Stamp {
         /// The message.
@@ -44,7 +44,7 @@ pub enum Problem {
         /// Its nanoseconds.
         nanosec: u32,
     },
-    /// Something that is older than what came before, or as old.
+    /// A message that is not newer than the one before.
     #[error("{what} is stamped {before_s:.3} s before the one that came before it")]
     Older {
         /// The message.
@@ -52,7 +52,7 @@ pub enum Problem {
         /// By how much \[s\].
         before_s: f64,
     },
-    /// Something that came when its time had been closed: what it says of that time is lost.
+    /// A message that arrived after its period was closed: its data of that period are lost.
     #[error("{what} came when {late_s:.3} s of its time were over already: do the clocks agree?")]
     Late {
         /// The message.
@@ -112,7 +112,7 @@ pub enum Problem {
         /// The parameter \[rad/s\].
         most_angular: f64,
     },
-    /// Nothing came for a while.
+    /// The source was silent.
     #[error("nothing is known of {periods} periods: {what} was silent for {silent_s:.3} s")]
     Gap {
         /// The message.
@@ -122,10 +122,10 @@ pub enum Problem {
         /// For how long \[s\].
         silent_s: f64,
     },
-    /// Nothing is known of the gripper.
+    /// No opening of the gripper has arrived.
     #[error("nothing is known of the gripper yet")]
     NoGripper,
-    /// A motion that no robot makes.
+    /// A motion beyond any robot.
     #[error(transparent)]
     Action(#[from] ActionError),
     /// More frames than are kept.
@@ -133,14 +133,14 @@ pub enum Problem {
     Frames(String),
 }
 
-impl From<LeftOut> for Problem {
-    fn from(left_out: LeftOut) -> Self {
+impl From<TransformError> for Problem {
+    fn from(left_out: TransformError) -> Self {
         match left_out {
-            LeftOut::Older { before_s } => Self::Older {
+            TransformError::Older { before_s } => Self::Older {
                 what: "tf",
                 before_s,
             },
-            LeftOut::TooMany(frame) => Self::Frames(frame),
+            TransformError::TooMany(frame) => Self::Frames(frame),
         }
     }
 }
@@ -182,7 +182,7 @@ impl Problem {
         )
     }
 
-    /// How many things were dropped.
+    /// Number of dropped messages.
     pub fn count(&self) -> u64 {
         match self {
             Self::Gap { periods, .. } | Self::Moved { periods, .. } => *periods,

@@ -37,7 +37,7 @@ impl Speeds {
         }
     }
 
-    /// That the arm can be so fast.
+    /// Checks that the arm can be so fast.
     ///
     /// # Errors
     /// [`Problem::TooFast`].

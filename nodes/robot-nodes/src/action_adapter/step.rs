@@ -9,7 +9,7 @@ use wm_msgs::{
     sensor_msgs::JointState,
     tf2_msgs::TFMessage,
 };
-use wm_wire::frames::{Frames, Unknown, bare, pose};
+use wm_wire::frames::{Frames, LookupError, bare, pose};
 
 use super::{GripperSource, Problem, Speeds, gripper::Gripper, poses::Poses, twists::Twists};
 use crate::{
@@ -17,7 +17,7 @@ use crate::{
     executor::{Layout, Velocity},
 };
 
-/// Where motions come from.
+/// The source of motions.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum MotionSource {
     /// Velocities.
@@ -33,26 +33,26 @@ pub enum MotionSource {
     },
 }
 
-/// What can be chosen of the adapter.
+/// Settings of the adapter.
 #[derive(Clone, Debug)]
 pub struct Settings {
-    /// Where motions stand in actions.
+    /// The layout of motions in actions.
     pub layout: Layout,
     /// The frame that velocities and poses must have; empty: any.
     pub base_frame: String,
-    /// How long an action takes; above zero.
+    /// Duration of an action; above zero.
     pub period: Duration,
     /// Longest time from one pose to the next; a velocity holds for so long.
     pub timeout: Duration,
     /// The greatest speeds of the arm: faster poses and twists are dropped.
     pub speeds: Speeds,
-    /// Where motions come from.
+    /// The source of motions.
     pub source: MotionSource,
     /// Where the gripper's opening comes from.
     pub gripper: GripperSource,
 }
 
-/// An action that was done.
+/// An action of the robot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Done {
     /// When it began \[ns\].
@@ -68,7 +68,7 @@ pub(super) struct Period {
     pub(super) displacement: Displacement,
 }
 
-/// Where a message belongs in time; one without a stamp, to when it was received.
+/// The time of a message; its reception if it has no stamp.
 pub(super) fn stamp_of(what: &'static str, stamp: Time, received_ns: i64) -> Result<i64, Problem> {
     let Time { sec, nanosec } = stamp;
     if sec < 0 || nanosec >= 1_000_000_000 {
@@ -90,7 +90,7 @@ fn finite(what: &'static str, values: &[f64]) -> Result<(), Problem> {
     }
 }
 
-/// Where motions come from, and what is known of them.
+/// The state of each source of motions.
 #[derive(Clone, Debug)]
 enum Course {
     Twists(Twists),
@@ -103,7 +103,7 @@ enum Course {
     },
 }
 
-/// The adapter's state: what an arm publishes in, actions out.
+/// The adapter's state: an arm's messages in, actions out.
 pub struct AdapterStep {
     layout: Layout,
     base_frame: String,
@@ -116,7 +116,7 @@ pub struct AdapterStep {
 }
 
 impl AdapterStep {
-    /// An adapter to which nothing has come.
+    /// An adapter without messages.
     pub fn new(settings: Settings) -> Self {
         let nanos = |duration: Duration| i64::try_from(duration.as_nanos()).unwrap_or(i64::MAX);
         let (period_ns, timeout_ns) = (nanos(settings.period).max(1), nanos(settings.timeout));
@@ -142,12 +142,12 @@ impl AdapterStep {
         }
     }
 
-    /// The actions of the periods that are over, and why those of others are not there. Each is given once.
+    /// The actions of completed periods, and the reasons for missing ones. Each is returned once.
     pub fn take_done(&mut self) -> Vec<Result<Done, Problem>> {
         std::mem::take(&mut self.done)
     }
 
-    /// Takes a velocity of the end effector, which holds until the next one, but for `timeout` at most.
+    /// Takes a velocity of the end effector. It holds until the next one, at most for `timeout`.
     ///
     /// # Errors
     /// [`Problem`]: it is left out, or begins anew.
@@ -171,7 +171,7 @@ impl AdapterStep {
         Ok(())
     }
 
-    /// Takes where the end effector is.
+    /// Takes the pose of the end effector.
     ///
     /// # Errors
     /// [`Problem`]: it is left out, or begins anew.
@@ -188,7 +188,7 @@ impl AdapterStep {
         Ok(())
     }
 
-    /// Takes where frames are in each other. What is wrong with some of them is given, the others count.
+    /// Takes transforms. Returns the problems of some; the others count.
     pub fn transforms(&mut self, message: &TFMessage, is_static: bool) -> Vec<Problem> {
         let Course::Frames { frames, .. } = &mut self.course else {
             return Vec::new();
@@ -204,12 +204,11 @@ impl AdapterStep {
         taken.filter_map(Result::err).collect()
     }
 
-    /// Follows the transforms to the newest time that is known; gives the pose of the end effector, if it is new and no
-    /// leap.
+    /// Follows the transforms to the newest known time; returns the pose of the end effector, if it is new and no leap.
     ///
     /// # Errors
-    /// [`Unknown`] says which transforms are missing.
-    pub fn follow(&mut self) -> Result<Option<(i64, Isometry3<f64>)>, Unknown> {
+    /// [`LookupError`] names the missing transforms.
+    pub fn follow(&mut self) -> Result<Option<(i64, Isometry3<f64>)>, LookupError> {
         let Course::Frames {
             frames,
             base,
@@ -237,7 +236,7 @@ impl AdapterStep {
         Ok(is_pose.then_some((stamp_ns, pose)))
     }
 
-    /// Takes how far the gripper is open, 0 closed to 1 open.
+    /// Takes the opening of the gripper, 0 closed to 1 open.
     ///
     /// # Errors
     /// [`Problem`]: it is left out.
@@ -245,7 +244,7 @@ impl AdapterStep {
         self.gripper.take(received_ns, opening).map(drop)
     }
 
-    /// Takes where joints are, and gives how far the gripper is open, where that is a matter of one of them.
+    /// Takes positions of joints; returns the opening of the gripper if it depends on one of them.
     ///
     /// # Errors
     /// [`Problem`]: it is left out.
@@ -257,7 +256,7 @@ impl AdapterStep {
         self.gripper.joints(joints, received_ns)
     }
 
-    /// Time goes on without a message: an arm without commands stands still. Whether the source is silent.
+    /// Advances time without a message: an arm without commands stands still. Returns whether the source is silent.
     pub fn tick(&mut self, now_ns: i64) -> bool {
         let last_ns = match &mut self.course {
             Course::Twists(twists) => {
@@ -272,7 +271,7 @@ impl AdapterStep {
         last_ns.is_none_or(|last_ns| now_ns.saturating_sub(last_ns) > self.timeout_ns)
     }
 
-    /// The clock was set: nothing of before counts.
+    /// Drops earlier messages, because the clock was set.
     pub fn forget(&mut self) {
         match &mut self.course {
             Course::Twists(twists) => twists.clear(),

@@ -1,13 +1,13 @@
-//! Displacements by periods, of velocities.
+//! Displacements of each period, from velocities.
 
 use super::{Problem, poses::JUMP_NS, step::Period};
 use crate::{displacement::Displacement, executor::Velocity};
 
-/// The velocity that holds, and what there was of the period before it.
+/// The current velocity, and the displacement of the period before it.
 #[derive(Clone, Debug)]
 pub(super) struct Twists {
     period_ns: i64,
-    /// For how long a velocity holds.
+    /// How long a velocity holds.
     timeout_ns: i64,
     state: Option<State>,
 }
@@ -17,7 +17,7 @@ struct State {
     start_ns: i64,
     /// Since the start.
     displacement: Displacement,
-    /// Until when that is known.
+    /// The time up to which it is known.
     until_ns: i64,
     velocity: Velocity,
     /// Stamp of that velocity.
@@ -42,7 +42,7 @@ impl Twists {
         self.state = None;
     }
 
-    /// Takes a velocity, and gives the periods that are over with it.
+    /// Takes a velocity; returns the periods that it completes.
     pub(super) fn take(
         &mut self,
         stamp_ns: i64,
@@ -72,7 +72,7 @@ impl Twists {
         };
         (state.velocity, state.told_ns) = (velocity, stamp_ns);
         match state.until_ns.saturating_sub(stamp_ns) {
-            // No period is over then that was not before.
+            // It completes no further period.
             late_ns if late_ns > 0 => Err(Problem::Late {
                 what,
                 late_s: late_ns as f64 / 1e9,
@@ -91,8 +91,8 @@ impl Twists {
         });
     }
 
-    /// Goes on to a moment at which nothing older is expected any more, and gives the periods that are over by then. Where
-    /// nobody says anything, the arm stands still, and after a period of that nothing is known.
+    /// Advances to a time before which no further messages are expected; returns the periods completed by then. Without
+    /// messages the arm stands still, and after a period without messages its motion is unknown.
     pub(super) fn advance(&mut self, now_ns: i64) -> Vec<Period> {
         let mut over = Vec::new();
         while let Some(state) = &mut self.state {

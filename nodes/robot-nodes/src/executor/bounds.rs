@@ -1,4 +1,4 @@
-//! What a single action may be.
+//! Bounds of a single action.
 
 use std::{ops::RangeInclusive, time::Duration};
 
@@ -9,24 +9,24 @@ use super::{Joints, Layout, Offer, Refusal};
 /// How far beyond 0 and 1 the opening of a gripper may lie: policies regress it.
 const GRIPPER_SLACK: f32 = 0.1;
 
-/// What a single action may be.
+/// Bounds of a single action.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bounds {
     /// Greatest translation along an axis in an [`Self::interval`] \[m\].
     pub translation: f64,
     /// Greatest rotation about an axis in an [`Self::interval`] \[rad\].
     pub rotation: f64,
-    /// Greatest motion of a joint in an [`Self::interval`], one a joint \[rad or m\].
+    /// Greatest motion of each joint in an [`Self::interval`] \[rad or m\].
     pub joints: Vec<f64>,
-    /// What these are about. An action that takes longer, as a planner's does, may move further.
+    /// The time of these bounds. A longer action, such as a planner's, may move further.
     pub interval: Duration,
-    /// How long it may take.
+    /// Least and greatest duration.
     pub periods: RangeInclusive<Duration>,
 }
 
 impl Bounds {
-    /// Checks all actions of an offer. Positions of joints are motions from those before, the first ones from `places`,
-    /// and lie within `limits` \[rad or m\].
+    /// Checks all actions of an offer. Positions of joints count as motions from the ones before, the first from `places`, and
+    /// must be within `limits` \[rad or m\].
     ///
     /// # Errors
     /// [`Refusal`] names the first that is at fault.
@@ -59,7 +59,7 @@ impl Bounds {
         }
     }
 
-    /// What only the actions before tell.
+    /// The checks that depend on the actions before.
     fn check_places(
         &self,
         offer: &Offer,
@@ -85,7 +85,9 @@ impl Bounds {
                     });
                 }
                 let from = before.and_then(|before| before.as_slice().get(axis).copied());
+                // The first action has no way.
                 let way = place - from.unwrap_or(*place);
+                // A joint without a bound may not move.
                 let limit = self.joints.get(axis).copied().unwrap_or(0.0) * intervals;
                 if way.abs() > limit * (1.0 + f64::from(f32::EPSILON)) {
                     return Err(Refusal::Way {
@@ -120,6 +122,7 @@ impl Bounds {
             let limit = match dimension.kind {
                 Kind::TranslationDelta => self.translation * intervals,
                 Kind::RotationDelta => self.rotation * intervals,
+                // A joint without a bound may not move.
                 Kind::JointDelta => joints.next().copied().unwrap_or(0.0) * intervals,
                 Kind::JointPosition => continue,
                 _ if (-GRIPPER_SLACK..=1.0 + GRIPPER_SLACK).contains(value) => continue,

@@ -17,7 +17,7 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// A camera whose reports have to come at least every `timeout`, once one has come.
+    /// A camera whose reports must arrive at least every `timeout`, after the first one.
     pub fn new(timeout: Duration) -> Self {
         Self {
             timeout,
@@ -48,7 +48,7 @@ impl Camera {
         Ok(())
     }
 
-    /// That the camera runs.
+    /// Checks that the camera runs.
     ///
     /// # Errors
     /// [`Hold::CameraFrozen`] or [`Hold::CameraSilent`].
@@ -67,7 +67,7 @@ impl Camera {
         }
     }
 
-    /// That an offer was made from a frame that is newer than the last freeze.
+    /// Checks that an offer was made from a frame that is newer than the last freeze.
     ///
     /// # Errors
     /// [`Refusal::FrozenFrame`].
@@ -80,7 +80,7 @@ impl Camera {
         }
     }
 
-    /// Forgets the stamps of before the node's clock was set back.
+    /// Drops the stamps from before the node's clock was set back.
     pub(super) fn forget_stamps(&mut self) {
         self.thawed_ns = None;
     }

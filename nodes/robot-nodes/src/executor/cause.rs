@@ -1,4 +1,4 @@
-//! Why the arm does not move, or moves other than its offer says.
+//! Why the arm does not move, or moves differently from its offer.
 
 use std::fmt;
 
@@ -16,7 +16,7 @@ pub enum Hold {
         /// The parameter, or less with a short max_age \[s\].
         timeout_s: f64,
     },
-    /// The camera's frames do not show the present.
+    /// The camera's frames are out of date.
     #[error("the camera is frozen: {reason}")]
     CameraFrozen {
         /// From the encoder.
@@ -28,10 +28,10 @@ pub enum Hold {
         /// The parameter \[s\].
         timeout_s: f64,
     },
-    /// Nothing has come from the deadman switch.
+    /// No message of the deadman switch has arrived.
     #[error("no message on deadman yet; expected true, since require_deadman is set")]
     NoDeadman,
-    /// The deadman switch is let go.
+    /// The deadman switch is released.
     #[error("deadman is false; expected true")]
     DeadmanReleased,
     /// The deadman switch is silent.
@@ -40,15 +40,15 @@ pub enum Hold {
         /// The parameter \[s\].
         timeout_s: f64,
     },
-    /// No pose of the end effector has come.
+    /// No pose of the end effector has arrived.
     #[error("no message on ee_pose yet; expected one, since a workspace box is set")]
     NoPose,
-    /// Nothing is known of the joints.
+    /// The positions of the joints are unknown.
     #[error(
         "no message on joint_states yet with {name}; expected one, since command_type is joint_trajectory"
     )]
     NoJoints {
-        /// The first joint of which nothing is known.
+        /// The first joint without a position.
         name: String,
     },
     /// A joint has not been measured for too long.
@@ -91,7 +91,7 @@ pub enum Hold {
         /// The parameter \[s\].
         timeout_s: f64,
     },
-    /// The pose of the end effector no longer comes.
+    /// The pose of the end effector is no longer published.
     #[error("no message on ee_pose for more than {timeout_s} s (pose_timeout)")]
     PoseSilent {
         /// The parameter \[s\].
@@ -116,16 +116,16 @@ impl Hold {
     }
 }
 
-/// Why the arm does not move, or moves other than its offer says.
+/// Why the arm does not move, or moves differently from its offer.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Cause {
     /// No chunk or plan to execute.
     Nothing,
-    /// The offer is over, and none followed.
+    /// The offer has ended, and none followed.
     Silence,
     /// The offer was received too long ago.
     Stale,
-    /// The offer is over by real time, but not by the node's clock, which is slower.
+    /// The offer has ended by real time, but not by the node's slower clock.
     ClockSlow,
     /// The node's clock jumped ahead, past the offer \[s\].
     ClockAhead(f64),
@@ -133,11 +133,11 @@ pub enum Cause {
     OldEpoch,
     /// The offer was vetoed.
     Vetoed,
-    /// Something is missing.
+    /// A condition of motion is missing.
     Held(Hold),
     /// Disarmed while it moved.
     Disarmed,
-    /// The node's clock went back.
+    /// The node's clock jumped back.
     ClockJump,
     /// A publisher of the emergency stop is gone.
     StopLost,
@@ -151,7 +151,7 @@ pub enum Cause {
     Cut([bool; 3]),
     /// It moves, but not all joints: some are at their limits.
     CutJoints,
-    /// It moves, but slower than its offer says.
+    /// It moves, but slower than its offer.
     Slowed,
 }
 

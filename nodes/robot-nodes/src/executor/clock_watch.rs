@@ -11,7 +11,7 @@ const JUMP_AHEAD_NS: i64 = 500_000_000;
 #[derive(Clone, Debug)]
 pub struct ClockWatch {
     timeout: Duration,
-    /// The latest time of the clock \[ns\], and when that came.
+    /// The latest time of the clock \[ns\], and when it was read.
     newest: Option<(i64, Instant)>,
     last: Option<Moment>,
 }
@@ -39,7 +39,7 @@ impl ClockWatch {
         longest.min(left.max(period))
     }
 
-    /// Takes the present. A clock that goes to and fro does not advance.
+    /// Takes the present. A clock that jumps to and fro does not advance.
     pub(super) fn see(&mut self, now: Moment) {
         if self
             .newest
@@ -49,7 +49,7 @@ impl ClockWatch {
         }
     }
 
-    /// Takes the present at a command, and gives by how much the clock jumped ahead since the last one \[s\].
+    /// Takes the present at a command; returns the jump of the clock since the last one \[s\].
     pub(super) fn leap_s(&mut self, now: Moment) -> Option<f64> {
         let last = self.last.replace(now)?;
         let passed = now.at.saturating_duration_since(last.at);
@@ -66,7 +66,7 @@ impl ClockWatch {
         self.newest = None;
     }
 
-    /// Whether the clock advances.
+    /// Checks that the clock advances.
     ///
     /// # Errors
     /// [`Hold::ClockStopped`].

@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use super::Hold;
 
-/// The deadman switch: a person holds it as long as the arm may move.
+/// The deadman switch: a person holds it while the arm may move.
 #[derive(Clone, Debug)]
 pub struct Deadman {
     timeout: Duration,
@@ -12,7 +12,7 @@ pub struct Deadman {
 }
 
 impl Deadman {
-    /// One that has to say every `timeout` that it is held.
+    /// A switch that must report every `timeout` that it is held.
     pub fn new(timeout: Duration) -> Self {
         Self {
             timeout,
@@ -20,12 +20,12 @@ impl Deadman {
         }
     }
 
-    /// What the switch says, and when that came.
+    /// Takes a report of the switch, received at `at`.
     pub fn set(&mut self, is_held: bool, at: Instant) {
         self.last = Some((is_held, at));
     }
 
-    /// Whether it is held.
+    /// Checks that it is held.
     ///
     /// # Errors
     /// [`Hold`] says why the arm may not move.

@@ -1,4 +1,4 @@
-//! The topic of the emergency stop: which publishers press it, and whether they are connected.
+//! The topic of the emergency stop: the publishers that press it, and whether they are connected.
 
 use std::collections::BTreeSet;
 
@@ -27,7 +27,7 @@ pub struct EmergencyStop {
 }
 
 impl EmergencyStop {
-    /// A topic that may or may not need a publisher.
+    /// The topic; `is_required`: at least one publisher must be connected.
     pub fn new(is_required: bool) -> Self {
         Self {
             is_required,
@@ -37,7 +37,7 @@ impl EmergencyStop {
         }
     }
 
-    /// Takes the newest message of a publisher. A publisher that has gone is released by any other.
+    /// Takes the newest message of a publisher. Any publisher can release the stop of one that has gone.
     pub(super) fn press(&mut self, publisher: PublisherId, is_pressed: bool) {
         self.gone.remove(&publisher);
         if is_pressed {
@@ -49,7 +49,7 @@ impl EmergencyStop {
         self.pressed.retain(|pressed| !gone.contains(pressed));
     }
 
-    /// Takes the publishers, and gives the reason why an armed arm has to stop.
+    /// Takes the publishers; returns the reason if an armed arm must stop.
     pub(super) fn connect(&mut self, sources: StopSources) -> Option<Cause> {
         let before = std::mem::replace(&mut self.sources, sources);
         let gone = before.connected.difference(&self.sources.connected);
@@ -62,7 +62,7 @@ impl EmergencyStop {
         is_lost.then_some(Cause::StopLost)
     }
 
-    /// That the topic can stop the arm.
+    /// Checks that the topic can stop the arm.
     ///
     /// # Errors
     /// [`ArmError`].
@@ -74,7 +74,7 @@ impl EmergencyStop {
         }
     }
 
-    /// That no publisher presses it.
+    /// Checks that no publisher presses it.
     ///
     /// # Errors
     /// [`ArmError::Pressed`].

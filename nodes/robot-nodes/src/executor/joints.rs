@@ -7,7 +7,7 @@ use wm_msgs::sensor_msgs::JointState;
 
 use super::{Hold, Moment, Rates, Refusal, refusal::stamp_of};
 
-/// Stamps that go back by less belong to messages that overtook each other; by more, the clock was set \[ns\].
+/// Stamps that go back by less are of messages that overtook each other; by more, the clock was set \[ns\].
 const JUMP_NS: i64 = 100_000_000;
 
 /// Why measured joints are dropped.
@@ -159,7 +159,7 @@ impl Joints {
         self.commanded.or_else(|| self.measured())
     }
 
-    /// That all are measured: the oldest position counts.
+    /// Checks that all are measured in time: the oldest position counts.
     ///
     /// # Errors
     /// [`Hold`] says why the arm may not move.
@@ -180,7 +180,7 @@ impl Joints {
         Ok(())
     }
 
-    /// That they are near the commanded positions.
+    /// Checks that they are near the commanded positions.
     ///
     /// # Errors
     /// [`Hold::Apart`]: the arm does not follow.

@@ -188,7 +188,7 @@ impl Lateness {
         judged
     }
 
-    /// Takes note of an offer that lasts until `until_ns`.
+    /// Records an offer that lasts until `until_ns`.
     fn cover(&mut self, now_ns: i64, until_ns: i64) {
         self.covered = match self.covered {
             Some((since_ns, before_ns)) if before_ns.saturating_add(self.grace_ns) >= now_ns => {

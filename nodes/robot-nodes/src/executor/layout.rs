@@ -1,4 +1,4 @@
-//! Where the motions of an arm stand in an action.
+//! The layout of an arm's motions in an action.
 
 use nalgebra::{UnitQuaternion, Vector3};
 use thiserror::Error;
@@ -6,11 +6,11 @@ use wm_motion::actions::{ActionSpace, Kind};
 
 use super::{Rates, Velocity};
 
-/// Why actions of a space cannot be commanded so.
+/// Why actions of a space cannot be commanded.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum LayoutError {
-    /// They are no motions of one end effector.
+    /// They are not motions of one end effector.
     #[error(
         "expected motions of one end effector: three translation deltas [m], none or three rotation deltas [rad] and at \
          most one gripper; the action space is {space}"
@@ -19,7 +19,7 @@ pub enum LayoutError {
         /// The space, in words.
         space: String,
     },
-    /// They are no motions of joints.
+    /// They are not motions of joints.
     #[error(
         "expected joints, all of them deltas or all of them positions, and at most one gripper; the action space is {space}"
     )]
@@ -29,7 +29,7 @@ pub enum LayoutError {
     },
 }
 
-/// Where the motions of an arm stand in an action of a space.
+/// The layout of an arm's motions in an action of a space.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Layout {
     space: ActionSpace,
@@ -47,7 +47,7 @@ enum Motion {
     },
     Joints {
         indices: Vec<usize>,
-        /// Whether they are where the joints are to be, not by how much they move.
+        /// Whether they are positions of the joints, not changes.
         are_positions: bool,
     },
 }
@@ -56,7 +56,7 @@ impl Layout {
     /// The layout of actions of `space` that move an end effector.
     ///
     /// # Errors
-    /// [`LayoutError::EndEffector`] where the space has joints, poses, two arms, or other units.
+    /// [`LayoutError::EndEffector`] if the space has joints, poses, two arms, or other units.
     pub fn new(space: ActionSpace) -> Result<Self, LayoutError> {
         let wrong = || LayoutError::EndEffector {
             space: space.to_string(),
@@ -90,7 +90,7 @@ impl Layout {
     /// The layout of actions of `space` that move joints.
     ///
     /// # Errors
-    /// [`LayoutError::Joints`] where the space has anything else, or both deltas and positions.
+    /// [`LayoutError::Joints`] if the space has anything else, or both deltas and positions.
     pub fn of_joints(space: ActionSpace) -> Result<Self, LayoutError> {
         let wrong = || LayoutError::Joints {
             space: space.to_string(),
@@ -120,12 +120,12 @@ impl Layout {
         })
     }
 
-    /// What the values of an action are.
+    /// The action space.
     pub fn space(&self) -> &ActionSpace {
         &self.space
     }
 
-    /// Along how many axes it moves: six of an end effector, or its joints.
+    /// Number of axes: six of an end effector, or its joints.
     pub fn axes(&self) -> usize {
         match &self.motion {
             Motion::EndEffector { .. } => 6,
@@ -133,7 +133,7 @@ impl Layout {
         }
     }
 
-    /// The names of the joints, in the order of the axes; none where it is not joints that move.
+    /// The names of the joints, in the order of the axes; empty for an end effector.
     pub fn joint_names(&self) -> Option<Vec<String>> {
         let Motion::Joints { indices, .. } = &self.motion else {
             return None;
@@ -158,7 +158,7 @@ impl Layout {
         )
     }
 
-    /// Where the joints are to be after an action; none where actions do not say that.
+    /// Positions of the joints after an action; `None` if actions are not positions.
     pub fn positions(&self, values: &[f32]) -> Option<Rates> {
         match &self.motion {
             Motion::Joints {
@@ -169,8 +169,8 @@ impl Layout {
         }
     }
 
-    /// The velocity of the end effector at which the whole motion of an action is done after `seconds`. A rotation is one
-    /// about a fixed axis. Zero where it is joints that move.
+    /// The velocity of the end effector that completes an action's motion in `seconds`. A rotation is one about a fixed axis.
+    /// Zero for joints.
     pub fn velocity(&self, values: &[f32], seconds: f64) -> Velocity {
         let Motion::EndEffector {
             translation,
@@ -205,18 +205,18 @@ impl Layout {
         }
     }
 
-    /// Whether actions say where a gripper is to go.
+    /// Whether actions have a gripper.
     pub fn has_gripper(&self) -> bool {
         self.gripper.is_some()
     }
 
-    /// The gripper's opening, 0 closed to 1 open; none where the space has no gripper.
+    /// The gripper's opening, 0 closed to 1 open; `None` if the space has no gripper.
     pub fn gripper(&self, values: &[f32]) -> Option<f64> {
         let opening = values.get(self.gripper?)?;
         Some(f64::from(*opening).clamp(0.0, 1.0))
     }
 
-    /// The action that velocities for `seconds` are, which bring joints to `places`: the inverse of [`Self::rates`].
+    /// The action of velocities that last for `seconds` and bring joints to `places`: the inverse of [`Self::rates`].
     pub fn action(
         &self,
         rates: Rates,
@@ -276,7 +276,7 @@ fn at(values: &[f32], index: usize) -> f64 {
     values.get(index).copied().map_or(0.0, f64::from)
 }
 
-/// Of two there is none that is meant.
+/// `None` for two: neither is preferred.
 fn at_most_one(grippers: &[usize]) -> Option<Option<usize>> {
     match grippers {
         [] => Some(None),

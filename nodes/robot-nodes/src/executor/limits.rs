@@ -1,4 +1,4 @@
-//! How fast an arm may move, and how fast that may change.
+//! Limits of an arm's velocity and acceleration.
 
 use super::{
     Rates,
@@ -21,12 +21,12 @@ pub struct Group {
 pub struct Limits(Vec<Group>);
 
 impl Limits {
-    /// Those of the groups, in the order of their axes.
+    /// The limits of the groups, in the order of their axes.
     pub fn new(groups: Vec<Group>) -> Self {
         Self(groups)
     }
 
-    /// Those of an end effector: (velocity \[m/s\], acceleration \[m/s^2\]) of its position, and (velocity \[rad/s\],
+    /// The limits of an end effector: (velocity \[m/s\], acceleration \[m/s^2\]) of its position, and (velocity \[rad/s\],
     /// acceleration \[rad/s^2\]) of its orientation.
     pub fn end_effector(linear: (f64, f64), angular: (f64, f64)) -> Self {
         let group = |(velocity, acceleration)| Group {
@@ -53,7 +53,7 @@ impl Limits {
         })
     }
 
-    /// What `from` can become in `seconds` on the way to `target`; `target` itself where it can be reached.
+    /// The velocity that can be reached from `from` in `seconds` on the way to `target`; `target` itself if it can be reached.
     pub fn toward(&self, from: Rates, target: Rates, seconds: f64) -> Rates {
         self.by_group(from, target, |group, from, to| {
             step(from, to, group.acceleration * seconds)
@@ -92,8 +92,8 @@ impl Limits {
     }
 }
 
-/// What `from` becomes by a change of at most `most` on the way to `to`. Braking goes first: an axis along which the arm has
-/// to stop does not wait for the others.
+/// `from` changed by at most `most` on the way to `to`. Braking has priority: an axis along which the arm must stop does not
+/// wait for the others.
 fn step(from: &[f64], to: &[f64], most: f64) -> Rates {
     let whole = plus(to, from, -1.0);
     if norm(whole.as_slice()) <= most {

@@ -20,7 +20,7 @@ fn vector([x, y, z]: [f64; 3]) -> Vector3 {
     Vector3 { x, y, z }
 }
 
-/// A plan as what a policy would say.
+/// A plan as a chunk, as a policy would publish it.
 pub(super) fn chunk(plan: &Plan) -> ActionChunk {
     let first = plan.actions.first();
     ActionChunk {
@@ -63,8 +63,8 @@ pub(super) fn array(velocity: Velocity) -> Float64MultiArray {
     }
 }
 
-/// One point: where the joints are to be at the end of the command period, and how fast they are then. It begins at once,
-/// whatever the clock of the arm says.
+/// One point: positions and velocities of the joints at the end of the command period. It begins at once, independent of the
+/// arm's clock.
 pub(super) fn trajectory(
     frame_id: String,
     joint_names: &[String],
@@ -79,6 +79,7 @@ pub(super) fn trajectory(
         },
         joint_names: joint_names.to_vec(),
         points: vec![JointTrajectoryPoint {
+            // Empty, if the arm's places are unknown: the message has velocities alone.
             positions: places.unwrap_or_default(),
             velocities: command.velocity.as_slice().to_vec(),
             time_from_start: Duration::from_nanos(period_ns),

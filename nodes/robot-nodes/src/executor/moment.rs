@@ -1,4 +1,4 @@
-//! Moments, by all clocks that commands depend on.
+//! A moment, by all clocks that commands depend on.
 
 use std::time::{Duration, Instant};
 
@@ -9,7 +9,7 @@ pub struct Moment {
     pub at: Instant,
     /// By the node's clock, the clock of stamps \[ns\].
     pub stamp_ns: i64,
-    /// By how much the node's clock may be late: the step of a simulated one \[ns\].
+    /// Greatest delay of the node's clock: the step of a simulated one \[ns\].
     pub late_ns: i64,
     /// By the monotonic clock, which never stops.
     pub real: Instant,

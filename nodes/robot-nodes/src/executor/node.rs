@@ -1,7 +1,7 @@
 //! The executor on the wire.
 
 use std::{
-    process::ExitCode,
+    sync::Arc,
     time::{Duration, Instant},
 };
 
@@ -12,209 +12,33 @@ use wm_msgs::{
     geometry_msgs::PoseStamped,
     sensor_msgs::JointState,
     std_msgs::{Bool, Float64, Header},
-    std_srvs::{Outcome, SetBool, Trigger},
+    std_srvs::Outcome,
     trajectory_msgs::JointTrajectory,
     wm_msgs::{Action, Assessment, Plan},
 };
 use wm_ros::{
-    Call, Component, Diagnostics, EndpointSet as _, Level, NAMESPACE, Node, NodeArgs,
-    NodeDefinition, ParameterSet as _, Received, Subscription,
-    calls::{Calls, answer},
+    Diagnostics, Level, Node, NodeDefinition, NodeProgram, Received, Setup, Subscription, answer,
     complaints::Complaints,
 };
 
 use crate::optional::next;
 
 use super::{
-    Cause, Command, ExecutorStep, Moment, Output, Refusal, Source, State, Status, StopSources,
-    Taken,
+    Cause, Command, ExecutorStep, Moment, Output, Refusal, Settings, Source, State, Status,
+    StopSources, Taken,
     beat::Beat,
     message,
-    outlets::{Endpoints, Outlets},
+    outlets::{Endpoints, Inlets, Outlets, Request},
     parameters::Parameters,
 };
 
-const NAME: &str = "executor";
-
 /// The node.
-pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition {
-    name: NAME,
-    about: "Executes action chunks and plans on an arm, within limits.",
-    parameters: Parameters::specs,
-    endpoints: Endpoints::specs,
-    is_managed: false,
-    run,
-    component: Some(|| Component::new(NAME, body)),
-};
-
-/// A call.
-enum Request {
-    Arm(Call<SetBool>),
-    Stop(Call<Trigger>),
-    Reset(Call<Trigger>),
-}
-
-fn run(args: &NodeArgs) -> Result<ExitCode> {
-    args.expect_no_rest()?;
-    wm_ros::run(NAME, NAMESPACE, args, body).map(|()| ExitCode::SUCCESS)
-}
-
-/// The node itself, in a process that may run other nodes too.
-///
-/// # Errors
-/// Parameters contradict each other, or the graph fails.
-pub async fn body(node: Node) -> Result<()> {
-    let parameters = Parameters::declare(&node)?;
-    node.seal_parameters()?;
-    let settings = parameters.settings(node.clock().is_simulated())?;
-    let Endpoints {
-        mut chunks,
-        mut plans,
-        mut poses,
-        mut joints,
-        mut deadman,
-        mut emergency,
-        mut cameras,
-        mut candidates,
-        mut assessments,
-        mut errors,
-        twists,
-        velocities,
-        motions,
-        trajectories,
-        gripper,
-        previews,
-        joint_previews,
-        actions,
-        announcements,
-        shapes,
-        status,
-        arm,
-        stop,
-        reset,
-    } = Endpoints::make(&node)?;
-    node.seal_endpoints()?;
-    let mut calls = Calls::default();
-    calls.add(arm, Request::Arm);
-    calls.add(stop, Request::Stop);
-    calls.add(reset, Request::Reset);
-    let mut beat = Beat::new(
-        parameters.is_clocked,
-        settings.period,
-        parameters.clock_timeout(settings.period),
-        node.clock(),
-    );
-    let is_deadman_required = settings.deadman.is_some();
-    let mut executor = Executor {
-        step: ExecutorStep::new(settings),
-        complaints: Complaints::new(node.diagnostics()),
-        diagnostics: node.diagnostics(),
-        outlets: Outlets {
-            twists,
-            velocities,
-            motions,
-            trajectories,
-            gripper,
-            previews,
-            joint_previews,
-            actions,
-            announcements,
-            shapes,
-            status,
-        },
-        published: None,
-        undecodable: 0,
-        is_deadman_required,
-        node: node.clone(),
-    };
-    let name = node.fully_qualified_name();
-    if parameters.arm_on_start {
-        executor.step.arm()?;
-        warn!(
-            "armed from the start (arm_on_start), which is for simulated arms only: what comes is executed at once; \
-             call {name}/stop to stop it"
-        );
-    } else {
-        info!("not armed: call {name}/arm to execute");
-    }
-    let shutdown = node.shutdown();
-    let mut is_ending = false;
-    let mut graph = node.graph_changes();
-    graph.mark_changed();
-    let ended: Result<()> = async {
-        loop {
-            // What stops the arm goes first; commands go before what leads to further ones.
-            tokio::select! {
-                biased;
-                Some(received) = emergency.recv() => executor.emergency(&received, beat.now())?,
-                Ok(()) = graph.changed() => executor.connect(&emergency, &deadman, beat.now())?,
-                call = calls.next() => executor.obey(call, beat.now())?,
-                () = shutdown.wait(), if !is_ending => {
-                    is_ending = true;
-                    if beat.is_clock() {
-                        // Its clock may stand still for ever.
-                        executor.step.stop("the node ends");
-                        executor.tick(beat.now())?;
-                        return executor.outlets.settle().await;
-                    }
-                    executor.step.disarm(Cause::Shutdown);
-                }
-                Some(received) = deadman.recv() => executor.step.deadman(received.message.data, beat.of(&received).at),
-                Some(received) = cameras.recv() => {
-                    let taken = executor.step.camera(&received.message, beat.of(&received));
-                    executor.drop_malformed(taken);
-                }
-                Some(received) = poses.recv() => executor.pose(&received.message, beat.of(&received)),
-                Some(received) = next(&mut joints) => executor.joints(&received.message, beat.of(&received)),
-                is_due = beat.tick() => {
-                    if !is_due {
-                        executor.step.see_clock(beat.now());
-                        continue;
-                    }
-                    executor.expect_readable(emergency.undecodable());
-                    if is_ending {
-                        // A call may have armed it meanwhile.
-                        executor.step.disarm(Cause::Shutdown);
-                    }
-                    let is_moving = executor.tick(beat.now())?;
-                    if is_ending && !is_moving {
-                        return executor.outlets.settle().await;
-                    }
-                }
-                Some(received) = errors.recv() => executor.step.prediction_error(&received.message),
-                Some(received) = candidates.recv() => {
-                    let taken = executor.step.candidates(&received.message);
-                    executor.drop_malformed(taken);
-                }
-                Some(received) = assessments.recv() => executor.assessment(&received.message, beat.now()),
-                Some(received) = next(&mut chunks) => {
-                    let taken = executor.step.chunk(&received.message, beat.of(&received), beat.now());
-                    executor.take(Source::Chunk, taken);
-                }
-                Some(received) = next(&mut plans) => {
-                    let taken = executor.step.plan(&received.message, beat.of(&received), beat.now());
-                    let is_accepted = matches!(taken, Ok(Taken::Accepted));
-                    executor.take(Source::Plan, taken);
-                    if is_accepted {
-                        executor.announce(&received.message)?;
-                    }
-                }
-            }
-        }
-    }
-    .await;
-    if let Err(error) = &ended {
-        // The last command would hold until the arm's controller misses the next.
-        executor.step.stop(&format!("the node ends: {error:#}"));
-        executor.act(beat.now()).ok();
-        executor.outlets.settle().await.ok();
-    }
-    ended
-}
+pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition::of::<Executor>();
 
 struct Executor {
     node: Node,
     step: ExecutorStep,
+    beat: Beat,
     outlets: Outlets,
     complaints: Complaints,
     diagnostics: Diagnostics,
@@ -222,7 +46,60 @@ struct Executor {
     published: Option<(Status, Instant)>,
     /// Undecodable messages of the emergency stop.
     undecodable: u64,
-    is_deadman_required: bool,
+}
+
+impl NodeProgram for Executor {
+    const NAME: &'static str = "executor";
+    const ABOUT: &'static str = "Executes action chunks and plans on an arm, within limits.";
+    type Parameters = Parameters;
+    type Endpoints = Endpoints;
+    type Resources = Settings;
+    type Error = anyhow::Error;
+
+    async fn load(node: &Node, parameters: &Arc<Parameters>) -> Result<Settings> {
+        parameters.settings(node.clock().is_simulated())
+    }
+
+    fn activate(at: &Setup<Self>) -> Result<Self> {
+        let (node, parameters, settings) = (&at.node, &at.parameters, &at.resources);
+        Ok(Self {
+            node: node.clone(),
+            step: ExecutorStep::new(settings.clone()),
+            beat: Beat::new(
+                parameters.is_clocked,
+                settings.period,
+                parameters.clock_timeout(settings.period),
+                node.clock(),
+            ),
+            outlets: at.endpoints.outlets.clone(),
+            complaints: Complaints::new(node.diagnostics()),
+            diagnostics: node.diagnostics(),
+            published: None,
+            undecodable: 0,
+        })
+    }
+
+    async fn run(&mut self, at: &mut Setup<Self>) -> Result<()> {
+        let name = at.node.fully_qualified_name();
+        if at.parameters.arm_on_start {
+            self.step.arm()?;
+            warn!(
+                "armed from the start (arm_on_start), which is for simulated arms only: what comes is executed at once; \
+                 call {name}/stop to stop it"
+            );
+        } else {
+            info!("not armed: call {name}/arm to execute");
+        }
+        let ended = self.execute(&mut at.endpoints).await;
+        if let Err(error) = &ended {
+            // The last command would hold until the arm's controller misses the next.
+            self.step.stop(&format!("the node ends: {error:#}"));
+            let now = self.beat.now();
+            self.act(now).ok();
+            self.outlets.settle().await.ok();
+        }
+        ended
+    }
 }
 
 /// The status goes out at least this often.
@@ -231,6 +108,92 @@ pub(super) const STATUS_PERIOD: Duration = Duration::from_secs(1);
 const UNKNOWN_NODE: &str = "an unknown node";
 
 impl Executor {
+    async fn execute(&mut self, endpoints: &mut Endpoints) -> Result<()> {
+        let Endpoints {
+            inlets, requests, ..
+        } = endpoints;
+        let Inlets {
+            chunks,
+            plans,
+            poses,
+            joints,
+            deadman,
+            emergency,
+            cameras,
+            candidates,
+            assessments,
+            errors,
+        } = inlets;
+        let shutdown = self.node.shutdown();
+        let mut is_ending = false;
+        let mut graph = self.node.graph_changes();
+        graph.mark_changed();
+        loop {
+            // What stops the arm goes first; commands go before what leads to further ones.
+            tokio::select! {
+                biased;
+                Some(received) = emergency.recv() => self.emergency(&received)?,
+                Ok(()) = graph.changed() => self.connect(emergency, deadman)?,
+                Some(request) = requests.next_request() => self.obey(request)?,
+                () = shutdown.wait(), if !is_ending => {
+                    is_ending = true;
+                    if self.beat.is_clock() {
+                        // Its clock may stand still for ever.
+                        self.step.stop("the node ends");
+                        self.tick()?;
+                        return self.outlets.settle().await;
+                    }
+                    self.step.disarm(Cause::Shutdown);
+                }
+                Some(received) = deadman.recv() => {
+                    let moment = self.beat.of(&received);
+                    self.step.deadman(received.message.data, moment.at);
+                }
+                Some(received) = cameras.recv() => {
+                    let taken = self.step.camera(&received.message, self.beat.of(&received));
+                    self.drop_malformed(taken);
+                }
+                Some(received) = poses.recv() => self.pose(&received.message, self.beat.of(&received)),
+                Some(received) = next(joints) => self.joints(&received.message, self.beat.of(&received)),
+                is_due = self.beat.tick() => {
+                    if !is_due {
+                        self.step.see_clock(self.beat.now());
+                        continue;
+                    }
+                    self.expect_readable(emergency.undecodable());
+                    if is_ending {
+                        // A call may have armed it meanwhile.
+                        self.step.disarm(Cause::Shutdown);
+                    }
+                    let is_moving = self.tick()?;
+                    if is_ending && !is_moving {
+                        return self.outlets.settle().await;
+                    }
+                }
+                Some(received) = errors.recv() => self.step.prediction_error(&received.message),
+                Some(received) = candidates.recv() => {
+                    let taken = self.step.candidates(&received.message);
+                    self.drop_malformed(taken);
+                }
+                Some(received) = assessments.recv() => self.assessment(&received.message),
+                Some(received) = next(chunks) => {
+                    let (moment, now) = (self.beat.of(&received), self.beat.now());
+                    let taken = self.step.chunk(&received.message, moment, now);
+                    self.take(Source::Chunk, taken);
+                }
+                Some(received) = next(plans) => {
+                    let (moment, now) = (self.beat.of(&received), self.beat.now());
+                    let taken = self.step.plan(&received.message, moment, now);
+                    let is_accepted = matches!(taken, Ok(Taken::Accepted));
+                    self.take(Source::Plan, taken);
+                    if is_accepted {
+                        self.announce(&received.message)?;
+                    }
+                }
+            }
+        }
+    }
+
     fn header(&self, stamp_ns: i64) -> Header {
         Header {
             stamp: Time::from_nanos(stamp_ns),
@@ -239,7 +202,8 @@ impl Executor {
     }
 
     /// Publishes the command of this period and the status; whether the arm moves.
-    fn tick(&mut self, now: Moment) -> Result<bool> {
+    fn tick(&mut self) -> Result<bool> {
+        let now = self.beat.now();
         let is_moving = self.act(now)?;
         self.publish_status(now)?;
         Ok(is_moving)
@@ -313,6 +277,7 @@ impl Executor {
             .joints
             .as_ref()
             .map_or(&[][..], |joints| joints.names());
+        // A period is far below 292 years.
         let period_ns = i64::try_from(settings.period.as_nanos()).unwrap_or(i64::MAX);
         message::trajectory(self.step.frame_id().to_owned(), names, command, period_ns)
     }
@@ -433,16 +398,16 @@ impl Executor {
         &mut self,
         emergency: &Subscription<Bool>,
         deadman: &Subscription<Bool>,
-        now: Moment,
     ) -> Result<()> {
         let mut mismatches = emergency.mismatches();
-        if self.is_deadman_required {
+        if self.step.settings().deadman.is_some() {
             mismatches.extend(deadman.mismatches());
         }
         self.step.stop_sources(StopSources {
             connected: emergency.matching_publishers(),
             mismatches,
         });
+        let now = self.beat.now();
         self.publish_status(now)
     }
 
@@ -463,7 +428,8 @@ impl Executor {
         Ok(())
     }
 
-    fn assessment(&mut self, assessment: &Assessment, now: Moment) {
+    fn assessment(&mut self, assessment: &Assessment) {
+        let now = self.beat.now();
         for refusal in self.step.assessment(assessment, now) {
             self.refuse(&refusal, "");
         }
@@ -482,12 +448,12 @@ impl Executor {
         }
     }
 
-    fn emergency(&mut self, received: &Received<Bool>, now: Moment) -> Result<()> {
+    fn emergency(&mut self, received: &Received<Bool>) -> Result<()> {
         let is_pressed = received.message.data;
         self.step.emergency(received.publisher, is_pressed);
         if is_pressed {
             // The arm does not wait for the next period.
-            self.tick(now)?;
+            self.tick()?;
         }
         Ok(())
     }
@@ -508,7 +474,8 @@ impl Executor {
         }
     }
 
-    fn obey(&mut self, request: Request, now: Moment) -> Result<()> {
+    fn obey(&mut self, request: Request) -> Result<()> {
+        let now = self.beat.now();
         // First the action, then the search of the graph for the caller: an arm does not wait for that.
         match request {
             Request::Arm(call) if call.request.data => {

@@ -1,11 +1,11 @@
-//! What is offered for execution.
+//! Chunks and plans that are offered for execution.
 
 use wm_msgs::wm_msgs::{Action, ActionChunk, Plan};
 use wm_wire::stamp::AHEAD_NS;
 
 use super::{Moment, Refusal, refusal::stamp_of};
 
-/// Who offers actions.
+/// The source of an offer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Source {
     /// A policy, or a bag.
@@ -27,26 +27,26 @@ impl Source {
 /// When the first action of a chunk or plan begins.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Begin {
-    /// At its stamp: of one that comes late, the first actions are skipped.
+    /// At its stamp: the first actions of a late one are skipped.
     Stamp,
-    /// When it is taken: for policies that say nothing of time, or think for longer than they tell.
+    /// At its reception: for policies that publish no times, or take longer than their stamps say.
     Reception,
 }
 
-/// A chunk or a plan, as it came.
+/// A chunk or a plan, as received.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Offer {
-    /// Who offers it.
+    /// Its source.
     pub source: Source,
     /// Of the message; of a plan, of its first action \[ns\].
     pub stamp_ns: i64,
-    /// Which offer is newer: of a chunk its stamp; of a plan the stamp of the frame that it was made from \[ns\].
+    /// Decides which offer is newer: a chunk's stamp; the stamp of the frame from which a plan was made \[ns\].
     pub made_ns: i64,
     /// Capture time of the frame that it responds to; a chunk may have none \[ns\].
     pub capture_ns: Option<i64>,
     /// When its first action begins, by the node's clock \[ns\].
     pub begin_ns: i64,
-    /// How long each action takes \[ns\].
+    /// Duration of each action \[ns\].
     pub period_ns: i64,
     /// The frame of its motions.
     pub frame_id: String,
@@ -107,7 +107,7 @@ impl Offer {
         self.capture_ns.unwrap_or(self.stamp_ns)
     }
 
-    /// That its frame is no frame of the future, by a clock that may be late.
+    /// Checks that its frame is not of the future, by a clock that may be late.
     ///
     /// # Errors
     /// [`Refusal::Future`].
@@ -128,7 +128,7 @@ impl Offer {
         }
     }
 
-    /// When its last action is over \[ns\].
+    /// When its last action ends \[ns\].
     pub fn end_ns(&self) -> i64 {
         let count = i64::try_from(self.actions.len()).unwrap_or(i64::MAX);
         let span_ns = self.period_ns.saturating_mul(count);

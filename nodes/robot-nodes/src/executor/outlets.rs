@@ -4,7 +4,6 @@ use std::time::Duration;
 
 use anyhow::Result;
 use wm_msgs::{
-    Message,
     geometry_msgs::{PoseStamped, TwistStamped},
     sensor_msgs::JointState,
     std_msgs::{Bool, Float64, Float64MultiArray},
@@ -16,7 +15,7 @@ use wm_msgs::{
         PredictionError,
     },
 };
-use wm_ros::{Error, Node, Publisher, Qos, Service, Subscription};
+use wm_ros::{Error, Node, Publisher, Qos, Requests, Service, Subscription};
 
 /// How long the last command may take to arrive: less than a process has to end after a signal.
 const FAREWELL: Duration = Duration::from_millis(300);
@@ -26,20 +25,39 @@ const COMMANDS: Qos = Qos::reliable(1);
 wm_ros::endpoints! {
     /// Topics and services.
     pub(super) struct Endpoints {
+        /// Subscriptions.
+        pub(super) inlets: Inlets;
+        /// Publishers.
+        pub(super) outlets: Outlets;
+        /// Requests of clients.
+        pub(super) requests: Requests<Request>;
+    }
+}
+
+wm_ros::endpoints! {
+    /// Requests of clients.
+    pub(super) enum Request {
+        /// Arms the node (true), or decelerates and disarms it (false).
+        Arm(Service<SetBool>) = "~/arm";
+        /// Emergency stop: zero velocity at once, until ~/reset and ~/arm.
+        Stop(Service<Trigger>) = "~/stop";
+        /// Ends an emergency stop and forgets everything; the node is not armed.
+        Reset(Service<Trigger>) = "~/reset";
+    }
+}
+
+wm_ros::endpoints! {
+    /// Messages about the robot, its policy and its planner.
+    pub(super) struct Inlets {
         /// A policy's next actions, unless source is plan.
-        pub(super) chunks: Option<Subscription<ActionChunk>> = "action_chunk", made(|node, name, qos| {
-            executed(node, name, qos, "chunk")
-        });
+        pub(super) chunks: Option<Subscription<ActionChunk>> = "action_chunk", if(|node| is_executed(node, "chunk"));
         /// A planner's plans, unless source is chunk.
-        pub(super) plans: Option<Subscription<Plan>> = "plan", made(|node, name, qos| executed(node, name, qos, "plan"));
+        pub(super) plans: Option<Subscription<Plan>> = "plan", if(|node| is_executed(node, "plan"));
         /// Where the end effector is, for the workspace box.
         pub(super) poses: Subscription<PoseStamped> = "ee_pose", qos(Qos::best_effort(1));
         /// Where the joints are, with command_type joint_trajectory.
-        pub(super) joints: Option<Subscription<JointState>> = "joint_states", qos(Qos::best_effort(10)), made(|node, name, qos| {
-            is_chosen(node, "joint_trajectory")?
-                .then(|| node.subscription(name, qos))
-                .transpose()
-        });
+        pub(super) joints: Option<Subscription<JointState>> = "joint_states", qos(Qos::best_effort(10)),
+            if(|node| is_chosen(node, "joint_trajectory"));
         /// True while a person allows motion, with require_deadman.
         pub(super) deadman: Subscription<Bool> = "deadman", qos(Qos::best_effort(1));
         /// True: emergency stop. Reliable or best effort, volatile or latched.
@@ -54,101 +72,55 @@ wm_ros::endpoints! {
         pub(super) assessments: Subscription<Assessment> = "assessment";
         /// What predictions were worth, for the veto.
         pub(super) errors: Subscription<PredictionError> = "prediction_error", qos(Qos::best_effort(16));
-        /// Velocities in the robot's base frame, with command_type twist.
-        pub(super) twists: Option<Publisher<TwistStamped>> = "command/twist", qos(COMMANDS), made(|node, name, qos| {
-            chosen(node, name, qos, "twist")
-        });
-        /// The same as vx, vy, vz [m/s], wx, wy, wz [rad/s], with command_type velocity.
-        pub(super) velocities: Option<Publisher<Float64MultiArray>> = "command/velocity", qos(COMMANDS), made(|node, name, qos| {
-            chosen(node, name, qos, "velocity")
-        });
-        /// The motion of each command period, with command_type action.
-        pub(super) motions: Option<Publisher<Action>> = "command/action", qos(COMMANDS), made(|node, name, qos| {
-            chosen(node, name, qos, "action")
-        });
-        /// Where the joints are to be at the end of each command period, one point, with command_type joint_trajectory.
-        pub(super) trajectories: Option<Publisher<JointTrajectory>> = "command/joint_trajectory", qos(COMMANDS), made(|node, name, qos| {
-            chosen(node, name, qos, "joint_trajectory")
-        });
-        /// The gripper's opening, 0 closed to 1 open.
-        pub(super) gripper: Publisher<Float64> = "command/gripper", qos(COMMANDS);
-        /// While not armed: the velocities that would be sent.
-        pub(super) previews: Option<Publisher<TwistStamped>> = "~/command_preview", qos(COMMANDS), made(|node, name, qos| {
-            let is_wanted = !is_chosen(node, "joint_trajectory")?;
-            is_wanted.then(|| node.publisher(name, qos)).transpose()
-        });
-        /// The same of joints.
-        pub(super) joint_previews: Option<Publisher<JointTrajectory>> = "~/joint_trajectory_preview", qos(COMMANDS),
-            made(|node, name, qos| chosen(node, name, qos, "joint_trajectory"));
-        /// What was done in each command period, with publish_action.
-        pub(super) actions: Option<Publisher<Action>> = "action", made(|node, name, qos| {
-            let is_wanted: bool = node.parameter("publish_action")?;
-            is_wanted.then(|| node.publisher(name, qos)).transpose()
-        });
-        /// What is going to be done, with announce_plans.
-        pub(super) announcements: Option<Publisher<ActionChunk>> = "action_chunk", made(|node, name, qos| {
-            let is_wanted: bool = node.parameter("announce_plans")?;
-            is_wanted.then(|| node.publisher(name, qos)).transpose()
-        });
-        /// The workspace box (ns workspace), where there is one. Sent with the status, while somebody subscribes.
-        pub(super) shapes: Option<Publisher<MarkerArray>> = "markers", qos(Qos::reliable(4)), made(|node, name, qos| {
-            let corner: Vec<f64> = node.parameter("workspace_min")?;
-            (!corner.is_empty()).then(|| node.publisher(name, qos)).transpose()
-        });
-        /// What the node does, and why.
-        pub(super) status: Publisher<ExecutorStatus> = "~/status", qos(Qos::latched(1));
-        /// Arms the node (true), or decelerates and disarms it (false).
-        pub(super) arm: Service<SetBool> = "~/arm";
-        /// Emergency stop: zero velocity at once, until ~/reset and ~/arm.
-        pub(super) stop: Service<Trigger> = "~/stop";
-        /// Ends an emergency stop and forgets everything; the node is not armed.
-        pub(super) reset: Service<Trigger> = "~/reset";
     }
 }
 
-/// The publisher of a kind of command, if that is chosen.
-fn chosen<M: Message>(
-    node: &Node,
-    name: &str,
-    qos: Qos,
-    command_type: &str,
-) -> Result<Option<Publisher<M>>, Error> {
-    is_chosen(node, command_type)?
-        .then(|| node.publisher(name, qos))
-        .transpose()
+wm_ros::endpoints! {
+    /// Commands, and reports about them.
+    #[derive(Clone)]
+    pub(super) struct Outlets {
+        /// Velocities in the robot's base frame, with command_type twist.
+        pub(super) twists: Option<Publisher<TwistStamped>> = "command/twist", qos(COMMANDS),
+            if(|node| is_chosen(node, "twist"));
+        /// The same as vx, vy, vz [m/s], wx, wy, wz [rad/s], with command_type velocity.
+        pub(super) velocities: Option<Publisher<Float64MultiArray>> = "command/velocity", qos(COMMANDS),
+            if(|node| is_chosen(node, "velocity"));
+        /// The motion of each command period, with command_type action.
+        pub(super) motions: Option<Publisher<Action>> = "command/action", qos(COMMANDS),
+            if(|node| is_chosen(node, "action"));
+        /// Where the joints are to be at the end of each command period, one point, with command_type joint_trajectory.
+        pub(super) trajectories: Option<Publisher<JointTrajectory>> = "command/joint_trajectory", qos(COMMANDS),
+            if(|node| is_chosen(node, "joint_trajectory"));
+        /// The gripper's opening, 0 closed to 1 open.
+        pub(super) gripper: Publisher<Float64> = "command/gripper", qos(COMMANDS);
+        /// While not armed: the velocities that would be sent.
+        pub(super) previews: Option<Publisher<TwistStamped>> = "~/command_preview", qos(COMMANDS),
+            if(|node| Ok(!is_chosen(node, "joint_trajectory")?));
+        /// The same of joints.
+        pub(super) joint_previews: Option<Publisher<JointTrajectory>> = "~/joint_trajectory_preview", qos(COMMANDS),
+            if(|node| is_chosen(node, "joint_trajectory"));
+        /// What was done in each command period, with publish_action.
+        pub(super) actions: Option<Publisher<Action>> = "action", if(|node| node.parameter("publish_action"));
+        /// What is going to be done, with announce_plans.
+        pub(super) announcements: Option<Publisher<ActionChunk>> = "action_chunk", if(|node| node.parameter("announce_plans"));
+        /// The workspace box (ns workspace), where there is one. Sent with the status, while somebody subscribes.
+        pub(super) shapes: Option<Publisher<MarkerArray>> = "markers", qos(Qos::reliable(4)),
+            if(|node| Ok(!node.parameter::<Vec<f64>>("workspace_min")?.is_empty()));
+        /// What the node does, and why.
+        pub(super) status: Publisher<ExecutorStatus> = "~/status", qos(Qos::latched(1));
+    }
 }
 
+/// Whether commands of this type are sent.
 fn is_chosen(node: &Node, command_type: &str) -> Result<bool, Error> {
     let wanted: String = node.parameter("command_type")?;
     Ok(wanted == command_type)
 }
 
-/// The subscription to offers of a kind, if they are executed.
-fn executed<M: Message>(
-    node: &Node,
-    name: &str,
-    qos: Qos,
-    source: &str,
-) -> Result<Option<Subscription<M>>, Error> {
+/// Whether offers of this kind are executed.
+fn is_executed(node: &Node, source: &str) -> Result<bool, Error> {
     let wanted: String = node.parameter("source")?;
-    (wanted == source || wanted == "both")
-        .then(|| node.subscription(name, qos))
-        .transpose()
-}
-
-/// Where commands go.
-pub(super) struct Outlets {
-    pub(super) twists: Option<Publisher<TwistStamped>>,
-    pub(super) velocities: Option<Publisher<Float64MultiArray>>,
-    pub(super) motions: Option<Publisher<Action>>,
-    pub(super) trajectories: Option<Publisher<JointTrajectory>>,
-    pub(super) gripper: Publisher<Float64>,
-    pub(super) previews: Option<Publisher<TwistStamped>>,
-    pub(super) joint_previews: Option<Publisher<JointTrajectory>>,
-    pub(super) actions: Option<Publisher<Action>>,
-    pub(super) announcements: Option<Publisher<ActionChunk>>,
-    pub(super) shapes: Option<Publisher<MarkerArray>>,
-    pub(super) status: Publisher<ExecutorStatus>,
+    Ok(wanted == source || wanted == "both")
 }
 
 impl Outlets {

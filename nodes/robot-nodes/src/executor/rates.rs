@@ -21,7 +21,7 @@ impl Rates {
         }
     }
 
-    /// Those given; no more than an action has values.
+    /// The given numbers; no more than an action has values.
     pub fn of(values: impl IntoIterator<Item = f64>) -> Self {
         let mut rates = Self::zero(0);
         for (slot, value) in rates.values.iter_mut().zip(values) {
@@ -31,13 +31,15 @@ impl Rates {
         rates
     }
 
-    /// One an axis.
+    /// One for each axis.
     pub fn as_slice(&self) -> &[f64] {
+        // `zero` and `of` keep the count within the array.
         self.values.get(..self.count).unwrap_or_default()
     }
 
-    /// The same, to be changed.
+    /// The same, mutable.
     pub fn as_mut_slice(&mut self) -> &mut [f64] {
+        // As in `as_slice`.
         self.values.get_mut(..self.count).unwrap_or_default()
     }
 

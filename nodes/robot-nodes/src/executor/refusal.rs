@@ -16,7 +16,7 @@ pub enum Refusal {
     /// An emergency stop is latched.
     #[error("stopped: expected a call of ~/reset, then ~/arm")]
     Stopped,
-    /// Nobody knows what time it is: with `use_sim_time`, nothing has come on `/clock`.
+    /// The time is unknown: with `use_sim_time`, no message on `/clock` has arrived.
     #[error("no message on /clock yet; expected one, since use_sim_time is set")]
     NoClock,
     /// No action, or more than a chunk has.
@@ -27,7 +27,7 @@ pub enum Refusal {
     Action {
         /// Which action.
         index: usize,
-        /// What is wrong with it.
+        /// Its fault.
         error: ActionError,
     },
     /// A motion that is too large for one action.
@@ -48,7 +48,7 @@ pub enum Refusal {
         /// How long the action takes \[s\].
         period_s: f64,
     },
-    /// A place where a joint may not be.
+    /// A position outside a joint's limits.
     #[error(
         "action {index}: {name} is to be at {place:.4}; expected {least} to {most} (joint_min, joint_max)"
     )]
@@ -57,14 +57,14 @@ pub enum Refusal {
         index: usize,
         /// The joint.
         name: String,
-        /// Where it is to be \[rad or m\].
+        /// The position \[rad or m\].
         place: f64,
         /// Its least position \[rad or m\].
         least: f64,
         /// Its greatest position \[rad or m\].
         most: f64,
     },
-    /// A place too far from the one before.
+    /// A position too far from the one before.
     #[error(
         "action {index}: {name} is to move by {way:.4}; at most {limit:.4} is allowed in {period_s} s"
     )]
@@ -80,7 +80,7 @@ pub enum Refusal {
         /// How long the action takes \[s\].
         period_s: f64,
     },
-    /// A gripper's opening that is none.
+    /// An invalid opening of the gripper.
     #[error("action {index}: {name} is {value}; expected 0 (closed) to 1 (open)")]
     Gripper {
         /// Which action.
@@ -124,7 +124,7 @@ pub enum Refusal {
         /// What came \[ns\].
         nanosec: u32,
     },
-    /// It was made from a frame of a time that has not come.
+    /// It was made from a frame stamped in the future.
     #[error(
         "{what} is stamped {ahead_s:.2} s ahead of this node's clock, at most {most_s:.1} s are accepted: synchronise the \
          clocks of the machines, or set use_sim_time on all nodes of a replay"
@@ -137,7 +137,7 @@ pub enum Refusal {
         /// How far it may be ahead \[s\].
         most_s: f64,
     },
-    /// It was made from a frame that the camera took before it ran again.
+    /// It was made from a frame before the end of the last freeze.
     #[error(
         "it was made from a frame {before_s:.2} s older than the first one after the camera's freeze"
     )]
@@ -145,7 +145,7 @@ pub enum Refusal {
         /// By how much \[s\].
         before_s: f64,
     },
-    /// It waited too long before it was looked at.
+    /// It is too old.
     #[error("it is {age_s:.2} s old; at most {most_s} s is allowed (max_age)")]
     Stale {
         /// Since its reception or, where it begins then, its stamp \[s\].
@@ -153,7 +153,7 @@ pub enum Refusal {
         /// The parameter max_age \[s\].
         most_s: f64,
     },
-    /// Its last action is over.
+    /// Its last action has ended.
     #[error("it came late: its last action was over {ago_s:.2} s ago")]
     Late {
         /// Since then \[s\].
@@ -178,34 +178,34 @@ pub enum Refusal {
         /// The parameter max_lead \[s\].
         most_s: f64,
     },
-    /// A newer one was taken already.
+    /// A newer one was accepted earlier.
     #[error("its stamp is {before_s:.2} s before that of the newest one that was taken")]
     Older {
         /// By how much \[s\].
         before_s: f64,
     },
-    /// More have yet to begin than are kept.
+    /// The queue of offers that begin later is full.
     #[error("{0} others have yet to begin; no more are kept")]
     Full(usize),
-    /// Something that must be there for a motion is not.
+    /// A condition of motion is missing.
     #[error(transparent)]
     Held(#[from] Hold),
     /// The model's predictions speak against it.
     #[error("vetoed: {0}")]
     Vetoed(#[from] Veto),
-    /// Its assessment did not come.
+    /// Its assessment did not arrive.
     #[error("no assessment came within {waited_s:.2} s; expected one, since veto_required is set")]
     Unassessed {
         /// How long it waited \[s\].
         waited_s: f64,
     },
-    /// More wait for their assessments than are kept.
+    /// The queue of offers that wait for assessments is full.
     #[error("{waiting} newer ones wait for their assessments; at most {waiting} are kept")]
     Crowded {
         /// How many are kept.
         waiting: usize,
     },
-    /// What it waited for is void: the node was armed, disarmed, stopped or reset.
+    /// It was dropped from the queue, because the node was armed, disarmed, stopped or reset.
     #[error("forgotten while it waited for its assessment")]
     Forgotten,
 }
@@ -229,7 +229,7 @@ impl Refusal {
             .map_err(|_| Self::Stamp { what, nanosec })
     }
 
-    /// Whether it is about lateness, which is reported once for all.
+    /// Whether the cause is lateness, which is reported once for all offers.
     pub fn is_late(&self) -> bool {
         matches!(self, Self::Late { .. } | Self::Behind { .. })
     }

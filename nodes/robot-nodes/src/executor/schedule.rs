@@ -1,10 +1,10 @@
-//! What is to be executed, and when.
+//! The schedule of accepted offers.
 
 use std::{collections::VecDeque, time::Duration};
 
 use super::{Layout, Moment, Offer, Rates, Refusal, Veto};
 
-/// Offers that may have yet to begin: more than come within the time that they may lie ahead.
+/// Most offers that begin later: more than arrive within `max_lead`.
 const MOST_NEXT: usize = 128;
 
 /// Share of an offer's span, and time \[ns\], by which the node's clock may be slower than real time until it ends.
@@ -19,7 +19,7 @@ struct Accepted {
 }
 
 impl Accepted {
-    /// Why it must not be executed at a moment, or no longer.
+    /// The reason not to execute it, or to end it, at a moment.
     fn expect_fresh(&self, now: Moment, max_age: Duration) -> Result<(), Refusal> {
         let age = self.received.age(now);
         match age > max_age {
@@ -41,7 +41,7 @@ impl Accepted {
         }
     }
 
-    /// Whether it is over by real time: its motions would take longer than their periods.
+    /// Whether it has ended by real time: its motions would take longer than their periods.
     fn is_outrun(&self, now: Moment) -> bool {
         let span_ns = self.offer.end_ns().saturating_sub(self.received.stamp_ns);
         let most_ns = span_ns
@@ -70,16 +70,16 @@ pub(super) enum Change {
     Begun,
     /// The offer was received too long ago.
     Stale,
-    /// The offer is over by real time, but not by the node's clock.
+    /// The offer has ended by real time, but not by the node's clock.
     Outrun,
-    /// The offer is over.
+    /// The offer has ended.
     Over {
         /// When it was \[ns\].
         end_ns: i64,
     },
 }
 
-/// The offer that is executed, and those after it by when they begin. Where one begins, the one before it ends.
+/// The current offer, and later ones by their beginning. When one begins, the one before it ends.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Schedule {
     current: Option<Accepted>,
@@ -90,7 +90,7 @@ impl Schedule {
     /// Takes an offer, which replaces those that would begin later.
     ///
     /// # Errors
-    /// [`Refusal::Full`] where too many have yet to begin.
+    /// [`Refusal::Full`] if too many begin later.
     pub fn push(&mut self, offer: Offer, received: Moment) -> Result<(), Refusal> {
         self.next
             .retain(|other| other.offer.begin_ns < offer.begin_ns);
@@ -107,23 +107,23 @@ impl Schedule {
         offers.map(|accepted| accepted.offer.made_ns).max()
     }
 
-    /// What is executed.
+    /// The offer that is executed.
     pub fn current(&self) -> Option<&Offer> {
         self.current.as_ref().map(|accepted| &accepted.offer)
     }
 
-    /// Whether nothing has begun, or has yet to.
+    /// Whether there is no offer.
     pub fn is_empty(&self) -> bool {
         self.current.is_none() && self.next.is_empty()
     }
 
-    /// Forgets everything; whether anything had begun.
+    /// Drops all offers; returns whether one had begun.
     pub fn clear(&mut self) -> bool {
         self.next.clear();
         self.current.take().is_some()
     }
 
-    /// Drops what `judge` vetoes: of what has begun, and of what has yet to begin.
+    /// Drops offers that `judge` vetoes; returns the causes of the current one and of later ones.
     pub fn veto(&mut self, judge: impl Fn(&Offer) -> Option<Veto>) -> (Option<Veto>, Vec<Veto>) {
         let of_current = self.current().and_then(&judge);
         if of_current.is_some() {
@@ -139,7 +139,7 @@ impl Schedule {
         (of_current, of_next)
     }
 
-    /// Drops plans of an older epoch; whether one had begun, and how many had not.
+    /// Drops plans of an older epoch; returns whether one had begun, and how many had not.
     pub fn drop_older(&mut self, epoch: u64) -> (bool, usize) {
         let is_older = |accepted: &Accepted| accepted.offer.epoch.is_some_and(|of| of < epoch);
         let before = self.next.len();
@@ -151,8 +151,8 @@ impl Schedule {
         )
     }
 
-    /// Goes on to a command period of `span_ns` that begins now. Gives the change, and why offers that were to begin by the
-    /// end of the period do not.
+    /// Advances to a command period of `span_ns` that begins now. Returns the change, and the reasons for offers that should
+    /// begin by its end and do not.
     pub fn advance(
         &mut self,
         now: Moment,
@@ -204,8 +204,8 @@ impl Schedule {
         (change, dropped)
     }
 
-    /// The motion from `from_ns` on, for `span_ns`; at its beginning joints are at `places`. An action is a motion over an
-    /// interval: the part of it that lies in that time counts.
+    /// The motion from `from_ns` on, for `span_ns`, with joints at `places` at its beginning. An action is a motion over an
+    /// interval: its part within that time counts.
     pub fn motion(
         &self,
         from_ns: i64,
@@ -226,6 +226,7 @@ impl Schedule {
             // The bounds keep the period above zero.
             let period_s = offer.period_ns as f64 / 1e9;
             let first = from_ns.saturating_sub(offer.begin_ns) / offer.period_ns.max(1);
+            // Negative: the offer begins later, so its first action counts.
             let first = usize::try_from(first).unwrap_or(0);
             for (index, values) in offer.actions.iter().enumerate().skip(first) {
                 let start_ns = offer.start_ns(index).max(from_ns);

@@ -10,7 +10,7 @@ use super::{
 /// The executor's settings.
 #[derive(Clone, Debug)]
 pub struct Settings {
-    /// Where motions stand in actions.
+    /// The layout of motions in actions.
     pub layout: Layout,
     /// The frame that actions and poses must have; empty: any.
     pub base_frame: String,
@@ -18,17 +18,17 @@ pub struct Settings {
     pub period: Duration,
     /// Bounds of a single action.
     pub bounds: Bounds,
-    /// How fast the arm may move.
+    /// Limits of velocity and acceleration.
     pub limits: Limits,
-    /// For how long after its reception an offer is executed.
+    /// How long after its reception an offer may be executed.
     pub max_age: Duration,
     /// When an offer begins.
     pub begin: Begin,
     /// How far in the future an offer may begin.
     pub max_lead: Duration,
-    /// Time within which the arm stands still once there is nothing to execute.
+    /// Time within which the arm comes to rest when there is nothing to execute.
     pub stop_within: Duration,
-    /// For how long zeros are sent after a motion.
+    /// How long zeros are sent after a motion.
     pub zero_for: Duration,
     /// Whether offers are tried out while it is not armed.
     pub dry_run: bool,

@@ -20,7 +20,7 @@ pub enum State {
 pub struct Status {
     /// The state.
     pub state: State,
-    /// Why the arm does not move, or moves other than its offer says; empty if it moves as offered.
+    /// Why the arm does not move, or moves differently from its offer; empty if it moves as offered.
     pub reason: String,
     /// One word for a missing condition of motion.
     pub hold: Option<&'static str>,

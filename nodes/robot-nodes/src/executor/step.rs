@@ -23,12 +23,12 @@ use super::{
 /// A clock that goes back by less is being adjusted; by more, it was set.
 const JUMP_NS: i64 = 100_000_000;
 
-/// What is to be done in a command period.
+/// The command of a period.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Command {
     /// Velocity along each axis for the whole period.
     pub velocity: Rates,
-    /// Of an arm that moves by joints, their positions at its end \[rad or m\].
+    /// For an arm commanded by joints, their positions at the end \[rad or m\].
     pub places: Option<Rates>,
     /// The gripper's opening, 0 closed to 1 open; `None` before an offer has named it.
     pub gripper: Option<f64>,
@@ -50,7 +50,7 @@ pub enum Output {
 pub struct Tick {
     /// The command.
     pub output: Output,
-    /// Why offers are not executed that waited for an assessment or for their beginning.
+    /// Refusals of offers that waited for an assessment or for their beginning.
     pub refused: Vec<Refusal>,
 }
 
@@ -86,12 +86,12 @@ pub enum ArmError {
     StopMismatch(String),
 }
 
-/// Whether commands go out.
+/// Whether commands are sent.
 #[derive(Clone, Debug, PartialEq)]
 enum Phase {
     DryRun,
     Armed,
-    /// Disarmed: commands go out until the arm stands still.
+    /// Disarmed: commands are sent until the arm stands still.
     Disarming(Cause),
     Stopped(Cause),
 }
@@ -161,7 +161,7 @@ impl ExecutorStep {
         }
     }
 
-    /// What can be chosen.
+    /// The settings.
     pub fn settings(&self) -> &Settings {
         &self.settings
     }
@@ -236,7 +236,7 @@ impl ExecutorStep {
         }
     }
 
-    /// A source that is late, once.
+    /// The report of a late source, once.
     pub fn take_late_notice(&mut self) -> Option<LateNotice> {
         self.lateness.take_notice()
     }
@@ -259,7 +259,7 @@ impl ExecutorStep {
         self.rest = None;
         self.velocity = self.still();
         if let Some(joints) = &mut self.settings.joints {
-            // Where they are, not where they were told to go.
+            // The measured positions, not the commanded ones.
             joints.settle();
         }
         self.gripper = None;
@@ -275,8 +275,7 @@ impl ExecutorStep {
         }
     }
 
-    /// Ends an emergency stop, and forgets all that is known of offers and predictions, and an encoder that has ended. The
-    /// node is not armed.
+    /// Ends an emergency stop, and drops all offers, predictions, and an encoder that has ended. The node is not armed.
     ///
     /// # Errors
     /// [`ArmError::Pressed`]: a publisher still presses the emergency stop.
@@ -297,10 +296,10 @@ impl ExecutorStep {
         Ok(())
     }
 
-    /// From now on commands go out. Offers of the dry run are forgotten: the first motion is of a later offer.
+    /// Starts to send commands. Offers of the dry run are dropped: the first motion is of a later offer.
     ///
     /// # Errors
-    /// [`ArmError`] says why not.
+    /// [`ArmError`] gives the reason.
     pub fn arm(&mut self) -> Result<(), ArmError> {
         match self.phase {
             Phase::Armed => return Ok(()),
@@ -321,7 +320,7 @@ impl ExecutorStep {
         Ok(())
     }
 
-    /// Commands decelerate to zero, and then none go out.
+    /// Commands decelerate to zero, and then stop.
     pub fn disarm(&mut self, cause: Cause) {
         if self.phase == Phase::Armed {
             self.forget();
@@ -329,7 +328,7 @@ impl ExecutorStep {
         }
     }
 
-    /// Forgets all offers.
+    /// Drops all offers.
     fn forget(&mut self) {
         self.counts.interrupted += u64::from(self.schedule.clear());
         // A length fits.

@@ -1,4 +1,4 @@
-//! Rules by which the world model's predictions speak against a chunk.
+//! Rules for vetoes of chunks by the world model's predictions.
 
 use std::{collections::VecDeque, time::Duration};
 
@@ -10,7 +10,7 @@ use super::{Offer, Source, offer::values};
 /// Candidates and assessments that are kept: those of the last images.
 const KEPT: usize = 8;
 
-/// Which predictions speak against a chunk. 0 turns a rule off.
+/// The rules for vetoes. 0 turns a rule off.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VetoSettings {
     /// Greatest cost to the goal after the last predicted step, as a multiple of that after the first.
@@ -27,7 +27,7 @@ pub struct VetoSettings {
     pub error_window: usize,
 }
 
-/// What speaks against a chunk.
+/// The reason for a veto.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum Veto {
@@ -52,7 +52,7 @@ pub enum Veto {
     /// It was assessed, but without the figure that a rule needs.
     #[error("its assessment has no {0}, which veto_required asks for")]
     Unknown(&'static str),
-    /// The model does not predict what happens here.
+    /// The model predicts poorly here.
     #[error(
         "the last {count} prediction errors are {ratio:.2} times those of persistence; at most {limit} is allowed"
     )]
@@ -66,12 +66,12 @@ pub enum Veto {
     },
 }
 
-/// What the rules say of an offer.
+/// The decision of the rules on an offer.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Verdict {
-    /// Nothing speaks against it.
+    /// It may be executed.
     Pass,
-    /// Its assessment has to come first.
+    /// It waits for its assessment.
     Unassessed,
     /// It must not be executed.
     Veto(Veto),
@@ -80,9 +80,9 @@ pub(super) enum Verdict {
 /// The figures of one candidate that rules are about.
 #[derive(Clone, Copy, Debug)]
 struct Figures {
-    /// The last cost by the first; none where no goal is known.
+    /// The last cost by the first; `None` without a goal.
     rise: Option<f64>,
-    /// None where no probe is loaded, or no instruction is known.
+    /// `None` without a probe or an instruction.
     success: Option<f64>,
 }
 
@@ -102,7 +102,7 @@ impl Figures {
 /// The actions of each chunk of a policy's choice.
 type Chunks = Vec<Vec<Vec<f32>>>;
 
-/// What is known of the model's predictions.
+/// The known figures of the model's predictions.
 #[derive(Clone, Debug)]
 pub(super) struct Vetoes {
     settings: VetoSettings,
@@ -156,7 +156,7 @@ impl Vetoes {
         self.errors.clear();
     }
 
-    /// What the rules say of an offer.
+    /// The decision of the rules on an offer.
     pub fn judge(&self, offer: &Offer) -> Verdict {
         if let Some(veto) = self.of_errors() {
             return Verdict::Veto(veto);
@@ -180,7 +180,7 @@ impl Vetoes {
             .find(|(actions, _)| **actions == offer.actions);
         let veto = match chosen {
             Some((_, figures)) => self.of_figures(figures),
-            // Nobody knows which of them it is: it may be any.
+            // It is unknown which of them was chosen.
             None => figures.iter().find_map(|figures| self.of_figures(figures)),
         };
         veto.map_or(Verdict::Pass, Verdict::Veto)
@@ -337,7 +337,7 @@ mod tests {
     }
 
     #[test]
-    fn of_several_candidates_the_chosen_one_counts_and_else_the_worst() {
+    fn the_chosen_candidate_counts_else_the_worst() {
         let figures = vec![assessed(&[0.5], 0.1), assessed(&[0.5], 0.9)];
         let mut vetoes = vetoes(SETTINGS, figures);
         assert!(matches!(vetoes.judge(&offer()), Verdict::Veto(_)));
@@ -352,7 +352,7 @@ mod tests {
     }
 
     #[test]
-    fn a_model_that_is_worse_than_persistence_vetoes_once_enough_is_known() {
+    fn a_model_worse_than_persistence_vetoes_after_enough_errors() {
         let mut vetoes = Vetoes::new(SETTINGS);
         let mut tell = |mse, count| {
             for _ in 0..count {

@@ -1,4 +1,4 @@
-//! The box that the end effector has to stay in.
+//! The box within which the end effector must stay.
 
 use std::time::{Duration, Instant};
 
@@ -13,7 +13,7 @@ type Axes = [f64; 3];
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum PoseError {
-    /// Numbers that are no pose.
+    /// An invalid pose.
     #[error("ee_pose: {0}")]
     Numbers(#[from] wm_wire::frames::pose::PoseError),
     /// A malformed stamp.
@@ -50,7 +50,7 @@ struct Measurement {
     age: Duration,
 }
 
-/// The box that the end effector has to stay in, and where it is.
+/// The box within which the end effector must stay, and its position.
 #[derive(Clone, Debug)]
 pub struct Workspace {
     least: Axes,
@@ -83,7 +83,7 @@ impl Workspace {
         self.measured = Some(Measurement { position, at, age });
     }
 
-    /// Where the end effector is, and for how long that has been known.
+    /// The position of the end effector, and its age.
     fn position(&self, now: Instant) -> Result<(Axes, Duration), Hold> {
         let Measurement { position, at, age } = self.measured.ok_or(Hold::NoPose)?;
         let timeout_s = self.timeout.as_secs_f64();
@@ -98,7 +98,7 @@ impl Workspace {
         Ok((position, age))
     }
 
-    /// Whether it is known where the end effector is.
+    /// Checks that the position of the end effector is known.
     ///
     /// # Errors
     /// [`Hold`] says why the arm may not move.
@@ -106,8 +106,8 @@ impl Workspace {
         self.position(now).map(drop)
     }
 
-    /// What is left of a linear velocity \[m/s\] so that the box is not left, or not further, and along which axes
-    /// something was cut. The nearer the side, the slower: the arm can stop in time.
+    /// A linear velocity \[m/s\], reduced so that the end effector does not leave the box, or not further, and the axes along
+    /// which it was reduced. The nearer the side, the slower: the arm can stop in time.
     ///
     /// # Errors
     /// [`Hold`] says why the arm may not move.

@@ -1,218 +1,223 @@
 //! The player on the wire.
 
-mod command;
 mod control;
+mod publication;
+mod wait;
 
 use super::{
     Settings,
     playback::{Playback, Step},
     playlist::Playlist,
-    settings::Parameters,
+    settings::{Parameters, has_clock},
     source::{Ahead, Source},
 };
-use crate::{ending::Ending, keyboard::Keyboard};
+use crate::{ending::Ending, keyboard::Keys};
 use anyhow::Result;
-use command::Command;
-use control::Asked;
+use control::BurstOrder;
 use std::collections::{BTreeMap, HashSet, VecDeque};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::time::{Instant, Interval, MissedTickBehavior};
+use tokio::time::Instant;
 use tracing::{error, info, warn};
-use wm_bag::{BagMessage, BagReader, BagWarning};
+use wait::{sleep_until, tick};
+use wm_bag::{BagReader, BagWarning};
 use wm_msgs::{
-    builtin_interfaces::Time, rosgraph_msgs::Clock, sensor_msgs::CompressedImage,
+    rosbag2_interfaces::{
+        Burst, GetRate, IsPaused, Pause, Play, PlayNext, Resume, Seek, SetRate, Stop, TogglePaused,
+    },
+    rosgraph_msgs::Clock,
+    sensor_msgs::CompressedImage,
     wm_msgs::ActionChunk,
 };
-use wm_ros::calls::Calls;
-use wm_ros::{
-    Direction, EndpointSet as _, EndpointSpec, Node, NodeArgs, NodeDefinition, ParameterSet as _,
-    Publisher, Qos, frame_trace,
-};
+use wm_ros::{Node, NodeDefinition, NodeProgram, Publisher, Qos, Requests, Service, Setup};
 
 /// The node.
-pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition {
-    name: "player",
-    about: "Plays a bag's messages at their times.",
-    parameters: Parameters::specs,
-    endpoints,
-    is_managed: false,
-    run: |args| run(args).map(ExitCode::from),
-    component: None,
-};
+pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition::of::<PlayerProgram>();
 
-/// Beside the bag's topics, where they are wanted: name and QoS.
-const CLOCK: (&str, Qos) = ("/clock", Qos::best_effort(1));
-const CHUNKS: (&str, Qos) = ("action_chunk", Qos::reliable(10));
-const GOAL: (&str, Qos) = ("goal/image/compressed", Qos::latched(1));
-
-fn endpoints() -> Vec<EndpointSpec> {
-    let published = Direction::Published;
-    let mut specs = vec![
-        EndpointSpec::topic::<Clock>(
-            published,
-            CLOCK.0,
-            CLOCK.1,
-            "The bag's time, with the parameters clock, clock_topics and clock_topics_all.",
-        ),
-        EndpointSpec::topic::<ActionChunk>(
-            published,
-            CHUNKS.0,
-            CHUNKS.1,
-            "The next actions of the bag, with action_chunk_length.",
-        ),
-        EndpointSpec::topic::<CompressedImage>(
-            published,
-            GOAL.0,
-            GOAL.1,
-            "The last frame of the bag, with goal.",
-        ),
-    ];
-    specs.extend(command::Services::specs());
-    specs
-}
-
-/// How long the graph must not change before the first message, where others are waited for.
-const QUIET: Duration = Duration::from_millis(500);
-
-/// Runs the player until the bag's end or a signal. `Err` where it cannot begin, `DataLost` where parts of the bag
-/// were unreadable or messages found no room in a publisher.
-///
-/// # Errors
-/// Names what is wrong with arguments, parameters or the bag.
-pub fn run(args: &NodeArgs) -> Result<Ending> {
-    args.expect_no_rest()?;
-    let mut ending = Ending::Complete;
-    wm_ros::run(
-        NODE.name,
-        wm_ros::NAMESPACE,
-        args,
-        async |node: Node| -> Result<()> {
-            ending = body(node).await?;
-            Ok(())
-        },
-    )?;
-    Ok(ending)
-}
-
-/// The node itself, in a process that may run other nodes too.
-///
-/// # Errors
-/// As [`run`].
-pub async fn body(node: Node) -> Result<Ending> {
-    let node = &node;
-    let settings = Settings::declare(node)?;
-    let (reader, playlist) = {
-        let (node, settings) = (node.clone(), settings.clone());
-        tokio::task::spawn_blocking(move || open(&node, &settings)).await??
-    };
-    let mut calls = command::serve(node)?;
-    let mut player = Player::new(node, settings, reader, playlist)?;
-    node.seal_endpoints()?;
-    let shutdown = node.shutdown();
-    tokio::select! {
-        result = player.play(&mut calls) => result?,
-        () = shutdown.wait() => info!("stopped before the end of the bag"),
+wm_ros::endpoints! {
+    /// Topics beside the bag's, and services.
+    struct Endpoints {
+        /// Published topics.
+        outlets: Outlets;
+        /// Requests of clients.
+        requests: Requests<Request>;
     }
-    Ok(player.report())
 }
 
-fn open(node: &Node, settings: &Settings) -> Result<(BagReader, Playlist)> {
-    let reader = BagReader::open(&settings.parameters.bag)?;
-    for warning in reader.warnings() {
-        warn!("{warning}");
+wm_ros::endpoints! {
+    /// Topics beside the bag's.
+    struct Outlets {
+        /// The bag's time, with the parameters clock, clock_topics and clock_topics_all.
+        clock: Option<Publisher<Clock>> = "/clock", qos(Qos::best_effort(1)), if(has_clock);
+        /// The next actions of the bag, with action_chunk_length.
+        chunks: Option<Publisher<ActionChunk>> = "action_chunk",
+            if(|node| Ok(node.parameter::<i64>("action_chunk_length")? > 0));
+        /// The last frame of the bag, with goal.
+        goal: Option<Publisher<CompressedImage>> = "goal/image/compressed", qos(Qos::latched(1)),
+            if(|node| node.parameter("goal"));
     }
-    let playlist = Playlist::new(&reader, settings, node)?;
-    Ok((reader, playlist))
 }
 
-struct Player {
-    node: Node,
+wm_ros::endpoints! {
+    /// Requests of rosbag2's services for players.
+    enum Request {
+        /// Pauses the playback.
+        Pause(Service<Pause>) = "~/pause";
+        /// Resumes the playback.
+        Resume(Service<Resume>) = "~/resume";
+        /// Pauses or resumes the playback.
+        TogglePaused(Service<TogglePaused>) = "~/toggle_paused";
+        /// Whether the playback is paused.
+        IsPaused(Service<IsPaused>) = "~/is_paused";
+        /// Playback rate: seconds of the bag per second.
+        GetRate(Service<GetRate>) = "~/get_rate";
+        /// Sets the playback rate.
+        SetRate(Service<SetRate>) = "~/set_rate";
+        /// Plays the next message of a paused playback.
+        PlayNext(Service<PlayNext>) = "~/play_next";
+        /// Plays the next messages of a paused playback.
+        Burst(Service<Burst>) = "~/burst";
+        /// Jumps to a time of the bag.
+        Seek(Service<Seek>) = "~/seek";
+        /// Starts a new playback, from the beginning or of a part.
+        Play(Service<Play>) = "~/play";
+        /// Ends the playback.
+        Stop(Service<Stop>) = "~/stop";
+    }
+}
+
+/// The node. It plays until the bag's end or a signal.
+struct PlayerProgram {
+    /// `DataLost` if parts of the bag were unreadable, or messages found no room in a publisher.
+    ending: Ending,
+}
+
+/// What is played.
+struct Bag {
     settings: Settings,
     reader: Arc<BagReader>,
     playlist: Playlist,
-    clock: Option<Publisher<Clock>>,
-    chunks: Option<Publisher<ActionChunk>>,
+}
+
+impl NodeProgram for PlayerProgram {
+    const NAME: &'static str = "player";
+    const ABOUT: &'static str = "Plays a bag's messages at their times.";
+    const RUNS_ALONE: bool = true;
+    type Parameters = Parameters;
+    type Endpoints = Endpoints;
+    type Resources = Bag;
+    type Error = anyhow::Error;
+
+    async fn load(node: &Node, parameters: &Arc<Parameters>) -> Result<Bag> {
+        let settings = Settings::new(Arc::clone(parameters))?;
+        let node = node.clone();
+        let open = move || -> Result<Bag> {
+            let reader = BagReader::open(&settings.parameters.bag)?;
+            for warning in reader.warnings() {
+                warn!("{warning}");
+            }
+            let playlist = Playlist::new(&reader, &settings, &node)?;
+            Ok(Bag {
+                settings,
+                reader: Arc::new(reader),
+                playlist,
+            })
+        };
+        tokio::task::spawn_blocking(open).await?
+    }
+
+    fn activate(_: &Setup<Self>) -> Result<Self> {
+        let ending = Ending::Complete;
+        Ok(Self { ending })
+    }
+
+    async fn run(&mut self, at: &mut Setup<Self>) -> Result<()> {
+        let Endpoints { outlets, requests } = &mut at.endpoints;
+        let mut player = Player::new(&at.node, &at.resources, outlets);
+        let shutdown = at.node.shutdown();
+        tokio::select! {
+            result = player.play(requests) => result?,
+            () = shutdown.wait() => info!("stopped before the end of the bag"),
+        }
+        self.ending = player.report();
+        Ok(())
+    }
+
+    fn finish(self, ended: Result<()>) -> Result<ExitCode> {
+        ended.map(|()| self.ending.into())
+    }
+}
+
+struct Player<'a> {
+    node: &'a Node,
+    settings: &'a Settings,
+    reader: &'a Arc<BagReader>,
+    playlist: &'a Playlist,
     /// Kept to the end: late joiners still get the goal.
-    goal: Option<Publisher<CompressedImage>>,
+    outlets: &'a Outlets,
     playback: Playback,
     /// The moment zero of the playback, and the node's time then \[ns\], as it was when playing began last.
     epoch: Instant,
     epoch_ns: i64,
     source: Source,
-    /// The next message; none where the source has yet to be asked for it, or has none.
+    /// The next message; `None` before the source has read it, and at the end.
     next: Option<Ahead>,
     is_read_to_the_end: bool,
     /// Whether no message has been read since the last jump.
     is_at_a_jump: bool,
     /// The first is being published.
-    asked: VecDeque<Asked>,
+    bursts: VecDeque<BurstOrder>,
     published: u64,
     unreadable: u64,
     kept_stamps: BTreeMap<Arc<str>, u64>,
     /// Messages that this middleware cannot send, by topic.
-    left_out: BTreeMap<Arc<str>, u64>,
+    dropped: BTreeMap<Arc<str>, u64>,
 }
 
-impl Player {
-    fn new(node: &Node, settings: Settings, reader: BagReader, playlist: Playlist) -> Result<Self> {
-        let clock = match settings.has_clock() {
-            true => Some(node.publisher(CLOCK.0, CLOCK.1)?),
-            false => None,
-        };
-        let chunks = match &playlist.chunks {
-            Some(_) => Some(node.publisher(CHUNKS.0, CHUNKS.1)?),
-            None => None,
-        };
-        let goal = match &playlist.goal {
-            Some(_) => Some(node.publisher(GOAL.0, GOAL.1)?),
-            None => None,
-        };
-        let reader = Arc::new(reader);
-        let plan = settings.plan(&reader);
-        let source = open_source(&reader, &playlist, &settings, plan.start_ns);
-        Ok(Self {
-            node: node.clone(),
-            playback: Playback::new(
-                plan,
-                settings.parameters.rate,
-                settings.parameters.is_starting_paused,
-                Duration::ZERO,
-            ),
+impl<'a> Player<'a> {
+    fn new(node: &'a Node, bag: &'a Bag, outlets: &'a Outlets) -> Self {
+        let Bag {
+            settings,
+            reader,
+            playlist,
+        } = bag;
+        let plan = settings.plan(reader);
+        let source = open_source(reader, playlist, settings, plan.start_ns);
+        let (rate, is_paused) = (
+            settings.parameters.rate,
+            settings.parameters.is_starting_paused,
+        );
+        Self {
+            node,
+            settings,
+            reader,
+            playlist,
+            outlets,
+            playback: Playback::new(plan, rate, is_paused, Duration::ZERO),
             epoch: Instant::now(),
             epoch_ns: 0,
             source,
             next: None,
             is_read_to_the_end: false,
             is_at_a_jump: true,
-            asked: VecDeque::new(),
-            settings,
-            reader,
-            playlist,
-            clock,
-            chunks,
-            goal,
+            bursts: VecDeque::new(),
             published: 0,
             unreadable: 0,
             kept_stamps: BTreeMap::new(),
-            left_out: BTreeMap::new(),
-        })
+            dropped: BTreeMap::new(),
+        }
     }
 
-    async fn play(&mut self, calls: &mut Calls<Command>) -> Result<()> {
+    async fn play(&mut self, requests: &mut Requests<Request>) -> Result<()> {
         self.wait_for_others().await;
-        let keys = calls.sender();
-        // a key that finds the queue full is pressed again
-        let on_key = move |key| drop(keys.try_send(Command::Key(key)));
-        let has_keyboard = self.settings.has_keyboard();
-        let keyboard = has_keyboard.then(|| Keyboard::listen(on_key)).flatten();
-        if keyboard.is_some() {
+        let mut keys = Keys::new(self.settings.has_keyboard());
+        if keys.are_read() {
             info!(
                 "keys: space pauses and resumes, right plays the next message, up and down change the rate"
             );
         }
-        let plan = self.settings.plan(&self.reader);
+        let plan = self.settings.plan(self.reader);
         self.epoch = Instant::now();
         info!(
             "playing {} ({:.1} s at rate {}){}",
@@ -231,10 +236,11 @@ impl Player {
             if self.playback.is_playing() && self.next.is_none() && !self.is_read_to_the_end {
                 tokio::select! {
                     next = self.source.next() => self.take(next),
-                    command = calls.next() => self.obey(command),
-                    () = tick(&mut ticks) => self.tell_time()?,
+                    Some(request) = requests.next_request() => self.obey(request),
+                    key = keys.next() => self.press(key),
+                    () = tick(&mut ticks) => self.publish_time()?,
                 }
-                self.answer_who_asked();
+                self.answer_bursts();
                 continue;
             }
             let next_ns = self
@@ -275,83 +281,19 @@ impl Player {
                     continue;
                 }
             };
-            self.answer_who_asked();
+            self.answer_bursts();
             tokio::select! {
                 () = sleep_until(until) => if step == Step::Ended { break },
-                command = calls.next() => self.obey(command),
-                () = tick(&mut ticks) => self.tell_time()?,
+                Some(request) = requests.next_request() => self.obey(request),
+                key = keys.next() => self.press(key),
+                () = tick(&mut ticks) => self.publish_time()?,
             }
         }
         self.wait_for_acknowledgments().await
     }
 
-    /// Waits, but not for ever, until the topics named in `wait_for` have a publisher and a subscriber.
-    async fn wait_for_others(&self) {
-        if self.settings.parameters.wait_for.is_empty() {
-            return;
-        }
-        let missing = || {
-            let mut missing = Vec::new();
-            for topic in &self.settings.parameters.wait_for {
-                match (
-                    self.node.count_publishers(topic),
-                    self.node.count_subscribers(topic),
-                ) {
-                    (Ok(0), _) => missing.push(format!("a publisher of {topic}")),
-                    (_, Ok(0)) => missing.push(format!("a subscriber of {topic}")),
-                    (Err(problem), _) | (_, Err(problem)) => missing.push(problem.to_string()),
-                    _ => {}
-                }
-            }
-            missing
-        };
-        let mut changes = self.node.graph_changes();
-        let all_there = async {
-            while !missing().is_empty() {
-                // an error means that the graph is gone; the timeout, or the shutdown, ends the wait then
-                if changes.changed().await.is_err() {
-                    std::future::pending::<()>().await;
-                }
-            }
-            // a topic may have further subscribers, and what is here has yet to see us: a node makes its endpoints
-            // one after another, so a graph that is quiet is a graph that is whole
-            while let Ok(Ok(())) = tokio::time::timeout(QUIET, changes.changed()).await {}
-        };
-        if tokio::time::timeout(self.settings.parameters.wait_timeout, all_there)
-            .await
-            .is_err()
-        {
-            let waited = self.settings.parameters.wait_timeout.as_secs_f64();
-            match missing().as_slice() {
-                [] => warn!("starting after {waited:.1} s although the graph is still changing"),
-                missing => warn!(
-                    "starting after {waited:.1} s without {}",
-                    missing.join(", ")
-                ),
-            }
-        }
-    }
-
-    /// Waits until reliable subscribers have everything, where that is wanted.
-    async fn wait_for_acknowledgments(&self) -> Result<()> {
-        let Some(limit) = self.settings.acknowledgment() else {
-            return Ok(());
-        };
-        let begin = Instant::now();
-        for (topic, track) in &self.playlist.tracks {
-            let left = limit.saturating_sub(begin.elapsed());
-            if track.is_reliable && !track.publisher.wait_for_acknowledgments(left).await? {
-                warn!(
-                    "{topic}: not all subscribers have acknowledged all messages after {:.1} s",
-                    limit.as_secs_f64()
-                );
-            }
-        }
-        Ok(())
-    }
-
     fn read_from(&mut self, bag_ns: u64) {
-        self.source = open_source(&self.reader, &self.playlist, &self.settings, bag_ns);
+        self.source = open_source(self.reader, self.playlist, self.settings, bag_ns);
         self.next = None;
         self.is_read_to_the_end = false;
         self.is_at_a_jump = true;
@@ -374,154 +316,11 @@ impl Player {
         }
     }
 
-    /// What comes before the messages from this log time on.
-    fn begin(&mut self, bag_ns: u64) -> Result<()> {
-        // at most the time since the system's start
-        let elapsed_ns = i64::try_from(self.epoch.elapsed().as_nanos()).unwrap_or(i64::MAX);
-        self.epoch_ns = self.node.now().to_nanos().saturating_sub(elapsed_ns);
-        // before what follows: nodes that follow the clock forget the old time first
-        if self.settings.parameters.clock_hz > 0.0 {
-            self.publish_clock(bag_ns)?;
-        }
-        self.publish_goal()?;
-        // before the first frame, which would find no chunk otherwise
-        self.publish_chunk(bag_ns)
-    }
-
-    fn publish_next(&mut self) -> Result<()> {
-        let Some(Ahead {
-            message: Ok(message),
-            ..
-        }) = self.next.take()
-        else {
-            return Ok(());
-        };
-        if let Some(asked) = self.asked.front_mut() {
-            asked.published += 1;
-        }
-        if message.topic.as_ref() == self.settings.parameters.action_topic {
-            self.publish_chunk(message.log_time_ns)?;
-        }
-        self.publish(&message)
-    }
-
-    /// The stamp that replaces `stamp_ns` of the bag.
-    fn stamp_ns(&self, stamp_ns: i64) -> i64 {
-        if self.settings.parameters.is_restamping {
-            self.epoch_ns
-                .saturating_add(self.playback.moment_ns(stamp_ns))
-        } else {
-            stamp_ns
-        }
-    }
-
-    fn publish(&mut self, message: &BagMessage) -> Result<()> {
-        let Some(track) = self.playlist.tracks.get(&message.topic) else {
-            return Ok(());
-        };
-        let mut data = message.data.clone();
-        let mut frame = None;
-        if let Some(stamped) = track.stamped {
-            let moved = stamped.restamp(&data, |stamp_ns| {
-                let moved_ns = self.stamp_ns(stamp_ns);
-                frame = track.is_camera.then(|| Time::from_nanos(moved_ns));
-                moved_ns
-            });
-            match moved {
-                Ok(moved) => data = moved,
-                Err(problem) => {
-                    let kept = self.kept_stamps.entry(message.topic.clone()).or_default();
-                    if *kept == 0 {
-                        warn!("{}: stamp kept: {problem}", message.topic);
-                    }
-                    *kept += 1;
-                }
-            }
-        }
-        let (publisher, is_clocked) = (track.publisher.clone(), track.is_clocked);
-        if is_clocked {
-            self.publish_clock(message.log_time_ns)?;
-        }
-        if let Some(frame) = frame {
-            frame_trace::passed("image due", frame);
-        }
-        let published = publisher.publish(data);
-        if let Some(frame) = frame {
-            frame_trace::passed("image published", frame);
-        }
-        match published {
-            Ok(()) => self.published += 1,
-            // one recorder's odd sample is no reason to stop the others
-            Err(problem @ wm_ros::Error::Representation { .. }) => {
-                let left_out = self.left_out.entry(message.topic.clone()).or_default();
-                if *left_out == 0 {
-                    error!("{}: message dropped: {problem}", message.topic);
-                }
-                *left_out += 1;
-            }
-            Err(problem) => return Err(problem.into()),
-        }
-        Ok(())
-    }
-
-    /// Publishes the chunk of the first action at or after this log time.
-    fn publish_chunk(&self, log_time_ns: u64) -> Result<()> {
-        if let (Some(publisher), Some(chunks)) = (&self.chunks, &self.playlist.chunks) {
-            let rate = if self.settings.parameters.is_restamping {
-                self.playback.rate()
-            } else {
-                1.0
-            };
-            let chunk = chunks.chunk(log_time_ns, rate, |stamp_ns| self.stamp_ns(stamp_ns));
-            if let Some(chunk) = chunk {
-                publisher.publish(&chunk)?;
-            }
-        }
-        Ok(())
-    }
-
-    fn publish_goal(&self) -> Result<()> {
-        if let (Some(publisher), Some(goal)) = (&self.goal, &self.playlist.goal) {
-            let mut goal = goal.clone();
-            goal.header.stamp = Time::from_nanos(self.stamp_ns(goal.header.stamp.to_nanos()));
-            publisher.publish(&goal)?;
-        }
-        Ok(())
-    }
-
-    fn clock_ticks(&self) -> Option<Interval> {
-        if self.settings.parameters.clock_hz <= 0.0 {
-            return None;
-        }
-        let mut ticks = tokio::time::interval(Duration::from_secs_f64(
-            1.0 / self.settings.parameters.clock_hz,
-        ));
-        ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
-        Some(ticks)
-    }
-
-    fn tell_time(&mut self) -> Result<()> {
-        let position_ns = self.playback.position_ns(self.epoch.elapsed());
-        self.publish_clock(position_ns)
-    }
-
-    fn publish_clock(&mut self, bag_ns: u64) -> Result<()> {
-        if let Some(clock) = &self.clock
-            && let Some(clock_ns) = self.playback.clock_ns(bag_ns)
-        {
-            let time_ns = i64::try_from(clock_ns).unwrap_or(i64::MAX);
-            clock.publish(&Clock {
-                clock: Time::from_nanos(time_ns),
-            })?;
-        }
-        Ok(())
-    }
-
-    /// Says what was lost, topic by topic.
+    /// Logs the losses, topic by topic.
     fn report(&self) -> Ending {
         let is_incomplete = self.reader.warnings().iter().any(BagWarning::is_loss);
         let mut is_lost = self.unreadable > 0 || is_incomplete;
-        for (topic, messages) in &self.left_out {
+        for (topic, messages) in &self.dropped {
             warn!(
                 "{topic}: {messages} message(s) dropped: they are not in a format that can be sent"
             );
@@ -546,30 +345,6 @@ impl Player {
         info!("played {} message(s)", self.published);
         Ending::lost_if(is_lost)
     }
-}
-
-/// The next tick of the clock; never where there is none.
-async fn tick(ticks: &mut Option<Interval>) {
-    match ticks {
-        Some(ticks) => {
-            ticks.tick().await;
-        }
-        None => std::future::pending().await,
-    }
-}
-
-/// tokio's timers count whole milliseconds and end after the moment: the thread itself sleeps the last ones, so that a
-/// frame leaves at the time of its stamp.
-const TIMER_STEPS: Duration = Duration::from_millis(2);
-
-async fn sleep_until(moment: Option<Instant>) {
-    let Some(moment) = moment else {
-        return std::future::pending().await;
-    };
-    if let Some(early) = moment.checked_sub(TIMER_STEPS) {
-        tokio::time::sleep_until(early).await;
-    }
-    std::thread::sleep(moment.saturating_duration_since(Instant::now()));
 }
 
 /// Reads from this log time on. The latched messages that are valid then come first.

@@ -5,8 +5,8 @@ use bytes::{Bytes, BytesMut};
 use thiserror::Error;
 use wm_bag::{Schema, SchemaEncoding};
 use wm_msgs::{
-    Message,
-    builtin_interfaces::{InvalidNanoseconds, Time},
+    InvalidNanoseconds, Message,
+    builtin_interfaces::Time,
     cdr::{self, CdrError},
     std_msgs::Header,
     tf2_msgs::TFMessage,

@@ -5,9 +5,10 @@ use crate::qos_overrides;
 use anyhow::{Result, bail, ensure};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Duration;
 use wm_bag::{BagReader, TopicFilter};
-use wm_ros::{Node, ParameterSet as _, Qos};
+use wm_ros::{Error, Node, Qos};
 
 /// Where a bag has its actions, unless the parameter says otherwise.
 pub(super) const ACTION_TOPIC: &str = "/wm/action";
@@ -89,11 +90,11 @@ wm_ros::parameters! {
     }
 }
 
-/// What the player does.
+/// The checked parameters.
 #[derive(Clone, Debug)]
 pub struct Settings {
-    /// What its parameters say.
-    pub parameters: Parameters,
+    /// As given.
+    pub parameters: Arc<Parameters>,
     /// Topics to play.
     pub topics: TopicFilter,
     /// Quality of service of topics whose own is not to be offered.
@@ -101,13 +102,11 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// Declares the player's parameters on `node` and reads them.
+    /// The settings by these parameters.
     ///
     /// # Errors
-    /// Names the parameter that is missing or out of range.
-    pub fn declare(node: &Node) -> Result<Self> {
-        let parameters = Parameters::declare(node)?;
-        node.seal_parameters()?;
+    /// Names the parameter that is missing or contradicts another.
+    pub fn new(parameters: Arc<Parameters>) -> Result<Self> {
         let given = |text: &str| Some(text.to_owned()).filter(|text| !text.is_empty());
         let settings = Self {
             topics: TopicFilter::new(
@@ -195,6 +194,15 @@ impl Settings {
         let is_clock = topic == "/clock" && self.has_clock();
         !is_clock && self.topics.wants(topic)
     }
+}
+
+/// Whether the node's parameters request `/clock`, as [`Settings::has_clock`].
+pub(super) fn has_clock(node: &Node) -> Result<bool, Error> {
+    let rate_hz: f64 = node.parameter("clock")?;
+    let topics: Vec<String> = node.parameter("clock_topics")?;
+    Ok(rate_hz > 0.0
+        || node.parameter("clock_topics_all")?
+        || topics.iter().any(|topic| !topic.is_empty()))
 }
 
 /// Log time at which a playback begins: that of the bag, or `offset` after the beginning of the recording itself.

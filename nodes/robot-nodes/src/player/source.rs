@@ -36,6 +36,7 @@ impl Source {
         tokio::task::spawn_blocking(move || {
             for message in messages {
                 let bytes = message.as_ref().map_or(0, |message| message.data.len());
+                // More than 4 GiB counts as 4 GiB, far above the queue's limit.
                 let bytes = u32::try_from(bytes.saturating_add(MESSAGE_BYTES)).unwrap_or(u32::MAX);
                 let share = Arc::clone(&shares).acquire_many_owned(bytes.min(AHEAD_BYTES));
                 // both fail where the player reads elsewhere, or is gone

@@ -71,7 +71,7 @@ wm_ros::parameters! {
     }
 }
 
-/// What the parameters mean.
+/// The checked parameters.
 #[derive(Clone)]
 pub(super) struct Options {
     /// Where bags are made.
@@ -92,11 +92,11 @@ pub(super) struct Options {
 }
 
 impl Options {
-    /// What the parameters mean.
+    /// The options by these parameters.
     ///
     /// # Errors
     /// Names the invalid parameter.
-    pub fn new(parameters: Parameters, node: &Node) -> Result<Self> {
+    pub fn new(parameters: &Parameters, node: &Node) -> Result<Self> {
         ensure!(
             !parameters.output.as_os_str().is_empty(),
             "parameter \"output\" is empty: give the folder for the new bag"
@@ -110,24 +110,24 @@ impl Options {
             (_, true) => Existing::Renamed,
             _ => Existing::Refused,
         };
-        let root = Some(parameters.root).filter(|root| !root.as_os_str().is_empty());
-        let resolved = |names: Vec<String>| -> Result<Vec<String>> {
-            let names = names.into_iter();
-            names.map(|name| Ok(node.resolve(&name)?)).collect()
+        let root = Some(parameters.root.clone()).filter(|root| !root.as_os_str().is_empty());
+        let resolved = |names: &[String]| -> Result<Vec<String>> {
+            let names = names.iter();
+            names.map(|name| Ok(node.resolve(name)?)).collect()
         };
         let given = |text: &str| Some(text.to_owned()).filter(|text| !text.is_empty());
         let selection = Selection {
             topics: TopicFilter::new(
-                resolved(parameters.topics)?,
+                resolved(&parameters.topics)?,
                 given(&parameters.regex).as_deref(),
-                resolved(parameters.exclude_topics)?,
+                resolved(&parameters.exclude_topics)?,
                 given(&parameters.exclude_regex).as_deref(),
             )?,
-            types: parameters.topic_types,
-            exclude_types: parameters.exclude_topic_types,
+            types: parameters.topic_types.clone(),
+            exclude_types: parameters.exclude_topic_types.clone(),
         };
         Ok(Self {
-            place: Place::new(parameters.output, root, existing)?,
+            place: Place::new(parameters.output.clone(), root, existing)?,
             selection,
             qos_overrides: qos_overrides::read(&parameters.qos_profile_overrides_path)?,
             is_snapshot: parameters.snapshot_mode,

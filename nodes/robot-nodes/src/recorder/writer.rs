@@ -14,7 +14,8 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 use tokio::sync::oneshot;
 use wm_bag::{
-    BagSummary, BagWriter, Durability, Latched, QosProfile, Schema, WriterOptions, known_qos,
+    BagSummary, BagWriter, Durability, LatchedMessages, QosProfile, Schema, WriterOptions,
+    known_qos,
 };
 
 /// Bytes of messages that may wait for the disk, unless told otherwise: forty raw 1080p pictures.
@@ -26,7 +27,7 @@ pub(super) const CHUNK_TIME: Duration = Duration::from_secs(1);
 /// Finished chunks are on the disk after this much time at the latest: with the open chunk, what a power cut may lose.
 pub(super) const SYNC_INTERVAL: Duration = Duration::from_secs(5);
 
-/// What the node sends to the bag's thread.
+/// An entry for the bag's thread.
 pub(super) enum Entry {
     /// A topic that is recorded from now on.
     Topic {
@@ -59,21 +60,21 @@ pub(super) struct Recording {
 
 /// Messages that wait for a snapshot.
 #[derive(Default)]
-struct Held {
+struct SnapshotBuffer {
     messages: VecDeque<Entry>,
     bytes: usize,
     latched_topics: HashSet<Arc<str>>,
     /// Latched messages that have left the queue and are still valid.
-    latched: Latched<Bytes>,
+    latched: LatchedMessages<Bytes>,
 }
 
-impl Held {
+impl SnapshotBuffer {
     /// Keeps a latched message that leaves the queue.
     fn keep(&mut self, entry: &Entry) {
         if let Entry::Message { topic, data, .. } = entry
             && self.latched_topics.contains(topic)
         {
-            self.latched.keep(topic, data, data.clone());
+            self.latched.add(topic, data, data.clone());
         }
     }
 
@@ -111,7 +112,7 @@ pub(super) struct Queue {
     /// Most bytes that may wait; a message that is larger by itself may wait alone.
     limit: usize,
     /// In snapshot mode: the latest messages, of at most `limit` bytes, which go to the disk when they are asked for.
-    held: Option<Arc<Mutex<Held>>>,
+    held: Option<Arc<Mutex<SnapshotBuffer>>>,
     failure: Arc<Mutex<Option<String>>>,
 }
 
@@ -176,7 +177,7 @@ impl Queue {
         let failure = self.failure.lock().unwrap_or_else(PoisonError::into_inner);
         anyhow!(
             "the bag cannot be written: {}",
-            failure.as_deref().unwrap_or_default()
+            failure.as_deref().unwrap_or("its thread has ended")
         )
     }
 }

@@ -14,7 +14,7 @@ use wm_msgs::{
     visualization_msgs::MarkerArray,
     wm_msgs::{Action, Goal, Reset},
 };
-use wm_ros::{Endpoint as _, Publisher, Qos, Subscription};
+use wm_ros::{Publisher, Qos, Requests, Service, Subscription};
 use wm_sim::{BASE_FRAME, INSTRUCTION_TOPIC, SUCCESS_TOPIC};
 use wm_wire::transport::{ImagePublisher, Pictures, Transports};
 
@@ -26,17 +26,25 @@ const FAREWELL: Duration = Duration::from_millis(300);
 wm_ros::endpoints! {
     /// Topics and services.
     pub(super) struct Endpoints {
-        /// What the arm is told.
+        /// Commands.
         pub(super) inlets: Inlets;
-        /// What the arm tells.
+        /// What the arm shows.
         pub(super) outlets: Outlets;
-        /// Begins the task anew, with the seed and the parameter task.
-        pub(super) reset: wm_ros::Service<Reset> = "~/reset";
+        /// Requests of clients.
+        pub(super) requests: Requests<Request>;
     }
 }
 
 wm_ros::endpoints! {
-    /// What the arm is told.
+    /// Requests of clients.
+    pub(super) enum Request {
+        /// Begins the task anew, with the seed and the parameter task.
+        Reset(Service<Reset>) = "~/reset";
+    }
+}
+
+wm_ros::endpoints! {
+    /// Commands.
     pub(super) struct Inlets {
         /// Velocities of the tool in the base frame. The newest one counts.
         pub(super) twists: Subscription<TwistStamped> = "command/twist", qos(Qos::best_effort(1));
@@ -50,22 +58,18 @@ wm_ros::endpoints! {
 }
 
 wm_ros::endpoints! {
-    /// What the arm tells.
+    /// Pictures, poses and the state of the task.
     pub(super) struct Outlets {
         /// What the camera sees, 256 by 256, after each step.
         pub(super) pictures: ImagePublisher = "/camera/image_raw";
         /// How the camera sees, with each picture.
         pub(super) camera_infos: Publisher<CameraInfo> = "/camera/camera_info";
         /// What the second camera sees, with front_camera.
-        pub(super) front_pictures: Option<ImagePublisher> = "/front_camera/image_raw", made(|node, name, qos| {
-            let is_wanted: bool = node.parameter("front_camera")?;
-            is_wanted.then(|| ImagePublisher::make(node, name, qos)).transpose()
-        });
+        pub(super) front_pictures: Option<ImagePublisher> = "/front_camera/image_raw",
+            if(|node| node.parameter("front_camera"));
         /// How it sees.
-        pub(super) front_infos: Option<Publisher<CameraInfo>> = "/front_camera/camera_info", made(|node, name, qos| {
-            let is_wanted: bool = node.parameter("front_camera")?;
-            is_wanted.then(|| node.publisher(name, qos)).transpose()
-        });
+        pub(super) front_infos: Option<Publisher<CameraInfo>> = "/front_camera/camera_info",
+            if(|node| node.parameter("front_camera"));
         /// What it would see once the task is done.
         pub(super) goals: ImagePublisher = "goal/image", qos(Qos::latched(1));
         /// The same as a goal of one or several pictures, as goal_period has it.
@@ -91,15 +95,11 @@ wm_ros::endpoints! {
         /// Their names: a class_id is the place in objects.
         pub(super) object_names: Publisher<LabelInfo> = "~/object_names", qos(Qos::latched(1));
         /// The time, with a real_time_factor other than 1.
-        pub(super) clock: Option<Publisher<Clock>> = "/clock", qos(Qos::reliable(1)), made(|node, name, qos| {
-            let factor: f64 = node.parameter("real_time_factor")?;
-            (factor != 1.0).then(|| node.publisher(name, qos)).transpose()
-        });
+        pub(super) clock: Option<Publisher<Clock>> = "/clock", qos(Qos::reliable(1)),
+            if(|node| Ok(node.parameter::<f64>("real_time_factor")? != 1.0));
         /// What was done in each step, with publish_action; its stamp is that of the picture before.
-        pub(super) actions: Option<Publisher<Action>> = "action", made(|node, name, qos| {
-            let is_wanted: bool = node.parameter("publish_action")?;
-            is_wanted.then(|| node.publisher(name, qos)).transpose()
-        });
+        pub(super) actions: Option<Publisher<Action>> = "action",
+            if(|node| node.parameter("publish_action"));
         /// Where the tool or an object is to be (ns goal), while somebody subscribes.
         pub(super) shapes: Publisher<MarkerArray> = "markers", qos(Qos::reliable(4));
         /// What is missing to the goal [m].
@@ -161,7 +161,7 @@ impl Names {
 }
 
 impl Outlets {
-    /// Says what does not change until a reset: the task, its goal, the arm, and where the cameras are.
+    /// Publishes what does not change until a reset: the task, its goal, the arm, and where the cameras are.
     pub(super) fn announce(
         &self,
         step: &SimArmStep,
@@ -183,8 +183,8 @@ impl Outlets {
         Ok(())
     }
 
-    /// Tells the time, where the arm makes it.
-    pub(super) fn tell_time(&self, now_ns: i64) -> Result<()> {
+    /// Publishes the time, if the arm makes it.
+    pub(super) fn publish_time(&self, now_ns: i64) -> Result<()> {
         if let Some(clock) = &self.clock {
             clock.publish(&Clock {
                 clock: Time::from_nanos(now_ns),
@@ -193,7 +193,7 @@ impl Outlets {
         Ok(())
     }
 
-    /// Tells what came of a step.
+    /// Publishes the result of a step.
     pub(super) fn publish(&self, step: &SimArmStep, tick: &Tick, names: &Names) -> Result<()> {
         if let (Some(actions), Some(done)) = (&self.actions, &tick.done) {
             actions.publish(&message::action(done, &names.base))?;
@@ -220,7 +220,7 @@ impl Outlets {
         Ok(())
     }
 
-    /// Shows pictures.
+    /// Publishes pictures.
     pub(super) fn show(&self, shown: &[Shown]) -> Result<()> {
         for Shown {
             view,

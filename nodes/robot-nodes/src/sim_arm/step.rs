@@ -12,7 +12,7 @@ use wm_msgs::{
 };
 use wm_sim::{
     EndEffectorAction, Environment, GoalKind, LARGEST_STEP_M, LARGEST_TURN_RAD, STEP_S, Target,
-    Variety, World, arm::ToolPose, render,
+    ToolPose, Variety, World, render,
 };
 
 use crate::{displacement::Displacement, executor::Velocity};

@@ -67,7 +67,7 @@ impl ArmTime {
     }
 
     /// A command has come at `received`: when that was \[ns\].
-    pub(super) fn heard(&self, received: Time) -> i64 {
+    pub(super) fn at(&self, received: Time) -> i64 {
         match self {
             Self::Clock(_) => received.to_nanos(),
             Self::Made(made) => made.now_ns,
@@ -211,6 +211,6 @@ mod tests {
         assert!(due(&time, true).is_some());
         time.answer();
         assert_eq!(due(&time, true), None);
-        assert_eq!(time.heard(Time::from_nanos(7)), STEP_NS + 5);
+        assert_eq!(time.at(Time::from_nanos(7)), STEP_NS + 5);
     }
 }

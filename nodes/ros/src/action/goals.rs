@@ -84,7 +84,7 @@ impl Refused {
 
 /// What a request for a result leads to.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) enum Asked<R> {
+pub(super) enum Availability<R> {
     /// The goal has ended.
     Ended(R),
     /// It is answered when the goal ends; whether an older request was forgotten for it.
@@ -222,18 +222,18 @@ impl<R: Clone, W> Goals<R, W> {
     }
 
     /// Asks for the result of a goal.
-    pub(super) fn ask(&mut self, id: GoalId, who: W, now: Instant) -> Asked<R> {
+    pub(super) fn ask(&mut self, id: GoalId, who: W, now: Instant) -> Availability<R> {
         self.expire(now);
         match self.find_mut(id).map(|goal| &mut goal.state) {
-            None => Asked::Unknown,
-            Some(State::Ended { result, .. }) => Asked::Ended(result.clone()),
+            None => Availability::Unknown,
+            Some(State::Ended { result, .. }) => Availability::Ended(result.clone()),
             Some(State::Live { waiting, .. }) => {
                 let forgot = waiting.len() >= MOST_WAITING;
                 if forgot {
                     waiting.remove(0);
                 }
                 waiting.push(who);
-                Asked::Later { forgot }
+                Availability::Later { forgot }
             }
         }
     }

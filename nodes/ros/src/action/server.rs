@@ -2,11 +2,12 @@
 
 use super::{
     GoalId, GoalStatus,
-    goals::{Asked, End, Goals},
+    goals::{Availability, End, Goals},
 };
 use crate::{
     Clock, Error, Publisher, RawPublisher,
     backend::{Reader, RequestId, Sample, Sink, Writer},
+    requests::Arrival,
     service::{self, RawCall, RawService},
 };
 use bytes::Bytes;
@@ -174,12 +175,12 @@ impl Core {
     }
 
     fn ask(&self, id: GoalId, who: RequestId, unknown: &Bytes) {
-        let asked = self.goals().ask(id, who, Instant::now());
-        match asked {
-            Asked::Ended(result) => self.answer(result, who),
-            Asked::Unknown => self.answer(unknown.clone(), who),
-            Asked::Later { forgot: false } => {}
-            Asked::Later { forgot: true } => tracing::warn!(
+        let availability = self.goals().ask(id, who, Instant::now());
+        match availability {
+            Availability::Ended(result) => self.answer(result, who),
+            Availability::Unknown => self.answer(unknown.clone(), who),
+            Availability::Later { forgot: false } => {}
+            Availability::Later { forgot: true } => tracing::warn!(
                 "{}: too many wait for the result of the goal {id}; the oldest is dropped",
                 self.name
             ),
@@ -285,6 +286,11 @@ impl<A: Action> ActionServer<A> {
                 core: Arc::clone(&self.core),
             });
         }
+    }
+
+    /// When its oldest waiting goal arrived.
+    pub(crate) fn arrival(&self) -> Arrival {
+        self.requests.arrival()
     }
 
     /// The action's absolute name.

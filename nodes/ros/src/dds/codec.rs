@@ -1,4 +1,4 @@
-//! Samples as rustdds hands them over: the CDR bytes with their 4-byte header, whatever the type.
+//! Samples for rustdds: CDR bytes with their 4-byte header, of any type.
 
 use bytes::{BufMut as _, Bytes, BytesMut};
 use rustdds::{
@@ -13,8 +13,8 @@ pub(super) const HEADER_LEN: usize = 4;
 /// Passes bytes through.
 pub(super) struct Raw;
 
-/// The representations whose bytes are passed on. Decoding them is up to the reader; XCDR2 is among them so that a
-/// recorder can keep what it cannot read.
+/// The representations that are passed on. Readers decode them. XCDR2 is included so that a recorder can keep samples
+/// that it cannot decode.
 const ENCODINGS: [RepresentationIdentifier; 4] = [
     RepresentationIdentifier::CDR_LE,
     RepresentationIdentifier::CDR_BE,
@@ -22,7 +22,7 @@ const ENCODINGS: [RepresentationIdentifier; 4] = [
     RepresentationIdentifier::XCDR2_BE,
 ];
 
-/// Puts the header back in front, which rustdds takes off.
+/// Restores the header that rustdds removes.
 #[derive(Clone)]
 pub(super) struct RawDecoder;
 
@@ -67,7 +67,7 @@ impl SerializerAdapter<Bytes> for Raw {
         RepresentationIdentifier::CDR_LE
     }
 
-    /// The body; the writer has checked the header.
+    /// Removes the header; the writer has checked it.
     fn to_bytes(sample: &Bytes) -> Result<Bytes, Infallible> {
         Ok(sample.slice(HEADER_LEN.min(sample.len())..))
     }

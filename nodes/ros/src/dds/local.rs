@@ -1,6 +1,5 @@
-//! Delivery within the participant. rustdds does not connect a participant's writers with its own readers where no
-//! multicast reflects its announcements, which is so on loopback; where it does connect them, its samples are
-//! ignored in favour of these.
+//! Delivery within the process, without encoding. rustdds connects a participant's writers with its own readers only if
+//! multicast reflects its announcements, which loopback does not. If it does connect them, readers ignore its samples.
 
 use super::{
     lock::lock,
@@ -17,10 +16,10 @@ use std::{
     sync::{Arc, Mutex},
 };
 
-/// Samples that may wait for a reader's task, which hands them on at once.
+/// Samples that wait for a reader's task.
 pub(super) const WAITING: usize = 512;
 
-/// What makes two endpoints ends of one topic.
+/// Two endpoints with equal topics are connected if their QoS matches.
 #[derive(Clone, PartialEq, Eq)]
 struct Topic {
     name: String,
@@ -30,7 +29,7 @@ struct Topic {
 struct LocalWriter {
     topic: Topic,
     qos: Qos,
-    /// The last `depth` samples, for readers that come late; none for a volatile writer.
+    /// The last `depth` samples for late readers; empty for a volatile writer.
     history: VecDeque<Sample>,
 }
 
@@ -46,7 +45,7 @@ struct Table {
     readers: BTreeMap<EndpointId, LocalReader>,
 }
 
-/// The endpoints of this participant and what they say to each other.
+/// The endpoints of this process and the delivery between them.
 #[derive(Default)]
 pub(super) struct Local {
     table: Mutex<Table>,
@@ -69,7 +68,7 @@ impl Local {
         lock(&self.table).writers.insert(id, writer);
     }
 
-    /// The reader's inbox, which holds what is latched already.
+    /// Returns the reader's inbox, which already holds the latched samples.
     pub(super) fn add_reader(&self, id: EndpointId, endpoint: &Endpoint) -> Arc<Mailbox<Sample>> {
         let inbox = Arc::new(Mailbox::new(WAITING));
         let reader = LocalReader {
@@ -99,7 +98,6 @@ impl Local {
         table.readers.remove(id);
     }
 
-    /// Hands a sample to the readers of its topic.
     pub(super) fn deliver(
         &self,
         writer: EndpointId,
@@ -112,7 +110,7 @@ impl Local {
         let Some(from) = writers.get_mut(&writer) else {
             return;
         };
-        // As on the wire: a request is known by its writer and number, an answer by the request's.
+        // As on the wire: writer and number identify a request, the request's identity its response.
         let request = answers.unwrap_or(RequestId {
             client: writer,
             sequence,
@@ -134,7 +132,7 @@ impl Local {
         }
     }
 
-    /// How many endpoints of this participant the endpoint is connected to.
+    /// How many endpoints of this process are connected to the endpoint.
     pub(super) fn matched(&self, id: &EndpointId) -> usize {
         let table = lock(&self.table);
         if let Some(writer) = table.writers.get(id) {
@@ -156,11 +154,6 @@ impl Local {
 
 fn connects(writer: &LocalWriter, reader: &LocalReader) -> bool {
     writer.topic == reader.topic && reader.qos.matches(&writer.qos)
-}
-
-/// Whether both endpoints are of one participant: the first twelve bytes name it.
-pub(super) fn is_same_participant(one: &EndpointId, other: &EndpointId) -> bool {
-    one.get(..12) == other.get(..12)
 }
 
 #[cfg(test)]
@@ -188,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn samples_go_to_the_readers_that_match() {
+    fn samples_reach_only_matching_readers() {
         let local = Local::default();
         let [writer, reader, picky, other] = [1, 2, 3, 4].map(|byte| [byte; 16]);
         local.add_writer(writer, &endpoint("/a", Qos::best_effort(1)));
@@ -217,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn late_readers_get_the_last_depth_samples_if_they_ask() {
+    fn late_latched_reader_gets_the_last_samples() {
         let local = Local::default();
         let [writer, late, volatile] = [1, 2, 3].map(|byte| [byte; 16]);
         local.add_writer(writer, &endpoint("/a", Qos::latched(2)));

@@ -1,8 +1,8 @@
-//! Locks that a panic elsewhere does not spoil.
+//! Locks that ignore poisoning.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// What a lock guards is whole between statements, so a panic elsewhere is no reason to stop.
+/// The guarded values are consistent between statements, so they outlive a panic.
 pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

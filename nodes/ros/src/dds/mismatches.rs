@@ -1,6 +1,6 @@
-//! Endpoints on one topic that cannot communicate, because one requests more than the other offers or has a different
-//! type. This is a frequent problem in ROS 2, so each pair is logged once, with the policy or the types at fault, and
-//! stays on the diagnostics while both exist.
+//! Endpoints on one topic that cannot communicate: one requests more than the other offers, or their types differ. This
+//! is frequent in ROS 2. So each pair is logged once, with the policy or the types, and stays on the diagnostics while
+//! both exist.
 
 use super::{lock::lock, qos};
 use crate::backend::EndpointId;
@@ -10,22 +10,29 @@ use std::{
     sync::Mutex,
 };
 
-/// Mismatches that are remembered of an own endpoint; more are only logged. The limit is not a common one: many mismatches
-/// on one topic must not hide that of an emergency stop.
+/// Mismatches stored per own endpoint; further ones are only logged. The limit is per endpoint, so that many mismatches
+/// on one topic do not hide a mismatch of an emergency stop.
 const LIMIT: usize = 64;
 
-/// In words, by own endpoint and other.
-type Known = BTreeMap<(EndpointId, EndpointId), String>;
+/// Explanations, by own endpoint and remote endpoint.
+type Explanations = BTreeMap<(EndpointId, EndpointId), String>;
 
-fn of_endpoint<'a>(known: &'a Known, own: &EndpointId) -> impl Iterator<Item = &'a String> {
+fn of_endpoint<'a>(known: &'a Explanations, own: &EndpointId) -> impl Iterator<Item = &'a String> {
     let all = (*own, EndpointId::default())..=(*own, [u8::MAX; 16]);
     known.range(all).map(|(_, text)| text)
 }
 
+fn role(is_publisher: bool) -> &'static str {
+    match is_publisher {
+        true => "a publisher",
+        false => "a subscription",
+    }
+}
+
 #[derive(Default)]
 pub(super) struct Mismatches {
-    known: Mutex<Known>,
-    /// Own readers with siblings in the same subscription, which receive from the publishers that they exclude.
+    known: Mutex<Explanations>,
+    /// Own readers with siblings in the same subscription; the siblings receive from the publishers that these exclude.
     tolerant: Mutex<BTreeSet<EndpointId>>,
 }
 
@@ -33,44 +40,20 @@ impl Mismatches {
     /// A sibling of this reader receives from the publishers that its reliability or durability excludes.
     pub(super) fn tolerate(&self, own: EndpointId) {
         lock(&self.tolerant).insert(own);
-        // No other mismatch of so new a reader can be known yet.
+        // a reader this new has no other mismatches yet
         lock(&self.known).retain(|(endpoint, _), _| *endpoint != own);
     }
 
-    /// A subscription elsewhere requests more than the own publisher offers.
-    pub(super) fn subscription(
+    /// A remote endpoint and the own one have incompatible QoS.
+    pub(super) fn policies(
         &self,
         own: EndpointId,
         other: EndpointId,
         topic: Option<String>,
-        requested: &QosPolicies,
-        offered: &QosPolicies,
+        is_publisher: bool,
+        (requested, offered): (&QosPolicies, &QosPolicies),
     ) {
-        self.add(own, other, topic, "a subscription", requested, offered);
-    }
-
-    /// A publisher elsewhere offers less than the own subscription requests.
-    pub(super) fn publisher(
-        &self,
-        own: EndpointId,
-        other: EndpointId,
-        topic: Option<String>,
-        requested: &QosPolicies,
-        offered: &QosPolicies,
-    ) {
-        self.add(own, other, topic, "a publisher", requested, offered);
-    }
-
-    fn add(
-        &self,
-        own: EndpointId,
-        other: EndpointId,
-        topic: Option<String>,
-        what: &str,
-        requested: &QosPolicies,
-        offered: &QosPolicies,
-    ) {
-        // None where the two agree by now: the event is older than the change.
+        // `None` if the two match by now: the event is older than the change
         let Some(policy) = offered.compliance_failure_wrt(requested) else {
             return;
         };
@@ -79,16 +62,17 @@ impl Mismatches {
             return;
         }
         let topic = topic.unwrap_or_else(|| "a service".to_owned());
+        let what = role(is_publisher);
         let text = format!(
             "{topic}: not connected to {what} because of incompatible {policy:?}: the subscription requests `{}`, the \
              publisher offers `{}`; change one of them, for example with qos_overrides",
             qos::from_dds(requested),
             qos::from_dds(offered)
         );
-        self.know(own, other, text);
+        self.insert(own, other, text);
     }
 
-    /// An endpoint elsewhere has a different type. rustdds connects the two all the same; others do not.
+    /// A remote endpoint has a different type. rustdds connects the two anyway; other implementations do not.
     pub(super) fn types(
         &self,
         own: EndpointId,
@@ -97,17 +81,14 @@ impl Mismatches {
         (own_type, other_type): (&str, &str),
         is_publisher: bool,
     ) {
-        let what = match is_publisher {
-            true => "a publisher",
-            false => "a subscription",
-        };
+        let what = role(is_publisher);
         let text = format!(
             "{topic}: {what} has the type {other_type}, but this node uses {own_type}: they cannot communicate"
         );
-        self.know(own, other, text);
+        self.insert(own, other, text);
     }
 
-    fn know(&self, own: EndpointId, other: EndpointId, text: String) {
+    fn insert(&self, own: EndpointId, other: EndpointId, text: String) {
         let mut known = lock(&self.known);
         let is_known = known.contains_key(&(own, other));
         let is_new = match is_known || of_endpoint(&known, &own).count() < LIMIT {
@@ -120,7 +101,7 @@ impl Mismatches {
         }
     }
 
-    /// Why other endpoints are not connected to this one.
+    /// Explains the mismatches of this endpoint.
     pub(super) fn of(&self, own: &EndpointId) -> Vec<String> {
         let known = lock(&self.known);
         let mut texts: Vec<String> = of_endpoint(&known, own).cloned().collect();
@@ -144,7 +125,7 @@ mod tests {
     use crate::Qos;
 
     #[test]
-    fn other_types_are_named() {
+    fn mismatch_names_both_types() {
         let mismatches = Mismatches::default();
         let types = ("sensor_msgs/msg/Image", "std_msgs/msg/String");
         mismatches.types([1; 16], [2; 16], "/camera/image_raw", types, true);
@@ -157,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn many_mismatches_of_one_endpoint_hide_no_other() {
+    fn limit_of_mismatches_is_per_endpoint() {
         let mismatches = Mismatches::default();
         let types = ("std_msgs/msg/Bool", "std_msgs/msg/String");
         mismatches.types([1; 16], [2; 16], "/emergency_stop", types, true);
@@ -172,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mismatch_is_named_once_and_forgotten_with_its_endpoints() {
+    fn mismatch_is_listed_once_until_its_endpoints_leave() {
         let mismatches = Mismatches::default();
         let (wants, offers) = (
             qos::for_reader(Qos::latched(1)),
@@ -180,7 +161,7 @@ mod tests {
         );
         let topic = || Some("/wm/plan".to_owned());
         for other in [2, 3, 3] {
-            mismatches.publisher([1; 16], [other; 16], topic(), &wants, &offers);
+            mismatches.policies([1; 16], [other; 16], topic(), true, (&wants, &offers));
         }
         let texts = mismatches.of(&[1; 16]);
         let [text] = &texts[..] else {
@@ -199,32 +180,32 @@ mod tests {
 
         let best_effort = qos::for_writer(Qos::best_effort(1));
         let reliable = qos::for_reader(Qos::reliable(1));
-        mismatches.subscription([1; 16], [2; 16], topic(), &reliable, &best_effort);
+        mismatches.policies([1; 16], [2; 16], topic(), false, (&reliable, &best_effort));
         assert!(
             mismatches.of(&[1; 16])[0]
                 .contains("a subscription because of incompatible Reliability")
         );
-        mismatches.subscription([1; 16], [4; 16], topic(), &best_effort, &reliable);
+        mismatches.policies([1; 16], [4; 16], topic(), false, (&best_effort, &reliable));
         assert_eq!(mismatches.of(&[1; 16]).len(), 1, "these two do match");
     }
 
     #[test]
-    fn a_reader_with_siblings_has_no_mismatch_of_reliability() {
+    fn reader_with_siblings_has_no_reliability_mismatch() {
         let mismatches = Mismatches::default();
         let (wants, offers) = (
             qos::for_reader(Qos::reliable(1)),
             qos::for_writer(Qos::best_effort(1)),
         );
         let own = [1; 16];
-        mismatches.publisher(own, [2; 16], None, &wants, &offers);
+        mismatches.policies(own, [2; 16], None, true, (&wants, &offers));
         assert_eq!(mismatches.of(&own).len(), 1);
         mismatches.tolerate(own);
-        mismatches.publisher(own, [3; 16], None, &wants, &offers);
+        mismatches.policies(own, [3; 16], None, true, (&wants, &offers));
         assert_eq!(mismatches.of(&own), [""; 0]);
         mismatches.types(own, [4; 16], "/stop", ("a/msg/A", "b/msg/B"), true);
         assert_eq!(mismatches.of(&own).len(), 1);
         mismatches.forget_own(&own);
-        mismatches.publisher(own, [2; 16], None, &wants, &offers);
+        mismatches.policies(own, [2; 16], None, true, (&wants, &offers));
         assert_eq!(mismatches.of(&own).len(), 1);
     }
 }

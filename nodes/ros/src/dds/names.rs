@@ -1,11 +1,11 @@
-//! ROS' names and types in DDS, and back.
+//! Conversion of names and types between ROS and DDS.
 
 use crate::{
     backend::{Channel, Endpoint},
     names::TypeKind,
 };
 
-/// ROS 2's spelling of a name in DDS: <https://design.ros2.org/articles/topic_and_service_names.html>.
+/// See <https://design.ros2.org/articles/topic_and_service_names.html>.
 pub(super) fn dds_name(endpoint: &Endpoint) -> String {
     match endpoint.channel {
         Channel::Topic => format!("rt{}", endpoint.name),
@@ -25,7 +25,7 @@ pub(super) fn dds_type(endpoint: &Endpoint) -> String {
     format!("{package}::{kind}::dds_::{name}{suffix}")
 }
 
-/// What a DDS topic is to ROS, its ROS name and its type; `None` for what is not ROS'.
+/// The channel, ROS name and ROS type of a DDS topic; `None` if it does not belong to ROS.
 pub(super) fn ros_names(dds_name: &str, dds_type: &str) -> Option<(Channel, String, String)> {
     let (prefix, rest) = dds_name.split_at_checked(2)?;
     let (channel, name, kind, suffix) = match prefix {
@@ -47,7 +47,7 @@ pub(super) fn ros_names(dds_name: &str, dds_type: &str) -> Option<(Channel, Stri
     let (scope, type_name) = dds_type.strip_suffix(suffix)?.split_once("::dds_::")?;
     let (package, found) = scope.rsplit_once("::")?;
     let found = TypeKind::parse(found)?;
-    // those of an action are of either kind
+    // actions have services and topics
     if found != kind && found != TypeKind::Action {
         return None;
     }
@@ -78,7 +78,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn names_are_spelled_as_every_rmw_spells_them() {
+    fn names_match_those_of_other_rmws() {
         assert_eq!(dds_name(&endpoint(Channel::Topic)), "rt/wm/predictor/reset");
         assert_eq!(
             dds_name(&endpoint(Channel::Request)),
@@ -108,7 +108,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn names_are_read_back_and_what_is_not_ros_is_not() {
+    fn ros_names_survive_and_other_names_are_ignored() {
         for channel in [Channel::Topic, Channel::Request, Channel::Response] {
             let of_action = Endpoint {
                 name: "/wm/plan/_action/send_goal".into(),

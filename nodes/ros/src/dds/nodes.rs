@@ -1,11 +1,10 @@
-//! Which endpoint belongs to which node, announced on `ros_discovery_info` as every ROS 2 participant does, so that
-//! `ros2 node list` and `ros2 node info` show it.
+//! Announces on `ros_discovery_info` which endpoint belongs to which node, for `ros2 node list` and `ros2 node info`.
 
 use super::{
     codec::Raw,
     lock::lock,
     names::{dds_name, dds_type, ros_names},
-    reconcile,
+    own_endpoints::OwnEndpoint,
 };
 use crate::{
     Error,
@@ -20,8 +19,8 @@ use ros2_client::{
 use rustdds::{DomainParticipant, QosPolicyBuilder, RTPSEntity as _, Timestamp, TopicKind, policy};
 use std::{collections::BTreeMap, sync::Mutex};
 
-struct Own {
-    /// The full name of its node.
+struct NodeEndpoint {
+    /// The full name.
     node: String,
     seen: Option<Seen>,
     is_writer: bool,
@@ -30,10 +29,9 @@ struct Own {
 #[derive(Default)]
 struct Table {
     nodes: BTreeMap<String, NodeName>,
-    endpoints: BTreeMap<EndpointId, Own>,
+    endpoints: BTreeMap<EndpointId, NodeEndpoint>,
 }
 
-/// The nodes of this participant and their endpoints.
 pub(super) struct Nodes {
     participant: Gid,
     table: Mutex<Table>,
@@ -42,7 +40,7 @@ pub(super) struct Nodes {
 }
 
 impl Nodes {
-    pub(super) fn announce(
+    pub(super) fn new(
         participant: &DomainParticipant,
         publisher: &rustdds::Publisher,
     ) -> Result<Self, Error> {
@@ -55,7 +53,7 @@ impl Nodes {
         let topic = participant
             .create_topic(name, type_name, qos, TopicKind::NoKey)
             .map_err(failed)?;
-        // each reader that is new would stop a bounded writer for a moment
+        // each new reader would stop a bounded writer for a moment
         let unbounded = policy::ResourceLimits {
             max_samples: i32::MAX,
             max_instances: i32::MAX,
@@ -81,14 +79,14 @@ impl Nodes {
         lock(&self.table)
             .nodes
             .insert(name.fully_qualified_name(), name);
-        self.tell();
+        self.announce();
         Ok(())
     }
 
     pub(super) fn remove(&self, namespace: &str, base: &str) {
         if let Ok(name) = NodeName::new(namespace, base) {
             lock(&self.table).nodes.remove(&name.fully_qualified_name());
-            self.tell();
+            self.announce();
         }
     }
 
@@ -113,21 +111,20 @@ impl Nodes {
         );
         lock(&self.table).endpoints.insert(
             id,
-            Own {
+            NodeEndpoint {
                 node: node.to_owned(),
                 seen,
                 is_writer,
             },
         );
-        self.tell();
+        self.announce();
     }
 
     pub(super) fn remove_endpoint(&self, id: &EndpointId) {
         lock(&self.table).endpoints.remove(id);
-        self.tell();
+        self.announce();
     }
 
-    /// The endpoints of this participant.
     pub(super) fn own_endpoints(&self) -> Vec<Seen> {
         lock(&self.table)
             .endpoints
@@ -136,7 +133,7 @@ impl Nodes {
             .collect()
     }
 
-    /// The topic of an endpoint of this participant.
+    /// The topic of an endpoint of this process.
     pub(super) fn topic_of(&self, id: &EndpointId) -> Option<String> {
         lock(&self.table)
             .endpoints
@@ -146,8 +143,8 @@ impl Nodes {
             .map(|seen| seen.name.clone())
     }
 
-    /// The own endpoints that are to be connected to one elsewhere on this topic, but have a different type; with their
-    /// type.
+    /// The own endpoints on this topic that would connect to a remote endpoint if their type, also returned, were the
+    /// same.
     pub(super) fn of_other_type(
         &self,
         topic: &str,
@@ -175,17 +172,17 @@ impl Nodes {
         })
     }
 
-    /// Announces that there are no nodes any more, and falls silent.
+    /// Announces an empty list of nodes, and nothing after it.
     pub(super) fn leave(&self) {
         lock(&self.table).nodes.clear();
-        self.tell();
+        self.announce();
         lock(&self.writer).take();
     }
 
     /// The writer of these announcements.
-    pub(super) fn endpoint(&self) -> Option<(EndpointId, reconcile::Own)> {
+    pub(super) fn endpoint(&self) -> Option<(EndpointId, OwnEndpoint)> {
         let id = lock(&self.writer).as_ref()?.guid().to_bytes();
-        let own = reconcile::Own {
+        let own = OwnEndpoint {
             topic: ros_discovery::TOPIC_NAME.to_owned(),
             type_name: ros_discovery::TYPE_NAME.to_owned(),
             qos: ros_discovery::QOS_PUB.clone(),
@@ -194,9 +191,9 @@ impl Nodes {
         Some((id, own))
     }
 
-    /// Announces the nodes as they are now.
-    pub(super) fn tell(&self) {
-        // Held throughout, so that announcements go out in the order of the changes.
+    /// Announces the current nodes.
+    pub(super) fn announce(&self) {
+        // held throughout, so that announcements keep the order of the changes
         let writer = lock(&self.writer);
         let Some(writer) = writer.as_ref() else {
             return;
@@ -228,7 +225,7 @@ impl Nodes {
             Err(error) => Err(error.to_string()),
         };
         if let Err(error) = sent {
-            // The next change announces the whole table again.
+            // the next change announces the whole table again
             tracing::debug!("cannot announce the nodes: {error}");
         }
     }

@@ -1,14 +1,14 @@
-//! QoS profiles in the terms of DDS, with the bounds on memory that profiles do not have.
+//! QoS profiles as DDS policies, with the memory bounds that profiles lack.
 
 use crate::{Durability, Qos, Reliability};
 use rustdds::{QosPolicies, QosPolicyBuilder, policy};
 
-/// Large messages that a reliable writer keeps for readers that have not taken them.
+/// Large messages that a reliable writer keeps for slow readers.
 pub(crate) const RELIABLE_WINDOW: usize = 512;
-/// What rustdds 0.15.1 lets a reliable writer keep: no bound, since at a bound every new reader would stop the writer
-/// until its first acknowledgement. [`super::line`] bounds it.
+/// No bound for reliable writers: at a bound, rustdds 0.15.1 would stop the writer for every new reader until its first
+/// acknowledgement. [`super::workarounds::line`] bounds the memory.
 const UNBOUNDED: usize = i32::MAX as usize;
-/// Samples that the middleware keeps of a topic until they are taken, which happens at once on a separate thread.
+/// Samples that rustdds keeps of a topic. A separate thread takes them at once.
 const READER_CACHE: usize = 64;
 
 pub(super) fn for_writer(qos: Qos) -> QosPolicies {
@@ -23,12 +23,20 @@ pub(super) fn for_reader(qos: Qos) -> QosPolicies {
     profile(qos, READER_CACHE.max(qos.depth))
 }
 
+/// How long a writer whose window is full waits for room \[ms\]: too short to hold up a node.
+const WAIT_FOR_ROOM_MS: i64 = 5;
+
 fn profile(qos: Qos, max_samples: usize) -> QosPolicies {
-    // depths beyond 2^31 mean "all" to anybody who writes them
+    // larger depths mean "all"
     let int = |number: usize| i32::try_from(number).unwrap_or(i32::MAX);
     let max_samples = int(max_samples);
     QosPolicyBuilder::new()
-        .reliability(qos.into())
+        .reliability(match qos.reliability {
+            Reliability::BestEffort => policy::Reliability::BestEffort,
+            Reliability::Reliable => policy::Reliability::Reliable {
+                max_blocking_time: rustdds::Duration::from_millis(WAIT_FOR_ROOM_MS),
+            },
+        })
         .durability(match qos.durability {
             Durability::Volatile => policy::Durability::Volatile,
             Durability::TransientLocal => policy::Durability::TransientLocal,
@@ -44,7 +52,7 @@ fn profile(qos: Qos, max_samples: usize) -> QosPolicies {
         .build()
 }
 
-/// What discovery says of an endpoint. History is not announced; the depth reads as 10 then, ROS' default.
+/// The QoS of a discovered endpoint. Discovery does not announce the history; the depth is then 10, ROS' default.
 pub(super) fn from_dds(qos: &QosPolicies) -> Qos {
     let depth = match qos.history() {
         Some(policy::History::KeepLast { depth }) => usize::try_from(depth).unwrap_or(10),

@@ -1,10 +1,7 @@
-//! Readers of bytes.
+//! DDS readers.
 
 use super::{
-    codec::Raw,
-    latched::Latest,
-    local::WAITING,
-    shared::{Shared, is_foreign},
+    codec::Raw, identity::is_foreign, local::WAITING, shared::Shared, workarounds::latched::Latest,
 };
 use crate::{
     Durability,
@@ -28,7 +25,7 @@ pub(super) struct DdsReader {
 }
 
 impl DdsReader {
-    /// `began` is a moment before the reader was made: what comes after it is for this one.
+    /// `began`: a moment before rustdds made the reader.
     pub(super) fn new(
         reader: SimpleDataReader<Bytes, Raw>,
         began: Timestamp,
@@ -52,7 +49,7 @@ impl DdsReader {
         shared.changed();
         let is_server = endpoint.channel == Channel::Request;
         let is_latched = endpoint.qos.durability == Durability::TransientLocal;
-        let book = Arc::clone(shared);
+        let graph = Arc::clone(shared);
         let mut began = Some(began);
         let mut latest = Latest::default();
         let pump = async move {
@@ -63,17 +60,17 @@ impl DdsReader {
                     Some(sample) = samples.next() => match sample {
                         Ok(change) => {
                             let writer = change.writer_guid().to_bytes();
-                            if book.is_own(&writer) {
+                            if graph.is_own(&writer) {
                                 continue;
                             }
                             if began.is_some_and(|began| change.receive_instant < began) {
-                                // rustdds keeps a topic's last samples for all readers: one that comes anew would
-                                // get those of the one before, and of writers that are gone
-                                if !(is_latched && book.is_there(&writer)) {
+                                // rustdds keeps a topic's last samples for all readers: a new reader would get the
+                                // samples of its predecessor, and of writers that are gone
+                                if !(is_latched && graph.is_there(&writer)) {
                                     continue;
                                 }
                             } else {
-                                // from here on they come in their order, whatever becomes of the system's clock
+                                // from here on, samples arrive in order even if the wall clock is set back
                                 began = None;
                             }
                             if is_latched
@@ -84,7 +81,7 @@ impl DdsReader {
                                 continue;
                             }
                             let sample = into_sample(change, is_server);
-                            if is_topic && !book.parts.lets_in(&id, &sample) {
+                            if is_topic && !graph.parts.delivers(&id, &sample) {
                                 continue;
                             }
                             Ok(sample)
@@ -115,7 +112,7 @@ fn into_sample(change: DeserializedCacheChange<Bytes>, is_server: bool) -> Sampl
         sequence: identity.sequence_number.into(),
     });
     if is_server {
-        // A client may leave out who it is, or (Fast DDS) the number: the sample's own are meant then.
+        // A client may omit its identity, or (Fast DDS) the number: the sample's own ones apply then.
         let request = request.get_or_insert(RequestId {
             client: writer,
             sequence,
@@ -140,7 +137,7 @@ impl Reader for DdsReader {
 
 impl Drop for DdsReader {
     fn drop(&mut self) {
-        // the reader lives in the task, and goes with it
+        // dropping the task drops the DDS reader
         self.pump.abort();
         self.shared.forget(&self.id);
     }

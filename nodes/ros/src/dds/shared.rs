@@ -1,29 +1,33 @@
-//! What a participant's endpoints share: the record of endpoints and their connections.
+//! State shared by the endpoints of a participant: endpoints, connections, tasks.
 
 use super::{
-    catch_up::CatchUp,
-    datagram,
     failure::Failure,
-    lease::OwnPort,
-    line::Lines,
+    identity::{Peer, is_foreign},
     local::Local,
     lock::lock,
     mismatches::Mismatches,
     names::ros_names,
     nodes::Nodes,
-    one_way::OneWay,
-    parts::{Parts, Peer, peer_of},
-    reconcile::{OwnEndpoints, Suspects},
-    wire::Wire,
+    own_endpoints::{OwnEndpoint, OwnEndpoints},
+    workarounds::{
+        catch_up::CatchUp,
+        datagram,
+        lease::OwnPort,
+        line::Lines,
+        one_way::OneWay,
+        parts::{self, Parts},
+        wire::{Wire, usable},
+    },
 };
-use crate::backend::{Channel, EndpointId};
+use crate::backend::{Channel, EndpointId, participant_of};
 use futures::StreamExt as _;
 use rustdds::{
     DomainParticipant, DomainParticipantStatusEvent as Event, EndpointDescription,
-    StatusEvented as _, dds::statusevents::LostReason,
+    StatusEvented as _, dds::statusevents::LostReason, discovery::DiscoveredReaderData,
 };
 use std::{
     collections::{BTreeMap, BTreeSet},
+    net::{IpAddr, SocketAddr},
     sync::{Arc, Mutex, OnceLock},
     time::Instant,
 };
@@ -35,25 +39,25 @@ use tokio::{
 /// Participants that are remembered after their lease has run out.
 const MOST_SILENT: usize = 1024;
 
-/// Endpoints of others by the own endpoint that they are connected to.
+/// Remote endpoints by the own endpoint that they are connected to.
 pub(super) type Matches = BTreeMap<EndpointId, BTreeSet<EndpointId>>;
 
-/// A participant beside the first; see [`super::second`].
-pub(super) struct Second {
+/// See `workarounds/second_participant.rs`.
+pub(super) struct SecondParticipant {
     pub(super) participant: DomainParticipant,
     pub(super) publisher: rustdds::Publisher,
 }
 
-/// What the endpoints need of their participant, and keep alive for as long as they are held.
+/// Lives as long as the last endpoint.
 pub(super) struct Shared {
     /// `None` once closed.
     pub(super) participant: Mutex<Option<DomainParticipant>>,
     pub(super) publisher: rustdds::Publisher,
     pub(super) subscriber: rustdds::Subscriber,
-    /// Runs what receives.
+    /// Runs the receiving tasks.
     pub(super) runtime: Handle,
     pub(super) first: Peer,
-    pub(super) second: Mutex<Option<Second>>,
+    pub(super) second: Mutex<Option<SecondParticipant>>,
     pub(super) second_peer: OnceLock<Peer>,
     pub(super) nodes: Nodes,
     pub(super) local: Local,
@@ -61,27 +65,26 @@ pub(super) struct Shared {
     pub(super) parts: Parts,
     /// Connections to other participants.
     pub(super) matches: Mutex<Matches>,
-    /// Writers of other participants that have not gone.
+    /// Live writers of other participants.
     pub(super) writers: Mutex<BTreeSet<EndpointId>>,
     pub(super) mismatches: Mismatches,
     pub(super) one_way: OneWay,
-    /// The way to the first participant itself, unless it is on loopback.
+    /// The way to the first participant, unless it is on loopback.
     pub(super) own_port: OnceLock<Arc<OwnPort>>,
-    /// Own readers and writers of topics and services.
+    /// Readers and writers of topics and services.
     pub(super) own: OwnEndpoints,
-    pub(super) suspects: Suspects,
-    /// A participant has returned after its lease had run out.
+    /// A participant has returned after its lease ran out.
     pub(super) has_returned: Notify,
     pub(super) catch_up: CatchUp,
     pub(super) wire: Wire,
     pub(super) failure: Arc<Failure>,
     pub(super) is_on_loopback: bool,
-    /// Whether there are no other participants.
+    /// Whether this process communicates with no other.
     pub(super) is_alone: bool,
-    /// The largest answer to a client that is not on loopback \[byte\].
+    /// The largest response to a client beyond loopback \[byte\].
     pub(super) largest_answer: usize,
     pub(super) changes: watch::Sender<u64>,
-    /// Until when writers stay that are to leave; see [`super::writer::HAND_OVER`].
+    /// When the last leaving writer may go; see [`super::writer::HAND_OVER`].
     pub(super) staying: Mutex<Option<Instant>>,
 }
 
@@ -90,18 +93,18 @@ impl Shared {
         self.changes.send_modify(|count| *count += 1);
     }
 
-    /// Notes that a writer stays until then.
+    /// Delays [`crate::backend::Backend::settle`] until then.
     pub(super) fn stay_until(&self, until: Instant) {
         let mut staying = lock(&self.staying);
         *staying = (*staying).max(Some(until));
     }
 
-    /// Endpoints of others that this one is connected to.
+    /// Remote endpoints that this endpoint is connected to.
     pub(super) fn matched(&self, own: &EndpointId) -> BTreeSet<EndpointId> {
         lock(&self.matches).get(own).cloned().unwrap_or_default()
     }
 
-    /// The largest answer that rustdds sends to these clients in one datagram \[byte\].
+    /// The largest response that rustdds sends to these clients in one datagram \[byte\].
     pub(super) fn largest_answer(&self, own: &EndpointId, clients: &BTreeSet<EndpointId>) -> usize {
         match self.is_on_loopback && !clients.iter().any(|client| is_foreign(own, client)) {
             true => datagram::LARGEST_ON_LOOPBACK,
@@ -109,7 +112,45 @@ impl Shared {
         }
     }
 
-    /// An endpoint of another participant has gone.
+    /// The discovered readers; none once the participant is closed.
+    pub(super) fn discovered_readers(&self) -> Vec<DiscoveredReaderData> {
+        let participant = lock(&self.participant);
+        participant
+            .as_ref()
+            .map_or_else(Vec::new, DomainParticipant::discovered_readers)
+    }
+
+    /// The addresses of these readers.
+    pub(super) fn addresses_of(
+        &self,
+        readers: &BTreeSet<EndpointId>,
+    ) -> Vec<(EndpointId, Vec<SocketAddr>)> {
+        // without the list, all addresses of a reader on this host are used
+        let interfaces = if_addrs::get_if_addrs().unwrap_or_default();
+        let own: Vec<IpAddr> = interfaces.iter().map(if_addrs::Interface::ip).collect();
+        let discovered = self.discovered_readers().into_iter();
+        discovered
+            .map(|reader| reader.reader_proxy)
+            .map(|proxy| (proxy.remote_reader_guid.to_bytes(), proxy))
+            .filter(|(id, _)| readers.contains(id))
+            .map(|(id, proxy)| {
+                let announced = proxy.unicast_locator_list.into_iter();
+                let announced = announced.map(SocketAddr::from);
+                (id, usable(announced, &own, self.is_on_loopback))
+            })
+            .collect()
+    }
+
+    /// The endpoints of this process.
+    pub(super) fn own_endpoints(&self) -> BTreeMap<EndpointId, OwnEndpoint> {
+        let mut own = self.own.all();
+        for (id, topic) in self.parts.writers() {
+            own.insert(id, parts::endpoint(topic, true));
+        }
+        own
+    }
+
+    /// A remote endpoint has gone.
     pub(super) fn forget_other(&self, id: &EndpointId) {
         self.mismatches.forget_other(id);
         self.parts.forget_other(id);
@@ -120,9 +161,9 @@ impl Shared {
         });
     }
 
-    /// Another participant has gone, and has not taken leave of its endpoints one by one.
+    /// A remote participant has gone without disposing its endpoints one by one.
     fn forget_participant(&self, peer: &Peer) {
-        let is_of = |id: &EndpointId| peer_of(id) == *peer;
+        let is_of = |id: &EndpointId| participant_of(id) == *peer;
         let mut gone: BTreeSet<EndpointId> = lock(&self.writers).iter().copied().collect();
         gone.extend(lock(&self.matches).values().flatten());
         gone.retain(is_of);
@@ -130,7 +171,7 @@ impl Shared {
         self.parts.forget_participant(peer);
     }
 
-    /// Notes where own endpoints on the topic of one elsewhere have a different type.
+    /// Records own endpoints of another type on the topic of a remote endpoint.
     pub(super) fn compare_types(&self, other: &EndpointDescription, is_writer: bool) {
         let Some((Channel::Topic, topic, type_name)) =
             ros_names(&other.topic_name, &other.type_name)
@@ -145,18 +186,18 @@ impl Shared {
         }
     }
 
-    /// Whether the endpoint is of this process' participant or its second.
+    /// Whether the endpoint belongs to the first or second participant of this process.
     pub(super) fn is_own(&self, id: &EndpointId) -> bool {
-        let peer = peer_of(id);
+        let peer = participant_of(id);
         peer == self.first || self.second_peer.get() == Some(&peer)
     }
 
-    /// Whether this writer of another participant is still there.
+    /// Whether this remote writer still exists.
     pub(super) fn is_there(&self, writer: &EndpointId) -> bool {
         lock(&self.writers).contains(writer)
     }
 
-    /// Whether the readers of one DDS writer are connected to the next one too.
+    /// Whether the readers of one DDS writer are connected to its successor too.
     pub(super) fn has_readers_of(&self, next: &EndpointId, line: &EndpointId) -> bool {
         let matches = lock(&self.matches);
         match (matches.get(line), matches.get(next)) {
@@ -166,7 +207,7 @@ impl Shared {
         }
     }
 
-    /// One of the DDS writers of a publisher has gone.
+    /// A DDS writer of a publisher has gone.
     pub(super) fn forget_line(&self, line: &EndpointId) {
         self.lines.remove(line);
         self.one_way.forget_line(line);
@@ -177,7 +218,7 @@ impl Shared {
         self.changed();
     }
 
-    /// Takes an endpoint off every list.
+    /// Removes an own endpoint from every list.
     pub(super) fn forget(&self, id: &EndpointId) {
         self.local.remove(id);
         self.parts.forget_own(id);
@@ -189,19 +230,14 @@ impl Shared {
     }
 }
 
-/// Whether the two are of different DDS implementations: an identity begins with its vendor's two bytes (RTPS 2.5, 8.2.4.3).
-pub(super) fn is_foreign(one: &EndpointId, other: &EndpointId) -> bool {
-    one.get(..2) != other.get(..2)
-}
-
-/// Keeps track of which endpoints are connected, from the participant's events.
+/// Updates the connections from the participant's events.
 pub(super) async fn follow(
     listener: rustdds::DomainParticipantStatusListener,
     shared: Arc<Shared>,
     own_port: Option<Arc<OwnPort>>,
 ) {
     let mut events = listener.as_async_status_stream();
-    // participants whose lease has run out, and that may return
+    // participants that may return after their lease ran out
     let mut silent = BTreeSet::new();
     while let Some(event) = events.next().await {
         match event {
@@ -225,16 +261,15 @@ pub(super) async fn follow(
             Event::ParticipantDiscovered { dpd } => {
                 let id = dpd.guid.to_bytes();
                 shared.catch_up.discovered(&id, Instant::now());
-                if silent.remove(&peer_of(&id)) {
+                if silent.remove(&participant_of(&id)) {
                     shared.has_returned.notify_one();
                 }
                 continue;
             }
-            // what a participant had is not lost one by one when its lease runs out
+            // if a lease runs out, there are no events for the single endpoints
             Event::ParticipantLost { id, reason } => {
-                let mut peer = Peer::default();
-                if let Some(prefix) = id.as_ref().get(..peer.len()) {
-                    peer.copy_from_slice(prefix);
+                let prefix = id.as_ref().get(..size_of::<Peer>());
+                if let Some(peer) = prefix.and_then(|prefix| Peer::try_from(prefix).ok()) {
                     shared.forget_participant(&peer);
                     shared.one_way.lost(&peer);
                     if matches!(reason, LostReason::Timeout { .. }) {
@@ -257,9 +292,8 @@ pub(super) async fn follow(
                 let (own, other) = (local_writer.to_bytes(), remote_reader.to_bytes());
                 let topic = shared.nodes.topic_of(&own);
                 let own = shared.lines.publisher_of(&own);
-                shared
-                    .mismatches
-                    .subscription(own, other, topic, &requested_qos, &offered_qos);
+                let qos = (&*requested_qos, &*offered_qos);
+                shared.mismatches.policies(own, other, topic, false, qos);
             }
             Event::RemoteWriterQosIncompatible {
                 local_reader,
@@ -269,11 +303,10 @@ pub(super) async fn follow(
             } => {
                 let (own, other) = (local_reader.to_bytes(), remote_writer.to_bytes());
                 let topic = shared.nodes.topic_of(&own);
-                shared
-                    .mismatches
-                    .publisher(own, other, topic, &requested_qos, &offered_qos);
+                let qos = (&*requested_qos, &*offered_qos);
+                shared.mismatches.policies(own, other, topic, true, qos);
             }
-            // told of own endpoints, too
+            // rustdds reports own endpoints too
             Event::WriterDetected { writer: other } | Event::ReaderDetected { reader: other }
                 if shared.is_own(&other.guid.to_bytes()) => {}
             Event::WriterDetected { writer } => {

@@ -1,10 +1,10 @@
-//! Participants of one process against each other, on loopback.
+//! Participants of one process on loopback.
 
 use super::{names::tests::endpoint, *};
 use crate::{backend::WhenFull, payload::Payload};
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_answer_waits_until_its_client_can_hear_it() {
+async fn response_waits_until_its_client_is_connected() {
     const PATIENCE: std::time::Duration = std::time::Duration::from_secs(20);
     let environment = Environment {
         domain_id: 100 + (std::process::id() % 20) as u16,
@@ -42,7 +42,7 @@ async fn an_answer_waits_until_its_client_can_hear_it() {
         .await
         .unwrap()
         .unwrap();
-    // The client has no reader yet: an answer sent now would reach nobody.
+    // The client has no reader yet: a response sent now would be lost.
     let written = answers
         .write(&payload, Some(request), WhenFull::DropOldest)
         .unwrap();
@@ -62,9 +62,9 @@ async fn an_answer_waits_until_its_client_can_hear_it() {
     assert_eq!(answer, sample);
 }
 
-/// As if the events had been lost.
+/// Simulates lost events.
 #[tokio::test(flavor = "multi_thread")]
-async fn lost_discovery_events_are_made_good() {
+async fn lost_discovery_events_are_repaired() {
     const PATIENCE: std::time::Duration = std::time::Duration::from_secs(20);
     let environment = Environment {
         domain_id: 80 + (std::process::id() % 20) as u16,
@@ -81,13 +81,14 @@ async fn lost_discovery_events_are_made_good() {
         let change = tokio::time::timeout(PATIENCE, changes.changed()).await;
         change.unwrap().unwrap();
     }
-    // what is under way comes by itself, and then nothing is amiss
+    // late events arrive by themselves, and then there are no differences
+    let mut reconciler = Reconciler::new(Arc::clone(&here.shared));
     let settled = async {
-        let mut in_peace = 0;
-        while in_peace < 3 {
-            in_peace = match here.shared.reconcile() {
+        let mut quiet_rounds = 0;
+        while quiet_rounds < 3 {
+            quiet_rounds = match reconciler.reconcile() {
                 true => 0,
-                false => in_peace + 1,
+                false => quiet_rounds + 1,
             };
             tokio::time::sleep(std::time::Duration::from_millis(100)).await;
         }
@@ -96,16 +97,15 @@ async fn lost_discovery_events_are_made_good() {
 
     let (known, ghost) = (here.shared.matched(&writer.id()), [9; 16]);
     lock(&here.shared.matches).insert(writer.id(), [ghost].into());
-    // A difference counts the second time. The event was lost if a new match changes nothing. The task that looks every
-    // five seconds may come in between.
+    // A difference is repaired when it is found the second time, and a new match that has no effect shows a lost event.
     (0..3).for_each(|_| {
-        here.shared.reconcile();
+        reconciler.reconcile();
     });
     assert_eq!(here.shared.matched(&writer.id()), known);
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_subscription_that_panics_is_a_failure_of_the_participant() {
+async fn panic_in_subscription_fails_the_participant() {
     let environment = Environment {
         domain_id: 0,
         reach: crate::Reach::Process,
@@ -122,8 +122,8 @@ async fn a_subscription_that_panics_is_a_failure_of_the_participant() {
             if let Some(error) = dds.failure() {
                 return error.to_string();
             }
-            // Each look asserts liveliness: without a pause they fill the queue of rustdds 0.15.1's discovery, which waits for
-            // the lock of whoever fills it.
+            // Each check asserts liveliness. Without a pause, the checks fill the queue of rustdds 0.15.1's discovery,
+            // and it deadlocks.
             tokio::time::sleep(std::time::Duration::from_millis(10)).await;
         }
     };
@@ -131,10 +131,10 @@ async fn a_subscription_that_panics_is_a_failure_of_the_participant() {
     assert!(failed.unwrap().contains("on purpose"));
 }
 
-/// A receiver that is short of time: its reader has acknowledged a sample, and is asked for it only after the writer was
-/// dropped. rustdds forgets such a sample when the writer leaves.
+/// A busy receiver: its reader has acknowledged a sample, but takes it only after the writer was dropped. rustdds
+/// forgets such a sample when the writer leaves.
 #[test]
-fn the_last_sample_of_a_writer_reaches_a_reader_that_is_slow_to_take_it() {
+fn last_sample_of_a_dropped_writer_reaches_a_busy_reader() {
     const PATIENCE: std::time::Duration = std::time::Duration::from_secs(20);
     let environment = Environment {
         domain_id: 60 + (std::process::id() % 20) as u16,
@@ -167,7 +167,7 @@ fn the_last_sample_of_a_writer_reaches_a_reader_that_is_slow_to_take_it() {
         }
     });
 
-    // the only thread of the receiver's runtime has something else to do
+    // keeps the only thread of the receiver's runtime busy
     let (go_on, goes_on) = std::sync::mpsc::channel::<()>();
     let (is_busy, got_busy) = std::sync::mpsc::channel();
     busy.spawn(async move {
@@ -184,13 +184,13 @@ fn the_last_sample_of_a_writer_reaches_a_reader_that_is_slow_to_take_it() {
         acknowledged.await.unwrap().unwrap();
     });
     drop(writer);
-    // Nothing tells when the news of a writer's end would have come: on loopback it takes a few milliseconds.
+    // There is no event for a writer's departure: on loopback it takes a few milliseconds.
     std::thread::sleep(writer::HAND_OVER / 5);
     go_on.send(()).unwrap();
     assert_eq!(hears.recv_timeout(PATIENCE).unwrap(), sample);
 }
 
-/// Waits until each of these participants on loopback knows all others.
+/// Waits until each of these participants on loopback has discovered all others.
 async fn all_meet(all: &[Arc<Dds>], patience: std::time::Duration) {
     let start = Instant::now();
     for (index, participant) in all.iter().enumerate() {
@@ -215,17 +215,17 @@ fn on_loopback(domain_id: u16) -> Environment {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn participants_beyond_the_twelfth_meet() {
+async fn participants_beyond_the_twelfth_discover_each_other() {
     let environment = on_loopback(40 + (std::process::id() % 10) as u16);
     let join = || Dds::join(&environment, Handle::current()).unwrap();
     let all: Vec<_> = std::iter::repeat_with(join).take(24).collect();
     all_meet(&all, std::time::Duration::from_secs(60)).await;
 }
 
-/// One after the other: the first announcements of all at once are two million datagrams.
+/// One after the other: together, their first announcements are two million datagrams.
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "long: as many participants as one host can have"]
-async fn all_participants_of_a_full_domain_meet() {
+async fn all_participants_of_a_full_domain_discover_each_other() {
     let (environment, start) = (on_loopback(50), Instant::now());
     let mut all = Vec::new();
     for number in 1..=120 {
@@ -239,10 +239,10 @@ async fn all_participants_of_a_full_domain_meet() {
 }
 
 #[tokio::test]
-async fn a_full_domain_is_refused_with_its_number_and_the_remedy() {
+async fn error_for_a_full_domain_names_it_and_the_remedy() {
     let domain_id = 51 + (std::process::id() % 9) as u16;
     let environment = on_loopback(domain_id);
-    // as if others had them
+    // other programs occupy the ports
     let port = |number: u16| 7400 + 250 * domain_id + 10 + 2 * number;
     let bind = |number| std::net::UdpSocket::bind(("0.0.0.0", port(number))).ok();
     let _taken: Vec<_> = (0..120).map(bind).collect();

@@ -1,11 +1,11 @@
-//! The hash of a topic's type, which publishers and subscriptions announce in their user data (REP 2016).
+//! The hash of a topic's type, which endpoints announce in their user data (REP 2016).
 
 const KEY: &[u8] = b"typehash=";
-/// What a hash of the first version begins with; 64 hexadecimal digits follow.
+/// The prefix of version 1; 64 hexadecimal digits follow.
 const VERSION: &str = "RIHS01_";
 const DIGITS: usize = 64;
 
-/// The hash in the user data of an endpoint, `typehash=RIHS01_...;` for example; `None` if it announces none.
+/// The hash in the user data of an endpoint, for example `typehash=RIHS01_...;`; `None` if missing.
 pub(super) fn announced(user_data: &[u8]) -> Option<String> {
     let at = user_data
         .windows(KEY.len())
@@ -26,7 +26,7 @@ mod tests {
     const HASH: &str = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18";
 
     #[test]
-    fn hash_is_read_among_other_keys() {
+    fn hash_is_found_between_other_keys() {
         for text in [
             format!("typehash={HASH};"),
             format!("\u{5}\0\0\0enclave=/;typehash={HASH};other=1;"),
@@ -41,7 +41,7 @@ mod tests {
     }
 
     #[test]
-    fn other_texts_are_no_hash() {
+    fn invalid_hashes_are_ignored() {
         for text in [
             String::new(),
             "typehash=".to_owned(),
@@ -56,7 +56,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_bytes_are_survived(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
+        fn arbitrary_bytes_do_not_panic(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
             announced(&bytes);
             announced(&[KEY, &bytes].concat());
         }

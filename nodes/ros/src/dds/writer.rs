@@ -1,23 +1,31 @@
-//! Writers of bytes.
+//! DDS writers.
 
 use super::{
-    answers::WaitingRoom,
     codec::HEADER_LEN,
-    latched::Stamps,
-    line::{LULL, Line, Maker, Patience, RETIREMENT},
+    identity::is_foreign,
     lock::lock,
     names::{dds_name, dds_type},
-    one_way::Waiting,
-    parts::{Keep, LARGEST, Offered, peer_of},
-    reconcile::Own,
-    resend::{Care, LargeSample},
-    rtps::LARGEST_ANSWER,
-    shared::{Shared, is_foreign},
-    wire::Answer,
+    own_endpoints::OwnEndpoint,
+    shared::Shared,
+    workarounds::{
+        latched::Stamps,
+        line::{LULL, Line, Maker, Patience, RETIREMENT},
+        one_way::AcknowledgmentWait,
+        parts::{
+            message::LARGEST,
+            outbox::{OfferOutcome, Retention},
+        },
+        resend::{LargeSample, RepeatState},
+        rtps::LARGEST_ANSWER,
+        wire::Answer,
+    },
 };
 use crate::{
     Durability, Error, Reliability,
-    backend::{Audience, Channel, Endpoint, EndpointId, RequestId, WhenFull, Writer, Written},
+    backend::{
+        Audience, Channel, Endpoint, EndpointId, RequestId, WhenFull, Writer, Written,
+        participant_of,
+    },
     clock::system_nanos,
     payload::Payload,
 };
@@ -35,70 +43,74 @@ use std::{
     },
     time::{Duration, Instant},
 };
-use tokio::runtime::Handle;
+use tokio::{runtime::Handle, sync::Semaphore};
 
-/// How long to wait before an answer that is not acknowledged is sent again \[ms\].
+/// Pauses until an unacknowledged response is sent again \[ms\].
 const REPEAT_ANSWER: [u64; 5] = [50, 100, 200, 400, 800];
 
-/// How long a writer stays after its last sample: rustdds 0.15.1 forgets what its reader has acknowledged, and not handed
-/// over yet, when the writer leaves (`TopicCache::forget_reliable_writer`). The last answer of a service, and the last
-/// messages of a node, would be lost where their receiver is short of time.
+/// How long a writer stays after its last sample. When a writer leaves, rustdds 0.15.1 forgets samples that its readers
+/// have acknowledged but not handed over (`TopicCache::forget_reliable_writer`). A busy receiver would lose the last
+/// response of a service and the last messages of a node.
 pub(super) const HAND_OVER: Duration = Duration::from_millis(250);
+
+/// Responses of one server that wait at once.
+const MOST_HELD: usize = 64;
 
 pub(super) struct DdsWriter {
     core: Arc<WriterCore>,
-    waiting: WaitingRoom,
+    /// Limits the responses that wait for their client.
+    held: Arc<Semaphore>,
 }
 
-/// A reader that has acknowledged nothing for this long is not waiting for fragments.
+/// A reader without acknowledgements for this long does not wait for fragments.
 const STUCK: Duration = Duration::from_secs(2);
 
-/// How long a retired DDS writer waits for readers that take large messages.
+/// How long a retired DDS writer waits for the readers of large messages.
 const PARTS_RETIREMENT: Duration = Duration::from_secs(10);
 
-/// What an answer that waits needs of its writer.
+/// The part of a writer that waiting responses share.
 struct WriterCore {
-    /// The first of its DDS writers: the publisher is known by it in this process.
+    /// Its first DDS writer, which identifies the publisher in this process.
     id: EndpointId,
     this: Weak<Self>,
     maker: Maker,
     endpoint: Endpoint,
     node: String,
-    /// What is kept of messages in parts, where they may go so.
-    keep: Option<Keep>,
+    /// What it keeps of messages in parts; `None` if it sends none in parts.
+    keep: Option<Retention>,
     is_topic: bool,
     is_reliable: bool,
     is_latched: bool,
-    care: Care,
-    /// Held while a sample is sent, so that all readers get them in one order.
-    sent: Mutex<Sent>,
-    /// Samples of retired DDS writers that some reader never took, and that were not reported yet.
+    repeats: RepeatState,
+    /// Held while a sample is sent, so that all readers receive the same order.
+    sent: Mutex<SendState>,
+    /// Samples of retired DDS writers that some reader never took, until reported.
     given_up: AtomicU64,
     shared: Arc<Shared>,
     runtime: Handle,
 }
 
-/// What went out so far.
-struct Sent {
-    /// On the topic.
+struct SendState {
+    /// The current DDS writer.
     line: Line,
-    /// Takes over as soon as the readers of `line` are connected to it.
+    /// Takes over when the readers of `line` are connected to it.
     successor: Option<Line>,
     patience: Patience,
-    waiting: Waiting,
+    wait: AcknowledgmentWait,
     /// The times of a latched topic's samples.
     stamps: Stamps,
-    /// The last of them with their times, for the late readers of the next DDS writer.
+    /// The last samples with their times, for late readers of the next DDS writer.
     history: VecDeque<(Bytes, Timestamp)>,
-    /// To readers of this participant: those elsewhere may miss what nobody there heard, these do not.
+    /// Samples delivered within the process. Its readers miss nothing, whereas samples without a remote reader are not
+    /// sent.
     here: i64,
-    /// When the last sample went out to readers elsewhere.
+    /// When the last sample was sent to other processes.
     last: Option<Instant>,
 }
 
 impl WriterCore {
-    /// Whether there are readers elsewhere, or may be such that want what was sent before.
-    fn is_heard_elsewhere(&self) -> bool {
+    /// Whether other processes have readers, or may have late ones.
+    fn has_remote_readers(&self) -> bool {
         let current = || self.shared.lines.current(&self.id);
         let is_matched = || lock(&self.shared.matches).contains_key(&current());
         !self.shared.is_alone && (self.is_latched || is_matched())
@@ -111,8 +123,8 @@ impl WriterCore {
         when_full: WhenFull,
     ) -> Result<Written, Error> {
         let mut sent = lock(&self.sent);
-        // calls are known by their number on the wire
-        let written = if !self.is_topic || self.is_heard_elsewhere() {
+        // the number on the wire identifies a call
+        let written = if !self.is_topic || self.has_remote_readers() {
             let sample = payload.cdr()?;
             sent.last = Some(Instant::now());
             self.send_elsewhere(&sample, answers, when_full, &mut sent)?
@@ -149,10 +161,10 @@ impl WriterCore {
         sample: &Bytes,
         answers: Option<RequestId>,
         when_full: WhenFull,
-        sent: &mut Sent,
+        sent: &mut SendState,
     ) -> Result<Written, Error> {
         if self.shared.is_alone {
-            // there is nobody elsewhere, and own readers would never acknowledge
+            // without remote readers nothing is acknowledged
             let number = sent.line.window.last() + 1;
             sent.line.window.wrote(number, 0);
             sent.line.window.acknowledged(number);
@@ -172,9 +184,9 @@ impl WriterCore {
     fn send_in_parts(
         &self,
         sample: &Bytes,
-        keep: Keep,
+        keep: Retention,
         when_full: WhenFull,
-        sent: &mut Sent,
+        sent: &mut SendState,
     ) -> Result<Written, Error> {
         let (id, parts) = (sent.line.id(), &self.shared.parts);
         self.check_len(sample.len(), LARGEST)?;
@@ -190,10 +202,10 @@ impl WriterCore {
                 not_sent => return Ok(not_sent),
             },
         };
-        // the copy may have gone out on the next DDS writer
+        // the copy may have been sent by the next DDS writer
         let id = sent.line.id();
         let offered = self.shared.offer(&id, sample, copy, peers);
-        let Some(Offered { number, dropped }) = offered else {
+        let Some(OfferOutcome { number, dropped }) = offered else {
             return Err(Error::ShutDown(self.endpoint.name.clone()));
         };
         Ok(Written::Sent {
@@ -214,13 +226,13 @@ impl WriterCore {
         })
     }
 
-    /// Sends an answer, by itself where rustdds would spoil it.
+    /// Sends a response; not through rustdds if it would corrupt it.
     fn send_answer(
         &self,
         sample: &Bytes,
         request: RequestId,
         when_full: WhenFull,
-        sent: &mut Sent,
+        sent: &mut SendState,
     ) -> Result<Written, Error> {
         let (id, shared) = (self.id, &self.shared);
         let clients = shared.matched(&id);
@@ -241,7 +253,7 @@ impl WriterCore {
             nanos: system_nanos(),
             sample: sample.clone(),
         };
-        // all of them: clients of one service take all answers, and wait for one that is missing
+        // to all clients: each client of a service takes all responses, and waits for a missing one
         let addresses = shared.addresses_of(&clients);
         let send = {
             let shared = Arc::clone(shared);
@@ -271,13 +283,13 @@ impl WriterCore {
         Ok(written)
     }
 
-    /// On the topic, to readers elsewhere.
+    /// Sends a sample on the topic to other processes.
     fn send_whole(
         &self,
         sample: &Bytes,
         answers: Option<RequestId>,
         when_full: WhenFull,
-        sent: &mut Sent,
+        sent: &mut SendState,
     ) -> Result<Written, Error> {
         if self.is_reliable && !self.has_room(when_full, sent) {
             return Ok(Written::WindowFull);
@@ -286,12 +298,12 @@ impl WriterCore {
         if self.is_latched {
             now = sent.stamps.next(now);
         }
-        let large = match self.is_topic && self.is_reliable && !sent.waiting.is_long(STUCK) {
+        let large = match self.is_topic && self.is_reliable && !sent.wait.is_longer_than(STUCK) {
             true => LargeSample::of(sent.line.id(), sent.line.window.last() + 1, now, sample),
             false => None,
         };
         if let Some(large) = &large {
-            self.shared.send_ahead(large, &self.care);
+            self.shared.send_ahead(large, &self.repeats);
         }
         let number = match sent.line.write(sample, answers, now) {
             Ok(number) => number,
@@ -305,7 +317,7 @@ impl WriterCore {
             sent.line.window.acknowledged(number);
         } else if let Some(large) = large {
             let writer = Arc::downgrade(sent.line.writer());
-            self.shared.resend(writer, large, &self.care);
+            self.shared.resend(writer, large, &self.repeats);
         }
         if self.is_latched {
             sent.history.push_back((sample.clone(), now));
@@ -317,21 +329,23 @@ impl WriterCore {
         Ok(Written::Sent { number, dropped })
     }
 
-    /// Looks whether some reader has fallen behind; whether a sample may be sent all the same. The next DDS writer of a
-    /// publisher takes over as soon as it can.
-    fn has_room(&self, when_full: WhenFull, sent: &mut Sent) -> bool {
-        let is_acknowledged = sent.line.look();
+    /// Checks for slow readers, and lets the next DDS writer take over if possible. Returns whether a sample may be
+    /// sent.
+    fn has_room(&self, when_full: WhenFull, sent: &mut SendState) -> bool {
+        let is_acknowledged = sent.line.update();
         let is_waiting = sent.line.window.unacknowledged() > 0;
         let looked = [is_acknowledged, is_waiting];
         let line = sent.line.id();
-        self.shared.note(&line, &mut sent.waiting, looked);
-        // calls are known by their DDS writer
+        if self.shared.one_way.record(&line, &mut sent.wait, looked) {
+            self.shared.renew(&line);
+        }
+        // the DDS writer identifies a call
         if !self.is_topic {
             return !sent.line.window.is_full();
         }
         if sent.line.window.unacknowledged() == 0 {
             sent.patience.reset();
-            // the reader has caught up, or has gone
+            // the slow reader has caught up or left
             if let Some(successor) = sent.successor.take() {
                 self.shared.forget_line(&successor.id());
             }
@@ -342,7 +356,7 @@ impl WriterCore {
         if when_full == WhenFull::Refuse {
             return false;
         }
-        let is_stuck = sent.waiting.is_long(LULL);
+        let is_stuck = sent.wait.is_longer_than(LULL);
         match sent.successor.take() {
             None if !is_stuck || self.shared.catch_up.is_pending() => {}
             None => match self.start() {
@@ -367,7 +381,7 @@ impl WriterCore {
     fn register(&self, line: EndpointId) {
         let (shared, name) = (&self.shared, dds_name(&self.endpoint));
         shared.lines.add(self.id, line);
-        let own = Own {
+        let own = OwnEndpoint {
             topic: name,
             type_name: dds_type(&self.endpoint),
             qos: self.maker.qos.clone(),
@@ -379,11 +393,11 @@ impl WriterCore {
             .add_endpoint(line, &self.node, &self.endpoint, true);
     }
 
-    /// From now on samples go out on `successor`.
-    fn hand_on(&self, sent: &mut Sent, mut successor: Line) {
+    /// Makes `successor` the current DDS writer.
+    fn hand_on(&self, sent: &mut SendState, mut successor: Line) {
         let (old, new) = (sent.line.id(), successor.id());
         for (sample, written) in &sent.history {
-            // late readers want them; those of this suite know the time, and do not take them twice
+            // late readers need them; readers of this suite recognise repetitions by their times
             if let Err(error) = successor.write(sample, None, *written) {
                 tracing::debug!("{}: {error}", self.endpoint.name);
             }
@@ -403,13 +417,13 @@ impl WriterCore {
     }
 }
 
-/// Keeps a DDS writer for what its readers have not taken, and then drops it.
+/// Keeps a DDS writer until its readers have had time to take its samples, then drops it.
 async fn retire(core: Weak<WriterCore>, shared: Arc<Shared>, mut line: Line) {
     let id = line.id();
     tokio::time::sleep(RETIREMENT).await;
     let settled = shared.parts.acknowledged(&id);
     tokio::time::timeout(PARTS_RETIREMENT, settled).await.ok();
-    line.look();
+    line.update();
     if let Some(core) = core.upgrade() {
         let given_up = line.window.unacknowledged() as u64;
         core.given_up.fetch_add(given_up, Ordering::Relaxed);
@@ -427,8 +441,8 @@ impl DdsWriter {
     ) -> CreateResult<Self> {
         let line = Line::new(maker.make()?);
         let id = line.id();
-        // offers come from the first participant, and are for its writers
-        let is_of_first = peer_of(&id) == shared.first;
+        // offers come from the first participant
+        let is_of_first = participant_of(&id) == shared.first;
         let qos = endpoint.qos;
         let core = Arc::new_cyclic(|this| WriterCore {
             id,
@@ -436,16 +450,16 @@ impl DdsWriter {
             maker,
             endpoint: endpoint.clone(),
             node: node.to_owned(),
-            keep: Keep::of(endpoint).filter(|_| is_of_first),
+            keep: Retention::of(endpoint).filter(|_| is_of_first),
             is_topic: endpoint.channel == Channel::Topic,
             is_reliable: qos.reliability == Reliability::Reliable,
             is_latched: qos.durability == Durability::TransientLocal,
-            care: Care::default(),
-            sent: Mutex::new(Sent {
+            repeats: RepeatState::default(),
+            sent: Mutex::new(SendState {
                 line,
                 successor: None,
                 patience: Patience::default(),
-                waiting: Waiting::default(),
+                wait: AcknowledgmentWait::default(),
                 stamps: Stamps::new(&id),
                 history: VecDeque::new(),
                 here: 0,
@@ -458,20 +472,20 @@ impl DdsWriter {
         shared.local.add_writer(id, endpoint);
         core.register(id);
         shared.changed();
-        let waiting = WaitingRoom::default();
-        Ok(Self { core, waiting })
+        let held = Arc::new(Semaphore::new(MOST_HELD));
+        Ok(Self { core, held })
     }
 
-    /// Has an answer sent when its client is connected; false where too many wait already.
+    /// Sends a response when its client is connected; false if too many wait already.
     fn hold(&self, payload: &Payload, request: RequestId) -> bool {
-        let Some(place) = self.waiting.enter() else {
+        let Ok(permit) = Arc::clone(&self.held).try_acquire_owned() else {
             return false;
         };
         let (core, id) = (Arc::downgrade(&self.core), self.core.id);
         let (shared, payload) = (Arc::clone(&self.core.shared), payload.clone());
         let failure = Arc::clone(&shared.failure);
         failure.watch(&self.core.runtime, "answers", async move {
-            let _place = place;
+            let _permit = permit;
             let is_reached = shared.reached(&id, &request.client).await;
             let Some(core) = core.upgrade() else { return };
             let topic = &core.endpoint.name;
@@ -492,8 +506,8 @@ impl DdsWriter {
 }
 
 impl DdsWriter {
-    /// Keeps what is on the wire until the readers have had time to hand the last sample over.
-    fn stay(&self) {
+    /// Delays the departure until readers have had time to hand over the last sample.
+    fn delay_departure(&self) {
         let Some(last) = lock(&self.core.sent).last else {
             return;
         };
@@ -520,7 +534,7 @@ impl Writer for DdsWriter {
     fn audience(&self) -> Audience {
         Audience {
             here: self.core.shared.local.matched(&self.id()) > 0,
-            elsewhere: self.core.is_latched || self.core.is_heard_elsewhere(),
+            elsewhere: self.core.is_latched || self.core.has_remote_readers(),
         }
     }
 
@@ -571,9 +585,9 @@ impl Drop for DdsWriter {
         shared.forget_line(&line);
         shared.lines.remove_publisher(&core.id);
         shared.forget(&core.id);
-        // other implementations keep what they have acknowledged
+        // other implementations keep acknowledged samples
         if core.is_reliable && !readers.iter().all(|reader| is_foreign(&core.id, reader)) {
-            self.stay();
+            self.delay_departure();
         }
     }
 }

@@ -101,7 +101,6 @@ mod tests {
         }
     }
 
-    /// What is written is read back by the parser of parameter files, each value as it was.
     #[test]
     fn a_file_gives_the_defaults() {
         let definition = NodeDefinition::<crate::Error> {
@@ -110,8 +109,9 @@ mod tests {
             parameters: Parameters::specs,
             endpoints: Vec::new,
             is_managed: true,
+            runs_alone: false,
             run: |_| Ok(std::process::ExitCode::SUCCESS),
-            component: None,
+            body: |_| Box::pin(async { Ok(()) }),
         };
         let written = definition.params_file();
         assert!(

@@ -1,12 +1,12 @@
 //! Which records are kept, and the two services that ask for it and change it while the node runs.
 
-use crate::{
-    args::LogLevels,
-    rcl_interfaces::{LoggerLevel, LoggerLevels, SetLoggerLevelsResponse, SetParametersResult},
-};
+use crate::args::LogLevels;
 use std::sync::{Mutex, PoisonError};
 use tracing::level_filters::LevelFilter;
 use tracing_subscriber::{Registry, filter::Targets, reload};
+use wm_msgs::rcl_interfaces::{
+    GetLoggerLevelsResponse, LoggerLevel, SetLoggerLevelsResponse, SetLoggerLevelsResult,
+};
 
 /// Loggers whose levels are remembered, and that one request may name: it is served on the thread that receives for all.
 const MAX_LOGGERS: usize = 256;
@@ -53,7 +53,7 @@ pub(super) fn install(levels: &LogLevels) -> reload::Layer<Targets, Registry> {
 
 /// `get_logger_levels`, as rclcpp answers it: 0 for a logger whose level was not set. The empty name is the root. A
 /// request for too many is answered for the first of them.
-pub(crate) fn get(names: &[String]) -> LoggerLevels {
+pub(crate) fn get(names: &[String]) -> GetLoggerLevelsResponse {
     let installed = LEVELS.lock().unwrap_or_else(PoisonError::into_inner);
     let level = |name: &String| LoggerLevel {
         name: name.clone(),
@@ -61,7 +61,7 @@ pub(crate) fn get(names: &[String]) -> LoggerLevels {
             .as_ref()
             .map_or(0, |installed| installed.levels.number(name)),
     };
-    LoggerLevels {
+    GetLoggerLevelsResponse {
         levels: names.iter().take(MAX_LOGGERS).map(level).collect(),
     }
 }
@@ -83,7 +83,7 @@ pub(crate) fn set(wanted: &[LoggerLevel]) -> SetLoggerLevelsResponse {
         // It fails only once the subscriber is gone, and with it all that could be filtered.
         handle.reload(filter(levels)).ok();
     }
-    let result = |outcome: Result<(), String>| SetParametersResult {
+    let result = |outcome: Result<(), String>| SetLoggerLevelsResult {
         successful: outcome.is_ok(),
         reason: outcome.err().unwrap_or_default(),
     };

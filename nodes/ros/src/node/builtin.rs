@@ -10,18 +10,21 @@ use crate::{
     names::TypeName,
     parameters::{Change, Parameters, services},
     payload::Payload,
-    rcl_interfaces::{LoggerLevels, Names},
     value::Value,
 };
-use serde::{Serialize, de::DeserializeOwned};
 use std::{
     collections::BTreeSet,
     sync::{Arc, Mutex, PoisonError},
     time::{Duration, Instant},
 };
 use wm_msgs::{
+    Service,
     cdr::{self, CdrError},
     diagnostic_msgs::DiagnosticArray,
+    rcl_interfaces::{
+        DescribeParameters, GetLoggerLevels, GetParameterTypes, GetParameters, ListParameters, Log,
+        ParameterEvent, SetLoggerLevels, SetParameters, SetParametersAtomically,
+    },
     rosgraph_msgs,
     std_msgs::Header,
 };
@@ -49,17 +52,15 @@ pub(super) fn start(node: &Node, args: &NodeArgs) -> Result<(), Error> {
     diagnostics(node)
 }
 
-const RCL_INTERFACES: &str = "rcl_interfaces";
-
 fn rosout(node: &Node, args: &NodeArgs) -> Result<(), Error> {
     let inner = &node.inner;
     let writer = match args.rosout {
         true => Some({
-            inner.interfaces.rcl("msg/Log");
+            inner.interfaces.message::<Log>();
             inner.writer(
                 Channel::Topic,
                 "/rosout",
-                TypeName::message(RCL_INTERFACES, "Log"),
+                TypeName::message("rcl_interfaces", "Log"),
                 ROSOUT_QOS,
             )?
         }),
@@ -72,8 +73,8 @@ fn rosout(node: &Node, args: &NodeArgs) -> Result<(), Error> {
 
 fn parameter_events(node: &Node) -> Result<(), Error> {
     let inner = &node.inner;
-    inner.interfaces.rcl("msg/ParameterEvent");
-    let type_name = TypeName::message(RCL_INTERFACES, "ParameterEvent");
+    inner.interfaces.message::<ParameterEvent>();
+    let type_name = TypeName::message("rcl_interfaces", "ParameterEvent");
     let writer = inner.writer(
         Channel::Topic,
         "/parameter_events",
@@ -151,71 +152,41 @@ fn clock_sink(clock: Clock) -> crate::backend::Sink {
 }
 
 fn parameter_services(node: &Node) -> Result<(), Error> {
-    serve(
+    serve::<GetParameters>(node, "~/get_parameters", |parameters, request| {
+        services::get(parameters, &request)
+    })?;
+    serve::<GetParameterTypes>(node, "~/get_parameter_types", |parameters, request| {
+        services::get_types(parameters, &request)
+    })?;
+    serve::<DescribeParameters>(node, "~/describe_parameters", |parameters, request| {
+        services::describe(parameters, &request)
+    })?;
+    serve::<ListParameters>(node, "~/list_parameters", |parameters, request| {
+        services::list(parameters, &request)
+    })?;
+    serve::<SetParameters>(node, "~/set_parameters", services::set)?;
+    serve::<SetParametersAtomically>(
         node,
-        "get_parameters",
-        "GetParameters",
-        |parameters, request| services::get(parameters, &request),
-    )?;
-    serve(
-        node,
-        "get_parameter_types",
-        "GetParameterTypes",
-        |parameters, request| services::get_types(parameters, &request),
-    )?;
-    serve(
-        node,
-        "describe_parameters",
-        "DescribeParameters",
-        |parameters, request| services::describe(parameters, &request),
-    )?;
-    serve(
-        node,
-        "list_parameters",
-        "ListParameters",
-        |parameters, request| services::list(parameters, &request),
-    )?;
-    serve(node, "set_parameters", "SetParameters", services::set)?;
-    serve(
-        node,
-        "set_parameters_atomically",
-        "SetParametersAtomically",
+        "~/set_parameters_atomically",
         services::set_atomically,
     )
 }
 
-fn serve<Request: DeserializeOwned + 'static, Response: Serialize + 'static>(
+fn serve<S: Service>(
     node: &Node,
     name: &str,
-    type_name: &str,
-    handler: impl Fn(&Parameters, Request) -> Response + Send + 'static,
+    handler: impl Fn(&Parameters, S::Request) -> S::Response + Send + 'static,
 ) -> Result<(), Error> {
     let parameters = Arc::clone(&node.inner.parameters);
-    node.inner.interfaces.rcl(&format!("srv/{type_name}"));
-    let answer = move |request: &[u8]| -> Result<Vec<u8>, CdrError> {
-        cdr::to_bytes(&handler(&parameters, cdr::from_bytes(request)?))
-    };
-    node.inner.serve_bytes(
-        &format!("~/{name}"),
-        TypeName::service(RCL_INTERFACES, type_name),
-        answer,
-    )
+    node.serve::<S>(name, move |request| handler(&parameters, request))
 }
 
-/// The services that rclcpp has behind `enable_logger_service`: here always, since they cost nothing.
+/// The services that rclcpp offers as `enable_logger_service`. Here every node has them, since they cost nothing.
 fn logger_services(node: &Node) -> Result<(), Error> {
-    serve(
-        node,
-        "get_logger_levels",
-        "GetLoggerLevels",
-        |_, request: Names| levels::get(&request.names),
-    )?;
-    serve(
-        node,
-        "set_logger_levels",
-        "SetLoggerLevels",
-        |_, request: LoggerLevels| levels::set(&request.levels),
-    )
+    node.serve::<GetLoggerLevels>("~/get_logger_levels", |request| levels::get(&request.names))?;
+    node.serve::<SetLoggerLevels>("~/set_logger_levels", |request| {
+        levels::set(&request.levels)
+    })
 }
 
 fn type_service(node: &Node) -> Result<(), Error> {

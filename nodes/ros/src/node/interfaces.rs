@@ -11,8 +11,6 @@ use std::{
 use wm_msgs::{
     Action, DescriptionError, IndividualType, Message, Service, TypeDescription,
     action_msgs::{CancelGoal, GoalStatusArray},
-    builtin_interfaces::Time,
-    rcl_interfaces,
 };
 
 /// The text of a type, and those of the types that it names.
@@ -50,21 +48,6 @@ impl Interfaces {
         }
         self.service::<CancelGoal>();
         self.message::<GoalStatusArray>();
-    }
-
-    /// A type of `rcl_interfaces`, `msg/Log` for example, which every node speaks without a Rust type of `wm_msgs`.
-    pub(super) fn rcl(&self, name: &str) {
-        let name = format!("rcl_interfaces/{name}");
-        let mut all = rcl_interfaces::MESSAGES
-            .iter()
-            .chain(&rcl_interfaces::SERVICES);
-        if let Some((_, text)) = all.find(|(known, _)| *known == name) {
-            let dependencies = || {
-                let time = ("builtin_interfaces/msg/Time", Time::DEFINITION);
-                rcl_interfaces::MESSAGES.into_iter().chain([time]).collect()
-            };
-            self.add(name.clone(), name, text, dependencies);
-        }
     }
 
     fn add(
@@ -201,6 +184,7 @@ fn individual(part: IndividualType) -> IndividualTypeDescription {
 mod tests {
     use super::*;
     use wm_msgs::{
+        rcl_interfaces::{Log, SetParameters},
         std_msgs::Header,
         wm_msgs::{Reset, action::Plan},
     };
@@ -210,8 +194,8 @@ mod tests {
         interfaces.message::<Header>();
         interfaces.service::<Reset>();
         interfaces.action::<Plan>();
-        interfaces.rcl("msg/Log");
-        interfaces.rcl("srv/SetParameters");
+        interfaces.message::<Log>();
+        interfaces.service::<SetParameters>();
         interfaces.answer(&GetTypeDescriptionRequest {
             type_name: name.to_owned(),
             type_hash,

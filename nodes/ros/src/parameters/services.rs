@@ -1,36 +1,50 @@
-//! The answers of the six parameter services, without the transport: request in, response out.
+//! The six parameter services without the transport: request in, response out.
 
 use super::{Change, Parameters, Range};
-use crate::rcl_interfaces::{
-    FloatingPointRange, IntegerRange, ListRequest, ListResponse, Names, Parameter,
-    ParameterDescriptor, ParameterDescriptors, ParameterEvent, ParameterTypes, ParameterValue,
-    ParameterValues, ParametersToSet, SetParametersResult, SetResult, SetResults,
+use crate::rcl_interfaces::value_of;
+use wm_msgs::{
+    builtin_interfaces::Time,
+    rcl_interfaces::{
+        DescribeParametersRequest, DescribeParametersResponse, FloatingPointRange,
+        GetParameterTypesRequest, GetParameterTypesResponse, GetParametersRequest,
+        GetParametersResponse, IntegerRange, ListParametersRequest, ListParametersResponse,
+        ListParametersResult, Parameter, ParameterDescriptor, ParameterEvent, ParameterValue,
+        SetParametersAtomicallyRequest, SetParametersAtomicallyResponse, SetParametersRequest,
+        SetParametersResponse, SetParametersResult,
+    },
 };
-use wm_msgs::builtin_interfaces::Time;
 
-/// `get_parameters`: "not set" for names that there are not.
-pub(crate) fn get(parameters: &Parameters, request: &Names) -> ParameterValues {
+/// `get_parameters`: the default value, "not set", for unknown names.
+pub(crate) fn get(
+    parameters: &Parameters,
+    request: &GetParametersRequest,
+) -> GetParametersResponse {
     let value = |name: &String| {
         parameters
             .get(name)
-            .map(ParameterValue::from)
-            .unwrap_or_default()
+            .map_or_else(ParameterValue::default, ParameterValue::from)
     };
-    ParameterValues {
+    GetParametersResponse {
         values: request.names.iter().map(value).collect(),
     }
 }
 
-/// `get_parameter_types`: 0 for names that there are not.
-pub(crate) fn get_types(parameters: &Parameters, request: &Names) -> ParameterTypes {
+/// `get_parameter_types`: 0 for unknown names.
+pub(crate) fn get_types(
+    parameters: &Parameters,
+    request: &GetParameterTypesRequest,
+) -> GetParameterTypesResponse {
     let number = |name: &String| parameters.get(name).map_or(0, |value| value.kind() as u8);
-    ParameterTypes {
+    GetParameterTypesResponse {
         types: request.names.iter().map(number).collect(),
     }
 }
 
-/// `describe_parameters`: type 0 for names that there are not.
-pub(crate) fn describe(parameters: &Parameters, request: &Names) -> ParameterDescriptors {
+/// `describe_parameters`: type 0 for unknown names.
+pub(crate) fn describe(
+    parameters: &Parameters,
+    request: &DescribeParametersRequest,
+) -> DescribeParametersResponse {
     let describe = |name: &String| {
         let Some((kind, descriptor)) = parameters.descriptor(name) else {
             return ParameterDescriptor {
@@ -69,22 +83,25 @@ pub(crate) fn describe(parameters: &Parameters, request: &Names) -> ParameterDes
             integer_range,
         }
     };
-    ParameterDescriptors {
+    DescribeParametersResponse {
         descriptors: request.names.iter().map(describe).collect(),
     }
 }
 
 /// `set_parameters`: each on its own.
-pub(crate) fn set(parameters: &Parameters, request: ParametersToSet) -> SetResults {
+pub(crate) fn set(parameters: &Parameters, request: SetParametersRequest) -> SetParametersResponse {
     let set = |parameter| set_all(parameters, vec![parameter]);
-    SetResults {
+    SetParametersResponse {
         results: request.parameters.into_iter().map(set).collect(),
     }
 }
 
 /// `set_parameters_atomically`: all or none.
-pub(crate) fn set_atomically(parameters: &Parameters, request: ParametersToSet) -> SetResult {
-    SetResult {
+pub(crate) fn set_atomically(
+    parameters: &Parameters,
+    request: SetParametersAtomicallyRequest,
+) -> SetParametersAtomicallyResponse {
+    SetParametersAtomicallyResponse {
         result: set_all(parameters, request.parameters),
     }
 }
@@ -96,7 +113,7 @@ fn set_all(parameters: &Parameters, changes: Vec<Parameter>) -> SetParametersRes
     };
     let mut values = Vec::with_capacity(changes.len());
     for Parameter { name, value } in changes {
-        match value.into_value() {
+        match value_of(value) {
             Some(value) => values.push((name, value)),
             None => return refused(format!("parameter `{name}` cannot be unset")),
         }
@@ -110,9 +127,14 @@ fn set_all(parameters: &Parameters, changes: Vec<Parameter>) -> SetParametersRes
     }
 }
 
-/// `list_parameters`, as rclcpp answers it: names under the prefixes, at most `depth` levels below them (0: all).
-pub(crate) fn list(parameters: &Parameters, request: &ListRequest) -> ListResponse {
-    let is_within = |levels: usize| request.depth == 0 || (levels as u64) < request.depth;
+/// `list_parameters`, as in rclcpp: names under the prefixes, at most `depth` levels below them.
+pub(crate) fn list(
+    parameters: &Parameters,
+    request: &ListParametersRequest,
+) -> ListParametersResponse {
+    let is_within = |levels: usize| {
+        request.depth == ListParametersRequest::DEPTH_RECURSIVE || (levels as u64) < request.depth
+    };
     let is_listed = |name: &str| {
         if request.prefixes.is_empty() {
             return is_within(name.matches('.').count());
@@ -138,10 +160,12 @@ pub(crate) fn list(parameters: &Parameters, request: &ListRequest) -> ListRespon
         .filter_map(|name| Some(name.rsplit_once('.')?.0.to_owned()))
         .collect();
     prefixes.dedup();
-    ListResponse { names, prefixes }
+    ListParametersResponse {
+        result: ListParametersResult { names, prefixes },
+    }
 }
 
-/// The event that tells others of a change.
+/// The event that reports a change.
 pub(crate) fn event(node: &str, stamp: Time, change: &Change) -> ParameterEvent {
     let values = change
         .values
@@ -196,27 +220,31 @@ mod tests {
         parameters
     }
 
-    fn names(names: &[&str]) -> Names {
-        Names {
-            names: names.iter().map(|name| (*name).to_owned()).collect(),
-        }
+    fn names(names: &[&str]) -> Vec<String> {
+        names.iter().map(|name| (*name).to_owned()).collect()
     }
 
     #[test]
     fn unknown_names_are_not_set() {
+        let request = GetParameterTypesRequest {
+            names: names(&["rate", "rat"]),
+        };
+        assert_eq!(get_types(&parameters(), &request).types, [3, 0]);
+        let request = GetParametersRequest {
+            names: names(&["rat"]),
+        };
         assert_eq!(
-            get_types(&parameters(), &names(&["rate", "rat"])).types,
-            [3, 0]
-        );
-        assert_eq!(
-            get(&parameters(), &names(&["rat"])).values,
+            get(&parameters(), &request).values,
             [ParameterValue::default()]
         );
     }
 
     #[test]
     fn descriptions_carry_range_and_read_only() {
-        let described = describe(&parameters(), &names(&["rate", "model.path"])).descriptors;
+        let request = DescribeParametersRequest {
+            names: names(&["rate", "model.path"]),
+        };
+        let described = describe(&parameters(), &request).descriptors;
         let [rate, path] = &described[..] else {
             panic!("two answers")
         };
@@ -231,10 +259,11 @@ mod tests {
     }
 
     #[test]
-    fn lists_go_as_deep_as_asked() {
+    fn lists_have_the_requested_depth() {
         let listed = |prefixes: &[&str], depth| {
-            let prefixes = prefixes.iter().map(|prefix| (*prefix).to_owned()).collect();
-            list(&parameters(), &ListRequest { prefixes, depth }).names
+            let prefixes = names(prefixes);
+            let request = ListParametersRequest { prefixes, depth };
+            list(&parameters(), &request).result.names
         };
         assert_eq!(listed(&[], 0), ["model.layers.count", "model.path", "rate"]);
         assert_eq!(listed(&[], 1), ["rate"]);
@@ -244,22 +273,20 @@ mod tests {
 
     #[test]
     fn each_is_set_on_its_own_or_all_together() {
-        let request = || ParametersToSet {
-            parameters: vec![
-                Parameter {
-                    name: "rate".into(),
-                    value: Value::Double(1.0).into(),
-                },
-                Parameter {
-                    name: "rate".into(),
-                    value: Value::Double(99.0).into(),
-                },
-            ],
-        };
+        let rates = [1.0, 99.0].map(|rate| Parameter {
+            name: "rate".into(),
+            value: Value::Double(rate).into(),
+        });
         let parameters = parameters();
-        assert!(!set_atomically(&parameters, request()).result.successful);
+        let request = SetParametersAtomicallyRequest {
+            parameters: rates.to_vec(),
+        };
+        assert!(!set_atomically(&parameters, request).result.successful);
         assert_eq!(parameters.get("rate"), Some(Value::Double(5.0)));
-        let results = set(&parameters, request()).results;
+        let request = SetParametersRequest {
+            parameters: rates.to_vec(),
+        };
+        let results = set(&parameters, request).results;
         assert_eq!(
             results
                 .iter()

@@ -1,8 +1,8 @@
 //! The configuration and the session.
 //!
-//! Unlike Zenoh's own defaults, a program connects to nobody and admits nobody that the user has not named: without
-//! `--listen` it listens on this host only, or not at all if it connects somewhere. It neither scouts by
-//! multicast nor connects to addresses that others announce. Settings in the configuration file are kept.
+//! Unlike Zenoh's own defaults, a program connects to and accepts only hosts that the user names: without `--listen` it
+//! listens on this host only, or not at all if it connects somewhere. It neither scouts by multicast nor connects to
+//! addresses that others announce. Settings in the configuration file take precedence.
 
 use anyhow::{Result, anyhow};
 use clap::ValueEnum;
@@ -12,13 +12,13 @@ use std::path::PathBuf;
 /// Zenoh's own port, on this host.
 const LOCAL_ENDPOINT: &str = "tcp/127.0.0.1:7447";
 
-/// The largest message that others can make this host put together \[byte\], instead of Zenoh's 1 GiB: twice a raw
-/// picture of 4096 x 2160.
+/// The largest message that others can make this host assemble \[byte\], instead of Zenoh's 1 GiB: twice a raw picture
+/// of 4096 x 2160.
 const LARGEST_MESSAGE: usize = 64 << 20;
 
-/// Batches of 64 KiB that wait for a link, for each priority that samples can have: Zenoh's most, instead of its 2. A packet
-/// that is lost several times holds up TCP for seconds, and a burst of samples fills 128 KiB in a few milliseconds; what
-/// finds no room is dropped. Memory is taken as it is needed.
+/// Batches of 64 KiB that wait for a link, per priority: Zenoh's maximum, instead of its 2. Repeated packet loss stalls
+/// TCP for seconds, and a burst of samples fills 128 KiB in a few milliseconds; further samples are dropped. Memory is
+/// allocated on demand.
 const WAITING_BATCHES: usize = 16;
 const SAMPLE_QUEUES: [&str; 7] = [
     "transport/link/tx/queue/size/real_time",
@@ -76,7 +76,7 @@ impl NetworkArguments {
     /// The configuration of the session.
     ///
     /// # Errors
-    /// The file cannot be read or is not of its form, or an option is not.
+    /// The file cannot be read or is malformed, or an option is invalid.
     pub fn resolve(&self) -> Result<zenoh::Config> {
         let mut config = match &self.config {
             None => zenoh::Config::default(),
@@ -92,7 +92,7 @@ impl NetworkArguments {
         Ok(config)
     }
 
-    /// What the options, and the cautious defaults, set in a configuration.
+    /// The settings from the options, and the safe defaults.
     fn values(&self, given: &Value) -> Result<Vec<(&'static str, Value)>> {
         let defaults = serde_json::to_value(zenoh::Config::default())?;
         let is_unset = |key: &str| {
@@ -140,7 +140,7 @@ impl NetworkArguments {
             }
         }
         if is_unset("timestamping/enabled") {
-            // The history of latched topics is kept by time.
+            // latched topics are kept by time
             values.push(("timestamping/enabled", json!(true)));
         }
         Ok(values)
@@ -173,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn by_default_only_this_host_is_listened_to_and_nothing_is_reached() {
+    fn default_listens_on_this_host_and_connects_nowhere() {
         let config = resolved(&NetworkArguments::default());
         assert_eq!(config.pointer("/mode"), Some(&json!("router")));
         assert_eq!(
@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn who_connects_does_not_listen_unless_told_to() {
+    fn connecting_program_listens_only_on_request() {
         let mut arguments = NetworkArguments {
             connect: words(&["tcp/10.0.0.7:7447"]),
             ..NetworkArguments::default()
@@ -220,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_keeps_what_it_sets_and_options_come_before_it() {
+    fn options_override_the_file_and_the_file_overrides_defaults() {
         let mut file = tempfile::Builder::new()
             .suffix(".json5")
             .tempfile()
@@ -250,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_named() {
+    fn faults_are_named() {
         let missing = NetworkArguments {
             config: Some("/nonexistent.json5".into()),
             ..NetworkArguments::default()

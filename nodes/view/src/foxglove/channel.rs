@@ -1,7 +1,7 @@
-//! The channels: topics that are offered and there.
+//! Channels: offered topics that exist.
 
 use super::{
-    message::{Advertised, SCHEMA_ENCODING},
+    message::{ChannelAdvert, SCHEMA_ENCODING},
     offer::Offer,
 };
 use std::{
@@ -15,58 +15,55 @@ use std::{
 use wm_bag::Schema;
 use wm_ros::{Durability, TopicInfo};
 
-/// Channels at a time: whoever makes more topics does not mean well.
+/// The most channels; more topics are hardly meant well.
 const MOST: usize = 2000;
 
 /// A topic with its type.
 #[derive(Debug)]
 pub struct Channel {
-    /// Its number. One that has gone and comes again has another.
+    /// Never reused: a topic that returns gets a new number.
     pub id: u32,
     /// The absolute name.
     pub topic: String,
     /// `package/msg/Type`
     pub type_name: String,
-    /// The shortest time from one message to the next.
+    /// The shortest time between messages.
     pub period: Option<Duration>,
     schema: Arc<Schema>,
     latches: AtomicBool,
 }
 
 impl Channel {
-    /// As it is advertised.
-    pub fn advertised(&self) -> Advertised<'_> {
-        Advertised::new(self.id, &self.topic, &self.type_name, &self.schema.text)
+    pub fn advertised(&self) -> ChannelAdvert<'_> {
+        ChannelAdvert::new(self.id, &self.topic, &self.type_name, &self.schema.text)
     }
 
-    /// Whether a publisher latches what it publishes, so that who comes late gets it too.
+    /// Whether a publisher latches its messages for late subscribers.
     pub fn latches(&self) -> bool {
         self.latches.load(Ordering::Relaxed)
     }
 }
 
-/// All of them.
 #[derive(Debug, Default)]
 pub struct Channels {
     by_id: BTreeMap<u32, Arc<Channel>>,
     last_id: u32,
-    /// What types of the graph are defined as, and those that are not.
+    /// Definitions of the types; `None` for unknown types.
     schemas: BTreeMap<String, Option<Arc<Schema>>>,
 }
 
 impl Channels {
-    /// The one of this number.
     pub fn get(&self, id: u32) -> Option<&Arc<Channel>> {
         self.by_id.get(&id)
     }
 
-    /// All of them, by number.
+    /// By number.
     pub fn iter(&self) -> impl Iterator<Item = &Arc<Channel>> {
         self.by_id.values()
     }
 
-    /// Takes the topics of the graph. `define` finds the definition of a type; topics without one are not offered, since no
-    /// viewer can read them. Gives the channels that have gone, and whether any came or went.
+    /// Takes the topics of the graph. `define` returns the definition of a type; without one, viewers cannot read a
+    /// topic, so it is not offered. Returns the channels that have gone, and whether any changed.
     pub fn update(
         &mut self,
         topics: &[TopicInfo],
@@ -89,7 +86,7 @@ impl Channels {
             }
             topic.is_some()
         });
-        // A name has one type. Where the graph says two, the one that was there first stays.
+        // each name has one type: if the graph has two, the first one stays
         let mut known: BTreeSet<String> =
             self.iter().map(|channel| channel.topic.clone()).collect();
         let mut has_new = false;
@@ -139,7 +136,6 @@ pub mod tests {
 
     const TEXT: &str = "std_msgs/msg/String";
 
-    /// A channel of `topic`.
     pub fn channel(topic: &str, period: Option<Duration>, latches: bool) -> Channel {
         Channel {
             id: 1,
@@ -165,7 +161,7 @@ pub mod tests {
     }
 
     #[test]
-    fn channels_come_and_go_with_their_topics_and_numbers_are_not_used_again() {
+    fn channels_follow_topics_and_numbers_are_not_reused() {
         let offer = Offer::new(".*", "", &[]).unwrap().unwrap();
         let mut channels = Channels::default();
         let (a, b) = (
@@ -195,7 +191,7 @@ pub mod tests {
     }
 
     #[test]
-    fn a_topic_has_one_type_and_one_that_is_defined() {
+    fn topic_has_one_type_with_a_definition() {
         let offer = Offer::new(".*", "", &[]).unwrap().unwrap();
         let mut channels = Channels::default();
         let unknown = topic("/a", "a/msg/Unknown", Qos::reliable(1));
@@ -215,7 +211,7 @@ pub mod tests {
     }
 
     #[test]
-    fn who_makes_endless_topics_makes_no_endless_channels() {
+    fn channels_are_bounded() {
         let offer = Offer::new(".*", "", &[]).unwrap().unwrap();
         let mut channels = Channels::default();
         let topics: Vec<_> = (0..MOST + 10)

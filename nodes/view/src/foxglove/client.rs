@@ -1,8 +1,8 @@
-//! One client: its socket.
+//! The socket of a client.
 
 use super::{
     hub::{Guest, Hub},
-    message::{self, Asked, Level, Told},
+    message::{self, ClientMessage, Level, ServerMessage},
 };
 use crate::socket::{PING_PERIOD, deliver};
 use axum::extract::ws::{Message, WebSocket};
@@ -15,16 +15,16 @@ use tokio::{sync::mpsc, time::MissedTickBehavior};
 
 /// Longest message of a client \[byte\]: some thousand subscriptions.
 pub const MAX_REQUEST: usize = 64 << 10;
-/// Answers that may wait; of those beyond, a client that asks without reading gets none.
+/// The most waiting replies; a client that does not read misses further ones.
 const ANSWERS: usize = 16;
 
-/// What a client of a view that shows a bag is told.
+/// Sent if the view shows a bag.
 const OF_BAG: &str =
     "wm view shows a bag, which has no live topics: open the bag's .mcap file instead";
-/// What a client is told that asks for more.
+/// Sent for other requests.
 const NOT_OFFERED: &str = "not offered: clients can subscribe to topics, and neither publish nor call services or set parameters";
 
-/// Serves a client until it goes, stands still, or says what is no message of the protocol.
+/// Serves a client until it leaves, stalls, or sends an invalid message.
 pub async fn serve(socket: WebSocket, hub: &Arc<Hub>, is_bag: bool) {
     let (sink, stream) = socket.split();
     let (sender, answers) = mpsc::channel(ANSWERS);
@@ -37,12 +37,12 @@ pub async fn serve(socket: WebSocket, hub: &Arc<Hub>, is_bag: bool) {
         ended = receive(stream, &guest, sender) => ended,
     };
     if let Err(reason) = ended {
-        tracing::debug!("a Foxglove client is let go: {reason}");
+        tracing::debug!("a Foxglove client is disconnected: {reason}");
     }
 }
 
 fn told(level: Level, message: &str) -> String {
-    Told::Status { level, message }.text()
+    ServerMessage::Status { level, message }.text()
 }
 
 async fn send(
@@ -59,7 +59,7 @@ async fn send(
     }
     loop {
         tokio::select! {
-            // The messages of topics last: of them there may always be some.
+            // topics last: they may always have messages
             biased;
             _ = pings.tick() => {
                 deliver(&mut sink, Message::Ping(Vec::new().into())).await?;
@@ -90,22 +90,22 @@ async fn receive(
     let answer = |level, text: &str| drop(answers.try_send(told(level, text)));
     while let Some(message) = stream.next().await {
         match message.map_err(|error| error.to_string())? {
-            Message::Text(text) => match Asked::parse(&text)? {
-                Asked::Subscribe { subscriptions } => {
+            Message::Text(text) => match ClientMessage::parse(&text)? {
+                ClientMessage::Subscribe { subscriptions } => {
                     for subscription in subscriptions {
                         if let Err(error) = guest.subscribe(subscription) {
                             answer(Level::Error, &error.to_string());
                         }
                     }
                 }
-                Asked::Unsubscribe { subscription_ids } => {
+                ClientMessage::Unsubscribe { subscription_ids } => {
                     for id in subscription_ids {
                         guest.unsubscribe(id);
                     }
                 }
-                Asked::Other => answer(Level::Warning, NOT_OFFERED),
+                ClientMessage::Other => answer(Level::Warning, NOT_OFFERED),
             },
-            // What a client publishes, or a call of a service.
+            // a publication or a service call
             Message::Binary(_) => answer(Level::Warning, NOT_OFFERED),
             Message::Close(_) => break,
             Message::Ping(_) | Message::Pong(_) => {}

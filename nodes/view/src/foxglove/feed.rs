@@ -1,4 +1,4 @@
-//! The messages of a channel, to those who have subscribed to it.
+//! The messages of a channel, for its subscribers.
 
 use super::{
     channel::Channel,
@@ -10,13 +10,13 @@ use std::{
 };
 use wm_ros::PublisherId;
 
-/// Latching publishers that are remembered: far more than a topic has.
+/// The most latching publishers: far more than a topic has.
 const MOST_LATCHING: usize = 16;
-/// A topic is given up in DDS when nobody has wanted it for so long: a layout that is changed asks again at once, and a client
-/// that asks and takes back without end makes no subscription each time.
+/// How long the DDS subscription stays without clients. A changed layout subscribes again at once, and a client that
+/// toggles makes no subscription each time.
 const LINGER: Duration = Duration::from_secs(2);
 
-/// A channel that somebody has subscribed to.
+/// A subscribed channel.
 #[derive(Debug)]
 pub struct Feed {
     channel: Arc<Channel>,
@@ -26,16 +26,15 @@ pub struct Feed {
 #[derive(Debug, Default)]
 struct Audience {
     outboxes: Vec<Arc<Outbox>>,
-    /// The newest message of each latching publisher, oldest first: for who comes later.
+    /// The newest message of each latching publisher, oldest first, for late clients.
     latched: Vec<(PublisherId, Sample)>,
-    /// When the next message may go out, of a channel with a highest rate.
+    /// When the next message may be sent, if the rate is limited.
     due: Option<Instant>,
-    /// Since when nobody listens.
+    /// Since when there are no clients.
     deserted: Option<Instant>,
 }
 
 impl Feed {
-    /// Nobody listens yet.
     pub fn new(channel: Arc<Channel>) -> Self {
         Self {
             channel,
@@ -43,17 +42,16 @@ impl Feed {
         }
     }
 
-    /// The channel.
     pub fn channel(&self) -> &Channel {
         &self.channel
     }
 
-    /// No invariant spans the lock.
+    /// no invariant spans the lock
     fn audience(&self) -> MutexGuard<'_, Audience> {
         self.audience.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Adds a client that has subscribed. What was latched it gets at once.
+    /// Adds a client and sends it the latched messages.
     pub fn join(&self, outbox: &Arc<Outbox>) {
         let mut audience = self.audience();
         for (_, sample) in &audience.latched {
@@ -63,7 +61,6 @@ impl Feed {
         audience.deserted = None;
     }
 
-    /// Removes a client.
     pub fn leave(&self, outbox: &Arc<Outbox>, now: Instant) {
         let mut audience = self.audience();
         audience
@@ -74,17 +71,17 @@ impl Feed {
         }
     }
 
-    /// Whether nobody has listened for so long that it can end.
+    /// Whether it had no clients for [`LINGER`].
     pub fn is_deserted(&self, now: Instant) -> bool {
         let since = self.audience().deserted;
         since.is_some_and(|since| now.saturating_duration_since(since) >= LINGER)
     }
 
-    /// Hands a message to all who listen; gives how many older ones it took the place of.
+    /// Sends a message to all clients. Returns how many older messages it displaced.
     pub fn forward(&self, publisher: PublisherId, sample: &Sample, now: Instant) -> u64 {
         let audience = &mut *self.audience();
         if self.channel.latches() {
-            // Such a topic is not thinned out: what holds until something else is said comes once.
+            // latched messages stay valid, so none is skipped
             audience.remember(publisher, sample);
         } else if let Some(period) = self.channel.period
             && !audience.is_due(period, now)
@@ -107,13 +104,13 @@ impl Audience {
         self.latched.push((publisher, sample.clone()));
     }
 
-    /// Whether a message may go out, at most one a `period` in the mean.
+    /// Whether a message may be sent: on average one per `period`.
     fn is_due(&mut self, period: Duration, now: Instant) -> bool {
         let due = self.due.unwrap_or(now);
         if now < due {
             return false;
         }
-        // What is late by less than a period is caught up with, so that 10 Hz of 30 are 10 and not 7.5.
+        // catches up delays below a period, so that 10 Hz of 30 are 10 and not 7.5
         let is_late = now.duration_since(due) >= period;
         let from = if is_late { now } else { due };
         self.due = from.checked_add(period);
@@ -151,7 +148,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn who_comes_late_gets_what_was_latched_and_no_more() {
+    async fn late_client_gets_only_latched_messages() {
         let now = Instant::now();
         for (latches, expected) in [(true, vec![2, 3]), (false, vec![])] {
             let feed = Feed::new(Arc::new(channel("/tf_static", None, latches)));
@@ -168,7 +165,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_rate_thins_out_but_what_is_latched() {
+    async fn rate_limits_all_but_latched_messages() {
         let start = Instant::now();
         let period = Some(Duration::from_millis(100));
         for (latches, expected) in [(true, 31), (false, 11)] {
@@ -184,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn a_feed_ends_some_time_after_the_last_has_left() {
+    fn feed_ends_some_time_after_its_last_client() {
         let now = Instant::now();
         let feed = Feed::new(Arc::new(channel("/a", None, false)));
         let (first, second) = (client(), client());

@@ -1,9 +1,9 @@
-//! What joins the graph and the clients.
+//! Connects the graph and the clients.
 
 use super::{
     channel::Channels,
     feed::Feed,
-    message::{Subscription, Told},
+    message::{ServerMessage, Subscription},
     offer::Offer,
     outbox::{Outbox, Sample, SubscribeError},
 };
@@ -20,53 +20,52 @@ use tokio::{sync::watch, task::AbortHandle};
 use wm_bag::definitions;
 use wm_ros::{Node, Qos};
 
-/// Best effort, so that no publisher waits for a viewer; room for what comes at once.
+/// Best effort, so that no publisher waits for a viewer; deep enough for bursts.
 const QOS: Qos = Qos::best_effort(64);
-/// Of a topic that a publisher latches: a message that is lost would be missing until the next one.
+/// For latched topics: a lost message would be missing until the next one.
 const LATCHED: Qos = Qos::reliable(64);
-/// Largest message that is sent \[byte\]: a raw image of 4K has 25 MB.
+/// Largest message sent \[byte\]: a raw image of 4K has 25 MB.
 pub const MAX_MESSAGE: usize = 64 << 20;
-/// Channels in one message: a definition has some kilobytes.
+/// The most channels per message: a definition has some kilobytes.
 const BATCH: usize = 64;
-/// How often the graph is looked at where it changes, and feeds without an audience end.
+/// How often changes of the graph are applied, and feeds without clients end.
 const LOOK: Duration = Duration::from_millis(250);
 
-/// Reasons for which messages are left out, as the node's diagnostics name them.
+/// Drop reasons in the node's diagnostics.
 const SLOW: &str = "message for a Foxglove client that is slow";
 const LARGE: &str = "message too large for Foxglove clients";
 
-/// The channels, and who listens to them.
+/// The channels and their clients.
 pub struct Hub {
     node: Node,
     offer: Offer,
     prefixes: Vec<PathBuf>,
     session: String,
-    known: Mutex<Known>,
-    /// Changes with the channels.
+    known: Mutex<HubState>,
+    /// Notifies of changed channels.
     changes: watch::Sender<()>,
     has_warned: AtomicBool,
 }
 
 #[derive(Default)]
-struct Known {
+struct HubState {
     channels: Channels,
-    feeds: BTreeMap<u32, Running>,
+    feeds: BTreeMap<u32, ActiveFeed>,
 }
 
-/// A feed with the task that feeds it, which ends with it.
-struct Running {
+/// A feed with its task.
+struct ActiveFeed {
     feed: Arc<Feed>,
     task: AbortHandle,
 }
 
-impl Drop for Running {
+impl Drop for ActiveFeed {
     fn drop(&mut self) {
         self.task.abort();
     }
 }
 
 impl Hub {
-    /// No channels yet.
     pub fn new(node: &Node, offer: Offer) -> Arc<Self> {
         Arc::new(Self {
             node: node.clone(),
@@ -79,8 +78,8 @@ impl Hub {
         })
     }
 
-    /// What one call changes is whole when it ends, and a panic ends the process.
-    fn known(&self) -> MutexGuard<'_, Known> {
+    /// each call leaves it consistent, and a panic ends the process
+    fn known(&self) -> MutexGuard<'_, HubState> {
         self.known.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -92,6 +91,7 @@ impl Hub {
         ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
         loop {
             ticks.tick().await;
+            // an error means that the node ends
             if graph.has_changed().unwrap_or(false) {
                 graph.mark_unchanged();
                 self.update();
@@ -118,10 +118,10 @@ impl Hub {
 
     /// The first message of each client.
     pub fn server_info(&self) -> String {
-        Told::server_info(&self.session).text()
+        ServerMessage::server_info(&self.session).text()
     }
 
-    /// Says once that a web application was refused, since its user cannot see why.
+    /// Logs once that a web application was refused, since its user cannot see why.
     pub fn warn_of_origin(&self, origin: &str) {
         if !self.has_warned.swap(true, Ordering::Relaxed) {
             tracing::warn!(
@@ -130,7 +130,7 @@ impl Hub {
         }
     }
 
-    /// A client. It leaves when it is dropped.
+    /// Adds a client, which leaves when it is dropped.
     pub fn guest(self: &Arc<Self>) -> Guest {
         Guest {
             hub: Arc::clone(self),
@@ -139,7 +139,7 @@ impl Hub {
     }
 }
 
-/// What a client knows of the channels.
+/// The channels that a client knows.
 pub struct News {
     hub: Arc<Hub>,
     outbox: Arc<Outbox>,
@@ -149,16 +149,16 @@ pub struct News {
 }
 
 impl News {
-    /// Waits until channels have come or gone. Cancel safe.
+    /// Waits for changed channels. Cancel safe.
     pub async fn changed(&mut self) {
         if self.changes.changed().await.is_err() {
-            // The hub is gone, and with it the node.
+            // the hub and the node have ended
             std::future::pending::<()>().await;
         }
     }
 
-    /// What the client is to be told of channels that have come or gone since the last call. The first call tells of those
-    /// that are there even where there are none, as the protocol wants it.
+    /// Messages about changed channels since the last call. The first call announces the existing channels, even if
+    /// there are none, as the protocol requires.
     pub fn take(&mut self) -> Vec<String> {
         let known = self.hub.known();
         let there: BTreeSet<u32> = known.channels.iter().map(|channel| channel.id).collect();
@@ -168,18 +168,18 @@ impl News {
             for id in &gone {
                 self.outbox.remove(*id);
             }
-            news.push(Told::Unadvertise { channel_ids: &gone }.text());
+            news.push(ServerMessage::Unadvertise { channel_ids: &gone }.text());
         }
         let new = known.channels.iter();
         let new = new.filter(|channel| !self.advertised.contains(&channel.id));
         let new: Vec<_> = new.collect();
         for batch in new.chunks(BATCH) {
             let channels = batch.iter().map(|channel| channel.advertised()).collect();
-            news.push(Told::Advertise { channels }.text());
+            news.push(ServerMessage::Advertise { channels }.text());
         }
         if std::mem::take(&mut self.is_first) && new.is_empty() {
             let channels = Vec::new();
-            news.push(Told::Advertise { channels }.text());
+            news.push(ServerMessage::Advertise { channels }.text());
         }
         self.advertised = there;
         news
@@ -193,7 +193,6 @@ pub struct Guest {
 }
 
 impl Guest {
-    /// What it is to be told of the channels.
     pub fn news(&self) -> News {
         News {
             hub: Arc::clone(&self.hub),
@@ -204,12 +203,12 @@ impl Guest {
         }
     }
 
-    /// The next message with its subscription, once there is one. Cancel safe.
+    /// The next message with its subscription. Cancel safe.
     pub async fn next(&self) -> (u32, Sample) {
         self.outbox.next().await
     }
 
-    /// What was left out since the last call, in words, if anything was.
+    /// Messages dropped since the last call, as text.
     pub fn losses(&self) -> Option<String> {
         const NAMED: usize = 4;
         let mut losses = self.outbox.take_losses();
@@ -223,7 +222,7 @@ impl Guest {
             .collect();
         (all > 0).then(|| {
             format!(
-                "{all} messages were left out, since this connection is too slow for them, most of {}",
+                "this connection is too slow: {all} messages were dropped, most of {}",
                 topics.join(", ")
             )
         })
@@ -232,7 +231,7 @@ impl Guest {
     /// Subscribes to a channel.
     ///
     /// # Errors
-    /// There is no such channel, or the client may not.
+    /// The channel does not exist, or the client may not subscribe.
     pub fn subscribe(&self, asked: Subscription) -> Result<(), SubscribeError> {
         let Subscription { id, channel_id } = asked;
         let mut known = self.hub.known();
@@ -243,13 +242,13 @@ impl Guest {
             let feed = Arc::new(Feed::new(channel));
             let task = tokio::spawn(run(self.hub.node.clone(), Arc::clone(&feed)));
             let task = task.abort_handle();
-            Running { feed, task }
+            ActiveFeed { feed, task }
         });
         running.feed.join(&self.outbox);
         Ok(())
     }
 
-    /// Ends a subscription. One that there is none of, as of a channel that has just gone, is no error.
+    /// Ends a subscription. Unknown ones are ignored: the channel may have just gone.
     pub fn unsubscribe(&self, subscription: u32) {
         if let Some(channel) = self.outbox.unsubscribe(subscription) {
             self.leave(channel);
@@ -271,7 +270,7 @@ impl Drop for Guest {
     }
 }
 
-/// Subscribes to a channel in DDS, and forwards what comes until it is aborted.
+/// Subscribes to a channel in DDS, and forwards its messages until it is aborted.
 async fn run(node: Node, feed: Arc<Feed>) {
     let channel = feed.channel();
     let (topic, type_name) = (&channel.topic, &channel.type_name);
@@ -281,11 +280,12 @@ async fn run(node: Node, feed: Arc<Feed>) {
     };
     let mut subscription = match subscribed {
         Ok(subscription) => subscription,
-        // DDS allows names that ROS does not, and anybody may publish.
+        // DDS allows names that ROS does not
         Err(error) => return tracing::warn!("{} cannot be shown: {error}", channel.topic),
     };
     while let Some(received) = subscription.recv().await {
         let sample = Sample {
+            // a clock set before 1970
             log_time_ns: u64::try_from(received.received.to_nanos()).unwrap_or(0),
             cdr: received.message,
         };

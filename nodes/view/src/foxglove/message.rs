@@ -1,67 +1,52 @@
-//! The messages of the protocol, as much of them as is needed to look.
+//! The messages of the protocol that a viewer needs.
 
 use bytes::{BufMut as _, Bytes, BytesMut};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// The encoding of messages: CDR with its header of four bytes.
+/// CDR with its header of four bytes.
 const ENCODING: &str = "cdr";
-/// The encoding of definitions: `.msg` text with all that it names.
+/// `.msg` text with all types that it uses.
 pub const SCHEMA_ENCODING: &str = "ros2msg";
-/// By this a viewer knows that it is ROS 2. Types that a definition does not define come from it; ours define all.
+/// Tells viewers that this is ROS 2. They take types missing in a definition from it; ours are complete.
 const DISTRIBUTION: &str = "kilted";
 /// The operation of a binary message with data.
 const MESSAGE_DATA: u8 = 1;
 /// Operation, subscription and time.
 const HEADER_LEN: usize = 1 + 4 + 8;
 
-/// What the server says, but for data.
+/// A message of the server, except data.
 #[derive(Debug, Serialize)]
 #[serde(tag = "op", rename_all = "camelCase")]
-pub enum Told<'a> {
-    /// First of all.
+pub enum ServerMessage<'a> {
+    /// The first message.
     #[serde(rename_all = "camelCase")]
     ServerInfo {
-        /// What it is.
         name: &'a str,
-        /// What it offers beyond topics.
+        /// Features beyond topics.
         capabilities: [&'a str; 0],
-        /// What clients might publish in; viewers expect it all the same.
+        /// Encodings for publishing clients; viewers require the field.
         supported_encodings: [&'a str; 1],
-        /// By key.
         metadata: BTreeMap<&'a str, &'a str>,
-        /// Another one is another server.
+        /// Changes with the server.
         session_id: &'a str,
     },
-    /// Something to be shown to the user.
-    Status {
-        /// How bad it is.
-        level: Level,
-        /// In words.
-        message: &'a str,
-    },
-    /// Channels that have come.
-    Advertise {
-        /// Each.
-        channels: Vec<Advertised<'a>>,
-    },
+    /// A message to the user.
+    Status { level: Level, message: &'a str },
+    /// New channels.
+    Advertise { channels: Vec<ChannelAdvert<'a>> },
     /// Channels that have gone.
     #[serde(rename_all = "camelCase")]
-    Unadvertise {
-        /// Each.
-        channel_ids: &'a [u32],
-    },
+    Unadvertise { channel_ids: &'a [u32] },
 }
 
-/// How bad something is.
+/// Severity of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(into = "u8")]
 pub enum Level {
-    /// It is not.
     Info,
-    /// Something is missing.
     Warning,
-    /// What was asked for is not done.
+    /// The request was not executed.
     Error,
 }
 
@@ -75,10 +60,10 @@ impl From<Level> for u8 {
     }
 }
 
-/// A channel, as it is advertised.
+/// A channel in [`ServerMessage::Advertise`].
 #[derive(Debug, Serialize)]
 #[serde(rename_all = "camelCase")]
-pub struct Advertised<'a> {
+pub struct ChannelAdvert<'a> {
     id: u32,
     topic: &'a str,
     encoding: &'static str,
@@ -87,8 +72,8 @@ pub struct Advertised<'a> {
     schema: &'a str,
 }
 
-impl<'a> Advertised<'a> {
-    /// A channel with messages of `schema_name`, `package/msg/Type`, which the text `schema` defines.
+impl<'a> ChannelAdvert<'a> {
+    /// `schema_name`: `package/msg/Type`; `schema`: its definition.
     pub fn new(id: u32, topic: &'a str, schema_name: &'a str, schema: &'a str) -> Self {
         Self {
             id,
@@ -101,7 +86,7 @@ impl<'a> Advertised<'a> {
     }
 }
 
-impl<'a> Told<'a> {
+impl<'a> ServerMessage<'a> {
     /// The first message.
     pub fn server_info(session_id: &'a str) -> Self {
         Self::ServerInfo {
@@ -115,52 +100,48 @@ impl<'a> Told<'a> {
 
     /// As JSON.
     pub fn text(&self) -> String {
-        // Numbers, texts and lists of them: nothing that JSON does not have.
+        // numbers, texts and lists always fit into JSON
         serde_json::to_string(self).unwrap_or_default()
     }
 }
 
-/// What a client asks for.
+/// A request of a client.
 #[derive(Debug, PartialEq, Eq, Deserialize)]
 #[serde(tag = "op", rename_all = "camelCase")]
-pub enum Asked {
-    /// The messages of channels.
+pub enum ClientMessage {
     Subscribe {
-        /// Each.
         subscriptions: Vec<Subscription>,
     },
-    /// No more of them.
     #[serde(rename_all = "camelCase")]
     Unsubscribe {
-        /// Each.
         subscription_ids: Vec<u32>,
     },
-    /// What is not offered.
+    /// Not offered.
     #[serde(other)]
     Other,
 }
 
-/// A subscription that is asked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub struct Subscription {
-    /// What the client calls it.
+    /// Chosen by the client.
     pub id: u32,
-    /// The channel.
     pub channel_id: u32,
 }
 
-impl Asked {
-    /// Reads what a client has sent.
+impl ClientMessage {
+    /// Parses a client's message.
     ///
     /// # Errors
-    /// It is no message of the protocol, in words.
+    /// It is not a message of the protocol; the reason as text.
     pub fn parse(text: &str) -> Result<Self, String> {
-        serde_json::from_str(text).map_err(|error| format!("no message of the protocol: {error}"))
+        serde_json::from_str(text)
+            .map_err(|error| format!("not a message of the protocol: {error}"))
     }
 }
 
-/// A message of a subscription: an octet, the subscription and the time of reception \[ns\], little-endian, and the CDR.
+/// A message of a subscription: an octet, the subscription and the time of reception \[ns\], little-endian, and the
+/// CDR.
 pub fn data(subscription: u32, log_time_ns: u64, cdr: &[u8]) -> Bytes {
     let mut bytes = BytesMut::with_capacity(HEADER_LEN + cdr.len());
     bytes.put_u8(MESSAGE_DATA);
@@ -176,28 +157,28 @@ mod tests {
     use proptest::{collection::vec, prelude::*};
     use serde_json::{Value, json};
 
-    fn json_of(told: &Told<'_>) -> Value {
+    fn json_of(told: &ServerMessage<'_>) -> Value {
         serde_json::from_str(&told.text()).unwrap()
     }
 
-    /// Field by field as the specification has it.
+    /// Field by field as in the specification.
     #[test]
-    fn what_is_told_is_what_the_specification_says() {
+    fn messages_match_the_specification() {
         assert_eq!(
-            json_of(&Told::server_info("7")),
+            json_of(&ServerMessage::server_info("7")),
             json!({
                 "op": "serverInfo", "name": "wm view", "capabilities": [], "supportedEncodings": ["cdr"],
                 "metadata": {"ROS_DISTRO": "kilted"}, "sessionId": "7",
             })
         );
-        let channels = vec![Advertised::new(
+        let channels = vec![ChannelAdvert::new(
             3,
             "/a",
             "std_msgs/msg/String",
             "string data\n",
         )];
         assert_eq!(
-            json_of(&Told::Advertise { channels }),
+            json_of(&ServerMessage::Advertise { channels }),
             json!({"op": "advertise", "channels": [{
                 "id": 3, "topic": "/a", "encoding": "cdr", "schemaName": "std_msgs/msg/String",
                 "schemaEncoding": "ros2msg", "schema": "string data\n",
@@ -205,12 +186,12 @@ mod tests {
         );
         let channel_ids = &[1, 2];
         assert_eq!(
-            json_of(&Told::Unadvertise { channel_ids }),
+            json_of(&ServerMessage::Unadvertise { channel_ids }),
             json!({"op": "unadvertise", "channelIds": [1, 2]})
         );
         for (level, number) in [(Level::Info, 0), (Level::Warning, 1), (Level::Error, 2)] {
             assert_eq!(
-                json_of(&Told::Status {
+                json_of(&ServerMessage::Status {
                     level,
                     message: "so"
                 }),
@@ -220,13 +201,17 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_offered_is_told_from_what_is_none() {
+    fn unsupported_requests_differ_from_invalid_messages() {
         for other in [
             r#"{"op":"getParameters","parameterNames":[],"id":"1"}"#,
             r#"{"op":"advertise","channels":[{"id":1,"topic":"/a","encoding":"cdr","schemaName":"b"}]}"#,
             r#"{"op":"subscribeConnectionGraph"}"#,
         ] {
-            assert_eq!(Asked::parse(other), Ok(Asked::Other), "{other}");
+            assert_eq!(
+                ClientMessage::parse(other),
+                Ok(ClientMessage::Other),
+                "{other}"
+            );
         }
         for none in [
             "",
@@ -237,7 +222,7 @@ mod tests {
             r#"{"op":"subscribe","subscriptions":[{"id":-1,"channelId":1}]}"#,
             r#"{"op":"unsubscribe","subscriptionIds":[4294967296]}"#,
         ] {
-            assert!(Asked::parse(none).is_err(), "{none}");
+            assert!(ClientMessage::parse(none).is_err(), "{none}");
         }
     }
 
@@ -258,24 +243,24 @@ mod tests {
             let written: Vec<_> = pairs.iter().map(|(id, channel)| json!({"id": id, "channelId": channel})).collect();
             let text = json!({"op": "subscribe", "subscriptions": written}).to_string();
             let subscriptions = pairs.iter().map(|&(id, channel_id)| Subscription { id, channel_id }).collect();
-            prop_assert_eq!(Asked::parse(&text), Ok(Asked::Subscribe { subscriptions }));
+            prop_assert_eq!(ClientMessage::parse(&text), Ok(ClientMessage::Subscribe { subscriptions }));
             let subscription_ids: Vec<u32> = pairs.iter().map(|(id, _)| *id).collect();
             let text = json!({"op": "unsubscribe", "subscriptionIds": subscription_ids}).to_string();
-            prop_assert_eq!(Asked::parse(&text), Ok(Asked::Unsubscribe { subscription_ids }));
+            prop_assert_eq!(ClientMessage::parse(&text), Ok(ClientMessage::Unsubscribe { subscription_ids }));
         }
 
         #[test]
-        fn whatever_is_told_is_json(text in "\\PC*", id: u32) {
-            let channels = vec![Advertised::new(id, &text, &text, &text)];
-            let told = json_of(&Told::Advertise { channels });
+        fn server_messages_are_json(text in "\\PC*", id: u32) {
+            let channels = vec![ChannelAdvert::new(id, &text, &text, &text)];
+            let told = json_of(&ServerMessage::Advertise { channels });
             prop_assert_eq!(&told["channels"][0]["schema"], &text);
             prop_assert_eq!(&told["channels"][0]["id"], id);
         }
 
         #[test]
         fn whatever_comes_is_judged(text in "\\PC{0,80}", inner in "[a-zA-Z0-9:,\\[\\]{}\"]{0,60}") {
-            let _ = Asked::parse(&text);
-            let _ = Asked::parse(&format!("{{\"op\":\"subscribe\",{inner}}}"));
+            let _ = ClientMessage::parse(&text);
+            let _ = ClientMessage::parse(&format!("{{\"op\":\"subscribe\",{inner}}}"));
         }
     }
 }

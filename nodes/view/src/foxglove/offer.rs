@@ -1,14 +1,13 @@
-//! Which topics are offered, and how often their messages are sent at most.
+//! The topics on offer, and their highest rates.
 
 use crate::ViewError;
 use std::time::Duration;
 use wm_bag::TopicFilter;
 use wm_ros::TopicInfo;
 
-/// Rates that can be asked for \[Hz\]: a day apart at least, so that times do not overflow.
+/// Allowed rates \[Hz\]. The lowest is one message a day, so that times do not overflow.
 const RATES: std::ops::RangeInclusive<f64> = 1.0 / 86_400.0..=1e6;
 
-/// What the parameters say.
 #[derive(Debug)]
 pub struct Offer {
     filter: TopicFilter,
@@ -16,11 +15,11 @@ pub struct Offer {
 }
 
 impl Offer {
-    /// Topics whose name contains a match of `topics` and none of `exclude`, at the rates that `rates` says: entries
-    /// `EXPRESSION=HZ`, of which the first that matches counts. None where `topics` is empty.
+    /// Topics whose name contains a match of `topics` and none of `exclude`, at the rates of `rates`: entries
+    /// `EXPRESSION=HZ`, of which the first match counts. `None` if `topics` is empty.
     ///
     /// # Errors
-    /// An expression that is none, or an entry of another form.
+    /// An invalid expression or entry.
     pub fn new(topics: &str, exclude: &str, rates: &[String]) -> Result<Option<Self>, ViewError> {
         if topics.is_empty() {
             return Ok(None);
@@ -42,14 +41,14 @@ impl Offer {
         Ok(Some(Self { filter, rates }))
     }
 
-    /// Whether this topic is offered now: meant, published and not hidden.
+    /// Whether this topic is on offer now: selected, published and not hidden.
     pub fn has(&self, topic: &TopicInfo) -> bool {
-        // A hidden topic has a part that begins with an underscore.
+        // a hidden topic has a part that begins with an underscore
         let is_hidden = topic.name.split('/').any(|part| part.starts_with('_'));
         !topic.publishers.is_empty() && !is_hidden && self.filter.wants(&topic.name)
     }
 
-    /// The shortest time from one message of a topic to the next, where there is one.
+    /// The shortest time between messages of a topic, if limited.
     pub fn period(&self, topic: &str) -> Option<Duration> {
         let mut rates = self.rates.iter();
         let found = rates.find(|(filter, _)| filter.wants(topic));
@@ -72,7 +71,7 @@ mod tests {
     }
 
     #[test]
-    fn topics_are_offered_that_are_meant_published_and_not_hidden() {
+    fn only_selected_published_visible_topics_are_offered() {
         let offer = Offer::new(".*", "^/secret/", &[]).unwrap().unwrap();
         let published = |name| topic(name, vec![Qos::reliable(1)]);
         assert!(offer.has(&published("/a")));
@@ -83,7 +82,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_rate_that_matches_counts() {
+    fn first_matching_rate_counts() {
         let rates = ["^/camera/=5".to_owned(), "image=0.5".to_owned()];
         let offer = Offer::new(".*", "", &rates).unwrap().unwrap();
         let period = |topic| offer.period(topic).map(|period| period.as_secs_f64());
@@ -93,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_rate_is_named() {
+    fn invalid_rates_are_named() {
         for text in ["/a", "/a=", "/a=0", "/a=-1", "/a=NaN", "/a=1e-9"] {
             let error = Offer::new(".*", "", &[text.to_owned()]).unwrap_err();
             assert!(

@@ -1,4 +1,4 @@
-//! What waits for one client: the newest messages of each of its channels, in the order in which they came.
+//! Messages that wait for one client: the newest of each channel, in order of arrival.
 
 use bytes::Bytes;
 use std::{
@@ -8,15 +8,14 @@ use std::{
 use thiserror::Error;
 use tokio::sync::Notify;
 
-/// Subscriptions of a client: more than any layout shows.
+/// The most subscriptions per client: more than a layout shows.
 pub const MOST_SUBSCRIPTIONS: usize = 256;
-/// Messages of a channel that may wait: what comes at once, as a rollout's pictures or a node's log.
+/// The most waiting messages per channel: enough for bursts such as a rollout's pictures or a node's log.
 const DEPTH: usize = 64;
-/// Bytes of a channel that may wait, beside its newest message, which always may: of pictures it is a few, of raw images that
-/// one.
+/// The most waiting bytes per channel besides its newest message: a few compressed pictures, or one raw image.
 const BYTES: usize = 256 << 10;
 
-/// A message, shared by all who wait for it.
+/// A message, shared by all clients.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Sample {
     /// When it was received \[ns\].
@@ -25,24 +24,21 @@ pub struct Sample {
     pub cdr: Bytes,
 }
 
-/// Why there is no subscription.
+/// Why a subscription is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum SubscribeError {
-    /// The number is taken.
     #[error("subscription {0} exists already")]
     Id(u32),
-    /// A channel has one subscription.
+    /// A channel already has a subscription.
     #[error("channel {0} is subscribed to already")]
     Channel(u32),
-    /// There is no such channel, or no longer.
     #[error("channel {0} does not exist")]
     Unknown(u32),
-    /// There are enough.
     #[error("a client may have {MOST_SUBSCRIPTIONS} subscriptions")]
     Most,
 }
 
-/// What waits for a client. Nobody waits for its reader: what does not fit takes the place of the oldest of its channel.
+/// The waiting messages of a client. A full channel drops its oldest message.
 #[derive(Debug, Default)]
 pub struct Outbox {
     queues: Mutex<Queues>,
@@ -52,7 +48,7 @@ pub struct Outbox {
 #[derive(Debug, Default)]
 struct Queues {
     by_channel: BTreeMap<u32, Queue>,
-    /// Grows with each message, so that they leave in the order in which they came.
+    /// The number of the last message, for the order of arrival.
     last: u64,
 }
 
@@ -73,7 +69,7 @@ impl Queue {
 }
 
 impl Outbox {
-    /// No invariant spans the lock.
+    /// no invariant spans the lock
     fn queues(&self) -> MutexGuard<'_, Queues> {
         self.queues.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -81,7 +77,7 @@ impl Outbox {
     /// Subscribes to a channel.
     ///
     /// # Errors
-    /// The channel or the number is taken, or there are as many as there may be.
+    /// The channel or the number is taken, or there are too many subscriptions.
     pub fn subscribe(&self, channel: u32, subscription: u32) -> Result<(), SubscribeError> {
         let by_channel = &mut self.queues().by_channel;
         if by_channel.contains_key(&channel) {
@@ -104,7 +100,7 @@ impl Outbox {
         Ok(())
     }
 
-    /// Ends a subscription; gives its channel, if there was one. What waits of it is left.
+    /// Ends a subscription, drops its messages and returns its channel.
     pub fn unsubscribe(&self, subscription: u32) -> Option<u32> {
         let by_channel = &mut self.queues().by_channel;
         let mut queues = by_channel.iter();
@@ -118,12 +114,12 @@ impl Outbox {
         self.queues().by_channel.remove(&channel);
     }
 
-    /// The channels that are subscribed to.
+    /// The subscribed channels.
     pub fn channels(&self) -> Vec<u32> {
         self.queues().by_channel.keys().copied().collect()
     }
 
-    /// Adds a message of a channel; gives how many older ones it took the place of.
+    /// Adds a message of a channel. Returns how many older messages it displaced.
     pub fn push(&self, channel: u32, sample: Sample) -> u64 {
         let mut queues = self.queues();
         let queues = &mut *queues;
@@ -143,7 +139,7 @@ impl Outbox {
         dropped
     }
 
-    /// The next message with its subscription, once there is one. Cancel safe.
+    /// The next message with its subscription. Cancel safe.
     pub async fn next(&self) -> (u32, Sample) {
         loop {
             if let Some(next) = self.pop() {
@@ -161,7 +157,7 @@ impl Outbox {
         Some((queue.subscription, queue.pop()?))
     }
 
-    /// How many messages of each channel were left out since the last call.
+    /// Dropped messages of each channel since the last call.
     pub fn take_losses(&self) -> Vec<(u32, u64)> {
         let by_channel = &mut self.queues().by_channel;
         let losses = by_channel
@@ -190,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn messages_leave_in_the_order_in_which_they_came() {
+    fn messages_leave_in_order_of_arrival() {
         let outbox = Outbox::default();
         outbox.subscribe(1, 10).unwrap();
         outbox.subscribe(2, 20).unwrap();
@@ -201,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn a_channel_that_fills_up_leaves_the_others_their_messages() {
+    fn full_channel_does_not_displace_others() {
         let outbox = Outbox::default();
         outbox.subscribe(1, 10).unwrap();
         outbox.subscribe(2, 20).unwrap();
@@ -215,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn a_client_has_one_subscription_a_channel_and_not_too_many() {
+    fn subscriptions_of_a_client_are_unique_and_bounded() {
         let outbox = Outbox::default();
         assert_eq!(outbox.subscribe(1, 7), Ok(()));
         assert_eq!(outbox.subscribe(1, 8), Err(SubscribeError::Channel(1)));
@@ -231,9 +227,9 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever comes: bounded, the newest is never lost, and what is neither there nor lost never came.
+        /// For any sequence: bounded, the newest is never lost, and every message is either waiting or counted as lost.
         #[test]
-        fn what_waits_is_bounded_and_what_is_left_out_is_counted(
+        fn waiting_messages_are_bounded_and_drops_counted(
             pushes in vec((0u32..3, 0usize..BYTES), 1..200),
         ) {
             let outbox = Outbox::default();

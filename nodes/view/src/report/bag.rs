@@ -1,4 +1,4 @@
-//! Scores a recorded bag as if it were live: log times stand for arrival times.
+//! Scores a recorded bag like a live stream: log times are the arrival times.
 
 use super::Scorer;
 use anyhow::{Context as _, Result, bail};
@@ -13,27 +13,25 @@ use wm_msgs::{
     wm_msgs::{Plan, Prediction, PredictionError},
 };
 
-/// The topics that a bag is scored by.
+/// The topics of a bag that are scored.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct BagTopics {
-    /// The camera's frames, raw or compressed.
+pub(crate) struct BagTopics {
+    /// Camera frames, raw or compressed.
     pub camera: String,
-    /// Predictions.
     pub predicted: String,
-    /// Their pictures, raw or compressed.
+    /// Pictures of the predictions, raw or compressed.
     pub pictures: String,
-    /// How the model takes frames of another aspect.
+    /// How the model frames pictures of another aspect ratio.
     pub fit: String,
-    /// Their latent errors.
+    /// Latent errors of the predictions.
     pub errors: String,
-    /// Plans.
     pub plans: String,
-    /// Diagnostics.
     pub diagnostics: String,
 }
 
 impl BagTopics {
-    /// The suite's default topics; of camera and pictures the raw ones where the bag has them, else the compressed.
+    /// The suite's default topics. For camera and pictures: the raw topic if the bag has it, otherwise the compressed
+    /// one.
     fn of(reader: &BagReader) -> Result<Self> {
         let pick = |raw: &str| {
             let compressed = format!("{raw}/compressed");
@@ -77,13 +75,13 @@ impl BagTopics {
     }
 }
 
-/// What could not be scored, by topic, with one reason.
-pub type Unreadable = BTreeMap<String, (u64, String)>;
+/// Messages that cannot be scored: their number by topic, and one reason.
+pub(crate) type Unreadable = BTreeMap<String, (u64, String)>;
 
 /// Scores the bag at `path`.
 ///
 /// # Errors
-/// Where it cannot be read, or has no camera or no predictions. Single messages that cannot be read are counted.
+/// The bag cannot be read, or has no camera or no predictions. Single unreadable messages are counted.
 pub fn score_bag(path: &Path) -> Result<(Scorer, Unreadable)> {
     let reader = BagReader::open(path)?;
     let topics = BagTopics::of(&reader).with_context(|| format!("bag {}", path.display()))?;
@@ -109,6 +107,7 @@ pub fn score_bag(path: &Path) -> Result<(Scorer, Unreadable)> {
 
 fn score(scorer: &mut Scorer, topics: &BagTopics, message: &BagMessage) -> Result<()> {
     let topic = message.topic.as_ref();
+    // log times beyond the year 2262 are invalid
     let arrived_ns = i64::try_from(message.log_time_ns).unwrap_or(i64::MAX);
     if topic == topics.camera {
         let (stamp_ns, frame) = picture_of(message)?;
@@ -163,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn a_recorded_bag_is_scored_and_its_files_are_written() {
+    fn recorded_bag_is_scored_and_its_files_are_written() {
         let folder = tempfile::tempdir().unwrap();
         let bag = folder.path().join("bag");
         let mut writer = BagWriter::create(&bag, WriterOptions::default()).unwrap();
@@ -230,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bag_without_camera_says_so() {
+    fn bag_without_camera_is_an_error_with_the_topic() {
         let folder = tempfile::tempdir().unwrap();
         let bag = folder.path().join("bag");
         let mut writer = BagWriter::create(&bag, WriterOptions::default()).unwrap();
@@ -246,7 +245,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bag_that_is_not_there_is_named_once() {
+    fn error_names_a_missing_bag_once() {
         let error = format!("{:#}", score_bag(Path::new("/no/such/bag")).unwrap_err());
         assert_eq!(error.matches("/no/such/bag").count(), 1, "{error}");
     }

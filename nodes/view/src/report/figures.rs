@@ -4,18 +4,18 @@ use serde::{Deserialize, Serialize};
 
 /// The nodes' default `frame_period` \[s\].
 const USUAL_PERIOD_S: f64 = 0.2;
-/// A camera is too slow for it from this many times the period on; less is jitter of a mean over a short bag.
+/// A camera is too slow if its period is longer than the model's by this factor; less is jitter in the mean of a short
+/// bag.
 const SLOWER: f64 = 1.25;
 
-/// Fewest predictions that are judged.
+/// The fewest predictions that allow a judgement.
 const LEAST: u64 = 8;
-/// PSNR of the held frame beyond which nothing moves \[dB\]: 40 dB is an error of 1 % of the full scale.
+/// PSNR of the repeated last frame above which the scene is still \[dB\]: 40 dB is an error of 1 % of the full scale.
 const STILL_DB: f64 = 40.0;
 
-/// A whole report.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Report {
-    /// What was scored: the live topics, or a bag.
+    /// The source of the data: the live topics or a bag.
     pub source: String,
     /// Name of the transition model.
     pub model: String,
@@ -25,26 +25,25 @@ pub struct Report {
     pub horizon: u32,
     /// Time of one model step \[s\].
     pub step_period_s: f64,
-    /// Camera frames seen.
+    /// Camera frames.
     pub frames: u64,
     /// Mean rate of the camera frames, by their stamps \[Hz\].
     pub frame_rate_hz: f64,
-    /// Observations that predictions were made from.
+    /// Observations with predictions.
     pub observations: u64,
-    /// One entry a step, from k = 1.
+    /// One entry per step, from k = 1.
     pub steps: Vec<StepFigures>,
-    /// The planner's, where it planned.
+    /// Of the planner; `None` without plans.
     pub plans: Option<PlanFigures>,
-    /// What the nodes dropped, and why.
+    /// Messages that the nodes dropped.
     pub drops: Vec<Drops>,
-    /// What the nodes left out by choice, being slower than their input, and why.
+    /// Messages that the nodes skipped on purpose because they are slower than their input.
     #[serde(default)]
     pub skips: Vec<Drops>,
 }
 
 impl Report {
-    /// Why the predictions are not to be trusted, where the persistence baseline is as close to what came one step
-    /// ahead.
+    /// Why not to trust the predictions, if the persistence baseline is as close one step ahead.
     #[must_use]
     pub fn doubt(&self) -> Option<String> {
         let first = self.steps.iter().find(|step| step.step == 1)?;
@@ -53,7 +52,7 @@ impl Report {
             .latent_error_ratio
             .filter(|ratio| is_scored && *ratio >= 1.0);
         let pictures = first.psnr_db.zip(first.persistence_psnr_db);
-        // Where nothing moves, holding still cannot be beaten.
+        // in a still scene, no prediction can beat repetition
         if pictures.is_some_and(|(_, held)| held > STILL_DB) {
             return None;
         }
@@ -69,13 +68,13 @@ impl Report {
             (None, None) => return None,
         };
         Some(format!(
-            "The predictions are no better than the persistence baseline, the last frame repeated ({why}): the model \
+            "The predictions are no better than the persistence baseline, which repeats the last frame ({why}): the model \
              may not be trained on such pictures, or the actions may not be this robot's."
         ))
     }
 
-    /// The frames and their rate, and what could be the reason that there is no prediction: a rate that is no usual one
-    /// of a model, and what the nodes left out.
+    /// Number and rate of the frames, with possible reasons for missing predictions: a rate unusual for models, and
+    /// skipped messages.
     #[must_use]
     pub fn frames_in_words(&self) -> String {
         let (frames, rate) = (self.frames, self.frame_rate_hz);
@@ -90,16 +89,16 @@ impl Report {
                 1.0 / rate
             ));
         }
-        for line in self.left_out() {
+        for line in self.losses() {
             text.push_str(&format!("; {line}"));
         }
         text
     }
 
-    /// What the nodes dropped, and what they left out by choice: a line for each node and reason.
-    pub(crate) fn left_out(&self) -> impl Iterator<Item = String> {
+    /// Dropped and skipped messages: a line for each node and reason.
+    pub(crate) fn losses(&self) -> impl Iterator<Item = String> {
         let drops = self.drops.iter().map(|drops| ("dropped", drops));
-        let skips = self.skips.iter().map(|skips| ("left out by choice", skips));
+        let skips = self.skips.iter().map(|skips| ("skipped on purpose", skips));
         drops.chain(skips).map(
             |(
                 how,
@@ -118,35 +117,32 @@ impl Report {
 pub struct StepFigures {
     /// k: model steps after the observation.
     pub step: u32,
-    /// Predictions of this step that arrived.
     pub predictions: u64,
-    /// Predictions of this step that others of the same observation have and this one lacks.
+    /// Predictions of this step that are missing although their observation has others.
     pub missing: u64,
-    /// Pictures compared with the frame of their moment.
+    /// Pictures compared with the frame of the same time.
     #[serde(rename = "n")]
     pub compared: u64,
     /// Mean PSNR of the predicted pictures \[dB\]; each is capped at [`PSNR_CAP_DB`](super::scorer::PSNR_CAP_DB).
     pub psnr_db: Option<f64>,
     /// Mean SSIM of the predicted pictures.
     pub ssim: Option<f64>,
-    /// The same PSNR of the last observed frame, repeated \[dB\].
+    /// Mean PSNR of the repeated last observed frame \[dB\].
     pub persistence_psnr_db: Option<f64>,
-    /// The same SSIM of the last observed frame, repeated.
+    /// Mean SSIM of the repeated last observed frame.
     pub persistence_ssim: Option<f64>,
-    /// Mean latent squared error of the predictions over that of persistence: below 1 the model beats standing still.
+    /// Mean squared latent error of the predictions divided by that of persistence: below 1 the model beats repetition.
     pub latent_error_ratio: Option<f64>,
-    /// From the capture of the observed frame until the step was ready to be sent.
+    /// Time from the capture of the observed frame until the step was ready to be sent.
     pub ready_latency: Option<Percentiles>,
-    /// From the capture of the observed frame until the step was here.
+    /// Time from the capture of the observed frame until the step arrived.
     pub received_latency: Option<Percentiles>,
 }
 
-/// The planner's figures.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PlanFigures {
-    /// Plans that arrived.
     pub plans: u64,
-    /// How many of them the deadline cut short.
+    /// Plans that the deadline cut short.
     pub deadline_cuts: u64,
     /// Planning time.
     pub time_taken: Option<Percentiles>,
@@ -156,10 +152,10 @@ pub struct PlanFigures {
     pub last_cost: f64,
 }
 
-/// Percentiles of a time \[ms\].
+/// Percentiles of a duration \[ms\].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Percentiles {
-    /// Samples.
+    /// Number of samples.
     pub n: u64,
     /// Median.
     pub p50_ms: f64,
@@ -171,13 +167,12 @@ pub struct Percentiles {
     pub max_ms: f64,
 }
 
-/// What a node dropped, or left out by choice, for one reason.
+/// Messages that a node dropped or skipped for one reason.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Drops {
-    /// The node.
     pub node: String,
-    /// Why, in the node's words.
+    /// As the node names it.
     pub reason: String,
-    /// How many, since the node began.
+    /// How many since the node started.
     pub total: u64,
 }

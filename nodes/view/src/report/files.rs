@@ -9,8 +9,8 @@ const JSON: &str = "report.json";
 const MARKDOWN: &str = "report.md";
 pub(super) const STRIP: &str = "strip.png";
 
-/// Writes the scorer's report into `folder`, which is made where it is missing. An older report there is kept in a
-/// folder beside it, which has its time. There is no strip where no predicted picture has a frame of the same time.
+/// Writes the scorer's report into `folder`, and makes the folder if it is missing. An older report there moves to a
+/// folder beside it that has its time. The strip is missing if no predicted picture has a frame of the same time.
 ///
 /// # Errors
 /// Names the file that cannot be written.
@@ -34,7 +34,7 @@ pub fn write_report(
     let mut written = Vec::new();
     let mut write = |name: &str, bytes: &[u8]| -> Result<()> {
         let path = folder.join(name);
-        std::fs::write(&path, bytes).with_context(|| format!("writing {}", path.display()))?;
+        std::fs::write(&path, bytes).with_context(|| format!("write {}", path.display()))?;
         written.push(path);
         Ok(())
     };
@@ -70,7 +70,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_older_report_is_kept_and_its_strip_is_not_taken_for_the_new_ones() {
+    fn older_report_and_its_strip_are_kept_apart() {
         let scratch = tempfile::tempdir().unwrap();
         let folder = scratch.path().join("out");
         std::fs::create_dir(&folder).unwrap();

@@ -1,4 +1,4 @@
-//! Words in a picture, in an 8x8 bitmap font.
+//! Text in a picture, in an 8x8 bitmap font.
 
 use font8x8::{BASIC_FONTS, UnicodeFonts as _};
 use image::{Rgb, RgbImage};
@@ -6,11 +6,11 @@ use image::{Rgb, RgbImage};
 /// Width and height of a character \[px\].
 pub(super) const CHARACTER: u32 = 8;
 
-/// Writes `text` with its upper left corner at (x, y). What lies outside the picture is left out.
+/// Writes `text` with its upper left corner at (x, y), clipped to the picture.
 pub(super) fn write(picture: &mut RgbImage, text: &str, x: u32, y: u32, colour: Rgb<u8>) {
     let mut left = x;
     for character in text.chars() {
-        // what the font lacks is left blank
+        // characters that the font lacks are blank
         let rows = BASIC_FONTS.get(character).unwrap_or_default();
         for (row, bits) in (0..).zip(rows) {
             for column in (0..CHARACTER).filter(|column| bits >> column & 1 == 1) {
@@ -34,7 +34,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn letters_leave_ink_and_the_edge_cuts_them() {
+    fn letters_are_drawn_and_clipped_at_the_edge() {
         let mut picture = RgbImage::new(20, 8);
         write(&mut picture, "kk=", 0, 0, Rgb([255; 3]));
         let ink =

@@ -1,29 +1,28 @@
-//! The camera's last frames by stamp, at the resolution of the predicted pictures once that is known.
+//! The camera's last frames by stamp, resized to the predicted pictures once their resolution is known.
 
 use image::RgbImage;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use wm_model::{Fit, Framing};
 
-/// Frames that are kept: more than a horizon of 3.2 s at 30 Hz.
+/// The most frames: more than a horizon of 3.2 s at 30 Hz.
 const COUNT_LIMIT: usize = 128;
 
-/// Bytes that are kept: before the resolution of the predictions is known, frames may be large.
+/// The most bytes: until the resolution of the predictions is known, frames may be large.
 const BYTE_LIMIT: usize = 96 << 20;
 
-/// The last frames.
 #[derive(Debug, Default)]
 pub(super) struct Frames {
     frames: BTreeMap<i64, Arc<RgbImage>>,
-    /// How frames become pictures of the predicted size, once that is known.
+    /// How frames are resized, once known.
     framing: Option<Framing>,
     fit: Fit,
     bytes: usize,
 }
 
 impl Frames {
-    /// Keeps a frame; false where one of this stamp is here already.
-    pub fn insert(&mut self, stamp_ns: i64, frame: RgbImage) -> bool {
+    /// Adds a frame; false if there is one with this stamp.
+    pub(crate) fn insert(&mut self, stamp_ns: i64, frame: RgbImage) -> bool {
         if self.frames.contains_key(&stamp_ns) {
             return false;
         }
@@ -42,8 +41,8 @@ impl Frames {
         true
     }
 
-    /// Says what resolution the predicted pictures have; frames are brought to it.
-    pub fn set_size(&mut self, picture: &RgbImage) {
+    /// Sets the resolution of the predicted pictures, and resizes the frames to it.
+    pub(crate) fn set_size(&mut self, picture: &RgbImage) {
         let size = (picture.height() as usize, picture.width() as usize);
         let framing = Framing::new(size, self.fit);
         if self.framing != Some(framing) {
@@ -57,8 +56,8 @@ impl Frames {
         }
     }
 
-    /// Sets how the model takes frames of another aspect. Frames that were resized by another fit are forgotten.
-    pub fn set_fit(&mut self, fit: Fit) {
+    /// Sets how the model frames another aspect ratio. Drops frames that were resized by another fit.
+    pub(crate) fn set_fit(&mut self, fit: Fit) {
         if self.fit == fit {
             return;
         }
@@ -69,7 +68,7 @@ impl Frames {
     }
 
     /// The frame nearest to a stamp, within the tolerance.
-    pub fn nearest(&self, stamp_ns: i64, tolerance_ns: i64) -> Option<&Arc<RgbImage>> {
+    pub(crate) fn nearest(&self, stamp_ns: i64, tolerance_ns: i64) -> Option<&Arc<RgbImage>> {
         let tolerance_ns = tolerance_ns.max(0);
         let range = stamp_ns.saturating_sub(tolerance_ns)..=stamp_ns.saturating_add(tolerance_ns);
         let nearest = self
@@ -80,17 +79,18 @@ impl Frames {
     }
 
     /// The newest stamp.
-    pub fn newest_ns(&self) -> Option<i64> {
+    pub(crate) fn newest_ns(&self) -> Option<i64> {
         self.frames.last_key_value().map(|(stamp_ns, _)| *stamp_ns)
     }
 
-    pub fn clear(&mut self) {
+    pub(crate) fn clear(&mut self) {
         self.frames.clear();
         self.bytes = 0;
     }
 }
 
-/// The frame as the model takes it. A frame that cannot be resized stays as it is, so that the comparison names the error.
+/// The frame as the model receives it. A frame that cannot be resized stays unchanged, so that the comparison names the
+/// error.
 fn framed(frame: RgbImage, framing: Framing) -> RgbImage {
     if (frame.height() as usize, frame.width() as usize) == framing.size {
         return frame;
@@ -106,7 +106,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_nearest_within_the_tolerance_is_found() {
+    fn nearest_frame_within_the_tolerance_is_found() {
         let mut frames = Frames::default();
         for stamp in [100, 200, 300] {
             assert!(frames.insert(
@@ -139,13 +139,13 @@ mod tests {
     }
 
     #[test]
-    fn frames_are_compared_as_the_model_takes_them() {
+    fn frames_are_framed_as_for_the_model() {
         let source = RgbImage::from_fn(16, 9, |x, y| image::Rgb([x as u8 * 10, y as u8 * 10, 0]));
         for fit in Fit::ALL {
             let expected = Framing::new((6, 6), fit).apply(&source).unwrap();
             let mut frames = Frames::default();
             frames.set_fit(fit);
-            // Before and after the size of the predicted pictures is known.
+            // before and after the size of the predicted pictures is known
             frames.insert(1, source.clone());
             frames.set_size(&RgbImage::new(6, 6));
             frames.insert(2, source.clone());
@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_of_another_fit_are_forgotten() {
+    fn frames_of_another_fit_are_dropped() {
         let mut frames = Frames::default();
         frames.insert(1, RgbImage::new(16, 9));
         frames.set_fit(Fit::Crop);

@@ -1,27 +1,26 @@
-//! Times in a histogram of fixed size.
+//! Durations in a histogram of fixed size.
 
 use super::figures::Percentiles;
 use hdrhistogram::Histogram;
 
-/// Longest time that is counted \[ns\]: an hour. More means that two clocks have nothing to do with each other.
+/// Durations above an hour are ignored \[ns\]: they mean that two clocks are unrelated.
 const LIMIT_NS: u64 = 3_600_000_000_000;
 
-/// Times, to be asked for percentiles.
 #[derive(Clone, Debug)]
 pub(super) struct Times {
     histogram: Option<Histogram<u64>>,
 }
 
 impl Times {
-    pub fn new() -> Self {
-        // two significant digits: percentiles within 1 %. The bounds are constants that the crate accepts.
+    pub(crate) fn new() -> Self {
+        // Two significant digits give percentiles within 1 %. The bounds are constants that the crate accepts.
         Self {
             histogram: Histogram::new_with_bounds(1_000, LIMIT_NS, 2).ok(),
         }
     }
 
-    /// Counts a time, unless it is negative or longer than an hour.
-    pub fn record(&mut self, time_ns: i64) {
+    /// Counts a duration unless it is negative or longer than an hour.
+    pub(crate) fn record(&mut self, time_ns: i64) {
         let time_ns = u64::try_from(time_ns)
             .ok()
             .filter(|time_ns| *time_ns <= LIMIT_NS);
@@ -30,7 +29,7 @@ impl Times {
         }
     }
 
-    pub fn percentiles(&self) -> Option<Percentiles> {
+    pub(crate) fn percentiles(&self) -> Option<Percentiles> {
         let histogram = self
             .histogram
             .as_ref()

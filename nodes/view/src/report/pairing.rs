@@ -1,22 +1,22 @@
-//! Which prediction a predicted picture belongs to.
+//! Finds the prediction of a predicted picture.
 //!
-//! A picture carries the predicted moment only, and predictions of several observations are of one moment. Such predictions
-//! come a model step apart, a picture within a model step of its prediction, and a rollout's pictures one after the other:
-//! a picture is of the rollout that had pictures before, else of the newest. Of one that comes later than a model step, the
-//! step k would be a guess.
+//! A picture carries only the predicted time, which predictions of several observations share. Such predictions arrive
+//! a model step apart, a picture within a model step of its prediction, and the pictures of a rollout one after the
+//! other. So a picture belongs to the rollout that already had pictures, otherwise to the newest. If it arrives later
+//! than a model step, its step k would be a guess.
 
 use std::collections::VecDeque;
 
-/// Predictions that wait for their picture.
+/// The most predictions that wait for their picture.
 const AWAITED_LIMIT: usize = 512;
 
-/// Rollouts of which it is known that they have pictures: more than are decoded within one.
+/// The most rollouts remembered to have pictures: more than are decoded within one.
 const PICTURED_LIMIT: usize = 64;
 
-/// What of a prediction its picture is matched by.
+/// A prediction that waits for its picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Awaited {
-    /// The predicted moment \[ns\].
+    /// The predicted time \[ns\].
     pub stamp_ns: i64,
     /// Stamp of the observation \[ns\].
     pub observed_ns: i64,
@@ -28,14 +28,14 @@ pub struct Awaited {
     pub arrived_ns: i64,
 }
 
-/// What a picture was found to be.
+/// The result for a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pairing {
-    /// That of this prediction.
+    /// The picture of this prediction.
     Found(Awaited),
-    /// That of a prediction, but it came too late to tell of which.
+    /// Too late to find its prediction.
     Late,
-    /// Of a moment that nothing was predicted of.
+    /// No prediction has its time.
     Unknown,
 }
 
@@ -56,7 +56,7 @@ impl Pairings {
         self.awaited.push_back(awaited);
     }
 
-    /// A picture of the moment `stamp_ns` has arrived; its prediction waits no longer.
+    /// A picture of the time `stamp_ns` has arrived. Its prediction no longer waits.
     pub fn pictured(&mut self, stamp_ns: i64, arrived_ns: i64) -> Pairing {
         let is_its = |awaited: &Awaited| {
             awaited.stamp_ns == stamp_ns
@@ -85,12 +85,12 @@ impl Pairings {
         Pairing::Found(prediction)
     }
 
-    /// How many predictions wait for their pictures: a bounded number.
+    /// How many predictions wait.
     pub fn waiting(&self) -> usize {
         self.awaited.len()
     }
 
-    /// Time jumped: nothing that waits will be matched any more.
+    /// Time jumped: drops everything that waits.
     pub fn clear(&mut self) {
         self.awaited.clear();
         self.pictured.clear();

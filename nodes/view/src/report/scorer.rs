@@ -1,4 +1,4 @@
-//! Frames, predictions and pictures in, figures out.
+//! Turns frames, predictions and pictures into figures.
 
 mod rollout;
 mod step;
@@ -21,38 +21,39 @@ use wm_msgs::{
     wm_msgs::{Plan, Prediction, PredictionError},
 };
 
-/// PSNR of one picture counts as at most this \[dB\]: the noise of rounding to 8 bits alone is at 58.9 dB, so beyond
-/// it two pictures are the same, and an infinite one would decide a mean.
-pub const PSNR_CAP_DB: f64 = 60.0;
+/// The cap on one picture's PSNR \[dB\]. Rounding to 8 bits alone gives 58.9 dB, so beyond the cap pictures are equal,
+/// and an infinite value would decide a mean.
+pub(crate) const PSNR_CAP_DB: f64 = 60.0;
 
-/// Pictures that wait for their frame.
+/// The most pictures that wait for their frame.
 const WAITING_LIMIT: usize = 512;
 
-/// Why a predicted picture is not compared: it came when its frame was gone.
+/// The drop reason of a predicted picture that arrived after its frame was gone.
 pub(super) const LATE_PICTURE: &str = "late_picture";
 
-/// Squared latent change, normalised, below which nothing moves, so that holding still cannot be beaten; as the predictor's.
+/// Squared normalised latent change below which the scene is still and persistence cannot be beaten; the same as the
+/// predictor's.
 const STILL: f32 = 1e-3;
 
-/// Steps of a rollout that are distinguished.
+/// The most steps of a rollout.
 const STEP_LIMIT: u32 = 64;
 
-/// A stamp this far from the newest means that time jumped \[ns\].
+/// A larger distance from the newest stamp means that time jumped \[ns\].
 const JUMP_NS: u64 = 1_000_000_000;
 
-/// A predicted picture whose moment is still to come.
+/// A predicted picture that waits for the frame of its time.
 #[derive(Clone, Debug)]
 struct Waiting {
     prediction: Awaited,
     picture: Arc<RgbImage>,
 }
 
-/// The state of a report in the making.
+/// A report in progress.
 #[derive(Debug)]
 pub struct Scorer {
     frames: Frames,
     frame_count: u64,
-    /// Sum and number of the distances from one frame to the next.
+    /// The sum of the distances between consecutive frames.
     frame_span_ns: i64,
     frame_distances: u64,
     pairings: Pairings,
@@ -70,7 +71,7 @@ pub struct Scorer {
     last_cost: f64,
     /// By node and reason.
     drops: BTreeMap<(String, String), u64>,
-    /// What was left out by choice.
+    /// Skipped on purpose, by node and reason.
     skips: BTreeMap<(String, String), u64>,
     last_error_ratio: Option<f32>,
 }
@@ -130,14 +131,14 @@ impl Scorer {
         }
     }
 
-    /// How the model takes frames of another aspect than its own; they are stretched until this is known.
+    /// Sets how the model frames another aspect ratio; until then frames are stretched.
     pub fn fit(&mut self, fit: Fit) {
         self.frames.set_fit(fit);
     }
 
-    /// A prediction that arrived at `arrived_ns` (the clock of the stamps).
+    /// `arrived_ns`: on the clock of the stamps.
     pub fn prediction(&mut self, prediction: &Prediction, arrived_ns: i64) {
-        // A message of a node of this process was not decoded.
+        // Messages within this process were not decoded, so their times may be invalid.
         let period_ns = prediction.step_period.checked_nanos().unwrap_or(0);
         let times = [
             prediction.header.stamp,
@@ -174,8 +175,8 @@ impl Scorer {
         });
     }
 
-    /// The picture of a prediction for the moment `stamp_ns`, arrived at `arrived_ns`. One of which it cannot be told of
-    /// which prediction it is ([`Pairings`]) is not scored.
+    /// The picture of a prediction for the time `stamp_ns`. A picture whose prediction is unclear ([`Pairings`]) is not
+    /// scored.
     pub fn picture(&mut self, stamp_ns: i64, picture: RgbImage, arrived_ns: i64) {
         let prediction = match self.pairings.pictured(stamp_ns, arrived_ns) {
             Pairing::Found(prediction) => prediction,
@@ -193,7 +194,6 @@ impl Scorer {
         });
     }
 
-    /// The latent error of a prediction.
     pub fn error(&mut self, error: &PredictionError) {
         if error.step == 0 || error.step > STEP_LIMIT {
             return;
@@ -208,7 +208,6 @@ impl Scorer {
             .latent_error(error.mse, error.persistence_mse);
     }
 
-    /// A plan.
     pub fn plan(&mut self, plan: &Plan) {
         if self.plans == 0 {
             self.first_cost = f64::from(plan.cost);
@@ -219,7 +218,7 @@ impl Scorer {
         self.last_cost = f64::from(plan.cost);
     }
 
-    /// The nodes' diagnostics: their counts of what they dropped and of what they left out by choice.
+    /// Takes the counts of dropped and skipped messages.
     pub fn diagnostics(&mut self, array: &DiagnosticArray) {
         for status in &array.status {
             for pair in &status.values {
@@ -240,25 +239,23 @@ impl Scorer {
         }
     }
 
-    /// Whether nothing was seen so far that a report tells of.
+    /// Whether nothing was received for a report.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.frame_count == 0 && self.steps.is_empty() && self.plans == 0
     }
 
-    /// Whether no prediction was seen so far.
     #[must_use]
     pub fn is_without_predictions(&self) -> bool {
         self.steps.is_empty()
     }
 
-    /// Camera frames seen so far.
     #[must_use]
     pub fn frame_count(&self) -> u64 {
         self.frame_count
     }
 
-    /// Everything that the nodes have dropped so far.
+    /// How many messages the nodes have dropped.
     #[must_use]
     pub fn drop_count(&self) -> u64 {
         self.drops.values().sum()
@@ -270,13 +267,12 @@ impl Scorer {
         self.last_error_ratio
     }
 
-    /// The rollout with the most motion of those of which the most steps were seen.
+    /// Of the rollouts with the most steps, the one with the most motion.
     #[must_use]
     pub fn shown_rollout(&self) -> Option<&ShownRollout> {
         self.rollouts.best()
     }
 
-    /// The figures so far.
     #[must_use]
     pub fn report(&self, source: &str) -> Report {
         let observations = self.rollouts.observations();
@@ -313,7 +309,7 @@ impl Scorer {
     /// Compares a picture with the frame of the same time, or waits for that frame.
     fn compare_or_wait(&mut self, waiting: Waiting) {
         let prediction = waiting.prediction;
-        // a stamp that is off by an eighth of a step is still that moment; the next frame is further away
+        // tolerates an error of an eighth of a step; the next frame is further away
         let tolerance_ns = prediction.period_ns / 8;
         let Some(real) = self.frames.nearest(prediction.stamp_ns, tolerance_ns) else {
             let has_passed =
@@ -341,7 +337,7 @@ impl Scorer {
         );
     }
 
-    /// Time jumped: nothing that waits will be matched any more.
+    /// Time jumped: drops everything that waits.
     fn flush(&mut self) {
         self.frames.clear();
         self.pairings.clear();

@@ -9,25 +9,25 @@ use wm_metrics::images::psnr;
 
 /// Between pictures, and around them \[px\].
 const GAP: u32 = 6;
-/// Pictures smaller than this are shown enlarged \[px\].
+/// Smaller pictures are enlarged to this \[px\].
 const LEAST_SIDE: u32 = 96;
-/// The difference is shown this much stronger than it is: errors of a few levels could not be seen.
+/// The amplification of the difference: errors of a few levels would be invisible.
 const DIFFERENCE_GAIN: u16 = 2;
 
-/// What the rows of figures at the foot are.
+/// Explains the rows of figures at the foot.
 const LEGEND: [&str; 2] = [
     "PSNR: predicted against real",
-    "held: the same for the last observed frame, repeated (persistence)",
+    "held: the same for the repeated last observed frame (persistence)",
 ];
 
 const BACKGROUND: Rgb<u8> = Rgb([24, 24, 28]);
 const BLANK: Rgb<u8> = Rgb([40, 40, 46]);
 const INK: Rgb<u8> = Rgb([230, 230, 230]);
 
-/// Rows real, predicted, difference; columns the observation and every step that was seen, with the PSNR of the
-/// prediction and of the persistence baseline, and what these are. `period_s` is the time of a step.
+/// Rows: real, predicted, difference. Columns: the observation and every compared step, with the PSNR of the prediction
+/// and of the persistence baseline, and a legend. `period_s`: duration of a step.
 #[must_use]
-pub fn picture_strip(rollout: &ShownRollout, period_s: f64) -> RgbImage {
+pub(crate) fn picture_strip(rollout: &ShownRollout, period_s: f64) -> RgbImage {
     let scale = LEAST_SIDE.div_ceil(rollout.observed.width().max(1)).max(1);
     let (cell_width, cell_height) = (
         rollout.observed.width() * scale,
@@ -102,7 +102,7 @@ pub fn picture_strip(rollout: &ShownRollout, period_s: f64) -> RgbImage {
     strip
 }
 
-/// The words of `text` in lines that are no wider than `limit` \[px\], but for a word that is itself wider.
+/// `text` in lines no wider than `limit` \[px\]; a wider word is a line of its own.
 fn wrapped(text: &str, limit: u32) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for word in text.split(' ') {
@@ -117,7 +117,7 @@ fn wrapped(text: &str, limit: u32) -> Vec<String> {
     lines
 }
 
-/// The difference of every channel, made stronger.
+/// The amplified difference of every channel.
 fn difference(real: &RgbImage, predicted: &RgbImage) -> RgbImage {
     let mut difference = real.clone();
     for (pixel, other) in difference.pixels_mut().zip(predicted.pixels()) {
@@ -158,7 +158,7 @@ mod tests {
         assert_eq!([centre(1, 1), centre(2, 1)], [110, 150]);
         assert_eq!([centre(1, 2), centre(2, 2)], [20, 60]);
         assert_eq!(strip.width(), left + 3 * (128 + GAP));
-        // below the rows of figures, what they are
+        // the legend is below the rows of figures
         let legend_top = top + 3 * (128 + GAP) + 2 * (CHARACTER + GAP / 2);
         let has_ink = |y| (0..strip.width()).any(|x| *strip.get_pixel(x, y) == INK);
         assert!((legend_top..strip.height()).any(has_ink));
@@ -166,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn a_narrow_strip_has_its_legend_in_more_lines() {
+    fn narrow_strip_wraps_its_legend() {
         assert_eq!(wrapped("one two three", 8 * 7), ["one two", "three"]);
         assert_eq!(wrapped("one two three", 8), ["one", "two", "three"]);
     }

@@ -19,7 +19,7 @@ const HEADINGS: [&str; 11] = [
     "missing",
 ];
 
-/// The report in lines of text; "held" is the persistence baseline.
+/// The report as lines of text; "held" is the persistence baseline.
 #[must_use]
 pub fn terminal_table(report: &Report) -> String {
     let rows: Vec<[String; 11]> = report.steps.iter().map(row).collect();
@@ -53,15 +53,12 @@ pub fn terminal_table(report: &Report) -> String {
     text
 }
 
-/// The report as Markdown; it shows the strip only where there is one.
+/// The report as Markdown, with the strip if there is one.
 #[must_use]
 pub fn markdown(report: &Report, has_strip: bool) -> String {
     let doubt = report.doubt();
     let doubt = doubt.map_or_else(String::new, |doubt| format!("**{doubt}**\n\n"));
-    let mut text = format!(
-        "{doubt}# Predictions against what happened\n\n{}\n",
-        heading(report)
-    );
+    let mut text = format!("{doubt}# Predictions and reality\n\n{}\n", heading(report));
     // writing to a String cannot fail
     if !report.steps.is_empty() {
         writeln!(
@@ -169,7 +166,7 @@ fn remarks(report: &Report, bullet: &str) -> String {
     if report.drops.is_empty() {
         add("drops: none".to_owned());
     }
-    report.left_out().for_each(add);
+    report.losses().for_each(add);
     text
 }
 
@@ -221,11 +218,11 @@ mod tests {
             "{table}"
         );
         assert!(table.contains("dropped by wm/encoder: 2 (late)"));
-        assert!(table.contains("left out by choice by wm/predictor: 35 (pace)"));
+        assert!(table.contains("skipped on purpose by wm/predictor: 35 (pace)"));
     }
 
     #[test]
-    fn without_predictions_there_is_no_table_and_the_drops_are_told() {
+    fn without_predictions_losses_replace_the_table() {
         let empty = Report {
             frames: 50,
             frame_rate_hz: 5.0,
@@ -253,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_that_came_too_late_are_said_to_be_the_reason() {
+    fn late_pictures_are_named_as_the_reason() {
         let mut report = report();
         report.steps[0].compared = 0;
         assert!(terminal_table(&report).contains("an env's bag"));
@@ -278,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn predictions_that_are_no_better_than_the_last_frame_are_named_in_the_first_line() {
+    fn useless_predictions_are_named_in_the_first_line() {
         let mut report = report();
         report.steps[0].persistence_psnr_db = Some(20.0);
         assert!(!markdown(&report, false).contains("no better"));
@@ -296,7 +293,7 @@ mod tests {
             report.doubt().is_some()
         };
         assert!(doubts(|_| {}));
-        // One picture is no verdict, however many predictions there are; nor is a scene in which nothing moves.
+        // One picture is not enough for a judgement, however many predictions there are; nor is a still scene.
         assert!(!doubts(
             |first| (first.compared, first.predictions) = (1, 50)
         ));

@@ -1,7 +1,7 @@
-//! The trials node: has the simulated arm do its tasks, and counts how often the planner succeeds.
+//! The trials node: runs tasks on the simulated arm, and counts how often the planner succeeds.
 //!
-//! It sets the table (`sim_arm`), arms the executor, and watches: what the camera saw, what the planner imagined, and
-//! whether the task was done in time. An [`EpisodeWatch`] is what it knows of an episode, with neither DDS nor a clock.
+//! It sets the table (`sim_arm`), arms the executor, and records what the camera saw, what the planner imagined, and
+//! whether the task was done in time. An [`EpisodeWatch`] holds the state of an episode, without DDS or clock.
 
 mod files;
 mod node;

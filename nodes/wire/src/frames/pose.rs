@@ -4,16 +4,16 @@ use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use thiserror::Error;
 use wm_msgs::geometry_msgs;
 
-/// How far the norm of an orientation may be from 1: drivers round, or compute in f32. It is normalised.
+/// Tolerance of an orientation's norm: drivers round, or compute in f32. Orientations are normalised.
 const NORM_SLACK: f64 = 1e-2;
 
-/// Numbers that are no pose.
+/// Why numbers are not a pose.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum PoseError {
-    /// A value that is no number, or infinite.
+    /// A value is not finite.
     #[error("a pose has {0}; expected finite numbers")]
     NotFinite(f64),
-    /// Four numbers that are no orientation.
+    /// The quaternion is not an orientation.
     #[error("the quaternion of a pose has the norm {0}; expected 1, within 1 %")]
     NotUnit(f64),
 }
@@ -36,7 +36,7 @@ fn isometry(
     Ok(Isometry3::from_parts(Translation3::new(x, y, z), turn))
 }
 
-/// A pose of a message \[m\].
+/// Converts a pose of a message \[m\].
 ///
 /// # Errors
 /// A number is not finite, or the quaternion's norm is not 1.
@@ -45,16 +45,16 @@ pub fn of_pose(pose: &geometry_msgs::Pose) -> Result<Isometry3<f64>, PoseError> 
     isometry([at.x, at.y, at.z], &pose.orientation)
 }
 
-/// A transform as tf has it \[m\].
+/// Converts a transform of tf \[m\].
 ///
 /// # Errors
-/// As of [`of_pose`].
+/// See [`of_pose`].
 pub fn of_transform(transform: &geometry_msgs::Transform) -> Result<Isometry3<f64>, PoseError> {
     let at = transform.translation;
     isometry([at.x, at.y, at.z], &transform.rotation)
 }
 
-/// `share` of the way from one pose to another: in a line, and by a turn about one axis.
+/// Interpolates from one pose to another: along a line, with a turn about one axis.
 pub fn between(from: &Isometry3<f64>, to: &Isometry3<f64>, share: f64) -> Isometry3<f64> {
     let way = to.translation.vector - from.translation.vector;
     let turn = (to.rotation * from.rotation.inverse()).powf(share);
@@ -73,7 +73,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_no_pose_is_named() {
+    fn invalid_poses_are_named() {
         let mut turn = geometry_msgs::Quaternion {
             w: 1.0005,
             ..Default::default()
@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn half_of_the_way_is_half_of_the_line_and_half_of_the_turn() {
+    fn half_way_is_half_of_line_and_turn() {
         let from = Isometry3::translation(1.0, 0.0, 0.0);
         let to = Isometry3::new(Vector3::new(3.0, 2.0, 0.0), Vector3::z() * FRAC_PI_2);
         let half = between(&from, &to, 0.5);

@@ -7,58 +7,49 @@ use thiserror::Error;
 
 use crate::frames::pose::between;
 
-/// Stamps that go back by less belong to messages that overtook each other; by more, the clock was set \[ns\].
+/// Smaller steps back are messages that overtook each other; larger ones mean that the clock was set \[ns\].
 const JUMP_NS: i64 = 100_000_000;
-/// Frames that are kept: a robot with hands has a hundred.
+/// The most frames: a robot with hands has a hundred.
 const MOST_FRAMES: usize = 4096;
-/// Transforms of a frame that are kept: those of a second or more, since the slowest frame of a chain says which time is
-/// known of all.
+/// The most transforms per frame: a second or more, since the slowest frame of a chain decides the time known for all.
 const KEPT: usize = 256;
-/// A chain of more frames is a ring.
+/// A longer chain is a ring.
 const MOST_IN_CHAIN: usize = 256;
 
-/// Why a transform is left out.
+/// Why a transform is dropped.
 #[derive(Clone, Debug, Error, PartialEq)]
-pub enum LeftOut {
-    /// It is older than the one before.
-    #[error("a transform is stamped {before_s:.3} s before the one that came before it")]
+pub enum TransformError {
+    /// It is older than its predecessor.
+    #[error("a transform is {before_s:.3} s older than its predecessor")]
     Older {
         /// By how much \[s\].
         before_s: f64,
     },
-    /// More frames than are kept.
-    #[error("the frame {0:?} is one too many: more are not kept")]
+    /// There are too many frames.
+    #[error("too many frames: dropping {0:?}")]
     TooMany(String),
 }
 
-/// Why one frame is not known in another.
+/// Why the pose of one frame in another is unknown.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[non_exhaustive]
-pub enum Unknown {
-    /// Nothing leads from one to the other.
-    #[error("no transforms lead from {base:?} to {tool:?} yet; {tool:?} hangs on {root:?}")]
+#[expect(missing_docs, reason = "the messages explain variants and fields")]
+pub enum LookupError {
+    /// No transforms connect the two.
+    #[error("no transforms lead from {base:?} to {tool:?} yet; the root of {tool:?} is {root:?}")]
     Chain {
-        /// The one.
         base: String,
-        /// The other.
         tool: String,
-        /// What the other ends at.
+        /// The root above `tool`.
         root: String,
     },
-    /// The transforms lead round.
-    #[error("the transforms above {0:?} lead round in a ring")]
+    /// The transforms form a ring.
+    #[error("the transforms above {0:?} form a ring")]
     Ring(String),
-    /// Nothing on the way ever moves.
-    #[error(
-        "from {base:?} to {tool:?} all transforms are static: the end effector would never move"
-    )]
-    Static {
-        /// The one.
-        base: String,
-        /// The other.
-        tool: String,
-    },
-    /// There is no time at which all are known.
+    /// Only static transforms connect the two.
+    #[error("from {base:?} to {tool:?} all transforms are static: the end effector cannot move")]
+    Static { base: String, tool: String },
+    /// No time is known for all transforms.
     #[error("the transform of {0:?} is not known for a time at which the others are")]
     Time(String),
 }
@@ -72,34 +63,34 @@ struct Edge {
     known: VecDeque<(i64, Isometry3<f64>)>,
 }
 
-/// All frames, by their names.
+/// All frames by name.
 #[derive(Clone, Debug, Default)]
 pub struct Frames {
     edges: BTreeMap<String, Edge>,
 }
 
-/// The name of a frame as tf2 has it: names were absolute once.
+/// The name of a frame as in tf2, without the leading slash of old absolute names.
 pub fn bare(name: &str) -> &str {
     name.strip_prefix('/').unwrap_or(name)
 }
 
 impl Frames {
-    /// Takes where a frame is in its parent.
+    /// Takes the transform from a frame to its parent.
     ///
     /// # Errors
-    /// [`LeftOut`] says why it is.
+    /// Why it is dropped.
     pub fn take(
         &mut self,
         (parent, child): (&str, &str),
         is_static: bool,
         stamp_ns: i64,
         transform: Isometry3<f64>,
-    ) -> Result<(), LeftOut> {
+    ) -> Result<(), TransformError> {
         let (parent, child) = (bare(parent), bare(child));
         let is_full = self.edges.len() >= MOST_FRAMES;
         let edge = match self.edges.get_mut(child) {
             Some(edge) => edge,
-            None if is_full => return Err(LeftOut::TooMany(child.to_owned())),
+            None if is_full => return Err(TransformError::TooMany(child.to_owned())),
             None => self.edges.entry(child.to_owned()).or_insert_with(|| Edge {
                 parent: parent.to_owned(),
                 is_static,
@@ -114,13 +105,13 @@ impl Frames {
         if let Some((newest_ns, _)) = edge.known.back() {
             let before_ns = newest_ns.saturating_sub(stamp_ns);
             if before_ns == 0 {
-                // Several tell of the same.
+                // several nodes publish the same transform
                 return Ok(());
             }
             if before_ns > JUMP_NS {
                 edge.known.clear();
             } else if before_ns > 0 {
-                return Err(LeftOut::Older {
+                return Err(TransformError::Older {
                     before_s: before_ns as f64 / 1e9,
                 });
             }
@@ -132,44 +123,49 @@ impl Frames {
         Ok(())
     }
 
-    /// Where `tool`, which moves, is in `base` at the newest time at which that is known \[ns\].
+    /// The pose of the moving `tool` in `base` at the newest time known for all transforms \[ns\].
     ///
     /// # Errors
-    /// [`Unknown`] says what is missing.
-    pub fn newest(&self, base: &str, tool: &str) -> Result<(i64, Isometry3<f64>), Unknown> {
+    /// The missing transform.
+    pub fn newest(&self, base: &str, tool: &str) -> Result<(i64, Isometry3<f64>), LookupError> {
         let (stamp_ns, pose) = self.find(base, tool)?;
-        let is_static = || Unknown::Static {
+        let is_static = || LookupError::Static {
             base: bare(base).to_owned(),
             tool: bare(tool).to_owned(),
         };
         Ok((stamp_ns.ok_or_else(is_static)?, pose))
     }
 
-    /// Where `tool` is in `base` at the newest time at which that is known \[ns\]; no time where nothing on the way moves.
+    /// The pose of `tool` in `base` at the newest time known for all transforms \[ns\]; no time if all are static.
     ///
     /// # Errors
-    /// [`Unknown`] says what is missing.
-    pub fn find(&self, base: &str, tool: &str) -> Result<(Option<i64>, Isometry3<f64>), Unknown> {
+    /// The missing transform.
+    pub fn find(
+        &self,
+        base: &str,
+        tool: &str,
+    ) -> Result<(Option<i64>, Isometry3<f64>), LookupError> {
         let (base, tool) = (bare(base), bare(tool));
-        let (of_base, of_tool) = (self.above(base)?, self.above(tool)?);
-        // What both hang on does not matter.
+        let (mut of_base, mut of_tool) = (self.above(base)?, self.above(tool)?);
+        // the common part of both chains does not matter
         let mut shared = 0;
         let mut from_root = of_base.iter().rev().zip(of_tool.iter().rev());
         while from_root.next().is_some_and(|(a, b)| a == b) {
             shared += 1;
         }
         if shared == 0 {
+            // a chain contains at least the frame itself
             let root = of_tool.last().copied().unwrap_or(tool);
-            return Err(Unknown::Chain {
+            return Err(LookupError::Chain {
                 base: base.to_owned(),
                 tool: tool.to_owned(),
                 root: root.to_owned(),
             });
         }
-        let below = |chain: &[&str]| chain.len().saturating_sub(shared);
-        let up = of_base.get(..below(&of_base)).unwrap_or_default();
-        let down = of_tool.get(..below(&of_tool)).unwrap_or_default();
-        let moving = up.iter().chain(down).filter_map(|name| {
+        for chain in [&mut of_base, &mut of_tool] {
+            chain.truncate(chain.len() - shared);
+        }
+        let moving = of_base.iter().chain(&of_tool).filter_map(|name| {
             let edge = self.edges.get(*name)?;
             let (newest_ns, _) = edge.known.back()?;
             (!edge.is_static).then_some(*newest_ns)
@@ -179,20 +175,20 @@ impl Frames {
             names.iter().try_fold(Isometry3::identity(), |below, name| {
                 let at = self.at(name, stamp_ns);
                 at.map(|at| at * below)
-                    .ok_or_else(|| Unknown::Time((*name).to_owned()))
+                    .ok_or_else(|| LookupError::Time((*name).to_owned()))
             })
         };
-        let (base_in_shared, tool_in_shared) = (along(up)?, along(down)?);
+        let (base_in_shared, tool_in_shared) = (along(&of_base)?, along(&of_tool)?);
         Ok((stamp_ns, base_in_shared.inverse() * tool_in_shared))
     }
 
-    /// A frame and all that it hangs on, the root last.
-    fn above<'a>(&'a self, name: &'a str) -> Result<Vec<&'a str>, Unknown> {
+    /// A frame and its ancestors, the root last.
+    fn above<'a>(&'a self, name: &'a str) -> Result<Vec<&'a str>, LookupError> {
         let mut chain = vec![name];
         let mut last = name;
         while let Some(edge) = self.edges.get(last) {
             if chain.len() >= MOST_IN_CHAIN {
-                return Err(Unknown::Ring(name.to_owned()));
+                return Err(LookupError::Ring(name.to_owned()));
             }
             last = &edge.parent;
             chain.push(last);
@@ -200,7 +196,7 @@ impl Frames {
         Ok(chain)
     }
 
-    /// Where a frame is in its parent at a time.
+    /// The pose of a frame in its parent at a time.
     fn at(&self, name: &str, stamp_ns: Option<i64>) -> Option<Isometry3<f64>> {
         let edge = self.edges.get(name)?;
         let (newest_ns, newest) = edge.known.back()?;
@@ -218,7 +214,7 @@ impl Frames {
         Some(between(from, to, share))
     }
 
-    /// Forgets all that moves: by the old time. What is static stays.
+    /// Forgets moving transforms, whose times are outdated, and keeps static ones.
     pub fn clear(&mut self) {
         self.edges.retain(|_, edge| edge.is_static);
     }
@@ -231,7 +227,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_never_moves_is_found_without_a_time() {
+    fn static_transforms_are_found_without_a_time() {
         let mut frames = Frames::default();
         let up = Isometry3::translation(0.0, 0.0, 1.0);
         let beside = Isometry3::translation(0.0, 2.0, 0.0);
@@ -242,7 +238,10 @@ mod tests {
         assert_eq!(stamp_ns, None);
         assert_eq!(pose.translation.vector, Vector3::new(0.0, -2.0, 1.0));
         let never = frames.newest("camera", "base");
-        assert!(matches!(never, Err(Unknown::Static { .. })), "{never:?}");
+        assert!(
+            matches!(never, Err(LookupError::Static { .. })),
+            "{never:?}"
+        );
         let hand = Isometry3::translation(0.5, 0.0, 0.0);
         assert_eq!(frames.take(("base", "hand"), false, 9, hand), Ok(()));
         let (stamp_ns, pose) = frames.newest("camera", "hand").unwrap();
@@ -250,24 +249,24 @@ mod tests {
         assert_eq!(pose.translation.vector, Vector3::new(0.5, -2.0, 1.0));
         assert_eq!(
             frames.find("camera", "moon").unwrap_err().to_string(),
-            "no transforms lead from \"camera\" to \"moon\" yet; \"moon\" hangs on \"moon\""
+            "no transforms lead from \"camera\" to \"moon\" yet; the root of \"moon\" is \"moon\""
         );
     }
 
     #[test]
-    fn what_is_old_or_one_too_many_is_left_out() {
+    fn old_and_excess_transforms_are_dropped() {
         let mut frames = Frames::default();
         let here = Isometry3::identity();
         assert_eq!(frames.take(("a", "b"), false, 1_000_000_000, here), Ok(()));
         assert_eq!(
             frames.take(("a", "b"), false, 950_000_000, here),
-            Err(LeftOut::Older { before_s: 0.05 })
+            Err(TransformError::Older { before_s: 0.05 })
         );
         for number in 1..MOST_FRAMES {
             let name = number.to_string();
             assert_eq!(frames.take(("a", &name), true, 0, here), Ok(()));
         }
         let too_many = frames.take(("a", "c"), true, 0, here);
-        assert_eq!(too_many, Err(LeftOut::TooMany("c".to_owned())));
+        assert_eq!(too_many, Err(TransformError::TooMany("c".to_owned())));
     }
 }

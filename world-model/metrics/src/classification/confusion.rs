@@ -2,28 +2,28 @@ use serde::{Deserialize, Serialize};
 
 use crate::{MetricError, error::same_length};
 
-/// Counts of what was told against what is so; positive is a success.
+/// Confusion matrix of binary verdicts; positive means success.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Confusion {
-    /// Positives told as such.
+    /// Positives with a positive verdict.
     pub true_positives: usize,
-    /// Positives told as negatives.
+    /// Positives with a negative verdict.
     pub false_negatives: usize,
-    /// Negatives told as such.
+    /// Negatives with a negative verdict.
     pub true_negatives: usize,
-    /// Negatives told as positives.
+    /// Negatives with a positive verdict.
     pub false_positives: usize,
 }
 
 impl Confusion {
-    /// Of verdicts and truths, one by one.
+    /// Counts verdicts against truths, one by one.
     ///
     /// # Errors
     /// [`MetricError::Length`], [`MetricError::Empty`].
-    pub fn of(told: &[bool], truth: &[bool]) -> Result<Self, MetricError> {
-        same_length(told.len(), truth.len())?;
+    pub fn of(verdicts: &[bool], truth: &[bool]) -> Result<Self, MetricError> {
+        same_length(verdicts.len(), truth.len())?;
         let mut counts = Self::default();
-        for pair in told.iter().zip(truth) {
+        for pair in verdicts.iter().zip(truth) {
             let count = match pair {
                 (true, true) => &mut counts.true_positives,
                 (false, true) => &mut counts.false_negatives,
@@ -35,27 +35,27 @@ impl Confusion {
         Ok(counts)
     }
 
-    /// Share of the positives that are told; `None` where there are none.
+    /// Share of the positives that are found; `None` without positives.
     #[must_use]
     pub fn recall_of_positives(&self) -> Option<f64> {
         share(self.true_positives, self.false_negatives)
     }
 
-    /// Share of the negatives that are told; `None` where there are none.
+    /// Share of the negatives that are found; `None` without negatives.
     #[must_use]
     pub fn recall_of_negatives(&self) -> Option<f64> {
         share(self.true_negatives, self.false_positives)
     }
 
-    /// Mean of both recalls; `None` where one class is empty. The paper's "balanced accuracy" of the success probe
-    /// (appendix C.3 B), and scikit-learn's `balanced_accuracy_score`.
+    /// Mean of both recalls; `None` if a class is empty. The paper's "balanced accuracy" of the success probe (appendix
+    /// C.3 B), and scikit-learn's `balanced_accuracy_score`.
     #[must_use]
     pub fn balanced_accuracy(&self) -> Option<f64> {
         let recalls = self.recall_of_positives().zip(self.recall_of_negatives());
         recalls.map(|(positives, negatives)| f64::midpoint(positives, negatives))
     }
 
-    /// Share that is told right; `None` of nothing.
+    /// Share of correct verdicts; `None` if empty.
     #[must_use]
     pub fn accuracy(&self) -> Option<f64> {
         let right = self.true_positives + self.true_negatives;
@@ -65,7 +65,6 @@ impl Confusion {
 
 fn share(right: usize, wrong: usize) -> Option<f64> {
     let all = right + wrong;
-    // Counts stay far below 2^52.
     (all > 0).then(|| right as f64 / all as f64)
 }
 
@@ -78,8 +77,8 @@ mod tests {
     #[test]
     fn classes_count_alike() {
         let truth = [true, true, false, false, false, false];
-        let told = [true, false, false, false, false, true];
-        let counts = Confusion::of(&told, &truth).unwrap();
+        let verdicts = [true, false, false, false, false, true];
+        let counts = Confusion::of(&verdicts, &truth).unwrap();
         assert_eq!(counts.recall_of_positives(), Some(0.5));
         assert_eq!(counts.recall_of_negatives(), Some(0.75));
         assert_eq!(counts.balanced_accuracy(), Some(0.625));

@@ -4,12 +4,12 @@ use crate::{
     ranking::average_ranks,
 };
 
-/// Area under the ROC curve: how often a positive's score is above a negative's, equal scores counting half. The figure
-/// of scikit-learn's `roc_auc_score`; scores may be logits or probabilities.
+/// Area under the ROC curve: the probability that a positive's score exceeds a negative's; equal scores count half.
+/// Same as scikit-learn's `roc_auc_score`; scores may be logits or probabilities.
 ///
 /// # Errors
-/// [`MetricError::Length`], [`MetricError::Empty`], [`MetricError::NotFinite`]; [`MetricError::Constant`] where there is
-/// one class alone.
+/// [`MetricError::Length`], [`MetricError::Empty`], [`MetricError::NotFinite`]; [`MetricError::Constant`] if there is
+/// only one class.
 pub fn roc_auc(scores: &[f64], truth: &[bool]) -> Result<f64, MetricError> {
     same_length(scores.len(), truth.len())?;
     finite("scores", scores.iter().copied())?;
@@ -17,7 +17,6 @@ pub fn roc_auc(scores: &[f64], truth: &[bool]) -> Result<f64, MetricError> {
     if positives == 0 || positives == truth.len() {
         return Err(MetricError::Constant { what: "the truth" });
     }
-    // Counts stay far below 2^52.
     let (positives, all) = (positives as f64, truth.len() as f64);
     let ranks = average_ranks(scores);
     let of_positives = ranks.iter().zip(truth).filter(|(_, truth)| **truth);
@@ -34,7 +33,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn of_six_pairs_one_is_wrong_and_one_is_even() {
+    fn auc_counts_wrong_and_equal_pairs() {
         let scores = [2.0, -1.0, -2.0, -0.5, -1.0];
         let truth = [true, true, false, false, false];
         let expected = (6.0 - 1.0 - 0.5) / 6.0;
@@ -47,7 +46,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn is_the_share_of_pairs(samples in prop::collection::vec((-5_i8..5, any::<bool>()), 2..40)) {
+        fn auc_is_the_share_of_ordered_pairs(samples in prop::collection::vec((-5_i8..5, any::<bool>()), 2..40)) {
             let (scores, truth): (Vec<f64>, Vec<bool>) = samples.iter().map(|(s, t)| (f64::from(*s), *t)).unzip();
             let (mut wins, mut pairs) = (0.0, 0.0);
             for (a, _) in samples.iter().filter(|(_, truth)| *truth) {

@@ -7,13 +7,12 @@ use crate::{
     error::{at_least, same_length},
 };
 
-/// Cohen's kappa of two raters' labels, of any number of kinds: 1 where they agree on all, 0 where as often as by chance.
-/// The figure of scikit-learn's `cohen_kappa_score` without weights; the paper chooses its VLM raters by it (appendices
-/// A and C.5).
+/// Cohen's kappa of two raters' labels of any number of classes: 1 for full agreement, 0 for agreement by chance. Same
+/// as scikit-learn's unweighted `cohen_kappa_score`; the paper chooses its VLM raters by it (appendices A and C.5).
 ///
 /// # Errors
-/// [`MetricError::Length`], [`MetricError::Empty`]; [`MetricError::Constant`] where both give one and the same label to
-/// all, so that chance alone agrees.
+/// [`MetricError::Length`], [`MetricError::Empty`]; [`MetricError::Constant`] if both raters give the same single label
+/// to all.
 pub fn cohen_kappa<L: Ord>(first: &[L], second: &[L]) -> Result<f64, MetricError> {
     same_length(first.len(), second.len())?;
     let mut labels: BTreeMap<&L, [u64; 2]> = BTreeMap::new();
@@ -29,7 +28,6 @@ pub fn cohen_kappa<L: Ord>(first: &[L], second: &[L]) -> Result<f64, MetricError
             what: "the labels of both raters",
         });
     }
-    // Counts stay far below 2^52.
     let all = first.len() as f64;
     let agreed = first.iter().zip(second).filter(|(a, b)| a == b).count() as f64 / all;
     let chance = labels.values().map(|[a, b]| *a as f64 * *b as f64);
@@ -37,23 +35,23 @@ pub fn cohen_kappa<L: Ord>(first: &[L], second: &[L]) -> Result<f64, MetricError
     Ok((agreed - chance) / (1.0 - chance))
 }
 
-/// Two raters and how far they agree.
+/// Two raters and their agreement.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Agreement {
-    /// Number of the one rater, from 0.
+    /// Index of the first rater, from 0.
     pub first: usize,
-    /// Number of the other, above that of the first.
+    /// Index of the second rater, above the first.
     pub second: usize,
     /// Cohen's kappa.
     pub kappa: f64,
 }
 
-/// The two of several raters with the highest [`cohen_kappa`], the earlier pair of equal ones: how the paper chose two
-/// of three VLMs. Pairs without a kappa are passed over.
+/// The two raters with the highest [`cohen_kappa`]; of equal pairs, the first. The paper chose two of three VLMs so.
+/// Pairs without a kappa are skipped.
 ///
 /// # Errors
-/// [`MetricError::TooFew`] below two raters; [`MetricError::Length`], [`MetricError::Empty`];
-/// [`MetricError::Constant`] where no pair has a kappa.
+/// [`MetricError::TooFew`] below two raters; [`MetricError::Length`], [`MetricError::Empty`]; [`MetricError::Constant`]
+/// if no pair has a kappa.
 pub fn closest_raters<L: Ord, R: AsRef<[L]>>(raters: &[R]) -> Result<Agreement, MetricError> {
     at_least("raters", 2, raters.len())?;
     let mut best: Option<Agreement> = None;
@@ -86,8 +84,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn of_the_textbook() {
-        // 20 both yes, 15 both no, 5 and 10 apart: 0.7 agreed, 0.5 by chance.
+    fn kappa_matches_the_textbook() {
+        // 20 both yes, 15 both no, 5 and 10 differ: 0.7 agreement, 0.5 by chance.
         let cells = [
             (true, true, 20),
             (true, false, 5),
@@ -102,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn the_closest_two_of_three() {
+    fn closest_two_of_three_raters_are_found() {
         let raters = [
             vec![1, 0, 1, 0, 1],
             vec![1, 0, 0, 0, 1],
@@ -123,7 +121,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn is_symmetric_and_blind_to_names(pairs in prop::collection::vec((0_u8..4, 0_u8..4), 1..50)) {
+        fn kappa_is_symmetric_and_ignores_names(pairs in prop::collection::vec((0_u8..4, 0_u8..4), 1..50)) {
             let (a, b): (Vec<u8>, Vec<u8>) = pairs.into_iter().unzip();
             let kappa = cohen_kappa(&a, &b);
             prop_assert_eq!(&kappa, &cohen_kappa(&b, &a));

@@ -13,47 +13,47 @@ use crate::{
 use algebra::{components, freedom, leading, root, select, solve, solve_transposed};
 use side::{Side, Standard};
 
-/// Canonical correlations up to this are rounding of their squares, and so is their direction.
+/// Canonical correlations up to this are rounding errors of their squares.
 const UNCORRELATED: f64 = 1e-7;
 
-/// What keeps the features' side from fitting noise where there are nearly as many features as samples.
+/// How to keep the features from fitting noise if there are nearly as many features as samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Regularisation {
-    /// Nothing: needs more samples than features, and features that are independent.
+    /// None: needs more samples than features, and linearly independent features.
     None,
-    /// This much, above 0, is added to the variance of each feature, which is 1.
+    /// Adds this, above 0, to the variance of each feature, which is 1.
     Ridge(f64),
-    /// The features' leading principal components, at most this many; those without variance are left out.
+    /// Keeps at most this many leading principal components of the features, without those of zero variance.
     Components(usize),
 }
 
-/// Canonical correlation analysis of features with actions: the direction among the features and the one among the
-/// actions whose projections correlate the most, then the next ones, uncorrelated with those before.
+/// Canonical correlation analysis of features with actions: the direction in features and the direction in actions with
+/// the most correlated projections, then the next pairs, uncorrelated with the earlier ones.
 ///
 /// The paper (figure "Action trajectories induced by encoder spaces") projects episodes onto the first two directions
 /// "between IDM features and ground-truth actions" and prints rho_1, rho_2 and eta, which "summarizes the aggregate
-/// action alignment" and is defined nowhere. [`Self::eta`] is Hooper's trace correlation, the usual figure of that kind.
+/// action alignment" without a definition. [`Self::eta`] is Hooper's trace correlation, the usual figure of that kind.
 ///
-/// Columns are scaled to variance 1 before; without regularisation the correlations do not depend on that and are those
-/// of scikit-learn's `CCA`, and of the singular value decomposition that it approaches. They come from the samples that
-/// the directions were fitted to, and tend to 1 with the number of features: hold samples out for
-/// [`Self::correlations_of`].
+/// Columns are scaled to variance 1. Without regularisation that does not change the correlations, which equal those of
+/// scikit-learn's `CCA`. On the fitted samples, correlations tend to 1 with the number of features: hold samples out
+/// for [`Self::correlations_of`].
 #[derive(Clone, Debug)]
 pub struct CanonicalCorrelation {
     features: Side,
     actions: Side,
-    /// min(p, q); there are weights of those that correlate at all.
+    /// min(p, q); there are weights only for directions with a correlation.
     directions: usize,
     correlations: Vec<f64>,
 }
 
 impl CanonicalCorrelation {
-    /// Of features (n, p) and actions (n, q), row by row of the same samples; min(p, q) directions. Constant features are
-    /// allowed with regularisation, constant actions are not.
+    /// Fits features (n, p) and actions (n, q), rows of the same samples; min(p, q) directions. Constant features need
+    /// regularisation; constant actions are rejected.
     ///
     /// # Errors
-    /// [`MetricError::Length`] where the rows differ in number; [`MetricError::TooFew`] without more rows than actions;
-    /// [`MetricError::Constant`] where an action, or every feature, never varies; [`MetricError::Singular`] where columns
+    /// [`MetricError::Length`] if the numbers of rows differ; [`MetricError::TooFew`] unless there are more rows than
+    /// actions; [`MetricError::Constant`] if an action, or every feature, is constant; [`MetricError::Singular`] for
+    /// linearly dependent columns; [`MetricError::Range`] for the regularisation.
     /// depend on others; [`MetricError::Range`] of the regularisation.
     pub fn fit(
         features: &Table,
@@ -90,7 +90,7 @@ impl CanonicalCorrelation {
         let between = reduced.tr_mul(&y.values) / freedom(reduced);
         let whitened = solve("features", &own, &between, reduced)?;
         let whitened = solve("actions", &others, &whitened.transpose(), &y.values)?.transpose();
-        // Not nalgebra's SVD, which fails at matrices with a row of zeros.
+        // nalgebra's SVD fails on matrices with a row of zeros.
         let decomposition = SymmetricEigen::new(whitened.tr_mul(&whitened));
         let kept = leading(&decomposition, UNCORRELATED * UNCORRELATED, usize::MAX);
         let right = select(&decomposition, &kept);
@@ -114,16 +114,16 @@ impl CanonicalCorrelation {
         Ok(fitted)
     }
 
-    /// rho_1, rho_2, ..: correlations of the projections in the samples that they were fitted to, min(p, q) of them; those
-    /// of directions that do not exist, for want of rank, are 0. Of a ridge these are
-    /// Pearson's r of the projections all the same, not the shrunken roots of the ridged problem.
+    /// rho_1, rho_2, ..: the min(p, q) correlations of the projections of the fitted samples; 0 for directions beyond
+    /// the rank. With a ridge, these are still Pearson's r of the projections, not the shrunken roots of the ridged
+    /// problem.
     #[must_use]
     pub fn correlations(&self) -> &[f64] {
         &self.correlations
     }
 
     /// Hooper's trace correlation (1959) of the fitted samples: the root of the mean squared canonical correlation, in
-    /// \[0, 1\]. Without regularisation its square is the share of the actions' variance, whitened, that is linear in the
+    /// \[0, 1\]. Without regularisation its square is the share of the whitened actions' variance that is linear in the
     /// features.
     #[must_use]
     pub fn eta(&self) -> f64 {
@@ -134,6 +134,7 @@ impl CanonicalCorrelation {
     /// their eta.
     ///
     /// # Errors
+    /// [`MetricError::Length`] if rows or columns differ in number; those of [`pearson`].
     /// [`MetricError::Length`] where rows or columns differ in number; those of [`pearson`].
     pub fn correlations_of(
         &self,
@@ -155,11 +156,12 @@ impl CanonicalCorrelation {
         Ok(correlations)
     }
 
-    /// Projections (n, `directions`) of features onto the leading directions, of mean 0, and variance 1 without a ridge,
-    /// in the fitted samples; fewer columns where fewer directions correlate at all. The paper draws two.
+    /// Projections (n, `directions`) of features onto the leading directions: mean 0 and, without a ridge, variance 1
+    /// in the fitted samples; fewer columns if fewer directions correlate. The paper draws two.
     ///
     /// # Errors
-    /// [`MetricError::Length`] where the columns differ in number from those fitted; [`MetricError::Empty`] where there is no direction.
+    /// [`MetricError::Length`] if the columns differ in number from the fitted ones; [`MetricError::Empty`] without any
+    /// direction.
     pub fn project_features(
         &self,
         features: &Table,
@@ -168,11 +170,11 @@ impl CanonicalCorrelation {
         self.features.project(features, directions)
     }
 
-    /// As [`Self::project_features`], of actions; a direction's greatest weight among the actions is positive, so that
+    /// Projections of actions, as [`Self::project_features`]. A direction's greatest action weight is positive, so that
     /// pictures of two encoders are not mirrored.
     ///
     /// # Errors
-    /// As [`Self::project_features`].
+    /// Those of [`Self::project_features`].
     pub fn project_actions(
         &self,
         actions: &Table,
@@ -182,14 +184,14 @@ impl CanonicalCorrelation {
     }
 }
 
-/// The root of the mean square of canonical correlations; 0 of none.
+/// The root of the mean squared canonical correlation; 0 if empty.
 #[must_use]
 pub fn trace_correlation(correlations: &[f64]) -> f64 {
     let squares: f64 = correlations.iter().map(|rho| rho * rho).sum();
     (squares / correlations.len().max(1) as f64).sqrt()
 }
 
-/// Turns pairs of directions so that the greatest weight among the actions is positive.
+/// Flips pairs of directions so that the greatest action weight is positive.
 fn orient(features: &mut DMatrix<f64>, actions: &mut DMatrix<f64>) {
     for (mut own, mut other) in features.column_iter_mut().zip(actions.column_iter_mut()) {
         let greatest = other.iter().fold(0.0_f64, |greatest, weight| {

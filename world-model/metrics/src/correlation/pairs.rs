@@ -14,16 +14,16 @@ pub struct Correlation {
     pub r: f64,
     /// Number of pairs.
     pub pairs: usize,
-    /// 95 % interval by Fisher's z; `None` below four pairs, where it has no width. It takes pairs to be independent:
-    /// steps of one episode are not.
+    /// 95 % interval by Fisher's z; `None` below four pairs. It assumes independent pairs; the steps of one episode are
+    /// not.
     pub interval: Option<Interval>,
 }
 
-/// Pearson's r. The figure, and with [`Correlation::interval`] the interval, of SciPy's `pearsonr`.
+/// Pearson's r, with the value and interval of SciPy's `pearsonr`.
 ///
 /// # Errors
-/// [`MetricError::Length`], [`MetricError::Empty`]; [`MetricError::TooFew`] with a single pair;
-/// [`MetricError::NotFinite`]; [`MetricError::Constant`] where one side never varies.
+/// [`MetricError::Length`], [`MetricError::Empty`]; [`MetricError::TooFew`] below two pairs;
+/// [`MetricError::NotFinite`]; [`MetricError::Constant`] if one side is constant.
 pub fn pearson(x: &[f64], y: &[f64]) -> Result<Correlation, MetricError> {
     let r = coefficient(x, y)?;
     Ok(Correlation {
@@ -33,11 +33,11 @@ pub fn pearson(x: &[f64], y: &[f64]) -> Result<Correlation, MetricError> {
     })
 }
 
-/// Spearman's rho: Pearson's r of the ranks, equal values sharing the mean of theirs. The figure of SciPy's `spearmanr`.
-/// Of Fisher's z the variance is (1 + rho^2 / 2) / (n - 3), after Bonett and Wright 2000.
+/// Spearman's rho, as SciPy's `spearmanr`: Pearson's r of the ranks, where equal values share their mean rank. The
+/// variance of Fisher's z is (1 + rho^2 / 2) / (n - 3), after Bonett and Wright 2000.
 ///
 /// # Errors
-/// As [`pearson`].
+/// Those of [`pearson`].
 pub fn spearman(x: &[f64], y: &[f64]) -> Result<Correlation, MetricError> {
     finite("values", x.iter().chain(y).copied())?;
     let r = coefficient(&average_ranks(x), &average_ranks(y))?;
@@ -62,8 +62,8 @@ fn coefficient(x: &[f64], y: &[f64]) -> Result<f64, MetricError> {
     Ok(r.clamp(-1.0, 1.0))
 }
 
-/// Differences to the mean, scaled to a sum of squares of 1; scaled to the largest before, so that squares neither vanish
-/// nor overflow.
+/// Differences to the mean, scaled to a sum of squares of 1. They are divided by the largest first, so that squares
+/// neither vanish nor overflow.
 fn unit(values: &[f64]) -> Vec<f64> {
     let mean = mean(values);
     let mut differences: Vec<f64> = values.iter().map(|value| value - mean).collect();
@@ -97,7 +97,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn of_four_pairs() {
+    fn pearson_of_four_pairs() {
         // Differences (-1.5, -.5, .5, 1.5) and (-.5, -1.5, 1.5, .5): 3 of 5.
         let found = pearson(&[1.0, 2.0, 3.0, 4.0], &[2.0, 1.0, 4.0, 3.0]).unwrap();
         assert!((found.r - 0.6).abs() < 1e-12);
@@ -112,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_no_correlation_is_named() {
+    fn undefined_correlations_are_named() {
         let constant = pearson(&[0.1, 0.1, 0.1], &[1.0, 2.0, 3.0]);
         assert_eq!(constant, Err(MetricError::Constant { what: "values" }));
         let nan = spearman(&[0.1, f64::NAN, 0.1], &[1.0, 2.0, 3.0]).unwrap_err();
@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn a_perfect_correlation_has_no_width() {
+    fn perfect_correlation_has_zero_width() {
         let found = pearson(&[1.0, 2.0, 3.0, 4.0, 5.0], &[-2.0, -4.0, -6.0, -8.0, -10.0]).unwrap();
         assert!((found.r + 1.0).abs() < 1e-12);
         let interval = found.interval.unwrap();
@@ -137,7 +137,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn spearman_sees_the_order_alone(pairs in prop::collection::vec((-50_i8..50, -50_i8..50), 4..40)) {
+        fn spearman_depends_only_on_the_order(pairs in prop::collection::vec((-50_i8..50, -50_i8..50), 4..40)) {
             let (x, y): (Vec<f64>, Vec<f64>) = pairs.iter().map(|(x, y)| (f64::from(*x), f64::from(*y))).unzip();
             let bent: Vec<f64> = x.iter().map(|x| (x / 20.0).exp() + x).collect();
             prop_assert_eq!(spearman(&x, &y).ok(), spearman(&bent, &y).ok());
@@ -146,7 +146,7 @@ mod tests {
         }
 
         #[test]
-        fn pearson_sees_no_scale(x in prop::collection::vec(-1e3_f64..1e3, 5), y in prop::collection::vec(-1e3_f64..1e3, 5), scale in 1e-3_f64..1e3) {
+        fn pearson_is_scale_invariant(x in prop::collection::vec(-1e3_f64..1e3, 5), y in prop::collection::vec(-1e3_f64..1e3, 5), scale in 1e-3_f64..1e3) {
             let scaled: Vec<f64> = x.iter().map(|x| scale * x + 3.0).collect();
             if let (Ok(a), Ok(b)) = (pearson(&x, &y), pearson(&scaled, &y)) {
                 prop_assert!((a.r - b.r).abs() < 1e-6);

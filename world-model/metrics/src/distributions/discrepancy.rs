@@ -6,8 +6,8 @@ use crate::{
     error::{at_least, finite, same_length},
 };
 
-/// Rows of a kernel matrix that are computed at once: large enough for a fast product, and fixed, so that sums do not
-/// depend on the number of threads.
+/// Rows of a kernel matrix computed at once: large enough for a fast product; fixed, so that sums do not depend on the
+/// number of threads.
 const BLOCK: usize = 256;
 
 /// k(x, y) = (scale <x, y> + offset)^degree.
@@ -15,22 +15,22 @@ const BLOCK: usize = 256;
 pub struct PolynomialKernel {
     /// Power.
     pub degree: i32,
-    /// Factor of the inner product; `None` for one over the number of features, as scikit-learn's `polynomial_kernel`.
+    /// Factor of the inner product; `None` for 1 / number of features, as in scikit-learn's `polynomial_kernel`.
     pub scale: Option<f64>,
-    /// What is added to the inner product.
+    /// Added to the inner product.
     pub offset: f64,
 }
 
 impl PolynomialKernel {
-    /// Of JEDi (Luo et al. 2024, "Beyond FVD"): degree 2 without an offset. Its code (oooolga/JEDi, `mmd_poly`) takes
+    /// JEDi's kernel (Luo et al. 2024, "Beyond FVD"): degree 2 without offset. Its code (oooolga/JEDi, `mmd_poly`) uses
     /// [`Estimator::Biased`] and reports 100 times the result.
     pub const JEDI: Self = Self {
         degree: 2,
         scale: None,
         offset: 0.0,
     };
-    /// Of the kernel inception distance (Bińkowski et al. 2018): cubic with offset 1. torchmetrics'
-    /// `KernelInceptionDistance` takes [`Estimator::Unbiased`] of random subsets; over all vectors it is this figure.
+    /// Kernel of the kernel inception distance (Bińkowski et al. 2018): cubic with offset 1. torchmetrics'
+    /// `KernelInceptionDistance` uses [`Estimator::Unbiased`] on random subsets; on all vectors it equals this one.
     pub const KID: Self = Self {
         degree: 3,
         scale: None,
@@ -38,23 +38,23 @@ impl PolynomialKernel {
     };
 }
 
-/// How the mean over pairs of a set with itself is taken.
+/// The mean over pairs within a set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Estimator {
-    /// Without the pairs of a vector with itself: right on average, and below zero now and then.
+    /// Without self-pairs: right on average, sometimes below zero.
     Unbiased,
-    /// With them: never below zero but by rounding, and above zero for two draws of one distribution.
+    /// With self-pairs: not below zero except by rounding, but above zero for two draws of one distribution.
     Biased,
 }
 
 /// Squared maximum mean discrepancy of the rows of two tables, over all pairs:
 /// mean k(x, x') + mean k(y, y') - 2 mean k(x, y).
 ///
-/// Takes 3/2 n^2 d multiplications for n vectors of d features each, and the memory of a few blocks.
+/// Takes 3/2 n^2 d multiplications for n vectors of d features, and the memory of a few blocks.
 ///
 /// # Errors
-/// [`MetricError::Length`] where the columns differ in number; [`MetricError::TooFew`] with a single row where the
-/// estimator is unbiased; [`MetricError::NotFinite`] where kernel values leave the range of f64.
+/// [`MetricError::Length`] if the columns differ in number; [`MetricError::TooFew`] for a single row with the unbiased
+/// estimator; [`MetricError::NotFinite`] if kernel values exceed the range of f64.
 pub fn maximum_mean_discrepancy(
     first: &Table,
     second: &Table,
@@ -65,7 +65,7 @@ pub fn maximum_mean_discrepancy(
     if estimator == Estimator::Unbiased {
         at_least("vectors", 2, first.rows().min(second.rows()))?;
     }
-    // Columns are samples, so that blocks of them lie together.
+    // Columns are samples, so that blocks of them are contiguous.
     let (x, y) = (first.matrix().transpose(), second.matrix().transpose());
     let scale = kernel.scale.unwrap_or(1.0 / first.columns() as f64);
     let value = |product: f64| (scale * product + kernel.offset).powi(kernel.degree);
@@ -86,12 +86,12 @@ pub fn maximum_mean_discrepancy(
     Ok(discrepancy)
 }
 
-/// The paper's "JEPA similarity" (appendix C.2 A), in \[0, 1\], 1 for equal sets: exp(-0.4 JEDi), where JEDi is 100 times
-/// the biased discrepancy under [`PolynomialKernel::JEDI`] of V-JEPA's features of the clips. The paper calls it a
-/// discrepancy where higher is better and takes it from WorldArena, whose code (`video_quality/JEDi/batch.py`) has this.
+/// The paper's "JEPA similarity" (appendix C.2 A), in \[0, 1\], 1 for equal sets: exp(-0.4 JEDi). JEDi is 100 times the
+/// biased discrepancy of the clips' V-JEPA features under [`PolynomialKernel::JEDI`]. The formula is from WorldArena's
+/// code (`video_quality/JEDi/batch.py`), which the paper uses.
 ///
 /// # Errors
-/// As [`maximum_mean_discrepancy`].
+/// Those of [`maximum_mean_discrepancy`].
 pub fn jepa_similarity(first: &Table, second: &Table) -> Result<f64, MetricError> {
     let (kernel, estimator) = (PolynomialKernel::JEDI, Estimator::Biased);
     let discrepancy = maximum_mean_discrepancy(first, second, kernel, estimator)?;
@@ -128,8 +128,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn as_the_example_of_jedi() {
-        // The pair of oooolga/JEDi, videojedi/mmd_polynomial.py, which gives 270.7 for it; the cubic one as scikit-learn.
+    fn discrepancy_matches_the_example_of_jedi() {
+        // The example of oooolga/JEDi, videojedi/mmd_polynomial.py, whose result is 270.7; the cubic one is
+        // scikit-learn's.
         let a = Table::new((1..10).map(f64::from).collect(), 3).unwrap();
         let b = [
             [7.0, 6.0, 5.0],
@@ -147,7 +148,7 @@ mod tests {
 
     #[test]
     fn blocks_count_every_pair_once() {
-        // k = <x, y>: the biased figure is the squared distance of the means, whatever the blocks.
+        // k = <x, y>: the biased value is the squared distance of the means for any block size.
         let linear = PolynomialKernel {
             degree: 1,
             scale: Some(1.0),
@@ -162,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn unbiased_leaves_out_a_vector_with_itself() {
+    fn unbiased_estimator_skips_self_pairs() {
         let linear = PolynomialKernel {
             degree: 1,
             scale: Some(1.0),

@@ -3,20 +3,18 @@ use nalgebra::{DMatrix, DVector};
 use super::Moments;
 use crate::MetricError;
 
-/// Fréchet distance of the normal distributions of two sets of features, squared as the field reports it:
-/// |m1 - m2|^2 + tr(C1) + tr(C2) - 2 tr((C1 C2)^1/2), with unbiased covariances \[unit of the features squared\]. FID,
-/// and FVD, of the network that gave the features; the figure of pytorch-fid and torchmetrics
-/// (`FrechetInceptionDistance`).
+/// Squared Fréchet distance of the normal distributions of two feature sets:
+/// |m1 - m2|^2 + tr(C1) + tr(C2) - 2 tr((C1 C2)^1/2), with unbiased covariances \[squared unit of the features\]. This is
+/// FID or FVD, by the network of the features; same as pytorch-fid and torchmetrics (`FrechetInceptionDistance`).
 ///
-/// The trace of the root is the sum of the roots of the eigenvalues of L^T C2 L, where C1 = L L^T: that matrix is
-/// symmetric and has the eigenvalues of C1 C2, so that no complex number appears, and L keeps only the rank of C1, so
-/// that fewer vectors than features are no special case. What rounding makes of a zero counts as zero, and a distance
-/// below zero by rounding is zero.
+/// The trace of the root is the sum of the roots of the eigenvalues of L^T C2 L, where C1 = L L^T. That matrix is
+/// symmetric with the eigenvalues of C1 C2, so no complex number appears. L has the rank of C1, so fewer vectors than
+/// features need no special case. Rounding errors of zero, also below it, count as zero.
 ///
 /// Two sets of 2048 features take 25 s on one core (of a shared cloud machine), 512 features 0.3 s.
 ///
 /// # Errors
-/// [`MetricError::Length`] where the features differ in number; [`MetricError::TooFew`] with a single vector.
+/// [`MetricError::Length`] if the features differ in number; [`MetricError::TooFew`] for a single vector.
 pub fn frechet_distance(first: &Moments, second: &Moments) -> Result<f64, MetricError> {
     first.same_dimensions(second)?;
     let means = first.mean().iter().zip(second.mean());
@@ -36,14 +34,14 @@ fn trace_of_root(a: &DMatrix<f64>, b: &DMatrix<f64>) -> f64 {
     let symmetric = (&product + product.transpose()) * 0.5;
     let eigenvalues = symmetric.symmetric_eigenvalues();
     let largest = eigenvalues.amax();
-    // Rounding of the largest, as a matrix rank is decided on.
+    // Rounding error of the largest eigenvalue, as for a matrix rank.
     let floor = largest * f64::EPSILON * eigenvalues.len() as f64;
     let counted = eigenvalues.iter().filter(|value| **value > floor);
     counted.map(|value| value.sqrt()).sum()
 }
 
-/// Columns L with L L^T equal to a positive semi-definite matrix: Cholesky's, the largest remaining variance first, up
-/// to the rank.
+/// Columns L with L L^T equal to a positive semi-definite matrix: Cholesky's, largest remaining variance first, up to
+/// the rank.
 fn factor(matrix: &DMatrix<f64>) -> DMatrix<f64> {
     let size = matrix.nrows();
     let mut remaining: DVector<f64> = matrix.diagonal();
@@ -64,7 +62,7 @@ fn factor(matrix: &DMatrix<f64>) -> DMatrix<f64> {
             .iter_mut()
             .zip(column.iter())
             .for_each(|(remaining, value)| *remaining -= value * value);
-        // Its rest is rounding, and would come again.
+        // The rest is rounding, and would be chosen again.
         if let Some(remaining) = remaining.get_mut(pivot) {
             *remaining = f64::NEG_INFINITY;
         }
@@ -88,7 +86,7 @@ mod tests {
     }
 
     #[test]
-    fn of_distributions_along_the_axes() {
+    fn distance_of_axis_aligned_distributions() {
         // Means (0, 0) and (3, 4); variances (2, 8) and (8, 2) without covariance.
         let a = moments(&[[-1.0, -2.0], [1.0, 2.0], [-1.0, 2.0], [1.0, -2.0]]);
         let b = moments(&[[1.0, 3.0], [5.0, 5.0], [1.0, 5.0], [5.0, 3.0]]);
@@ -99,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn of_distributions_on_a_line() {
+    fn distance_of_degenerate_distributions() {
         // Along (1, 1) and along (1, -1): no common direction.
         let a = moments(&[[0.0, 0.0], [2.0, 2.0]]);
         let b = moments(&[[0.0, 0.0], [2.0, -2.0]]);
@@ -117,15 +115,15 @@ mod tests {
     }
 
     proptest! {
-        /// Also with fewer vectors than their three features, and with vectors that never vary.
+        /// Includes fewer vectors than features, and constant vectors.
         #[test]
-        fn is_symmetric_and_zero_to_itself(a in prop::collection::vec([-9_i8..9, -9..9, -9..9], 2..6), b in prop::collection::vec([-9_i8..9, -9..9, -9..9], 2..6), scale in 1e-3_f64..1e3) {
+        fn distance_is_symmetric_and_zero_to_itself(a in prop::collection::vec([-9_i8..9, -9..9, -9..9], 2..6), b in prop::collection::vec([-9_i8..9, -9..9, -9..9], 2..6), scale in 1e-3_f64..1e3) {
             let of = |rows: &[[i8; 3]]| {
                 let rows = rows.iter().map(|row| row.map(|value| f64::from(value) * scale));
                 Moments::of(&Table::from_rows(rows).unwrap()).unwrap()
             };
             let (a, b) = (of(&a), of(&b));
-            // Roots of what rounding leaves: half of the digits.
+            // Roots of rounding errors keep half of the digits.
             let tolerance = 1e-6 * scale * scale;
             let distance = frechet_distance(&a, &b).unwrap();
             prop_assert!((distance - frechet_distance(&b, &a).unwrap()).abs() < 100.0 * tolerance);
@@ -134,10 +132,10 @@ mod tests {
         }
     }
 
-    /// What the docs say of the time: `cargo test --release -p wm_metrics -- --ignored --nocapture takes`.
+    /// Measures the time in the docs: `cargo test --release -p wm_metrics -- --ignored --nocapture print_duration`.
     #[test]
-    #[ignore = "half a minute; for its time, not for its result"]
-    fn takes() {
+    #[ignore = "half a minute; measures time only"]
+    fn print_duration() {
         for size in [512, 2048_usize] {
             let of = |seed: usize| {
                 let value = |i: usize| ((i * i % 7919 + i * seed) % 1013) as f64 / 1013.0;

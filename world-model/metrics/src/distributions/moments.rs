@@ -2,24 +2,23 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::{MetricError, Table, error::finite};
 
-/// Count, mean and covariance of feature vectors: all that a Fréchet distance needs, and its size does not grow with
-/// the number of vectors.
+/// Count, mean and covariance of feature vectors: all that a Fréchet distance needs, in constant memory.
 ///
-/// Many vectors come in blocks: [`Moments::of`] each and [`Moments::merge`] them. The order of merging matters to
-/// rounding alone.
+/// For many vectors, compute [`Moments::of`] by block and [`Moments::merge`] them. The order of merging affects only
+/// rounding.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Moments {
     count: usize,
     mean: DVector<f64>,
-    /// Sum over the vectors of the outer product of the difference to the mean.
+    /// Sum of the outer products of the differences to the mean.
     scatter: DMatrix<f64>,
 }
 
 impl Moments {
-    /// Of the rows of a table.
+    /// Moments of the rows of a table.
     ///
     /// # Errors
-    /// [`MetricError::NotFinite`] where squares of the features leave the range of f64.
+    /// [`MetricError::NotFinite`] if squares of the features exceed the range of f64.
     pub fn of(rows: &Table) -> Result<Self, MetricError> {
         let mut matrix = rows.matrix();
         let mean = matrix.row_mean().transpose();
@@ -35,13 +34,12 @@ impl Moments {
         })
     }
 
-    /// Of the vectors of both (Chan et al. 1983).
+    /// Moments of both sets together (Chan et al. 1983).
     ///
     /// # Errors
-    /// [`MetricError::Length`] where their vectors differ in length.
+    /// [`MetricError::Length`] if their vectors differ in length.
     pub fn merge(&self, other: &Self) -> Result<Self, MetricError> {
         self.same_dimensions(other)?;
-        // Counts stay far below 2^52.
         let (own, others) = (self.count as f64, other.count as f64);
         let (shift, share) = (&other.mean - &self.mean, others / (own + others));
         let mut scatter = &self.scatter + &other.scatter;
@@ -71,14 +69,13 @@ impl Moments {
         self.mean.as_slice()
     }
 
-    /// Unbiased covariance of two features; `None` of a single vector, or where there are no such features.
+    /// Unbiased covariance of two features; `None` for a single vector or an unknown feature.
     #[must_use]
     pub fn covariance(&self, first: usize, second: usize) -> Option<f64> {
         let scatter = self.scatter.get((first, second))?;
         (self.count > 1).then(|| scatter / (self.count as f64 - 1.0))
     }
 
-    /// The unbiased covariance matrix.
     pub(super) fn covariances(&self) -> Result<DMatrix<f64>, MetricError> {
         crate::error::at_least("feature vectors", 2, self.count)?;
         Ok(&self.scatter / (self.count as f64 - 1.0))
@@ -96,7 +93,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn of_three_points() {
+    fn moments_of_three_points() {
         let moments = Moments::of(&Table::from_rows([[0.0, 1.0], [2.0, 1.0], [4.0, 4.0]]).unwrap());
         let moments = moments.unwrap();
         assert_eq!((moments.count(), moments.mean()), (3, &[2.0, 2.0][..]));

@@ -1,4 +1,4 @@
-//! MODEL.md: what a model is, and is not, for those who are to decide whether to use it.
+//! MODEL.md: properties and limits of a model, for those who decide whether to use it.
 
 use std::{collections::BTreeMap, fmt::Write as _};
 
@@ -6,42 +6,42 @@ use serde::{Deserialize, Serialize};
 
 use crate::findings::{Metric, ModelFindings, Suite, number::Digits};
 
-/// What of a model no measurement tells.
+/// The parts of a model card that are not measured.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct CardAbout {
-    /// Its name.
+pub struct CardDetails {
+    /// Name of the model.
     pub name: String,
-    /// What it was trained on, with licences.
+    /// Training data with licences.
     pub data: Vec<String>,
-    /// How it was trained: settings and their values.
+    /// Training settings and their values.
     pub recipe: Vec<(String, String)>,
-    /// What is to be known of the figures, as how much was measured.
+    /// Remarks on the figures, such as how much was measured.
     pub notes: Vec<String>,
-    /// What it cannot do.
+    /// Limits of this model.
     pub limits: Vec<String>,
-    /// What it must not be used for, besides what no world model must.
+    /// Uses to avoid, in addition to those of every world model.
     pub uses_refused: Vec<String>,
-    /// By which it can be made and measured again, a line each.
+    /// Commands that train and measure it again, one per line.
     pub commands: Vec<String>,
 }
 
-/// What holds for every world model of this suite.
+/// Limits of every world model of this suite.
 const LIMITS: [&str; 3] = [
     "It knows only what its training data show: other robots, cameras, scenes and actions are guesses.",
-    "Where several futures are possible, a prediction may be their mean, which blurs, and is none of them.",
-    "Errors grow with every imagined step; figures at one horizon say nothing of longer ones.",
+    "If several futures are possible, a prediction may be their blurred mean, which is none of them.",
+    "Errors grow with every imagined step; figures at one horizon do not apply to longer ones.",
 ];
 
 const USES_REFUSED: [&str; 3] = [
-    "As the only safety check of a robot, or in place of an emergency stop, a limit of force, or a person who watches.",
-    "As proof that a policy is safe or works: an imagined success is a hint which real trials to make.",
-    "On a robot, camera or scene other than its data's, without being measured on recordings of them first.",
+    "As the only safety check of a robot, or in place of an emergency stop, a limit of force, or a human supervisor.",
+    "As proof that a policy is safe or works: an imagined success only suggests which real trials to run.",
+    "On a robot, camera or scene other than its data's, unless measured on recordings of them first.",
 ];
 
 /// A model card in Markdown, with front matter as Hugging Face reads it.
 #[must_use]
-pub fn model_card(findings: &ModelFindings, about: &CardAbout) -> String {
+pub fn model_card(findings: &ModelFindings, about: &CardDetails) -> String {
     let mut card = String::new();
     let header = &findings.header;
     let mut line = |text: &str| {
@@ -57,8 +57,7 @@ pub fn model_card(findings: &ModelFindings, about: &CardAbout) -> String {
     line(&format!("# {}", inline(&about.name)));
     line("");
     line(
-        "A latent world model: from the last camera frames and the actions to come it predicts the latents of the frames to \
-         come.",
+        "A latent world model: it predicts the latents of future frames from the last camera frames and the next actions.",
     );
     line("");
     line("| | |");
@@ -76,13 +75,13 @@ pub fn model_card(findings: &ModelFindings, about: &CardAbout) -> String {
     list(
         &mut line,
         about.data.iter().map(String::as_str),
-        "Not told.",
+        "Not specified.",
     );
     line("");
     line("## Recipe");
     line("");
     if about.recipe.is_empty() {
-        line("Not told.");
+        line("Not specified.");
     } else {
         line("| Setting | Value |");
         line("| --- | --- |");
@@ -95,7 +94,7 @@ pub fn model_card(findings: &ModelFindings, about: &CardAbout) -> String {
     line("");
     let data: Vec<String> = header.data.iter().map(|path| code(path)).collect();
     line(&format!(
-        "Measured on {} ({} episodes, seed {}, SHA-256 of the data {}). ↑ more is better, ↓ less is better; in brackets 95 % \
+        "Measured on {} ({} episodes, seed {}, SHA-256 of the data {}). ↑ higher is better, ↓ lower is better; brackets: 95 % \
          bootstrap intervals over n units.",
         if data.is_empty() {
             "data without a path".to_owned()
@@ -109,7 +108,7 @@ pub fn model_card(findings: &ModelFindings, about: &CardAbout) -> String {
     if !header.left_out.is_empty() {
         line("");
         line(&format!(
-            "Left out: {}.",
+            "Excluded: {}.",
             inline(&header.left_out.join("; "))
         ));
     }
@@ -126,7 +125,7 @@ pub fn model_card(findings: &ModelFindings, about: &CardAbout) -> String {
     let own = about.limits.iter().map(String::as_str);
     list(&mut line, own.chain(LIMITS), "");
     line("");
-    line("## What it must not be used for");
+    line("## Must not be used for");
     line("");
     let own = about.uses_refused.iter().map(String::as_str);
     list(&mut line, own.chain(USES_REFUSED), "");
@@ -134,7 +133,7 @@ pub fn model_card(findings: &ModelFindings, about: &CardAbout) -> String {
     line("## How to reproduce");
     line("");
     if about.commands.is_empty() {
-        line("Not told.");
+        line("Not specified.");
     } else {
         let commands = about.commands.join("\n");
         let fence = fence(&commands);
@@ -161,7 +160,7 @@ fn figures(line: &mut impl FnMut(&str), findings: &ModelFindings, suite: Suite) 
     line(&format!("### {}", suite.question()));
     line("");
     if !own.is_empty() {
-        line("| Figure | Value | 95 % interval | n | What it says |");
+        line("| Figure | Value | 95 % interval | n | Meaning |");
         line("| --- | ---: | ---: | ---: | --- |");
     }
     for (name, metric) in own {
@@ -170,7 +169,7 @@ fn figures(line: &mut impl FnMut(&str), findings: &ModelFindings, suite: Suite) 
         let digits = Digits::of([metric.value], ends);
         let mut value = digits.show(metric.value);
         if !metric.unit.is_empty() {
-            // Writing to a string does not fail.
+            // Writing to a string cannot fail.
             write!(value, " {}", inline(&metric.unit)).ok();
         }
         line(&format!(
@@ -209,7 +208,7 @@ fn list<'a>(line: &mut impl FnMut(&str), items: impl Iterator<Item = &'a str>, n
     }
 }
 
-/// One line of text in which nothing is markup but links, which are only text that a reader follows if they want to.
+/// One line of text without markup; links become plain text.
 fn inline(text: &str) -> String {
     let mut escaped = String::new();
     for character in text.chars() {
@@ -226,8 +225,8 @@ fn inline(text: &str) -> String {
     escaped
 }
 
-/// Code, with more backticks around it than are in it. A bar would end the cell of a table even here, and a backslash before
-/// it undo its escape: text with a bar is marked up as HTML.
+/// Inline code, with more backticks around it than in it. Text with a bar becomes HTML instead: the bar would end a
+/// table cell even here, and a backslash would undo its escape.
 fn code(text: &str) -> String {
     if text.contains('|') {
         return format!("<code>{}</code>", inline(text));
@@ -248,11 +247,12 @@ fn fence(text: &str) -> String {
 }
 
 fn longest_run(text: &str) -> usize {
+    // `split` gives at least one part.
     let runs = text.split(|c| c != '`').map(str::len);
     runs.max().unwrap_or(0)
 }
 
-/// A string of YAML, of which JSON's are a part.
+/// A YAML string in JSON syntax, which is valid YAML.
 fn quoted(text: &str) -> String {
     serde_json::Value::from(text).to_string()
 }

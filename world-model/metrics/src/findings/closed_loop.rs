@@ -1,58 +1,58 @@
-//! How often somebody who acts succeeds.
+//! Success rate of a planner in closed loop.
 
 use std::fmt;
 
 use crate::{MetricError, statistics::wilson};
 use serde::Serialize;
 
-/// What came of all episodes of a planner, in one process or live. `A` says what was run: at least task and planner.
+/// Results of all episodes of a planner, in one process or live. `A` describes the run: at least task and planner.
 #[derive(Clone, Debug, Serialize)]
 pub struct ClosedLoop<A> {
-    /// What was run.
+    /// Description of the run.
     #[serde(flatten)]
     pub about: A,
-    /// Share of the episodes.
+    /// Share of successful episodes.
     pub success_rate: f64,
-    /// Wilson's, 95 %.
+    /// Wilson's 95 % interval.
     pub interval: [f64; 2],
-    /// `None` where nothing was planned.
+    /// `None` if nothing was planned.
     pub plan_ms: Option<Percentiles>,
-    /// Mean number of candidates of a plan.
+    /// Mean number of candidates per plan.
     pub candidates: f64,
     /// Plans that took longer than a model step.
     pub deadline_misses: usize,
-    /// One by one.
+    /// All episodes.
     pub episodes: Vec<Episode>,
 }
 
 /// Time of a plan \[ms\].
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Percentiles {
-    /// The median.
+    /// Median.
     pub p50: f64,
-    /// What 95 % stay below.
+    /// 95th percentile.
     pub p95: f64,
 }
 
-/// One of the episodes.
+/// One episode.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Episode {
-    /// Of its table, task and goal.
+    /// Seed of its table, task and goal.
     pub seed: u64,
-    /// Whether the task was done in time.
+    /// Whether the task was completed in time.
     pub success: bool,
     /// Model steps.
     pub steps: usize,
-    /// What was missing in the end \[m\].
+    /// Remaining distance to the goal \[m\].
     pub distance_m: f64,
 }
 
-/// What a plan took.
+/// Cost of one plan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlanTime {
     /// Wall time \[ms\].
     pub ms: f64,
-    /// Candidates that were rolled out.
+    /// Candidates rolled out.
     pub candidates: usize,
 }
 
@@ -60,7 +60,7 @@ impl<A> ClosedLoop<A> {
     /// The findings of `episodes` with all their `plans`; a model step takes `step_ms`.
     ///
     /// # Errors
-    /// No episodes.
+    /// [`MetricError::Empty`](wm_metrics::MetricError::Empty) without episodes.
     pub fn of(
         about: A,
         step_ms: f64,
@@ -71,7 +71,6 @@ impl<A> ClosedLoop<A> {
         let interval = wilson(successes, episodes.len())?;
         let mut times: Vec<f64> = plans.iter().map(|plan| plan.ms).collect();
         times.sort_by(f64::total_cmp);
-        // Counts stay far below 2^52.
         let at = |share: f64| {
             let index = (share * (times.len() as f64 - 1.0)).round() as usize;
             times.get(index).copied()
@@ -93,10 +92,10 @@ impl<A> ClosedLoop<A> {
 }
 
 impl<A: Serialize> ClosedLoop<A> {
-    /// As JSON that ends with a newline.
+    /// JSON that ends with a newline.
     ///
     /// # Errors
-    /// `about` has no JSON form.
+    /// If `about` cannot be serialised.
     pub fn to_json(&self) -> serde_json::Result<String> {
         let mut text = serde_json::to_string_pretty(self)?;
         text.push('\n');

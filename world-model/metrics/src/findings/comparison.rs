@@ -1,4 +1,4 @@
-//! Whether one model is better than another, over the units that both were measured on.
+//! Comparison of two models over the units measured on both.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -12,56 +12,56 @@ use crate::findings::{
     Better, FindingsError, Header, Metric, Mismatch, ModelFindings, json::settings,
 };
 
-/// The least number of pairs that have an interval and a test.
-const PAIRS: usize = 2;
-/// The least number of units of which a bootstrap alone may tell models apart: the sign-flip test never does with fewer.
-const UNITS: usize = 6;
+/// Fewest pairs with an interval and a test.
+const LEAST_PAIRS: usize = 2;
+/// Fewest units for which a bootstrap alone can separate models; the sign-flip test never does with fewer.
+const LEAST_UNITS: usize = 6;
 
-/// One-sided level of the test that a [`Verdict`] wants beside a 95 % interval, which leaves as much at either end.
+/// One-sided level of the test required by a [`Verdict`], beside a 95 % interval with as much on either side.
 const LEVEL: f64 = 0.025;
 
 /// A model compared with a baseline.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Comparison {
-    /// What the baseline is.
+    /// Header of the baseline.
     pub baseline: Header,
-    /// What the model is.
+    /// Header of the model.
     pub model: Header,
-    /// Figures that both have, by name.
+    /// Figures of both models, by name.
     pub differences: BTreeMap<String, Difference>,
-    /// Figures that could not be compared, by name, with the reason.
+    /// Figures without a comparison, by name, with the reason.
     pub absent: BTreeMap<String, String>,
 }
 
-/// How a figure of a model differs from the baseline's.
+/// A figure of a model against the baseline's.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Difference {
-    /// The baseline's.
+    /// Value of the baseline.
     pub baseline: f64,
-    /// The model's.
+    /// Value of the model.
     pub value: f64,
-    /// The model's minus the baseline's: of the mean over the pairs, where the figure is one, else of the figures.
+    /// Model minus baseline: of the mean over pairs, or of the figures if they are not means.
     pub difference: f64,
     /// 95 % paired bootstrap interval of the difference.
     pub interval: Option<Interval>,
-    /// One-sided p that the model is better, small where it is: of the sign-flip test, or of the paired bootstrap where the
-    /// figure is no mean over units.
+    /// One-sided p that the model is better: from the sign-flip test, or from the paired bootstrap if the figure is not
+    /// a mean over units.
     pub p: Option<f64>,
-    /// Whether p was counted, not estimated from drawn sign patterns or resamples.
+    /// Whether p is exact rather than estimated by sampling.
     pub p_is_exact: bool,
     /// Pairs: units of the same name.
     pub n: usize,
-    /// Which way the figure is better.
+    /// Better direction.
     pub better: Better,
-    /// Its unit.
+    /// Unit of the figure.
     pub unit: String,
-    /// What can be said of it.
+    /// Verdict on the difference.
     pub verdict: Verdict,
 }
 
-/// What can be said of a difference. For more than [`Self::Unclear`], its 95 % interval must not hold 0, and of a mean over
-/// units the sign-flip test in its direction must give p of at most 0.025: an interval of a handful of pairs is too narrow, and the test alone
-/// says nothing of size. Fewer than six pairs never suffice. Not corrected for the number of figures.
+/// Verdict on a difference. Except for [`Self::Unclear`], its 95 % interval must exclude 0, and for a mean over units
+/// the sign-flip test in its direction must give p of at most 0.025. An interval of few pairs is too narrow, and the
+/// test alone ignores the size. Fewer than six pairs never suffice. There is no correction for the number of figures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
@@ -70,9 +70,9 @@ pub enum Verdict {
     Better,
     /// The model is worse.
     Worse,
-    /// It differs, in a figure where neither way is better.
+    /// The models differ in a figure without a better direction.
     Differs,
-    /// The pairs do not tell.
+    /// The pairs show no clear difference.
     Unclear,
     /// There are too few pairs.
     Untested,
@@ -109,8 +109,8 @@ pub fn compare_with_first(findings: &[ModelFindings]) -> Result<Vec<Comparison>,
 /// Compares `model` with `baseline`.
 ///
 /// # Errors
-/// [`FindingsError::NotComparable`] where the data's digest, the seed or the settings differ;
-/// [`FindingsError::Statistics`] where a figure's samples have no interval.
+/// [`FindingsError::NotComparable`] if the data's digest, the seed or the settings differ;
+/// [`FindingsError::Statistics`] if the samples of a figure have no interval.
 pub fn compare(
     baseline: &ModelFindings,
     model: &ModelFindings,
@@ -140,8 +140,8 @@ pub fn compare(
                 format!("in {:?} and in {:?}", a.unit, b.unit)
             }
             (Some(_), Some(_)) => "better in different directions".to_owned(),
-            (Some(_), None) => format!("not measured of {}", model.header.model),
-            _ => format!("not measured of {}", baseline.header.model),
+            (Some(_), None) => format!("not measured for {}", model.header.model),
+            _ => format!("not measured for {}", baseline.header.model),
         };
         absent.insert(name.to_owned(), why);
     }
@@ -181,7 +181,7 @@ fn difference(name: &str, a: &Metric, b: &Metric, seed: u64) -> Result<Differenc
     };
     let estimate = match paired_replicates(a, b) {
         Some(differences) => Estimate::of_replicates(plain.difference, differences, settings.level),
-        None if plain.n >= PAIRS => bootstrap_paired_difference(&theirs, &ours, &settings),
+        None if plain.n >= LEAST_PAIRS => bootstrap_paired_difference(&theirs, &ours, &settings),
         None => return Ok(plain),
     };
     let estimate = estimate.map_err(statistics)?;
@@ -189,9 +189,9 @@ fn difference(name: &str, a: &Metric, b: &Metric, seed: u64) -> Result<Differenc
         seed,
         ..SignFlip::default()
     };
-    // p, and whether it was counted, that the difference has this sign.
+    // p for this sign of the difference, and whether it is exact.
     let test = |sign: f64| -> Result<(f64, bool), FindingsError> {
-        if plain.n < PAIRS {
+        if plain.n < LEAST_PAIRS {
             let share = estimate.not_above_zero;
             return Ok((if sign > 0.0 { share } else { 1.0 - share }, false));
         }
@@ -207,12 +207,12 @@ fn difference(name: &str, a: &Metric, b: &Metric, seed: u64) -> Result<Differenc
         Better::Lower => Some(less),
         Better::Neither => None,
     };
-    let n = if plain.n < PAIRS { a.n } else { plain.n };
+    let n = if plain.n < LEAST_PAIRS { a.n } else { plain.n };
     let above = estimate.interval.low > 0.0 && more.0 <= LEVEL;
     let below = estimate.interval.high < 0.0 && less.0 <= LEVEL;
     let verdict = match (a.better, above, below) {
-        // Where only a bootstrap tells, as few as the sign-flip test never tells apart.
-        _ if n < UNITS && plain.n < PAIRS => Verdict::Untested,
+        // With a bootstrap alone, require as many units as the sign-flip test would.
+        _ if n < LEAST_UNITS && plain.n < LEAST_PAIRS => Verdict::Untested,
         (_, false, false) => Verdict::Unclear,
         (Better::Neither, ..) => Verdict::Differs,
         (Better::Higher, true, _) | (Better::Lower, false, _) => Verdict::Better,
@@ -229,7 +229,7 @@ fn difference(name: &str, a: &Metric, b: &Metric, seed: u64) -> Result<Differenc
     })
 }
 
-/// Replicates of the difference, where both figures have replicates of the same draws.
+/// Replicates of the difference, if both figures have replicates of the same draws.
 fn paired_replicates(a: &Metric, b: &Metric) -> Option<Vec<f64>> {
     let count = a.replicates.len();
     if count < 2 || count != b.replicates.len() || a.n != b.n {
@@ -239,7 +239,7 @@ fn paired_replicates(a: &Metric, b: &Metric) -> Option<Vec<f64>> {
     Some(pairs.map(|(b, a)| b - a).collect())
 }
 
-/// All that must be equal and is not.
+/// All settings that must be equal but differ.
 fn mismatches(baseline: &Header, model: &Header) -> Vec<Mismatch> {
     let mut found = Vec::new();
     let mut check = |what: &str, baseline: String, model: String| {
@@ -269,7 +269,7 @@ fn mismatches(baseline: &Header, model: &Header) -> Vec<Mismatch> {
     found
 }
 
-/// Every value of the settings by its path. 1 and 1.0 are the same.
+/// All values of the settings, by path. 1 and 1.0 are equal.
 fn leaves(value: &Value) -> BTreeMap<String, String> {
     fn visit(path: String, value: &Value, into: &mut BTreeMap<String, String>) {
         match value {
@@ -279,7 +279,7 @@ fn leaves(value: &Value) -> BTreeMap<String, String> {
                 }
             }
             Value::Number(number) => {
-                // Below 2^53 a float without fraction is a whole number.
+                // Below 2^53, a float without fraction is an exact integer.
                 let whole = number
                     .as_f64()
                     .filter(|float| float.fract() == 0.0 && float.abs() < 9e15);

@@ -2,8 +2,8 @@
 
 use crate::findings::{ModelFindings, number::exact};
 
-/// One row per model and figure, under `model,hash,metric,value,low,high,n,unit,better`; `low` and `high` are empty where
-/// there is no interval. Figures that are not finite are left out: [`json`](crate::findings::json()) says why.
+/// One row per model and figure, with columns `model,hash,metric,value,low,high,n,unit,better`; `low` and `high` are
+/// empty without an interval. Figures that are not finite are skipped; [`json`](crate::findings::json()) has the reason.
 #[must_use]
 pub fn csv(findings: &[ModelFindings]) -> String {
     let mut text = String::from("model,hash,metric,value,low,high,n,unit,better\r\n");
@@ -29,7 +29,7 @@ pub fn csv(findings: &[ModelFindings]) -> String {
     text
 }
 
-/// In quotes where it would else be more than one field.
+/// Quotes a field if necessary.
 fn field(text: &str) -> String {
     if text.contains([',', '"', '\r', '\n']) {
         format!("\"{}\"", text.replace('"', "\"\""))

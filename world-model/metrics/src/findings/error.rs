@@ -1,48 +1,48 @@
-//! Why findings cannot be told or compared.
+//! Errors of reports and comparisons.
 
 use std::fmt;
 
 use crate::MetricError;
 use thiserror::Error;
 
-/// Why findings cannot be told or compared.
+/// Findings that cannot be written or compared.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum FindingsError {
-    /// They were not measured alike, so that a difference would not be the models'.
+    /// Models measured with different settings or data.
     #[error(
         "findings of {model:?} cannot be compared with those of {baseline:?}: {}",
         list(mismatches)
     )]
     NotComparable {
-        /// The model that others are compared with.
+        /// The baseline.
         baseline: String,
-        /// The model that was to be compared.
+        /// The compared model.
         model: String,
-        /// All that differs.
+        /// All differing settings.
         mismatches: Vec<Mismatch>,
     },
-    /// A figure's samples have no interval or no test.
+    /// Samples of a figure without an interval or a test.
     #[error("{metric}: {source}")]
     Statistics {
-        /// The figure.
+        /// Name of the figure.
         metric: String,
-        /// Why not.
+        /// Cause.
         source: MetricError,
     },
-    /// Something has no JSON.
+    /// A value without a JSON form.
     #[error("findings as JSON: {0}")]
     Json(#[from] serde_json::Error),
 }
 
-/// Something that must be equal for findings to be compared, and is not.
+/// A setting that must be equal, but differs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Mismatch {
-    /// What, as `seed` or `settings.solver.steps`.
+    /// Path, such as `seed` or `settings.solver.steps`.
     pub what: String,
-    /// That of the baseline.
+    /// Value of the baseline.
     pub baseline: String,
-    /// That of the model to be compared.
+    /// Value of the compared model.
     pub model: String,
 }
 

@@ -1,12 +1,12 @@
-//! Which figures stand for a suite at the top of a report.
+//! The headline figures of a suite in a report.
 
 use crate::findings::Suite;
 
-/// Figures of a suite that are shown at the top, at most.
-const SHOWN: usize = 6;
+/// Most headline figures of a suite.
+const MAX_HEADLINES: usize = 6;
 
-/// The figures that answer a suite's question, the most telling first.
-fn telling(suite: Suite) -> &'static [&'static str] {
+/// The figures that answer a suite's question, most important first.
+fn priorities(suite: Suite) -> &'static [&'static str] {
     match suite {
         Suite::Fidelity => &[
             "psnr",
@@ -59,29 +59,29 @@ fn telling(suite: Suite) -> &'static [&'static str] {
     }
 }
 
-/// The names to be shown, of `names`, each with whether it has an interval: the telling ones in their order; where there
-/// are none, those with an interval, then the others, by name.
+/// Selects headlines from `names`, each with whether it has an interval: the priorities in order, or without any, those
+/// with an interval and then the others, by name.
 pub(crate) fn headlines<'a>(
     suite: Suite,
     names: impl IntoIterator<Item = (&'a str, bool)>,
 ) -> Vec<&'a str> {
-    let telling = telling(suite);
+    let priorities = priorities(suite);
     let mut ranked: Vec<(usize, bool, &str)> = names
         .into_iter()
         .map(|(name, sure)| {
             let own = name.split_once('.').map_or(name, |(_, own)| own);
-            let place = telling.iter().position(|told| *told == own);
-            (place.unwrap_or(telling.len()), !sure, name)
+            let place = priorities.iter().position(|priority| *priority == own);
+            (place.unwrap_or(priorities.len()), !sure, name)
         })
         .collect();
     ranked.sort_unstable();
     if ranked
         .first()
-        .is_some_and(|(place, ..)| *place < telling.len())
+        .is_some_and(|(place, ..)| *place < priorities.len())
     {
-        ranked.retain(|(place, ..)| *place < telling.len());
+        ranked.retain(|(place, ..)| *place < priorities.len());
     }
-    ranked.truncate(SHOWN);
+    ranked.truncate(MAX_HEADLINES);
     ranked.into_iter().map(|(.., name)| name).collect()
 }
 
@@ -90,7 +90,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_telling_ones_come_in_their_order_and_alone() {
+    fn priorities_come_in_order_and_alone() {
         let names = [
             ("control.a", true),
             ("control.cem_k1_error_zero", true),
@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn without_any_those_with_an_interval_come_first() {
+    fn figures_with_intervals_come_first_without_priorities() {
         let names = [("fidelity.a", false), ("fidelity.b", true)];
         assert_eq!(
             headlines(Suite::Fidelity, names),

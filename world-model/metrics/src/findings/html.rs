@@ -1,13 +1,13 @@
-//! The report: one HTML file that needs nothing else.
+//! The report: one self-contained HTML file.
 
 mod axis;
 mod chart;
-mod compared;
+mod comparisons;
 mod figures;
 mod header;
 mod markup;
 mod paths;
-mod shown;
+mod suite_section;
 mod summary;
 mod whisker;
 
@@ -17,21 +17,21 @@ use crate::findings::{FindingsError, ModelFindings, Suite, compare_with_first};
 
 use markup::Markup;
 
-/// A report of one model, or of several beside each other, each compared with the first.
+/// A report of one or several models side by side; all are compared with the first.
 ///
-/// The file needs no other and runs no script; its content policy forbids both, whatever a model is called. It is light or
-/// dark as the reader's system is, and can be printed.
+/// The file is self-contained and without scripts; its content policy forbids both, whatever the model is called. It
+/// follows the system's light or dark theme and prints well.
 ///
 /// # Errors
-/// Those of [`compare`](crate::findings::compare()) for several.
+/// Those of [`compare`](crate::findings::compare()) for several models.
 pub fn html(title: &str, findings: &[ModelFindings]) -> Result<String, FindingsError> {
     let comparisons = compare_with_first(findings)?;
     let labels = labels(findings);
-    let models: Vec<Named<'_>> = findings
+    let models: Vec<LabelledModel<'_>> = findings
         .iter()
         .zip(&labels)
         .enumerate()
-        .map(|(number, (findings, label))| Named {
+        .map(|(number, (findings, label))| LabelledModel {
             findings,
             label,
             number,
@@ -60,9 +60,9 @@ pub fn html(title: &str, findings: &[ModelFindings]) -> Result<String, FindingsE
                 } else {
                     summary::summary(markup, &models, &measured);
                 }
-                compared::comparisons(markup, &comparisons, &labels);
+                comparisons::comparisons(markup, &comparisons, &labels);
                 for suite in &measured {
-                    shown::suite(markup, *suite, &models);
+                    suite_section::suite(markup, *suite, &models);
                 }
             });
             footer(markup, &models);
@@ -73,19 +73,20 @@ pub fn html(title: &str, findings: &[ModelFindings]) -> Result<String, FindingsE
 
 /// A model of a report.
 #[derive(Clone, Copy)]
-struct Named<'a> {
+struct LabelledModel<'a> {
     findings: &'a ModelFindings,
-    /// What it is called; no two are called the same.
+    /// Unique name.
     label: &'a str,
-    /// Which one, from 0: its colour.
+    /// Index from 0, which determines the colour.
     number: usize,
 }
 
-/// What models are called: of paths as many parts, from the last, as tell them apart; where nothing does, with the hash,
-/// and a number where even that is the same.
+/// Unique labels of models: the shortest distinct endings of their paths; otherwise with the hash, and with a number if
+/// even the hash is equal.
 fn labels(findings: &[ModelFindings]) -> Vec<String> {
     let names = || findings.iter().map(|one| one.header.model.as_str());
     let longest = names().map(|name| name.split('/').count()).max();
+    // Without findings there are no labels.
     let short = (1..=longest.unwrap_or(0))
         .map(|parts| -> Vec<&str> { names().map(|name| ending(name, parts)).collect() })
         .find(|short| {
@@ -107,13 +108,14 @@ fn labels(findings: &[ModelFindings]) -> Vec<String> {
     labels
 }
 
-/// The last parts of a path.
+/// The last `parts` of a path.
 fn ending(path: &str, parts: usize) -> &str {
     let mut slashes = path.rmatch_indices('/');
     let before = parts
         .checked_sub(1)
         .and_then(|skipped| slashes.nth(skipped));
     let start = before.map_or(0, |(place, _)| place + 1);
+    // `start` follows a slash: always a character boundary.
     path.get(start..).unwrap_or(path)
 }
 
@@ -170,7 +172,7 @@ fn navigation(
     });
 }
 
-fn footer(markup: &mut Markup, models: &[Named<'_>]) {
+fn footer(markup: &mut Markup, models: &[LabelledModel<'_>]) {
     let mut versions: Vec<&str> = models
         .iter()
         .map(|model| model.findings.header.version.as_str())
@@ -179,14 +181,14 @@ fn footer(markup: &mut Markup, models: &[Named<'_>]) {
     versions.dedup();
     markup.element("footer", &[], |markup| {
         let text = format!(
-            "Written by wm {}. Equal findings give an equal file.",
+            "Written by wm {}. Equal findings give an identical file.",
             versions.join(", ")
         );
         markup.leaf("p", &[], &text);
     });
 }
 
-/// Something wide, which scrolls by itself where the page is narrow; by keyboard too.
+/// A wide element that scrolls by itself, also by keyboard.
 fn scrolling(markup: &mut Markup, label: &str, inside: impl FnOnce(&mut Markup)) {
     let attributes = [
         ("class", "scrolling"),
@@ -197,13 +199,13 @@ fn scrolling(markup: &mut Markup, label: &str, inside: impl FnOnce(&mut Markup))
     markup.element("div", &attributes, inside);
 }
 
-/// The square of a model's colour.
+/// A square in a model's colour.
 fn swatch(markup: &mut Markup, number: usize) {
     let class = format!("swatch c{}", number % 8);
     markup.leaf("span", &[("class", &class), ("aria-hidden", "true")], "");
 }
 
-/// Which way is better, as an arrow and in words.
+/// The better direction, as an arrow and in words.
 fn arrow(markup: &mut Markup, better: crate::findings::Better) {
     let symbol = better.arrow();
     if !symbol.is_empty() {
@@ -217,7 +219,7 @@ fn arrow(markup: &mut Markup, better: crate::findings::Better) {
     }
 }
 
-/// A value, its unit, and below it its interval.
+/// A value with its unit, above its interval.
 fn value(
     markup: &mut Markup,
     metric: &crate::findings::Metric,
@@ -240,7 +242,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn paths_end_where_they_differ() {
+    fn labels_are_the_shortest_distinct_endings() {
         let path = "/runs/a/model";
         let endings = [1, 2, 3, 4, 5].map(|parts| ending(path, parts));
         assert_eq!(endings, ["model", "a/model", "runs/a/model", path, path]);

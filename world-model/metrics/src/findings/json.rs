@@ -11,18 +11,18 @@ use crate::findings::{
     compare_with_first,
 };
 
-/// Of one model an object; of several (or none) `{"models": [...], "comparisons": [...]}`, each compared with the first.
-/// Indented, with a newline at its end, and equal bytes for equal findings: keys stand in a fixed order or sorted, and
-/// zero has no sign. The values of single units are not in it.
+/// An object for one model; `{"models": [...], "comparisons": [...]}` for several (or none), each compared with the
+/// first. Indented, with a final newline. Equal findings give equal bytes: keys have a fixed order, zero has no sign.
+/// Values of single units are not included.
 ///
 /// # Errors
-/// Those of [`compare`](crate::findings::compare()) for several.
+/// Those of [`compare`](crate::findings::compare()) for several models.
 pub fn json(findings: &[ModelFindings]) -> Result<String, FindingsError> {
     let mut text = if let [one] = findings {
         serde_json::to_string_pretty(&model(one))?
     } else {
         let comparisons = compare_with_first(findings)?;
-        serde_json::to_string_pretty(&Models {
+        serde_json::to_string_pretty(&ModelsJson {
             models: findings.iter().map(model).collect(),
             comparisons: comparisons.iter().map(comparison).collect(),
         })?
@@ -32,13 +32,13 @@ pub fn json(findings: &[ModelFindings]) -> Result<String, FindingsError> {
 }
 
 #[derive(Serialize)]
-struct Models<'a> {
-    models: Vec<Model<'a>>,
-    comparisons: Vec<Compared<'a>>,
+struct ModelsJson<'a> {
+    models: Vec<ModelJson<'a>>,
+    comparisons: Vec<ComparisonJson<'a>>,
 }
 
 #[derive(Serialize)]
-struct Model<'a> {
+struct ModelJson<'a> {
     model: &'a str,
     hash: &'a str,
     seed: u64,
@@ -48,15 +48,15 @@ struct Model<'a> {
     episodes: usize,
     left_out: &'a [String],
     version: &'a str,
-    settings: Sorted<'a>,
-    sampler: Sorted<'a>,
+    settings: SortedValue<'a>,
+    sampler: SortedValue<'a>,
     readers: &'a BTreeMap<String, String>,
-    metrics: BTreeMap<&'a str, Figure<'a>>,
+    metrics: BTreeMap<&'a str, FigureJson<'a>>,
     absent: BTreeMap<&'a str, String>,
 }
 
 #[derive(Serialize)]
-struct Figure<'a> {
+struct FigureJson<'a> {
     value: f64,
     interval: Option<[f64; 2]>,
     n: usize,
@@ -65,21 +65,21 @@ struct Figure<'a> {
 }
 
 #[derive(Serialize)]
-struct Compared<'a> {
-    baseline: Named,
-    model: Named,
-    metrics: BTreeMap<&'a str, Differing<'a>>,
+struct ComparisonJson<'a> {
+    baseline: ModelId,
+    model: ModelId,
+    metrics: BTreeMap<&'a str, DifferenceJson<'a>>,
     absent: &'a BTreeMap<String, String>,
 }
 
 #[derive(Serialize)]
-struct Named {
+struct ModelId {
     model: String,
     hash: String,
 }
 
 #[derive(Serialize)]
-struct Differing<'a> {
+struct DifferenceJson<'a> {
     baseline: f64,
     value: f64,
     difference: f64,
@@ -92,28 +92,28 @@ struct Differing<'a> {
     verdict: Verdict,
 }
 
-/// Whatever the order that objects came in: whether `serde_json` keeps it depends on what else is built.
-struct Sorted<'a>(&'a Value);
+/// A value with sorted keys: the order in `serde_json` depends on the features of other crates.
+struct SortedValue<'a>(&'a Value);
 
-impl Serialize for Sorted<'_> {
+impl Serialize for SortedValue<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match self.0 {
             Value::Object(entries) => {
-                let sorted: BTreeMap<_, _> = entries.iter().map(|(k, v)| (k, Sorted(v))).collect();
+                let sorted: BTreeMap<_, _> =
+                    entries.iter().map(|(k, v)| (k, SortedValue(v))).collect();
                 serializer.collect_map(sorted)
             }
-            Value::Array(values) => serializer.collect_seq(values.iter().map(Sorted)),
+            Value::Array(values) => serializer.collect_seq(values.iter().map(SortedValue)),
             other => other.serialize(serializer),
         }
     }
 }
 
-/// Settings as they are shown: sorted and indented.
+/// Settings for display: sorted and indented.
 pub(crate) fn settings(settings: &Value) -> String {
-    serde_json::to_string_pretty(&Sorted(settings)).unwrap_or_else(|error| error.to_string())
+    serde_json::to_string_pretty(&SortedValue(settings)).unwrap_or_else(|error| error.to_string())
 }
 
-/// Without the sign of zero.
 fn unsigned_zero(value: f64) -> f64 {
     value + 0.0
 }
@@ -122,10 +122,10 @@ fn ends(interval: Option<Interval>) -> Option<[f64; 2]> {
     interval.map(|interval| [interval.low, interval.high].map(unsigned_zero))
 }
 
-fn model(findings: &ModelFindings) -> Model<'_> {
+fn model(findings: &ModelFindings) -> ModelJson<'_> {
     let header = &findings.header;
     let metrics = findings.metrics().into_iter();
-    Model {
+    ModelJson {
         model: &header.model,
         hash: &header.hash,
         seed: header.seed,
@@ -135,12 +135,12 @@ fn model(findings: &ModelFindings) -> Model<'_> {
         episodes: header.episodes,
         left_out: &header.left_out,
         version: &header.version,
-        settings: Sorted(&header.settings),
-        sampler: Sorted(&header.sampler),
+        settings: SortedValue(&header.settings),
+        sampler: SortedValue(&header.sampler),
         readers: &header.readers,
         metrics: metrics
             .map(|(name, metric)| {
-                let figure = Figure {
+                let figure = FigureJson {
                     value: unsigned_zero(metric.value),
                     interval: ends(metric.finite_interval()),
                     n: metric.n,
@@ -154,24 +154,24 @@ fn model(findings: &ModelFindings) -> Model<'_> {
     }
 }
 
-fn comparison(comparison: &Comparison) -> Compared<'_> {
-    let named = |header: &Header| Named {
+fn comparison(comparison: &Comparison) -> ComparisonJson<'_> {
+    let model_id = |header: &Header| ModelId {
         model: header.model.clone(),
         hash: header.hash.clone(),
     };
     let differences = comparison.differences.iter();
-    Compared {
-        baseline: named(&comparison.baseline),
-        model: named(&comparison.model),
+    ComparisonJson {
+        baseline: model_id(&comparison.baseline),
+        model: model_id(&comparison.model),
         metrics: differences
-            .map(|(name, difference)| (name.as_str(), differing(difference)))
+            .map(|(name, difference)| (name.as_str(), difference_json(difference)))
             .collect(),
         absent: &comparison.absent,
     }
 }
 
-fn differing(difference: &Difference) -> Differing<'_> {
-    Differing {
+fn difference_json(difference: &Difference) -> DifferenceJson<'_> {
+    DifferenceJson {
         baseline: unsigned_zero(difference.baseline),
         value: unsigned_zero(difference.value),
         difference: unsigned_zero(difference.difference),

@@ -1,45 +1,45 @@
-//! What was found about one model.
+//! Findings of one model.
 
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use crate::findings::{Absent, Metric, Section, Suite};
+use crate::findings::{AbsentFigure, Metric, Section, Suite};
 
-/// All findings about one model.
+/// All findings of one model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ModelFindings {
-    /// What it was measured on and how.
+    /// Data and settings of the evaluation.
     pub header: Header,
-    /// The suites, in the order of [`crate::findings::Suite::ALL`].
+    /// Sections in the order of [`Suite::ALL`].
     pub sections: Vec<Section>,
 }
 
-/// What was measured on what, and how: two results are comparable if all but the model agrees.
+/// Data and settings of an evaluation. Results are comparable if all but the model agree.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Header {
-    /// By which the model was opened.
+    /// Name by which the model was opened.
     pub model: String,
-    /// Lower-case hex SHA-256 of its weights and of how they are used.
+    /// Lower-case hex SHA-256 of its weights and their use.
     pub hash: String,
-    /// Its latent space.
+    /// Name of its latent space.
     pub space: String,
     /// Paths of the data, as given.
     pub data: Vec<String>,
     /// Lower-case hex SHA-256 of the data.
     pub data_digest: String,
-    /// Episodes measured on.
+    /// Number of episodes.
     pub episodes: usize,
-    /// What of the data was left out, and why.
+    /// Excluded parts of the data, with reasons.
     #[serde(default)]
     pub left_out: Vec<String>,
-    /// Seed of everything that is drawn.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// The settings of the suites.
+    /// Settings of the suites.
     pub settings: serde_json::Value,
-    /// How frames are sampled: a property of the model, in which models that are compared may differ.
+    /// Sampler settings, a property of the model that may differ between compared models.
     pub sampler: serde_json::Value,
-    /// Lower-case hex SHA-256 of the inverse dynamics models and success probes, by the names that their figures begin with.
+    /// Lower-case hex SHA-256 of inverse dynamics models and success probes, by the prefix of their figures.
     #[serde(default)]
     pub readers: BTreeMap<String, String>,
     /// Version of this program.
@@ -47,7 +47,7 @@ pub struct Header {
 }
 
 impl Header {
-    /// One that says which model, and nothing of data.
+    /// A header with the model only, without data.
     #[must_use]
     pub fn of(model: &str, hash: &str, space: &str) -> Self {
         Self {
@@ -68,7 +68,7 @@ impl Header {
 }
 
 impl ModelFindings {
-    /// All figures by name; without those that are not finite, which [`Self::absent`] has.
+    /// All finite figures, by name; [`Self::absent`] has the others.
     #[must_use]
     pub fn metrics(&self) -> BTreeMap<&str, &Metric> {
         let metrics = self.sections.iter().flat_map(|section| &section.metrics);
@@ -78,18 +78,18 @@ impl ModelFindings {
             .collect()
     }
 
-    /// All that was not measured, by name, with the reason; where one has several, joined.
+    /// Missing figures by name, with the joined reasons.
     #[must_use]
     pub fn absent(&self) -> BTreeMap<&str, String> {
         absent(self.sections.iter())
     }
 
-    /// What was not measured of one suite.
+    /// Missing figures of one suite.
     pub(crate) fn absent_of(&self, suite: Suite) -> BTreeMap<&str, String> {
         absent(self.of(suite))
     }
 
-    /// The findings of a suite: none, one section, or the parts that it was measured in.
+    /// Sections of a suite: none, one, or several parts.
     pub(crate) fn of(&self, suite: Suite) -> impl Iterator<Item = &Section> {
         let sections = self.sections.iter();
         sections.filter(move |section| section.suite == suite)
@@ -97,7 +97,7 @@ impl ModelFindings {
 }
 
 impl Header {
-    /// The first eight digits of the hash: enough to tell models of one report apart.
+    /// The first eight digits of the hash, which suffice within a report.
     #[must_use]
     pub fn short_hash(&self) -> String {
         self.hash.chars().take(8).collect()
@@ -116,7 +116,7 @@ fn absent<'a>(sections: impl Iterator<Item = &'a Section>) -> BTreeMap<&'a str, 
             .or_insert(why);
     };
     for section in sections {
-        for Absent { metric, why } in &section.absent {
+        for AbsentFigure { metric, why } in &section.absent {
             add(metric, why.clone());
         }
         for (name, metric) in &section.metrics {

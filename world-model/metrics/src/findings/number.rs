@@ -1,21 +1,21 @@
-//! Numbers as text: for programs to the last digit, for people to three.
+//! Numbers as text: exact for programs, three digits for people.
 
-/// To the last digit, as short as can be read back. Zero has no sign: equal values are equal text.
+/// The shortest text with the exact value; zero has no sign.
 pub(crate) fn exact(value: f64) -> String {
     serde_json::Number::from_f64(value + 0.0).map_or_else(String::new, |number| number.to_string())
 }
 
-/// How numbers that stand together are shown: to three significant digits, more where their intervals are narrower.
+/// Precision of numbers shown together: three significant digits, more for narrower intervals.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Digits {
-    /// So many decimals.
+    /// Number of decimals.
     Decimals(usize),
-    /// Each by itself as 1.23×10⁻⁴.
+    /// Each number as 1.23×10⁻⁴.
     Scientific,
 }
 
 impl Digits {
-    /// For values, and intervals around them.
+    /// Precision for values and their intervals.
     pub(crate) fn of(
         values: impl IntoIterator<Item = f64>,
         intervals: impl IntoIterator<Item = (f64, f64)>,
@@ -45,7 +45,7 @@ impl Digits {
             return Self::Decimals(0);
         }
         let size = |value: f64| value.log10().floor();
-        // A small value beside large ones is not worth more than two decimals beyond theirs.
+        // A small value beside large ones gets at most two more decimals.
         let apart = if least.is_finite() {
             (largest / least).log10()
         } else {
@@ -61,7 +61,7 @@ impl Digits {
         Self::Decimals(of_values.max(of_width).clamp(0.0, 7.0) as usize)
     }
 
-    /// A number, with a true minus.
+    /// A number with a true minus sign.
     pub(crate) fn show(self, value: f64) -> String {
         let text = match self {
             Self::Decimals(decimals) => format!("{value:.decimals$}"),
@@ -75,7 +75,7 @@ impl Digits {
         }
     }
 
-    /// With its sign, for a difference.
+    /// A difference with its sign.
     pub(crate) fn signed(self, value: f64) -> String {
         let text = self.show(value);
         let zero = text.chars().all(|c| matches!(c, '0' | '.'));
@@ -86,7 +86,6 @@ impl Digits {
         }
     }
 
-    /// As `[low, high]`.
     pub(crate) fn interval(self, low: f64, high: f64) -> String {
         format!("[{}, {}]", self.show(low), self.show(high))
     }
@@ -113,7 +112,7 @@ fn scientific(value: f64) -> String {
     format!("{mantissa}×10{}", raised.collect::<String>())
 }
 
-/// A probability, to two significant digits.
+/// A probability with two significant digits.
 pub(crate) fn probability(p: f64) -> String {
     if p < 1e-4 {
         return "<0.0001".to_owned();
@@ -132,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn to_three_digits() {
+    fn numbers_have_three_digits() {
         assert_eq!(show(0.344_44), "0.344");
         assert_eq!(show(0.084_23), "0.0842");
         assert_eq!(show(25.312), "25.3");
@@ -146,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn a_narrow_interval_has_more_digits_and_a_row_has_the_same() {
+    fn narrow_interval_raises_the_precision_of_its_row() {
         let digits = Digits::of([25.312], [(25.281, 25.344)]);
         assert_eq!(digits.interval(25.281, 25.344), "[25.281, 25.344]");
         let digits = Digits::of([0.169, 0.0], [(0.113, 0.231)]);
@@ -160,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn probabilities() {
+    fn probabilities_have_two_digits() {
         let shown = [0.5, 0.0129, 0.00015, 0.00001, 1.0].map(probability);
         assert_eq!(shown, ["0.50", "0.013", "0.00015", "<0.0001", "1.0"]);
     }

@@ -1,4 +1,4 @@
-//! What a suite found: figures, and what a report shows of them.
+//! Findings of a suite, and the contents of its report.
 
 use std::collections::BTreeMap;
 
@@ -7,15 +7,15 @@ use serde::{Deserialize, Serialize};
 
 use crate::findings::Suite;
 
-/// The findings of one suite about one model.
+/// Findings of one suite for one model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Section {
     /// The suite.
     pub suite: Suite,
-    /// Figures by name, as `control.cem_k1_error`.
+    /// Figures by name, such as `control.cem_k1_error`.
     pub metrics: BTreeMap<String, Metric>,
-    /// What was not measured, and why.
-    pub absent: Vec<Absent>,
+    /// Missing figures, with reasons.
+    pub absent: Vec<AbsentFigure>,
     /// Remarks on how something was measured.
     pub notes: Vec<String>,
     /// Values over an axis.
@@ -33,54 +33,54 @@ pub struct Section {
 pub struct Metric {
     /// The value.
     pub value: f64,
-    /// 95 % bootstrap interval over the units; `None` where there are too few, or it was not asked for.
+    /// 95 % bootstrap interval over the units; `None` if there are too few, or it was not requested.
     pub interval: Option<Interval>,
-    /// Units that it is of.
+    /// Number of units.
     pub n: usize,
-    /// Which way is better.
+    /// Better direction.
     pub better: Better,
     /// Unit of the value, empty for a plain number.
     pub unit: String,
-    /// What it says, in a sentence.
+    /// Meaning, in a sentence.
     pub about: String,
-    /// The value of every unit by the unit's name, for paired comparisons of models; empty where there are none.
+    /// Value of each unit by name, for paired comparisons; empty if unknown.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub samples: BTreeMap<String, f64>,
-    /// Of a figure that is no mean over units, its value in every bootstrap resample: those of two models over the same units
-    /// are of the same draws ([`crate::statistics::replicates`]). Empty where there are none.
+    /// For a figure that is not a mean over units, its value in every bootstrap resample. Two models over the same
+    /// units use the same draws ([`crate::statistics::replicates`]). Empty if unknown.
     #[serde(skip)]
     pub replicates: Vec<f64>,
 }
 
-/// Which way a figure is better.
+/// Better direction of a figure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Better {
-    /// More is better.
+    /// Higher is better.
     Higher,
-    /// Less is better.
+    /// Lower is better.
     Lower,
-    /// It depends.
+    /// Neither direction is better.
     Neither,
 }
 
-/// Something that was not measured.
+/// A missing figure.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Absent {
-    /// The metric's name.
+pub struct AbsentFigure {
+    /// Name of the figure.
     pub metric: String,
-    /// Why, and what it would take.
+    /// Reason, and what it needs.
     pub why: String,
 }
 
-/// Values over an axis, a line for each series.
+/// Values over an axis, with a line per series.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Curve {
-    /// What it shows.
+    /// Title.
     pub title: String,
-    /// The axis.
+    /// Name of the axis.
     pub x: String,
-    /// The values, with their unit.
+    /// Name of the values, with their unit.
     pub y: String,
     /// The lines.
     pub series: Vec<Series>,
@@ -89,11 +89,11 @@ pub struct Curve {
 /// A line of a [`Curve`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Series {
-    /// What it is of.
+    /// Name.
     pub name: String,
     /// (x, y).
     pub points: Vec<[f64; 2]>,
-    /// Low and high at each point; empty where there is no band.
+    /// Low and high at each point; empty without a band.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub band: Vec<[f64; 2]>,
 }
@@ -101,36 +101,36 @@ pub struct Series {
 /// Rows of text.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TextTable {
-    /// What it shows.
+    /// Title.
     pub title: String,
-    /// Over the columns.
+    /// Column names.
     pub header: Vec<String>,
     /// The rows, each as long as the header.
     pub rows: Vec<Vec<String>>,
 }
 
-/// Paths in a plane, of episodes.
+/// Paths of episodes in a plane.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Trajectories {
-    /// What it shows.
+    /// Title.
     pub title: String,
-    /// What stands below it.
+    /// Text below the paths.
     pub caption: String,
-    /// The points of each.
+    /// Points of each path.
     pub paths: Vec<Vec<[f64; 2]>>,
 }
 
 /// A picture.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Picture {
-    /// What it shows.
+    /// Text below the picture.
     pub caption: String,
     /// A PNG in base64.
     pub png: String,
 }
 
 impl Better {
-    /// As in JSON and CSV.
+    /// Name in JSON and CSV.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -140,7 +140,7 @@ impl Better {
         }
     }
 
-    /// An arrow; empty where it depends.
+    /// An arrow; empty for neither direction.
     pub(crate) fn arrow(self) -> &'static str {
         match self {
             Self::Higher => "↑",
@@ -149,18 +149,18 @@ impl Better {
         }
     }
 
-    /// What the arrow says.
+    /// The arrow in words.
     pub(crate) fn words(self) -> &'static str {
         match self {
-            Self::Higher => "more is better",
-            Self::Lower => "less is better",
+            Self::Higher => "higher is better",
+            Self::Lower => "lower is better",
             Self::Neither => "",
         }
     }
 }
 
 impl Section {
-    /// One without findings.
+    /// A section without findings.
     #[must_use]
     pub fn new(suite: Suite) -> Self {
         Self {
@@ -175,15 +175,15 @@ impl Section {
         }
     }
 
-    /// Adds a figure; `name` without the suite's.
+    /// Adds a figure; `name` without the suite.
     pub fn metric(&mut self, name: &str, metric: Metric) {
         self.metrics
             .insert(format!("{}.{name}", self.suite.name()), metric);
     }
 
-    /// Says that a figure was not measured; `name` without the suite's.
+    /// Reports a missing figure; `name` without the suite.
     pub fn absent(&mut self, name: &str, why: impl Into<String>) {
-        self.absent.push(Absent {
+        self.absent.push(AbsentFigure {
             metric: format!("{}.{name}", self.suite.name()),
             why: why.into(),
         });
@@ -206,14 +206,14 @@ impl Metric {
         }
     }
 
-    /// The interval, where both ends are finite.
+    /// The interval, if both ends are finite.
     #[must_use]
     pub fn finite_interval(&self) -> Option<Interval> {
         self.interval
             .filter(|interval| interval.low.is_finite() && interval.high.is_finite())
     }
 
-    /// The same in a unit.
+    /// Sets the unit.
     #[must_use]
     pub fn in_unit(self, unit: &str) -> Self {
         Self {

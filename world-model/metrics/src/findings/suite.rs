@@ -1,4 +1,4 @@
-//! What is measured: the paper's three questions, and what a user asks besides.
+//! The suites of the evaluation: the paper's three questions, and more.
 
 use std::fmt;
 
@@ -12,22 +12,22 @@ use serde::{Deserialize, Serialize};
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Suite {
-    /// Do decoded rollouts look right? (the paper, appendix C.2)
+    /// Do decoded rollouts match the camera's frames? (the paper, appendix C.2)
     Fidelity,
-    /// Do they obey actions? (appendix C.1, A)
+    /// Do predictions obey the actions? (appendix C.1, A)
     Control,
-    /// Do latents tell actions and success? (appendix C.3)
+    /// Do predicted latents encode actions and success? (appendix C.3)
     Latents,
-    /// What becomes of a policy in the imagined environment? (appendix C.1, B to D)
+    /// How does a policy perform in the imagined environment? (appendix C.1, B to D)
     Policy,
-    /// Where may the model be trusted? (beyond the paper)
+    /// Which inputs does the model handle reliably? (beyond the paper)
     Robustness,
-    /// What does it take to compute? (table "Architecture size and compute")
+    /// How much computation does it need? (table "Architecture size and compute")
     Cost,
 }
 
 impl Suite {
-    /// All, in the order of a report.
+    /// All suites, in the order of a report.
     pub const ALL: [Self; 6] = [
         Self::Fidelity,
         Self::Control,
@@ -37,7 +37,7 @@ impl Suite {
         Self::Cost,
     ];
 
-    /// Its name, by which its metrics' names begin.
+    /// Name, the prefix of its figures.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -54,12 +54,12 @@ impl Suite {
     #[must_use]
     pub fn question(self) -> &'static str {
         match self {
-            Self::Fidelity => "Do decoded rollouts look like what came?",
+            Self::Fidelity => "Do decoded rollouts match the camera's frames?",
             Self::Control => "Do predictions obey the actions?",
-            Self::Latents => "Do predicted latents tell actions and success?",
-            Self::Policy => "What becomes of a policy in the imagined environment?",
-            Self::Robustness => "Where may the model be trusted?",
-            Self::Cost => "What does it take to compute?",
+            Self::Latents => "Do predicted latents encode actions and success?",
+            Self::Policy => "How does a policy perform in the imagined environment?",
+            Self::Robustness => "Which inputs does the model handle reliably?",
+            Self::Cost => "How much computation does it need?",
         }
     }
 }

@@ -12,18 +12,18 @@ pub const SSIM_LUMINANCE_WINDOW: u32 = 11;
 const SIGMA: f64 = 1.5;
 /// Rec. 601 shares of red, green and blue in luminance.
 const LUMA: [f64; 3] = [0.299, 0.587, 0.114];
-/// The constants of the paper, K1 = 0.01 and K2 = 0.03, at data range 255.
+/// K1 = 0.01 and K2 = 0.03 of the paper, at data range 255.
 const C1: f64 = (0.01 * 255.0) * (0.01 * 255.0);
 const C2: f64 = (0.03 * 255.0) * (0.03 * 255.0);
 
 const WINDOW: usize = SSIM_LUMINANCE_WINDOW as usize;
 
 /// Mean structural similarity in \[-1, 1\] of the luminance (Rec. 601, not rounded): 11x11 Gaussian window of standard
-/// deviation 1.5, data range 255, population (co)variances, over every window that lies inside the image. The same
-/// settings, and the same figure, as scikit-image's `structural_similarity(a, b, gaussian_weights=True, sigma=1.5,
-/// use_sample_covariance=False, data_range=255)` on the luminance as floats.
+/// deviation 1.5, data range 255, population (co)variances, over all windows inside the image. Same as scikit-image's
+/// `structural_similarity(a, b, gaussian_weights=True, sigma=1.5, use_sample_covariance=False, data_range=255)` on the
+/// luminance as floats.
 ///
-/// The window is separable: a pixel costs 2 x 11 multiplications, not 121, for each of five moments.
+/// The window is separable: 2 x 11 multiplications per pixel instead of 121, for each of five moments.
 ///
 /// # Errors
 /// [`MetricError::Size`]; [`MetricError::TooSmall`] below 11x11.
@@ -55,7 +55,6 @@ pub fn ssim_luminance(image: &RgbImage, reference: &RgbImage) -> Result<f64, Met
         total += sums.iter().map(similarity).sum::<f64>();
         windows += sums.len() as u64;
     }
-    // Window counts stay far below 2^52.
     Ok(total / windows as f64)
 }
 
@@ -68,7 +67,7 @@ fn add(sum: &mut Moments, moments: &Moments, weight: f64) {
         .for_each(|(sum, moment)| *sum += weight * moment);
 }
 
-/// The window along one side; its sum is 1.
+/// The window along one side, of sum 1.
 fn weights() -> [f64; WINDOW] {
     let middle = (WINDOW / 2) as f64;
     let unscaled: [f64; WINDOW] =
@@ -87,7 +86,7 @@ fn luma(image: &RgbImage) -> Vec<f64> {
     image.pixels().map(of).collect()
 }
 
-/// Moments of every window along one row.
+/// Moments of all windows along one row.
 fn across(x: &[f64], y: &[f64], weights: &[f64; WINDOW]) -> Vec<Moments> {
     let pairs: Vec<Moments> = x
         .iter()
@@ -117,7 +116,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn flat_pictures_differ_by_their_means_alone() {
+    fn flat_pictures_differ_only_by_their_means() {
         let grey = |level| RgbImage::from_pixel(13, 11, image::Rgb([level; 3]));
         let expected = (2.0 * 100.0 * 50.0 + C1) / (100.0 * 100.0 + 50.0 * 50.0 + C1);
         let found = ssim_luminance(&grey(100), &grey(50)).unwrap();
@@ -126,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn too_small_is_named() {
+    fn too_small_images_are_rejected() {
         let image = RgbImage::new(11, 10);
         let expected = MetricError::TooSmall {
             size: (11, 10),

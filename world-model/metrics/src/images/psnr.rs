@@ -1,4 +1,4 @@
-//! Peak signal-to-noise ratio and the mean squared error below it.
+//! Peak signal-to-noise ratio and mean squared error.
 
 use image::{GrayImage, RgbImage};
 
@@ -7,7 +7,7 @@ use crate::{MetricError, error::finite};
 /// Largest 8-bit value: the data range.
 const RANGE: f64 = 255.0;
 
-/// Peak signal-to-noise ratio over all pixels and channels \[dB\]; infinite where the images are equal.
+/// Peak signal-to-noise ratio over all pixels and channels \[dB\]; infinite for equal images.
 ///
 /// # Errors
 /// [`MetricError::Size`], [`MetricError::Empty`].
@@ -24,7 +24,7 @@ pub fn psnr(image: &RgbImage, reference: &RgbImage) -> Result<f64, MetricError> 
 /// [`psnr`] over the pixels where `mask` is not 0 \[dB\].
 ///
 /// # Errors
-/// [`MetricError::Size`]; [`MetricError::Empty`] where the mask holds no pixel.
+/// [`MetricError::Size`]; [`MetricError::Empty`] if the mask is empty.
 pub fn masked_psnr(
     image: &RgbImage,
     reference: &RgbImage,
@@ -46,7 +46,7 @@ pub fn masked_psnr(
 /// Mean squared error of two vectors, for example two latents \[their unit squared\].
 ///
 /// # Errors
-/// [`MetricError::Length`], [`MetricError::Empty`]; [`MetricError::NotFinite`] where a value is NaN or infinite.
+/// [`MetricError::Length`], [`MetricError::Empty`]; [`MetricError::NotFinite`].
 pub fn mean_squared_error(a: &[f32], b: &[f32]) -> Result<f64, MetricError> {
     if a.len() != b.len() {
         return Err(MetricError::Length {
@@ -63,7 +63,6 @@ pub fn mean_squared_error(a: &[f32], b: &[f32]) -> Result<f64, MetricError> {
         .zip(b)
         .map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2))
         .sum();
-    // Lengths stay far below 2^52.
     Ok(sum / a.len() as f64)
 }
 
@@ -75,11 +74,9 @@ fn decibel(sum: f64, count: usize) -> Result<f64, MetricError> {
     if count == 0 {
         return Err(MetricError::Empty);
     }
-    // Counts stay far below 2^52.
     Ok(10.0 * (RANGE * RANGE / (sum / count as f64)).log10())
 }
 
-/// Whether two sizes agree.
 pub(crate) fn same_size(first: (u32, u32), second: (u32, u32)) -> Result<(), MetricError> {
     if first == second {
         Ok(())
@@ -95,7 +92,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn one_level_apart_is_48_decibel() {
+    fn one_level_of_error_is_48_decibel() {
         let a = RgbImage::from_pixel(4, 3, image::Rgb([10, 20, 30]));
         let b = RgbImage::from_pixel(4, 3, image::Rgb([11, 19, 31]));
         assert!((psnr(&a, &b).unwrap() - 20.0 * 255.0_f64.log10()).abs() < 1e-12);

@@ -8,13 +8,13 @@ use crate::MetricError;
 /// Side of the window \[px\].
 pub const SSIM_WINDOW: u32 = 7;
 
-/// The constants of the paper, K1 = 0.01 and K2 = 0.03, at data range 255.
+/// K1 = 0.01 and K2 = 0.03 of the paper, at data range 255.
 const C1: f64 = (0.01 * 255.0) * (0.01 * 255.0);
 const C2: f64 = (0.03 * 255.0) * (0.03 * 255.0);
 
 /// Mean structural similarity in \[-1, 1\]: colour, 7x7 uniform window, data range 255, unbiased (co)variances, over
-/// every window that lies inside the image. The same settings, and the same figure, as scikit-image's
-/// `structural_similarity(a, b, win_size=7, channel_axis=2, data_range=255)`.
+/// all windows inside the image. Same as scikit-image's `structural_similarity(a, b, win_size=7, channel_axis=2,
+/// data_range=255)`.
 ///
 /// # Errors
 /// [`MetricError::Size`]; [`MetricError::TooSmall`] below 7x7.
@@ -36,12 +36,11 @@ pub fn ssim(image: &RgbImage, reference: &RgbImage) -> Result<f64, MetricError> 
 const CHANNELS: usize = 3;
 const WINDOW: usize = SSIM_WINDOW as usize;
 
-/// Sums over columns, or over windows side by side, of x, y, x^2, y^2 and xy. Whole numbers, so that adding and taking
-/// away leaves no rounding, and at most 49 x 255^2; one vector each, since loops over them become vector instructions.
+/// Sums of x, y, x^2, y^2 and xy over columns or adjacent windows. Integers up to 49 x 255^2, so adding and subtracting
+/// is exact; one vector each, since such loops become vector instructions.
 type Sums = [Vec<u32>; 5];
 
-/// One channel's mean over all windows; rows come and go from running column sums, so that a pixel costs the same at
-/// any window height.
+/// Mean over all windows of one channel. Running column sums make the cost independent of the window height.
 fn channel_ssim(image: &[u8], reference: &[u8], width: usize, channel: usize) -> f64 {
     let of_channel = |values: &[u8]| -> Vec<u8> {
         let values = values.iter().skip(channel).step_by(CHANNELS);
@@ -79,11 +78,10 @@ fn channel_ssim(image: &[u8], reference: &[u8], width: usize, channel: usize) ->
         total += similarities.iter().sum::<f64>();
         count += similarities.len();
     }
-    // Window counts stay far below 2^52.
     total / count as f64
 }
 
-/// Adds a row of pixels to the column sums, or takes it away.
+/// Adds or subtracts a row of pixels.
 fn change(columns: &mut Sums, (xs, ys): (&[u8], &[u8]), by: impl Fn(u32, u32) -> u32) {
     let [x_sums, y_sums, xx_sums, yy_sums, xy_sums] = columns;
     let sums = x_sums.iter_mut().zip(y_sums).zip(xx_sums).zip(yy_sums);
@@ -98,7 +96,7 @@ fn change(columns: &mut Sums, (xs, ys): (&[u8], &[u8]), by: impl Fn(u32, u32) ->
     }
 }
 
-/// Of a window's sums, which f64 holds exactly.
+/// Similarity from a window's sums, which are exact in f64.
 fn similarity_of(sums: [f64; 5]) -> f64 {
     let count = (WINDOW * WINDOW) as f64;
     let [mean_x, mean_y, mean_xx, mean_yy, mean_xy] = sums.map(|sum| sum / count);
@@ -116,7 +114,7 @@ mod tests {
 
     use super::*;
 
-    /// The pattern of the golden value: `(x*37 + y*59 + c*101 + x*y*s) % 256`.
+    /// Pattern of the golden value: `(x*37 + y*59 + c*101 + x*y*s) % 256`.
     fn pattern(width: u32, height: u32, s: u32) -> RgbImage {
         RgbImage::from_fn(width, height, |x, y| {
             image::Rgb([0, 1, 2].map(|c| ((x * 37 + y * 59 + c * 101 + x * y * s) % 256) as u8))
@@ -147,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn too_small_is_named() {
+    fn too_small_images_are_rejected() {
         let image = RgbImage::new(6, 20);
         assert_eq!(
             ssim(&image, &image),

@@ -1,12 +1,12 @@
 use crate::{MetricError, Table};
 
-/// How alike the frames of a clip are to a network, in \[0, 1\]: the mean over frames from the second on of the mean of the
-/// cosine similarities, at least 0 each, to the first frame and to the one before. `frames` is (frames, features). With DINO's
-/// features this is VBench's, and the paper's, "subject consistency"; with CLIP's, "background consistency". WorldArena
-/// multiplies that of a clip of [soft dynamic degree](super::soft_dynamic_degree) up to 0.1213 by the degree.
+/// Similarity of a clip's frames, in \[0, 1\]: the mean, over frames from the second on, of the cosine similarities (at
+/// least 0) to the first and to the previous frame. `frames` is (frames, features). With DINO's features this is
+/// VBench's and the paper's "subject consistency", with CLIP's "background consistency". WorldArena multiplies clips
+/// with a [soft dynamic degree](super::soft_dynamic_degree) up to 0.1213 by that degree.
 ///
 /// # Errors
-/// [`MetricError::TooFew`] below two frames; [`MetricError::Range`] where a frame's features are all 0.
+/// [`MetricError::TooFew`] below two frames; [`MetricError::Range`] if all features of a frame are 0.
 pub fn feature_consistency(frames: &Table) -> Result<f64, MetricError> {
     frames.require_rows("frames", 2)?;
     let units = frames.iter().map(unit).collect::<Result<Vec<_>, _>>()?;
@@ -18,7 +18,6 @@ pub fn feature_consistency(frames: &Table) -> Result<f64, MetricError> {
     let pairs = units.iter().zip(units.iter().skip(1));
     let each = pairs
         .map(|(before, frame)| f64::midpoint(similarity(first, frame), similarity(before, frame)));
-    // Counts stay far below 2^52.
     Ok(each.sum::<f64>() / (units.len() as f64 - 1.0))
 }
 
@@ -45,7 +44,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn to_the_first_and_to_the_one_before() {
+    fn similarity_is_to_first_and_previous_frame() {
         let clip = Table::from_rows([[1.0, 0.0], [0.0, 2.0], [3.0, 3.0]]).unwrap();
         // 0 and 0; then twice the cosine of 45 degrees.
         let expected = 0.5_f64.sqrt() / 2.0;
@@ -57,7 +56,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_no_direction_is_named() {
+    fn zero_features_are_rejected() {
         let one = Table::from_rows([[1.0, 0.0]]).unwrap();
         assert!(matches!(
             feature_consistency(&one),

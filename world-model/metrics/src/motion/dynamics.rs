@@ -1,16 +1,17 @@
 use super::{Flow, flow::top_mean};
 use crate::MetricError;
 
-/// Length of the flow above which a pair of frames moves \[px\] (the paper's tau; VBench's at 256 px).
+/// Flow length above which a pair of frames counts as moving \[px\] (the paper's tau; VBench's at 256 px).
 pub const DYNAMIC_THRESHOLD_PX: f64 = 6.0;
 
-/// Side of the shorter edge for which VBench and WorldArena give the threshold \[px\].
+/// Shorter edge at which VBench and WorldArena define the threshold \[px\].
 const THRESHOLD_SIDE: f64 = 256.0;
 /// Steepness of WorldArena's soft threshold.
 const STEEPNESS: f64 = 5.0;
 
-/// The paper's "dynamic degree" by its words (appendix C.2 B): share of a clip's pairs of frames whose flow is longer than
-/// `threshold_px`, where a pair's length is [`Flow::top_mean`], which the paper does not say but VBench and WorldArena do.
+/// The paper's "dynamic degree" as worded (appendix C.2 B): share of a clip's frame pairs whose flow exceeds
+/// `threshold_px`. The length of a pair is [`Flow::top_mean`], as in VBench and WorldArena; the paper does not define
+/// it.
 ///
 /// # Errors
 /// [`MetricError::Empty`] without a pair.
@@ -19,10 +20,10 @@ pub fn dynamic_degree(flows: &[Flow], threshold_px: f64) -> Result<f64, MetricEr
     mean_of(flows, above)
 }
 
-/// The same with a soft threshold, as WorldArena's code computes it (`video_quality/WorldArena/dynamic_degree.py`), whose
-/// figures the paper says to borrow: the mean over pairs of the logistic function of 5 (m / t - 1), with m from
-/// [`Flow::top_mean`] and t 6 px at a shorter edge of 256 px, in proportion otherwise. WorldArena takes frames at about 8
-/// a second.
+/// The dynamic degree with a soft threshold, as in WorldArena's code (`video_quality/WorldArena/dynamic_degree.py`),
+/// which the paper cites for its metrics: the mean over pairs of the logistic function of 5 (m / t - 1), with m from
+/// [`Flow::top_mean`]. t is 6 px at a shorter edge of 256 px, and proportional otherwise. WorldArena samples about 8
+/// frames per second.
 ///
 /// # Errors
 /// [`MetricError::Empty`] without a pair.
@@ -35,9 +36,9 @@ pub fn soft_dynamic_degree(flows: &[Flow]) -> Result<f64, MetricError> {
     })
 }
 
-/// The paper's "flow score" by its words: mean length of the longest 5 % of all flow vectors of all pairs of a clip, taken
-/// together \[px\]. The printed figures (1.2 to 1.7 px) cannot be this beside the printed dynamic degrees (0.77 to 0.84 of the pairs above
-/// 6 px); see [`mean_flow`].
+/// The paper's "flow score" as worded: mean length of the longest 5 % of all flow vectors of all pairs of a clip
+/// \[px\]. It contradicts the printed figures: scores of 1.2 to 1.7 px, with 0.77 to 0.84 of the pairs above 6 px; see
+/// [`mean_flow`].
 ///
 /// # Errors
 /// [`MetricError::Empty`] without a pair.
@@ -73,14 +74,14 @@ mod tests {
 
     use super::*;
 
-    /// Every pixel moves by this much to the right, and one of twenty by twice as much.
+    /// Each pixel moves by `px` to the right, one in twenty by twice as much.
     fn flow(px: f32) -> Flow {
         let u = (0..400).map(|i| if i % 20 == 0 { 2.0 * px } else { px });
         Flow::new(20, 20, u.collect(), vec![0.0; 400]).unwrap()
     }
 
     #[test]
-    fn a_pair_moves_by_its_longest_vectors() {
+    fn longest_vectors_decide_whether_a_pair_moves() {
         let flows = [flow(2.0), flow(3.0), flow(4.0), flow(0.0)];
         // 4, 6, 8 and 0 px: exactly 6 is not above.
         assert_eq!(dynamic_degree(&flows, DYNAMIC_THRESHOLD_PX), Ok(0.25));
@@ -89,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn the_soft_threshold_is_a_half_at_the_threshold() {
+    fn soft_degree_is_half_at_the_threshold() {
         let threshold = 6.0 * 20.0 / 256.0;
         let at = soft_dynamic_degree(&[flow(threshold as f32 / 2.0)]).unwrap();
         assert!((at - 0.5).abs() < 1e-6);
@@ -98,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn no_pair_has_no_motion() {
+    fn missing_pairs_are_rejected() {
         assert_eq!(dynamic_degree(&[], 6.0), Err(MetricError::Empty));
         assert_eq!(flow_score(&[]), Err(MetricError::Empty));
         assert_eq!(mean_flow(&[]), Err(MetricError::Empty));

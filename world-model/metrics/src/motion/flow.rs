@@ -3,10 +3,10 @@ use crate::{
     error::{finite, mean},
 };
 
-/// Share of a field's vectors, the longest, that stand for its motion (VBench).
+/// Share of the longest vectors that represent a field's motion (VBench).
 pub const TOP_SHARE: f64 = 0.05;
 
-/// Optical flow of a pair of frames: where each pixel of the first is in the second \[px\].
+/// Optical flow of a pair of frames: displacement of each pixel of the first frame \[px\].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Flow {
     width: u32,
@@ -15,11 +15,11 @@ pub struct Flow {
 }
 
 impl Flow {
-    /// Of the flow to the right `u` and downwards `v` \[px\], row after row. Of a RAFT output (2, h, w) these are the two
-    /// planes.
+    /// A flow from its components to the right `u` and downwards `v` \[px\], row by row: the two planes of a RAFT
+    /// output (2, h, w).
     ///
     /// # Errors
-    /// [`MetricError::Length`] where a plane has not width x height values; [`MetricError::Empty`];
+    /// [`MetricError::Length`] unless each plane has width x height values; [`MetricError::Empty`];
     /// [`MetricError::NotFinite`].
     pub fn new(width: u32, height: u32, u: Vec<f32>, v: Vec<f32>) -> Result<Self, MetricError> {
         let pixels = width as usize * height as usize;
@@ -33,23 +33,23 @@ impl Flow {
     /// Width and height \[px\].
     #[must_use]
     pub fn dimensions(&self) -> (u32, u32) {
-        // As many pixels as were given, so that the height fits what it was.
+        // `new` checked that both are multiples.
         (self.width, (self.u.len() / self.width as usize) as u32)
     }
 
-    /// The vectors (right, down), row after row \[px\].
+    /// The vectors (right, down), row by row \[px\].
     pub fn vectors(&self) -> impl Iterator<Item = (f64, f64)> + '_ {
         let pairs = self.u.iter().zip(&self.v);
         pairs.map(|(u, v)| (f64::from(*u), f64::from(*v)))
     }
 
-    /// Lengths of the vectors, row after row \[px\].
+    /// Lengths of the vectors, row by row \[px\].
     pub fn magnitudes(&self) -> impl Iterator<Item = f64> + '_ {
         self.vectors().map(|(u, v)| u.hypot(v))
     }
 
-    /// Mean length of the longest 5 % of the vectors, rounded down to a number of vectors and at least one \[px\]: what
-    /// VBench and WorldArena take for the motion of a pair.
+    /// Mean length of the longest 5 % of the vectors, rounded down to at least one vector \[px\]: the motion of a pair
+    /// in VBench and WorldArena.
     #[must_use]
     pub fn top_mean(&self) -> f64 {
         top_mean(self.magnitudes().collect())
@@ -62,15 +62,14 @@ impl Flow {
     }
 }
 
-/// Mean of the largest [`TOP_SHARE`] of the values, of which there is at least one.
+/// Mean of the largest [`TOP_SHARE`] of at least one value.
 pub(super) fn top_mean(mut magnitudes: Vec<f64>) -> f64 {
-    // Counts stay far below 2^52.
     let count = ((magnitudes.len() as f64 * TOP_SHARE) as usize).max(1);
     if count < magnitudes.len() {
         magnitudes.select_nth_unstable_by(count, |a, b| b.total_cmp(a));
         magnitudes.truncate(count);
     }
-    // Sorted, so that the sum does not depend on how they were selected.
+    // Sorted, so that the sum does not depend on the selection.
     magnitudes.sort_unstable_by(f64::total_cmp);
     mean(&magnitudes)
 }
@@ -82,7 +81,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_top_is_a_twentieth() {
+    fn top_mean_is_of_the_longest_twentieth() {
         // Lengths 0, 5, 10 .. 195 of 40 pixels: the mean of 190 and 195.
         let of = |factor: f32| (0..40_u8).map(|i| factor * f32::from(i)).collect();
         let flow = Flow::new(8, 5, of(3.0), of(-4.0)).unwrap();
@@ -93,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_flow_is_named() {
+    fn invalid_flows_are_rejected() {
         let short = Flow::new(2, 2, vec![0.0; 4], vec![0.0; 3]);
         assert!(matches!(
             short,

@@ -1,16 +1,16 @@
 use super::Flow;
 use crate::{MetricError, error::at_least, images::psnr::same_size};
 
-/// What WorldScore and WorldArena leave out of both sides together, where flow leaves the picture \[px\].
+/// Margin that WorldScore and WorldArena skip, both sides together, because flow leaves the picture there \[px\].
 pub const PHOTOMETRIC_CROP_PX: u32 = 30;
 
-/// Average end-point error of a pair \[px\]: how far a pixel is from itself after the flow to the other frame and, from
-/// the pixel nearest there, the flow back. Of both sides `crop_px` together are left out, half at each edge; a pixel that
-/// lands outside of the rest takes the flow at its edge. The same figure as `compute_epe` of WorldScore and WorldArena
+/// Average end-point error of a pair \[px\]: the distance of a pixel to itself after the forward flow and then the
+/// backward flow at the nearest pixel. A total margin of `crop_px` per axis is skipped; a pixel that lands outside uses
+/// the flow at the edge. Same as `compute_epe` of WorldScore and WorldArena
 /// (`video_quality/WorldArena/flow_aepe_metrics.py`).
 ///
 /// # Errors
-/// [`MetricError::Size`]; [`MetricError::TooSmall`] where nothing is left of a side.
+/// [`MetricError::Size`]; [`MetricError::TooSmall`] if the crop leaves no pixel.
 pub fn forward_backward_error(
     forward: &Flow,
     backward: &Flow,
@@ -30,6 +30,7 @@ pub fn forward_backward_error(
     for y in 0..height {
         for x in 0..width {
             let at = |flow: &Flow, x: u32, y: u32| {
+                // Inside both flows for every cropped position.
                 let vector = flow.at(x as usize + start, y as usize + start);
                 vector.unwrap_or((0.0, 0.0))
             };
@@ -45,10 +46,10 @@ pub fn forward_backward_error(
     Ok(sum / (f64::from(width) * f64::from(height)))
 }
 
-/// Mean over a clip's pairs (forward, backward) of [`forward_backward_error`] at [`PHOTOMETRIC_CROP_PX`] \[px\]; lower is
-/// better, as in WorldScore before it is normalised. WorldArena's figure, where higher is better, is one over this, and
-/// of a clip of [soft dynamic degree](super::soft_dynamic_degree) up to 0.1213 that times the degree. The paper prints
-/// values from 71 to 104 under "lower is better" without a unit: far from these, and its scale is not told.
+/// Mean over a clip's pairs (forward, backward) of [`forward_backward_error`] at [`PHOTOMETRIC_CROP_PX`] \[px\]; lower
+/// is better, as in WorldScore before normalisation. WorldArena reports the inverse, times the [soft dynamic
+/// degree](super::soft_dynamic_degree) if that is up to 0.1213. The paper prints values from 71 to 104 as "lower is
+/// better", without unit or scale, far from both.
 ///
 /// # Errors
 /// [`MetricError::TooFew`] without a pair; those of [`forward_backward_error`].
@@ -60,9 +61,9 @@ pub fn photometric_consistency(pairs: &[(Flow, Flow)]) -> Result<f64, MetricErro
     Ok(errors.sum::<Result<f64, _>>()? / pairs.len() as f64)
 }
 
-/// The pixel nearest a place; half way, the even one, as NumPy's `round`.
+/// The nearest pixel; halves round to even, as NumPy's `round`.
 fn nearest(place: f64, side: u32) -> u32 {
-    // A whole number from 0 to the last pixel.
+    // An integer from 0 to the last pixel.
     place.round_ties_even().clamp(0.0, f64::from(side - 1)) as u32
 }
 
@@ -77,7 +78,7 @@ mod tests {
     }
 
     #[test]
-    fn back_and_forth_is_no_error() {
+    fn inverse_flows_have_no_error() {
         assert_eq!(
             photometric_consistency(&[(flow(2.0, -1.0), flow(-2.0, 1.0))]),
             Ok(0.0)
@@ -90,7 +91,7 @@ mod tests {
     }
 
     #[test]
-    fn flow_back_is_read_where_the_pixel_lands() {
+    fn backward_flow_is_read_at_the_target_pixel() {
         let forward = Flow::new(2, 1, vec![1.0, 0.0], vec![0.0; 2]).unwrap();
         let backward = Flow::new(2, 1, vec![5.0, -1.0], vec![0.0; 2]).unwrap();
         // Both land at 1: 0 and 1 px off.
@@ -98,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_no_error_is_named() {
+    fn undefined_errors_are_named() {
         let small = Flow::new(30, 40, vec![0.0; 1200], vec![0.0; 1200]).unwrap();
         let error = photometric_consistency(&[(small.clone(), small)]).unwrap_err();
         assert!(matches!(error, MetricError::TooSmall { window: 31, .. }));

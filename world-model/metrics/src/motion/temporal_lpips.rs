@@ -3,12 +3,12 @@ use crate::{
     error::{finite, same_length},
 };
 
-/// The paper's t-LPIPS (appendix C.2 B): mean absolute difference between the LPIPS of each step of the generated video
-/// and that of the true one, in LPIPS's unit.
+/// The paper's t-LPIPS (appendix C.2 B): mean absolute difference between the LPIPS of each step of the generated and
+/// of the true video.
 ///
-/// `generated` and `truth` hold one LPIPS a step: between a frame and its follower [warped](super::warp()) by the optical
-/// flow of the *true* frames, for both videos. The paper does not say which of the two frames is warped; the flow from
-/// t - 1 to t takes frame t back onto t - 1.
+/// `generated` and `truth` have one LPIPS per step, between a frame and its successor [warped](super::warp()) by the
+/// optical flow of the *true* frames, for both videos. The paper does not specify which frame is warped; the flow from
+/// t - 1 to t warps frame t onto t - 1.
 ///
 /// # Errors
 /// [`MetricError::Length`], [`MetricError::Empty`], [`MetricError::NotFinite`].
@@ -16,7 +16,6 @@ pub fn temporal_lpips(generated: &[f64], truth: &[f64]) -> Result<f64, MetricErr
     same_length(generated.len(), truth.len())?;
     finite("distances", generated.iter().chain(truth).copied())?;
     let differences = generated.iter().zip(truth).map(|(a, b)| (a - b).abs());
-    // Counts stay far below 2^52.
     Ok(differences.sum::<f64>() / generated.len() as f64)
 }
 
@@ -27,7 +26,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn is_the_mean_of_the_differences_not_the_difference_of_the_means() {
+    fn differences_are_taken_per_step() {
         let found = temporal_lpips(&[0.1, 0.3], &[0.2, 0.2]).unwrap();
         assert!((found - 0.1).abs() < 1e-12);
         assert_eq!(temporal_lpips(&[], &[]), Err(MetricError::Empty));

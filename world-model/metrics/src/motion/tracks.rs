@@ -5,25 +5,23 @@ use crate::{MetricError, error::same_length};
 /// Share of tracked points that stay visible.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PointCoverage {
-    /// Of each step, in \[0, 1\].
+    /// By step, in \[0, 1\].
     pub per_step: Vec<f64>,
     /// Mean over the steps.
     pub mean: f64,
 }
 
-/// The paper's "PCK coverage" (appendix C.2 B): share of the query points, a 16x16 grid on the first frame, that a
-/// tracker sees at each step, and its mean. `visible` holds one list a step, the points always in the same order; pass the
-/// rollout's steps without the frame that the points were placed on, where all are visible. No distance to true tracks
-/// enters, unlike in what PCK stands for.
+/// The paper's "PCK coverage" (appendix C.2 B): share of the query points (a 16x16 grid on the first frame) that a
+/// tracker sees at each step, and its mean. `visible` has one list per step, points in the same order; exclude the
+/// first frame, where all are visible. Unlike PCK, it does not use distances to true tracks.
 ///
 /// # Errors
-/// [`MetricError::Empty`] without a step or a point; [`MetricError::Length`] where steps differ in the number of points.
+/// [`MetricError::Empty`] without a step or a point; [`MetricError::Length`] if steps differ in the number of points.
 pub fn point_coverage<S: AsRef<[bool]>>(visible: &[S]) -> Result<PointCoverage, MetricError> {
     let points = visible.first().ok_or(MetricError::Empty)?.as_ref().len();
     let share = |step: &S| {
         let step = step.as_ref();
         same_length(points, step.len())?;
-        // Counts stay far below 2^52.
         Ok(step.iter().filter(|seen| **seen).count() as f64 / points as f64)
     };
     let per_step = visible

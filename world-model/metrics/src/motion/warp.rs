@@ -3,12 +3,12 @@ use image::{Rgb, Rgb32FImage};
 use super::Flow;
 use crate::{MetricError, images::psnr::same_size};
 
-/// The picture seen through a flow: the result at (x, y) is the picture at (x + u, y + v), bilinear between pixels, and
-/// its nearest edge pixel beyond. With the flow from frame t - 1 to frame t and the picture at t, this is what frame
-/// t - 1 would look like; PyTorch's `grid_sample(mode="bilinear", padding_mode="border", align_corners=True)`.
+/// Warps a picture by a flow: the result at (x, y) is the picture at (x + u, y + v), bilinear, clamped to the edge. The
+/// flow from frame t - 1 to t and the picture at t reconstruct frame t - 1. Same as PyTorch's
+/// `grid_sample(mode="bilinear", padding_mode="border", align_corners=True)`.
 ///
 /// # Errors
-/// [`MetricError::Size`]; [`MetricError::NotFinite`] of the picture.
+/// [`MetricError::Size`]; [`MetricError::NotFinite`] for the picture.
 pub fn warp(picture: &Rgb32FImage, flow: &Flow) -> Result<Rgb32FImage, MetricError> {
     same_size(picture.dimensions(), flow.dimensions())?;
     let values = picture.as_raw().iter().copied().map(f64::from);
@@ -39,12 +39,12 @@ fn sample(picture: &Rgb32FImage, x: f64, y: f64) -> Rgb<f32> {
     Rgb(sum.map(|value| value as f32))
 }
 
-/// The two pixels beside a place along a side, and their weights.
+/// The two neighbours of a position along a side, and their weights.
 fn between(place: f64, side: u32) -> [(u32, f64); 2] {
     let last = f64::from(side.saturating_sub(1));
     let place = place.clamp(0.0, last);
     let low = place.floor();
-    // Whole numbers from 0 to the last pixel.
+    // Integers from 0 to the last pixel.
     let high = (low + 1.0).min(last);
     [
         (low as u32, 1.0 - (place - low)),
@@ -59,7 +59,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn between_pixels_and_beyond_the_edge() {
+    fn warp_interpolates_and_clamps() {
         let picture = Rgb32FImage::from_fn(3, 2, |x, y| {
             Rgb([x as f32, y as f32 * 10.0, (x * y) as f32])
         });

@@ -3,15 +3,15 @@ use crate::{
     error::{finite, same_length},
 };
 
-/// Score from which on a rater calls a trial a success (the paper, appendix C.1 B).
+/// Least score that counts as success (the paper, appendix C.1 B).
 pub const SUCCESS_THRESHOLD: f64 = 0.5;
 
-/// Whether every rater calls a trial a success, trial by trial. `raters` holds the scores of each rater, the trials
-/// always in the same order.
+/// Whether every rater counts a trial as success, by trial. `raters` has the scores of each rater, trials in the same
+/// order.
 ///
 /// # Errors
-/// [`MetricError::Empty`] without a rater or a trial; [`MetricError::Length`] where raters differ in the number of
-/// trials; [`MetricError::NotFinite`].
+/// [`MetricError::Empty`] without a rater or a trial; [`MetricError::Length`] if raters differ in the number of trials;
+/// [`MetricError::NotFinite`].
 pub fn consensus<R: AsRef<[f64]>>(raters: &[R], threshold: f64) -> Result<Vec<bool>, MetricError> {
     let trials = raters.first().ok_or(MetricError::Empty)?.as_ref().len();
     let mut agreed = vec![true; trials];
@@ -30,11 +30,10 @@ pub fn consensus<R: AsRef<[f64]>>(raters: &[R], threshold: f64) -> Result<Vec<bo
 /// The paper's "consensus SR": share of the trials that every rater scores at [`SUCCESS_THRESHOLD`] or above.
 ///
 /// # Errors
-/// As [`consensus`].
+/// Those of [`consensus`].
 pub fn consensus_rate<R: AsRef<[f64]>>(raters: &[R]) -> Result<f64, MetricError> {
     let agreed = consensus(raters, SUCCESS_THRESHOLD)?;
     let successes = agreed.iter().filter(|agreed| **agreed).count();
-    // Counts stay far below 2^52.
     Ok(successes as f64 / agreed.len() as f64)
 }
 

@@ -3,18 +3,18 @@ use crate::{
     error::{finite, same_length},
 };
 
-/// Which rank equal values get.
+/// Ranks of equal values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ties {
-    /// The best of theirs, and the ranks after it stay free: 1, 2, 2, 4.
+    /// The best of their ranks: 1, 2, 2, 4.
     Best,
-    /// The mean of theirs: 1, 2.5, 2.5, 4.
+    /// The mean of their ranks: 1, 2.5, 2.5, 4.
     Mean,
-    /// The worst of theirs: 1, 3, 3, 4.
+    /// The worst of their ranks: 1, 3, 3, 4.
     Worst,
-    /// The next one, without gaps: 1, 2, 2, 3.
+    /// One rank, without gaps: 1, 2, 2, 3.
     Dense,
-    /// Their own, in the order in which they came: 1, 2, 3, 4.
+    /// In order of appearance: 1, 2, 3, 4.
     InOrder,
 }
 
@@ -31,12 +31,12 @@ pub fn ranks(values: &[f64], ties: Ties) -> Result<Vec<f64>, MetricError> {
     Ok(upwards(&downwards, ties))
 }
 
-/// Sum over raters of each model's rank by that rater's figure; the lowest is the best. `raters` holds the figures of
-/// each rater, the models always in the same order. The paper: "the sum of rank positions across both raters within each
-/// DiT-size group", "ordinal", with no rule for ties.
+/// Sum over raters of each model's rank by that rater; lowest is best. `raters` has the values of each rater, models in
+/// the same order. The paper: "the sum of rank positions across both raters within each DiT-size group", without a rule
+/// for ties.
 ///
 /// # Errors
-/// [`MetricError::Empty`] without a rater or a model; [`MetricError::Length`] where raters differ in the number of models;
+/// [`MetricError::Empty`] without a rater or a model; [`MetricError::Length`] if raters differ in the number of models;
 /// [`MetricError::NotFinite`].
 pub fn borda<R: AsRef<[f64]>>(raters: &[R], ties: Ties) -> Result<Vec<f64>, MetricError> {
     let (first, others) = raters.split_first().ok_or(MetricError::Empty)?;
@@ -51,19 +51,18 @@ pub fn borda<R: AsRef<[f64]>>(raters: &[R], ties: Ties) -> Result<Vec<f64>, Metr
     Ok(sums)
 }
 
-/// Ranks from 1 for the lowest, equal values sharing the mean of theirs.
+/// Ranks from 1 for the lowest; equal values share their mean rank.
 pub(crate) fn average_ranks(values: &[f64]) -> Vec<f64> {
     upwards(values, Ties::Mean)
 }
 
 fn upwards(values: &[f64], ties: Ties) -> Vec<f64> {
     let mut order: Vec<(usize, f64)> = values.iter().copied().enumerate().collect();
-    // -0 and 0 are equal, which total_cmp alone would tell apart.
+    // total_cmp orders -0 below 0; adding 0 makes them equal.
     order.sort_by(|a, b| (a.1 + 0.0).total_cmp(&(b.1 + 0.0)));
     let mut ranked = vec![0.0; values.len()];
     let mut before = 0;
     for (group, equals) in order.chunk_by(|a, b| a.1 == b.1).enumerate() {
-        // Counts stay far below 2^52.
         let (best, worst) = ((before + 1) as f64, (before + equals.len()) as f64);
         for (index, (place, _)) in equals.iter().enumerate() {
             let rank = match ties {
@@ -89,7 +88,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ties_by_every_rule() {
+    fn ranks_follow_the_tie_rule() {
         let values = [0.5, 0.9, 0.5, 0.1];
         let of = |ties| ranks(&values, ties).unwrap();
         assert_eq!(of(Ties::Best), [2.0, 1.0, 2.0, 4.0]);

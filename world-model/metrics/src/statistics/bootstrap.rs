@@ -9,12 +9,12 @@ use crate::{
     error::{finite, mean, same_length},
 };
 
-/// How a bootstrap draws.
+/// Settings of a bootstrap.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bootstrap {
     /// Number of resamples.
     pub resamples: usize,
-    /// Seed of ChaCha8; each resample has a stream of its own, so that threads change nothing.
+    /// Seed of ChaCha8; each resample has its own stream, so threads do not affect results.
     pub seed: u64,
     /// Share of the resamples within the interval, between 0 and 1.
     pub level: f64,
@@ -31,26 +31,26 @@ impl Default for Bootstrap {
     }
 }
 
-/// A figure and how sure it is.
+/// A value and its uncertainty.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Estimate {
-    /// Of the samples themselves.
+    /// Value for the samples themselves.
     pub value: f64,
-    /// Percentile interval: quantiles of the resamples, linear between neighbours as NumPy's `percentile`.
+    /// Percentile interval: quantiles of the resamples, interpolated as NumPy's `percentile`.
     pub interval: Interval,
     /// Standard deviation over the resamples.
     pub standard_error: f64,
-    /// Share of the resamples at or below 0: for a difference, the one-sided p that a bootstrap gives. Below one over the
-    /// number of resamples it reads 0.
+    /// Share of the resamples at or below 0: for a difference, the one-sided p of the bootstrap. It is 0 below 1 /
+    /// resamples.
     pub not_above_zero: f64,
 }
 
-/// Percentile bootstrap of any statistic of `count` samples. `statistic` is given the numbers of the samples drawn, as
-/// many as there are and each below `count`; for the value itself, each once and in order.
+/// Percentile bootstrap of any statistic of `count` samples. `statistic` receives `count` drawn indices below `count`;
+/// for the value itself, each index once and in order.
 ///
 /// # Errors
-/// [`MetricError::Empty`] of no sample; [`MetricError::Range`] of the settings; [`MetricError::NotFinite`] where the
-/// statistic of a resample is.
+/// [`MetricError::Empty`] without samples; [`MetricError::Range`] for the settings; [`MetricError::NotFinite`] if the
+/// statistic of a resample is not finite.
 pub fn bootstrap(
     count: usize,
     settings: &Bootstrap,
@@ -61,11 +61,11 @@ pub fn bootstrap(
     Estimate::of_replicates(statistic(&own), drawn, settings.level)
 }
 
-/// The statistic of every resample of [`bootstrap`], in their order: two statistics of as many samples, by the same settings,
-/// are of the same draws, so that their differences, one by one, are replicates of the difference.
+/// The statistic of every resample of [`bootstrap`], in order. With equal counts and settings, two statistics use the
+/// same draws, so their pairwise differences are replicates of the difference.
 ///
 /// # Errors
-/// As [`bootstrap`].
+/// Those of [`bootstrap`].
 pub fn replicates(
     count: usize,
     settings: &Bootstrap,
@@ -81,11 +81,11 @@ pub fn replicates(
 }
 
 impl Estimate {
-    /// Of a value and its replicates: those of [`replicates`], or their differences.
+    /// An estimate from a value and its replicates: those of [`replicates`], or their differences.
     ///
     /// # Errors
-    /// [`MetricError::NotFinite`] of one of them; [`MetricError::Range`] of fewer than two, or of a level that is not between
-    /// 0 and 1.
+    /// [`MetricError::NotFinite`]; [`MetricError::Range`] for fewer than two replicates, or a level not between 0 and
+    /// 1.
     pub fn of_replicates(
         value: f64,
         mut replicates: Vec<f64>,
@@ -114,7 +114,6 @@ impl Estimate {
         let not_above_zero = replicates.iter().filter(|own| **own <= 0.0).count();
         replicates.sort_unstable_by(f64::total_cmp);
         let tail = (1.0 - level) / 2.0;
-        // Counts stay far below 2^52.
         let count = replicates.len() as f64;
         Ok(Self {
             value,
@@ -128,24 +127,24 @@ impl Estimate {
     }
 }
 
-/// [`bootstrap`] of a mean. SciPy's `bootstrap(method="percentile")` draws other numbers from the same distribution.
+/// [`bootstrap`] of a mean. SciPy's `bootstrap(method="percentile")` draws different numbers from the same
+/// distribution.
 ///
 /// # Errors
-/// As [`bootstrap`]; [`MetricError::NotFinite`] of the values.
+/// Those of [`bootstrap`]; [`MetricError::NotFinite`] for the values.
 pub fn bootstrap_mean(values: &[f64], settings: &Bootstrap) -> Result<Estimate, MetricError> {
     finite("values", values.iter().copied())?;
     bootstrap(values.len(), settings, |drawn| {
         let drawn = drawn.iter().filter_map(|index| values.get(*index));
-        // Counts stay far below 2^52.
         drawn.sum::<f64>() / values.len() as f64
     })
 }
 
-/// [`bootstrap`] of the mean of `first` minus that of `second`, where a sample, for example a task, is on both sides:
-/// what is drawn is drawn for both. The paper's "paired bootstrap over tasks".
+/// [`bootstrap`] of the mean difference `first` - `second` of paired samples, for example by task; both sides use the
+/// same draws. The paper's "paired bootstrap over tasks".
 ///
 /// # Errors
-/// As [`bootstrap_mean`]; [`MetricError::Length`].
+/// Those of [`bootstrap_mean`]; [`MetricError::Length`].
 pub fn bootstrap_paired_difference(
     first: &[f64],
     second: &[f64],
@@ -156,7 +155,7 @@ pub fn bootstrap_paired_difference(
     bootstrap_mean(&differences, settings)
 }
 
-/// An estimate of what `draw` gives.
+/// An estimate from the results of `draw`.
 pub(super) fn resample(
     settings: &Bootstrap,
     value: f64,
@@ -180,11 +179,12 @@ fn draw_all(
     Ok(drawn.collect())
 }
 
-/// Of sorted values, linear between neighbours.
+/// A quantile of sorted values, interpolated linearly.
 fn quantile(sorted: &[f64], share: f64) -> f64 {
     let place = share * (sorted.len() as f64 - 1.0);
-    // A whole number from 0 to below the length.
+    // An integer from 0 to below the length.
     let below = place.floor() as usize;
+    // Callers pass at least two values; the index past the end has weight 0.
     let at = |index: usize| sorted.get(index).or(sorted.last()).copied().unwrap_or(0.0);
     let (low, high) = (at(below), at(below + 1));
     low + (high - low) * (place - place.floor())
@@ -199,7 +199,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn quantiles_as_numpy() {
+    fn quantiles_match_numpy() {
         let sorted = [1.0, 2.0, 4.0, 8.0];
         assert_eq!(quantile(&sorted, 0.5), 3.0);
         assert!((quantile(&sorted, 0.9) - 6.8).abs() < 1e-12);
@@ -207,8 +207,8 @@ mod tests {
     }
 
     #[test]
-    fn of_a_coin() {
-        // The resampled mean of 50 of 100 is binomial: 0.5 +- 1.96 x 0.05.
+    fn interval_of_coin_flips() {
+        // The resampled mean of 50 heads in 100 is binomial: 0.5 +- 1.96 x 0.05.
         let values: Vec<f64> = (0..100).map(|i| f64::from(i % 2)).collect();
         let found = bootstrap_mean(&values, &Bootstrap::default()).unwrap();
         assert_eq!(found.value, 0.5);
@@ -239,7 +239,7 @@ mod tests {
     }
 
     #[test]
-    fn threads_change_nothing() {
+    fn result_does_not_depend_on_threads() {
         let values: Vec<f64> = (0..37).map(|i| f64::from(i * i % 11)).collect();
         let settings = Bootstrap {
             resamples: 500,
@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_drawn_is_named() {
+    fn invalid_input_is_named() {
         let settings = Bootstrap::default();
         assert_eq!(bootstrap_mean(&[], &settings), Err(MetricError::Empty));
         assert!(bootstrap_mean(&[f64::NAN], &settings).is_err());
@@ -284,7 +284,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(32))]
         #[test]
-        fn is_the_same_each_time(values in prop::collection::vec(-1e3_f64..1e3, 1..30), seed: u64) {
+        fn bootstrap_is_deterministic(values in prop::collection::vec(-1e3_f64..1e3, 1..30), seed: u64) {
             let settings = Bootstrap { resamples: 50, seed, level: 0.9 };
             let found = bootstrap_mean(&values, &settings).unwrap();
             prop_assert_eq!(found, bootstrap_mean(&values, &settings).unwrap());

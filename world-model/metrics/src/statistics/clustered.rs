@@ -6,16 +6,14 @@ use crate::{
     error::{finite, mean},
 };
 
-/// Percentile bootstrap in two stages: as many tasks as there are are drawn, then of each drawn task as many trials as it
-/// has. Trials of one task are alike, so that drawing trials alone makes intervals too narrow.
+/// Two-stage percentile bootstrap: draws as many tasks as there are, then from each drawn task as many trials as it
+/// has. Trials of one task are alike, so drawing only trials makes intervals too narrow.
 ///
-/// `trials` holds the number of trials of each task. `statistic` is given the drawn tasks, each with the numbers of the
-/// trials drawn of it; a task drawn twice is there twice. For the value itself, every task and trial comes once and in
-/// order.
+/// `trials` has the number of trials of each task. `statistic` receives the drawn tasks with their drawn trial indices;
+/// a task drawn twice appears twice. For the value itself, every task and trial appears once, in order.
 ///
 /// # Errors
-/// [`MetricError::Empty`] without a task, or where one has no trial; those of
-/// [`bootstrap`](super::bootstrap()).
+/// [`MetricError::Empty`] without a task, or for a task without trials; those of [`bootstrap`](super::bootstrap()).
 pub fn bootstrap_clustered(
     trials: &[usize],
     settings: &Bootstrap,
@@ -30,22 +28,21 @@ pub fn bootstrap_clustered(
         .collect();
     resample(settings, statistic(&own), |random| {
         let drawn: Vec<(usize, Vec<usize>)> = (0..trials.len())
-            .map(|_| {
+            .filter_map(|_| {
                 let task = random.random_range(0..trials.len());
-                let count = trials.get(task).copied().unwrap_or(0);
+                let count = *trials.get(task)?;
                 let drawn = (0..count).map(|_| random.random_range(0..count));
-                (task, drawn.collect())
+                Some((task, drawn.collect()))
             })
             .collect();
         statistic(&drawn)
     })
 }
 
-/// [`bootstrap_clustered`] of the mean over tasks of the mean over a task's trials: tasks count alike, whatever their
-/// trials.
+/// [`bootstrap_clustered`] of the mean over tasks of each task's mean; tasks have equal weight.
 ///
 /// # Errors
-/// As [`bootstrap_clustered`]; [`MetricError::NotFinite`] of the values.
+/// Those of [`bootstrap_clustered`]; [`MetricError::NotFinite`] for the values.
 pub fn bootstrap_clustered_mean<T: AsRef<[f64]> + Sync>(
     tasks: &[T],
     settings: &Bootstrap,
@@ -72,8 +69,8 @@ mod tests {
     use super::{super::bootstrap_mean, *};
 
     #[test]
-    fn tasks_that_differ_widen_the_interval() {
-        // Half of the tasks always succeed, half never: trials tell nothing, tasks all.
+    fn differing_tasks_widen_the_interval() {
+        // Half of the tasks always succeed, half never: only tasks vary.
         let tasks: Vec<[f64; 8]> = (0..20).map(|task| [f64::from(task % 2); 8]).collect();
         let settings = Bootstrap::default();
         let clustered = bootstrap_clustered_mean(&tasks, &settings).unwrap();
@@ -84,7 +81,7 @@ mod tests {
     }
 
     #[test]
-    fn a_task_counts_once_whatever_its_trials() {
+    fn tasks_have_equal_weight() {
         let tasks = [vec![1.0], vec![0.0; 9]];
         let found = bootstrap_clustered_mean(&tasks, &Bootstrap::default()).unwrap();
         assert_eq!(found.value, 0.5);

@@ -5,10 +5,10 @@ use crate::{
     error::{at_least, finite, mean},
 };
 
-/// Quantile of the normal distribution that leaves 2.5 % above.
+/// 97.5 % quantile of the normal distribution.
 pub(crate) const Z95: f64 = 1.959_963_984_540_054;
 
-/// Two ends, in the unit of the figure.
+/// An interval in the unit of the value.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Interval {
     /// Lower end.
@@ -18,18 +18,18 @@ pub struct Interval {
 }
 
 impl Interval {
-    /// Whether it holds a value, the ends included.
+    /// Whether it contains a value, ends included.
     #[must_use]
     pub fn contains(&self, value: f64) -> bool {
         self.low <= value && value <= self.high
     }
 }
 
-/// 95 % interval of a share of successes after Wilson 1927, which stays within \[0, 1\] and has a width at 0 and at 1,
-/// where a bootstrap has none.
+/// 95 % interval of a success rate after Wilson 1927. It stays within \[0, 1\] and has a width at 0 and 1, unlike a
+/// bootstrap.
 ///
 /// # Errors
-/// [`MetricError::Empty`] of no trial; [`MetricError::Range`] of more successes than trials.
+/// [`MetricError::Empty`] without trials; [`MetricError::Range`] if successes exceed trials.
 pub fn wilson(successes: usize, trials: usize) -> Result<Interval, MetricError> {
     let share = share(successes, trials)?;
     let (is_none, is_all) = (successes == 0, successes == trials);
@@ -38,13 +38,13 @@ pub fn wilson(successes: usize, trials: usize) -> Result<Interval, MetricError> 
     let spread = share * (1.0 - share) / trials + square / (4.0 * trials * trials);
     let width = Z95 / (1.0 + square / trials) * spread.sqrt();
     Ok(Interval {
-        // Exactly, where rounding would leave a bit.
+        // Exactly 0 or 1, without rounding errors.
         low: if is_none { 0.0 } else { middle - width },
         high: if is_all { 1.0 } else { middle + width },
     })
 }
 
-/// Standard error of a mean: the unbiased standard deviation over the root of the count.
+/// Standard error of a mean: unbiased standard deviation / root of the count.
 ///
 /// # Errors
 /// [`MetricError::TooFew`] below two values; [`MetricError::NotFinite`].
@@ -53,16 +53,15 @@ pub fn standard_error(values: &[f64]) -> Result<f64, MetricError> {
     finite("values", values.iter().copied())?;
     let mean = mean(values);
     let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
-    // Counts stay far below 2^52.
     let count = values.len() as f64;
     finite("squares of the values", [squares])?;
     Ok((squares / (count - 1.0) / count).sqrt())
 }
 
-/// Standard error of a share of successes, (p (1 - p) / n)^1/2. This is the "+-" beside the paper's success rates.
+/// Standard error of a success rate, (p (1 - p) / n)^1/2: the "+-" of the paper's success rates.
 ///
 /// # Errors
-/// As [`wilson`].
+/// Those of [`wilson`].
 pub fn standard_error_of_share(successes: usize, trials: usize) -> Result<f64, MetricError> {
     let share = share(successes, trials)?;
     Ok((share * (1.0 - share) / trials as f64).sqrt())
@@ -79,7 +78,6 @@ fn share(successes: usize, trials: usize) -> Result<f64, MetricError> {
             actual: format!("{successes} of {trials}"),
         });
     }
-    // Counts stay far below 2^52.
     Ok(successes as f64 / trials as f64)
 }
 
@@ -90,8 +88,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn wilson_of_none_and_of_all() {
-        // Of none the upper end is z^2 / (n + z^2).
+    fn wilson_interval_of_none_and_all() {
+        // For zero successes the upper end is z^2 / (n + z^2).
         let none = wilson(0, 10).unwrap();
         assert!(none.low.abs() < 1e-12);
         assert!((none.high - Z95 * Z95 / (10.0 + Z95 * Z95)).abs() < 1e-12);
@@ -102,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_of_means() {
+    fn standard_errors_of_means() {
         let found = standard_error(&[1.0, 2.0, 3.0, 4.0]).unwrap();
         assert!((found - (5.0_f64 / 3.0 / 4.0).sqrt()).abs() < 1e-12);
         assert!((standard_error_of_share(1, 4).unwrap() - (3.0_f64 / 64.0).sqrt()).abs() < 1e-12);

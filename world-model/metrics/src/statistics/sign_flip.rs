@@ -8,18 +8,18 @@ use crate::{
     error::{finite, mean},
 };
 
-/// Differences up to which all signs are enumerated: the halves have 2^20 sums each.
+/// Most differences with enumeration of all signs: each half has 2^20 sums.
 const ENUMERATED: usize = 40;
-/// Greatest sum of differences, in common units, whose distribution is convolved.
+/// Greatest sum of differences, in common units, for the convolution.
 const UNITS: u64 = 1 << 20;
-/// How far a difference may be from a whole number of units, as a share of the greatest one: rounding of means of trials
-/// is 1e-16, and a unit below 1e-6 of the greatest is no unit.
+/// Greatest distance of a difference to a multiple of the unit, as a share of the greatest difference. Means of trials
+/// have rounding errors of 1e-16; a unit below 1e-6 is not meaningful.
 const TOLERANCE: f64 = 1e-9;
 
-/// How a sign-flip test draws where it cannot count.
+/// Settings for sampled sign patterns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SignFlip {
-    /// Sign patterns drawn.
+    /// Number of sign patterns.
     pub resamples: usize,
     /// Seed of ChaCha8.
     pub seed: u64,
@@ -35,40 +35,39 @@ impl Default for SignFlip {
     }
 }
 
-/// How p was found.
+/// How p was computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum Method {
-    /// Exactly: the differences are whole multiples of a common unit, as differences of success rates are, and the
-    /// distribution of their sum was convolved.
+    /// Exactly, by convolution: the differences are multiples of a common unit, as differences of success rates are.
     Convolved,
-    /// Exactly: all sign patterns were counted.
+    /// Exactly, by counting all sign patterns.
     Enumerated,
-    /// Estimated from drawn sign patterns, as (1 + hits) / (1 + drawn), which is never 0.
+    /// Estimated from random sign patterns as (1 + hits) / (1 + drawn), which is never 0.
     MonteCarlo {
         /// Sign patterns drawn.
         resamples: usize,
     },
 }
 
-/// Result of a sign-flip test.
+/// Result of [`sign_flip_test`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SignFlipTest {
     /// Mean of the differences.
     pub mean: f64,
-    /// Share of the sign patterns whose sum is at least the one found.
+    /// Share of the sign patterns whose sum is at least the observed one.
     pub p: f64,
-    /// How it was found.
+    /// How p was computed.
     pub method: Method,
 }
 
-/// One-sided sign-flip test of paired differences: under the hypothesis that each is as likely as its negative, how
-/// often their sum would be at least what it is. Small for differences above 0; negate them where lower is better. The
-/// paper's "exact one-sided sign-flip test over the 20 shared task episodes", and SciPy's `permutation_test` of the mean
-/// with `permutation_type="samples"` and `alternative="greater"`.
+/// One-sided sign-flip test of paired differences. p is the probability of a sum at least as large as the observed one
+/// if all signs are equally likely; it is small for differences above 0, so negate them if lower is better. The paper's
+/// "exact one-sided sign-flip test over the 20 shared task episodes", and SciPy's `permutation_test` of the mean with
+/// `permutation_type="samples"` and `alternative="greater"`.
 ///
-/// Differences of 0 change nothing, and are not counted. Up to 40 others, or any number of multiples of a common unit, p is
-/// exact; beyond, it is estimated. Where all are 0, p is 1.
+/// Differences of 0 are skipped; if all are 0, p is 1. For up to 40 others, or any number of multiples of a common
+/// unit, p is exact, otherwise estimated.
 ///
 /// # Errors
 /// [`MetricError::Empty`], [`MetricError::NotFinite`].
@@ -99,10 +98,10 @@ pub fn sign_flip_test(
     })
 }
 
-/// By the distribution of the sum of those that come out positive; `None` without a common unit.
+/// p from the distribution of the sum of positive differences; `None` without a common unit.
 fn convolved(differences: &[f64]) -> Option<f64> {
     let unit = common_unit(differences)?;
-    // Whole numbers up to UNITS.
+    // Integers up to UNITS.
     let units = |difference: &f64| (difference.abs() / unit).round() as u64;
     let total = differences.iter().map(units).sum::<u64>();
     if total > UNITS {
@@ -124,7 +123,7 @@ fn convolved(differences: &[f64]) -> Option<f64> {
     Some(shares.iter().skip(from).rev().sum::<f64>().min(1.0))
 }
 
-/// The largest number that all are whole multiples of, by Euclid's algorithm; 1 where there are none.
+/// The largest unit of all differences, by Euclid's algorithm; 1 if empty.
 fn common_unit(differences: &[f64]) -> Option<f64> {
     let Some(largest) = differences.iter().map(|d| d.abs()).max_by(f64::total_cmp) else {
         return Some(1.0);
@@ -135,12 +134,12 @@ fn common_unit(differences: &[f64]) -> Option<f64> {
         let mut other = difference.abs();
         while other > floor {
             let rest = unit % other;
-            // What is left of a whole number may be just below the divisor.
+            // The rest of a multiple may be just below the divisor.
             let rest = if other - rest < floor { 0.0 } else { rest };
             (unit, other) = (other, rest);
         }
     }
-    // The rests have gathered rounding; the largest has not.
+    // Rests accumulate rounding errors; the largest difference has none.
     let unit = largest / (largest / unit).round();
     let fits = |difference: &f64| {
         let units = difference.abs() / unit;
@@ -149,7 +148,7 @@ fn common_unit(differences: &[f64]) -> Option<f64> {
     differences.iter().all(fits).then_some(unit)
 }
 
-/// By counting: sums of one half of the differences against sorted sums of the other.
+/// p by counting: sums of one half of the differences against sorted sums of the other.
 fn enumerated(differences: &[f64]) -> f64 {
     let (left, right) = differences.split_at(differences.len() / 2);
     let (left, mut right) = (flipped(left), flipped(right));
@@ -159,7 +158,7 @@ fn enumerated(differences: &[f64]) -> f64 {
         .par_iter()
         .map(|sum| (right.len() - right.partition_point(|other| sum + other < least)) as u64)
         .sum();
-    // At most 2^40 patterns.
+    // At most 2^40 patterns: exact in f64.
     hits as f64 / (left.len() as f64 * right.len() as f64)
 }
 
@@ -172,7 +171,7 @@ fn flipped(differences: &[f64]) -> Vec<f64> {
     sums
 }
 
-/// The sum found, less its rounding, so that an equal sum in another order counts.
+/// The observed sum less its rounding error, so that an equal sum in another order counts.
 fn least(differences: &[f64]) -> f64 {
     let size: f64 = differences.iter().map(|d| d.abs()).sum();
     differences.iter().sum::<f64>() - size * 1e-13
@@ -192,7 +191,6 @@ fn drawn(differences: &[f64], resamples: usize, seed: u64) -> f64 {
         });
         signs.sum::<f64>() >= least
     });
-    // Counts stay far below 2^52.
     (1.0 + hits.count() as f64) / (1.0 + resamples as f64)
 }
 
@@ -209,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn of_three() {
+    fn p_of_three_differences() {
         // Of 8 patterns of 1, 2, 4 only +++ gives 7, and -++ 5.
         assert_eq!(test(&[1.0, 2.0, 4.0]).p, 1.0 / 8.0);
         assert_eq!(test(&[-1.0, 2.0, 4.0]).p, 2.0 / 8.0);
@@ -223,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn means_of_trials_have_a_unit() {
+    fn means_of_trials_have_a_common_unit() {
         let thirds = [
             1.0 / 3.0,
             0.5 - 1.0 / 3.0,
@@ -236,7 +234,7 @@ mod tests {
     }
 
     #[test]
-    fn drawn_is_close_to_exact() {
+    fn estimated_p_is_close_to_exact() {
         // 60 ones, 40 of them positive: a binomial tail.
         let ones: Vec<f64> = (0..60).map(|i| if i < 38 { 1.0 } else { -1.0 }).collect();
         let exact = test(&ones);
@@ -257,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_tested_is_named() {
+    fn invalid_input_is_named() {
         let settings = SignFlip::default();
         assert_eq!(sign_flip_test(&[], &settings), Err(MetricError::Empty));
         assert!(sign_flip_test(&[f64::NAN], &settings).is_err());
@@ -265,7 +263,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn equals_brute_force(units in prop::collection::vec(-9_i32..9, 1..12), scale in 0.01_f64..10.0, bend: bool) {
+        fn exact_p_equals_brute_force(units in prop::collection::vec(-9_i32..9, 1..12), scale in 0.01_f64..10.0, bend: bool) {
             let differences: Vec<f64> = units.iter().enumerate().map(|(i, units)| {
                 f64::from(*units) * scale + if bend { (i as f64 * 0.37 + 0.1).sqrt() * scale } else { 0.0 }
             }).collect();

@@ -4,7 +4,7 @@ use wm_metrics::findings::{
 
 use super::sample::findings;
 
-/// A model with one figure, of which it has `values` by unit.
+/// A model with one figure that has `values` by unit.
 fn with(better: Better, values: &[f64]) -> ModelFindings {
     let mut section = Section::new(Suite::Control);
     let mean = values.iter().sum::<f64>() / values.len() as f64;
@@ -25,8 +25,8 @@ fn with(better: Better, values: &[f64]) -> ModelFindings {
 const NAME: &str = "control.error";
 
 #[test]
-fn by_hand() {
-    // Differences 1, 2, 4: of 8 sign patterns one has a sum of at least 7, and all have one of at least -7.
+fn comparison_matches_manual_calculation() {
+    // Differences 1, 2, 4: of 8 sign patterns one has a sum of at least 7, all have one of at least -7.
     let (a, b) = ([1.0, 1.0, 1.0], [2.0, 3.0, 5.0]);
     let of = |better| {
         compare(&with(better, &a), &with(better, &b))
@@ -40,15 +40,15 @@ fn by_hand() {
     assert_eq!((higher.p, higher.p_is_exact), (Some(1.0 / 8.0), true));
     let interval = higher.interval.unwrap();
     assert_eq!((interval.low, interval.high), (1.0, 4.0));
-    // The interval does not hold 0, but three pairs are too few to say more.
+    // The interval excludes 0, but three pairs are too few.
     assert_eq!(higher.verdict, Verdict::Unclear);
     assert_eq!(of(Better::Lower).p, Some(1.0));
     assert_eq!(of(Better::Neither).p, None);
 }
 
-/// A ratio of sums, a correlation: figures of all units together.
+/// Ratios and correlations of all units together.
 #[test]
-fn figures_that_are_no_means_are_compared_by_their_resamples() {
+fn other_figures_are_compared_by_their_resamples() {
     let of = |n: usize, value: f64, replicates: &[f64]| {
         let mut findings = with(Better::Lower, &[1.0]);
         for section in &mut findings.sections {
@@ -63,7 +63,7 @@ fn figures_that_are_no_means_are_compared_by_their_resamples() {
     let compared =
         |a: &ModelFindings, b: &ModelFindings| compare(a, b).unwrap().differences[NAME].clone();
     let ours = of(8, 0.5, &[0.4, 0.5, 0.6, 0.7]);
-    // Each model's own intervals overlap; drawn alike, one is always 0.2 lower.
+    // The models' own intervals overlap; with equal draws, one is always 0.2 lower.
     let theirs = of(8, 0.3, &[0.2, 0.3, 0.4, 0.5]);
     let found = compared(&ours, &theirs);
     let interval = found.interval.unwrap();
@@ -116,7 +116,7 @@ fn only_units_of_the_same_name_are_pairs() {
 }
 
 #[test]
-fn what_only_one_has_or_counts_otherwise_is_told() {
+fn missing_and_incompatible_figures_are_reported() {
     let a = findings("a", 0);
     let mut b = findings("b", 1);
     let psnr = b.sections[0].metrics.get_mut("fidelity.psnr").unwrap();
@@ -124,12 +124,15 @@ fn what_only_one_has_or_counts_otherwise_is_told() {
     let found = compare(&a, &b).unwrap();
     assert!(!found.differences.contains_key("fidelity.psnr"));
     assert_eq!(found.absent["fidelity.psnr"], "in \"dB\" and in \"bel\"");
-    assert_eq!(found.absent["policy.ood_success_rate"], "not measured of a");
+    assert_eq!(
+        found.absent["policy.ood_success_rate"],
+        "not measured for a"
+    );
     assert!(!found.differences.contains_key("fidelity.not_a_number"));
 }
 
 #[test]
-fn what_was_not_measured_alike_is_refused_by_name() {
+fn different_settings_are_rejected_by_name() {
     let a = findings("a", 0);
     let mut b = findings("b", 1);
     b.header.seed = 8;
@@ -146,11 +149,11 @@ fn what_was_not_measured_alike_is_refused_by_name() {
         what,
         ["data", "seed", "settings.extra", "settings.solver.steps"]
     );
-    let told = error.to_string();
-    assert!(told.contains("seed is 8, expected 7"), "{told}");
+    let error = error.to_string();
+    assert!(error.contains("seed is 8, expected 7"), "{error}");
     assert!(
-        told.contains("settings.solver.steps is 9, expected 8"),
-        "{told}"
+        error.contains("settings.solver.steps is 9, expected 8"),
+        "{error}"
     );
     assert!(wm_metrics::findings::html("", &[a.clone(), b.clone()]).is_err());
     assert!(wm_metrics::findings::json(&[a, b]).is_err());

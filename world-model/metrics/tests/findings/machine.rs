@@ -97,7 +97,7 @@ proptest! {
             return Ok(());
         }
         let found = &told["metrics"][&name];
-        // `serde_json` reads floats to within a last digit; what is written is exact.
+        // `serde_json` parses floats up to the last digit; the text is exact.
         let metrics = &text[text.find("\n  \"metrics\"").unwrap()..];
         let written = metrics.split("\n      \"value\": ").nth(1).unwrap();
         let written = written.split(',').next().unwrap();

@@ -1,4 +1,4 @@
-//! What is told of findings: that it can be read back, that nothing is lost, and that no text becomes markup.
+//! Outputs can be read back, lose nothing, and never turn text into markup.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, missing_docs)]
 

@@ -1,4 +1,4 @@
-//! Small readers of what is written.
+//! Small parsers of the outputs.
 
 /// Records of RFC 4180.
 pub fn csv(text: &str) -> Vec<Vec<String>> {
@@ -24,7 +24,7 @@ pub fn csv(text: &str) -> Vec<Vec<String>> {
     records
 }
 
-/// Tags in the order in which they open; panics where one does not close, or an attribute has no quotes.
+/// Opening tags in order; panics on an unclosed tag or an unquoted attribute.
 pub fn tags(html: &str) -> Vec<String> {
     let (mut open, mut all) = (Vec::<String>::new(), Vec::new());
     let mut rest = html.strip_prefix("<!doctype html>").expect("a doctype");
@@ -52,7 +52,7 @@ pub fn tags(html: &str) -> Vec<String> {
     all
 }
 
-/// What a reader sees: no tags, no style, entities as characters.
+/// The visible text: no tags, no style, entities decoded.
 pub fn seen(html: &str) -> String {
     let body = &html[html.find("<body").expect("a body")..];
     let mut text = String::new();

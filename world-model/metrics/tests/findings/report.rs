@@ -14,7 +14,7 @@ fn three() -> [ModelFindings; 3] {
 }
 
 #[test]
-fn all_that_was_found_is_told_of_one_and_of_three() {
+fn report_has_all_findings_of_one_and_three_models() {
     for models in [&three()[..1], &three()] {
         let report = html(TITLE, models).unwrap();
         let (tags, seen) = (tags(&report), seen(&report));
@@ -44,7 +44,7 @@ fn all_that_was_found_is_told_of_one_and_of_three() {
         assert_eq!(count("img"), models.len());
         assert_eq!(count("script"), 0);
         assert!(seen.contains("7 ") && seen.contains("\"iterations\": 5"));
-        // Nothing is fetched, and there is no more of it than a mail may have.
+        // Nothing is fetched, and the file fits into a mail.
         let mut linked = report.replace("http-equiv", "");
         for picture in models.iter().flat_map(|model| &model.sections[0].pictures) {
             linked = linked.replace(&picture.png, "");
@@ -57,7 +57,7 @@ fn all_that_was_found_is_told_of_one_and_of_three() {
 }
 
 #[test]
-fn headings_are_in_order_and_tables_have_heads() {
+fn headings_are_ordered_and_tables_have_heads() {
     let report = html(TITLE, &three()).unwrap();
     let mut level = 0;
     for tag in tags(&report) {
@@ -86,7 +86,7 @@ fn headings_are_in_order_and_tables_have_heads() {
 }
 
 #[test]
-fn a_line_of_all_models_is_drawn_once_and_models_have_names_of_their_own() {
+fn common_lines_are_drawn_once_and_labels_are_unique() {
     let models = [
         findings("same", 0),
         findings("same", 1),
@@ -100,7 +100,7 @@ fn a_line_of_all_models_is_drawn_once_and_models_have_names_of_their_own() {
 }
 
 #[test]
-fn paths_are_shortened_to_what_tells_them_apart() {
+fn paths_are_shortened_to_distinct_endings() {
     let models = [findings("/runs/a/model", 0), findings("/runs/b/model", 1)];
     let seen = seen(&html(TITLE, &models).unwrap());
     assert!(seen.contains("Is b/model better than a/model?"));
@@ -108,7 +108,7 @@ fn paths_are_shortened_to_what_tells_them_apart() {
 }
 
 #[test]
-fn nothing_is_a_report_too() {
+fn report_without_findings_is_valid() {
     let report = html("None", &[]).unwrap();
     tags(&report);
     assert!(seen(&report).contains("Nothing was measured."));
@@ -118,7 +118,7 @@ fn nothing_is_a_report_too() {
 }
 
 #[test]
-fn values_that_cannot_be_drawn_are_left_out() {
+fn undrawable_values_are_skipped() {
     let mut one = findings("odd", 0);
     let section = &mut one.sections[0];
     let odd = [f64::NAN, f64::INFINITY, 1e308, -1e308, 0.0, -0.0, 1e-310];
@@ -162,7 +162,7 @@ fn values_that_cannot_be_drawn_are_left_out() {
 }
 
 #[test]
-fn a_long_curve_does_not_make_a_long_file() {
+fn long_curve_does_not_make_a_long_file() {
     let mut one = findings("long", 0);
     let points: Vec<[f64; 2]> = (0..200_000)
         .map(|i| [f64::from(i), f64::from(i % 97)])
@@ -174,7 +174,7 @@ fn a_long_curve_does_not_make_a_long_file() {
 }
 
 #[test]
-fn the_card_tells_figures_limits_and_what_is_refused() {
+fn card_has_figures_limits_and_refused_uses() {
     let model = findings("sample-a", 0);
     let card = model_card(&model, &about());
     for (name, _) in model.metrics() {
@@ -216,7 +216,7 @@ proptest! {
         let plain = html("plain", &[findings("plain", 0)]).unwrap();
         let report = html(&title, &[one.clone()]).unwrap();
         let found = tags(&report);
-        // What was added, and nothing that its text asks for.
+        // Text adds no tags.
         prop_assert!(found.iter().all(|tag| tag != "script"));
         let kinds = |tags: &[String]| {
             let mut kinds = tags.to_vec();

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde_json::json;
 use wm_metrics::findings::{
-    Better, CardAbout, Curve, Header, Metric, ModelFindings, Picture, Section, Series, Suite,
+    Better, CardDetails, Curve, Header, Metric, ModelFindings, Picture, Section, Series, Suite,
     TextTable, Trajectories,
 };
 use wm_metrics::statistics::{Bootstrap, bootstrap_mean};
@@ -412,8 +412,8 @@ fn cost(variant: u64) -> Section {
 }
 
 #[allow(dead_code)]
-pub fn about() -> CardAbout {
-    CardAbout {
+pub fn about() -> CardDetails {
+    CardDetails {
         name: "sample-a".to_owned(),
         data: vec!["Bridge V2, 60 000 episodes (CC BY 4.0); sample text".to_owned()],
         recipe: vec![

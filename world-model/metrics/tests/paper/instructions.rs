@@ -1,4 +1,4 @@
-//! The table of successes by instruction at DiT-L, the only one that is printed task by task.
+//! Successes by instruction at DiT-L, the only table with values by task.
 
 use wm_metrics::{
     ranking::{Ties, borda, ranks},
@@ -7,7 +7,7 @@ use wm_metrics::{
 
 use super::{TRIALS, successes};
 
-/// tab:vla-per-instruction-ditl: successes out of 8 by Qwen and by InternVL, each of VAE, Cosmos, V-JEPA 2.1_96,
+/// tab:vla-per-instruction-ditl: successes out of 8 by Qwen and by InternVL, for VAE, Cosmos, V-JEPA 2.1_96,
 /// Web-DINO_96, SigLIP 2_96.
 const INSTRUCTIONS: [[[u8; 5]; 2]; 20] = [
     [[6, 6, 7, 8, 6], [8, 8, 8, 8, 8]],
@@ -41,7 +41,7 @@ fn totals(rater: usize, tasks: std::ops::Range<usize>) -> [f64; 5] {
 }
 
 #[test]
-fn level_means_are_as_printed() {
+fn level_means_match_the_paper() {
     let printed = [
         (0..4, [[7.2, 7.0, 7.5, 8.0, 7.0], [8.0, 8.0, 7.5, 6.2, 7.2]]),
         (
@@ -61,7 +61,7 @@ fn level_means_are_as_printed() {
         for (rater, means) in raters.iter().enumerate() {
             let totals = totals(rater, tasks.clone());
             for (total, printed) in totals.iter().zip(means) {
-                // Halves are printed as the even digit.
+                // Halves are printed rounded to even.
                 assert!((total / tasks.len() as f64 - printed).abs() <= 0.05 + 1e-9);
             }
         }
@@ -69,11 +69,11 @@ fn level_means_are_as_printed() {
 }
 
 #[test]
-fn ranks_of_the_instructions() {
+fn ranks_by_instruction() {
     let raters = [0, 1].map(|rater| totals(rater, 0..20));
     assert_eq!(raters[0], [81.0, 85.0, 81.0, 89.0, 88.0]);
     assert_eq!(raters[1], [83.0, 78.0, 82.0, 68.0, 72.0]);
-    // Ours: the paper ranks these among eight models, by raters of which two are here.
+    // Our result; the paper ranks these among eight models by raters of which we have two.
     assert_eq!(
         ranks(&raters[0], Ties::Best).unwrap(),
         [4.0, 3.0, 4.0, 1.0, 2.0]
@@ -95,7 +95,7 @@ fn ranks_of_the_instructions() {
 }
 
 #[test]
-fn consensus_lies_between_what_both_raters_allow() {
+fn consensus_lies_within_the_bounds_of_both_raters() {
     // tab:policy-full, DiT-L.
     for (model, share) in [0.350, 0.406, 0.388, 0.344, 0.381].into_iter().enumerate() {
         let both = INSTRUCTIONS.iter().map(|[a, b]| (a[model], b[model]));
@@ -106,7 +106,7 @@ fn consensus_lies_between_what_both_raters_allow() {
     }
 }
 
-/// Mean of the three semantic models minus mean of the two others, task by task.
+/// Mean of the three semantic models minus mean of the two others, by task.
 fn family_differences(rater: usize) -> (Vec<f64>, Vec<f64>) {
     let mean = |models: std::ops::Range<usize>| -> Vec<f64> {
         let tasks = INSTRUCTIONS.iter();
@@ -123,8 +123,8 @@ fn family_differences(rater: usize) -> (Vec<f64>, Vec<f64>) {
 }
 
 #[test]
-fn families_at_dit_l() {
-    // Golden values of our own: the paper prints no test at DiT-L. By neither rater are semantic encoders ahead there.
+fn family_tests_at_dit_l() {
+    // Our golden values: the paper prints no test at DiT-L. Neither rater prefers semantic encoders there.
     let golden = [
         (
             0.018_75,

@@ -133,7 +133,7 @@ fn a_folder_is_opened_by_what_it_holds() {
     // The published shape with random weights: the halves without prefix, each in its file.
     let published = Autoencoder::random(AutoencoderConfig::taef2(256, 256), 1).unwrap();
     let halves = [published.encoder(), published.decoder()];
-    for (network, name) in halves.into_iter().zip(TAEF2_FILES) {
+    for (network, name) in halves.into_iter().zip(Autoencoder::TAEF2_FILES) {
         let mut builder = WeightsBuilder::new();
         network.store(&mut builder, "", Precision::F32);
         builder.write(path.join(name)).unwrap();
@@ -144,7 +144,8 @@ fn a_folder_is_opened_by_what_it_holds() {
     assert_eq!(opened.encoder().parameters(), 1_338_528);
 
     let own = Autoencoder::random(config(), 1).unwrap();
-    own.save(path.join(FILE), Precision::F32).unwrap();
+    own.save(path.join(Autoencoder::FILE), Precision::F32)
+        .unwrap();
     assert_eq!(Autoencoder::open(path).unwrap().space(), own.space());
 }
 

@@ -84,6 +84,7 @@ impl Library {
         }
         Err(Missing::Library {
             files: self.files.to_vec(),
+            // Each library has at least one file, so there is a reason.
             reason: refused.unwrap_or_default(),
             part_of: self.part_of,
         })

@@ -13,10 +13,10 @@ use std::sync::{Arc, OnceLock};
 use candle_core::{CpuStorage, CustomOp1, D, Device, Layout, Result, Shape, Tensor};
 use rayon::prelude::*;
 
-use super::Engine;
 use super::host::{host, slice};
 use super::rotary::{RotaryTable, normalise_and_rotate_plain};
 use super::vectorised::vectorised;
+use crate::Kernels;
 use head::{HeadKernel, Place};
 
 /// Head dimensions are multiples of this: pairs of channels, turned by two positions.
@@ -188,9 +188,13 @@ fn padded(length: usize) -> usize {
 ///
 /// # Errors
 /// If the shape does not fit the pattern.
-pub fn attention(engine: Engine, qkv: &Tensor, pattern: &Arc<AttentionPattern>) -> Result<Tensor> {
+pub fn attention(
+    kernels: Kernels,
+    qkv: &Tensor,
+    pattern: &Arc<AttentionPattern>,
+) -> Result<Tensor> {
     let op = Attention(pattern.clone());
-    match engine.takes_kernel(qkv) {
+    match kernels.takes_kernel(qkv) {
         true => qkv.contiguous()?.apply_op1(op),
         false => op.plain(qkv),
     }

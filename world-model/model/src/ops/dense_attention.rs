@@ -4,10 +4,10 @@
 use half::bf16;
 use rayon::prelude::*;
 
-use super::element::PackedFormat;
 use super::panel_product::{PanelProduct, Rows};
 use super::panels::Panels;
 use super::softmax::softmax_rows;
+use crate::NumberFormat;
 
 /// Queries that one task handles at most.
 const QUERIES: usize = 64;
@@ -119,7 +119,7 @@ pub fn dense_attention(
     qkv: [HeadRows<'_>; 3],
     scale: f32,
     mask: Option<ScoreMask<'_>>,
-    format: PackedFormat,
+    format: NumberFormat,
 ) -> Vec<f32> {
     match format.bf16_unit() {
         Some(_) => attend::<bf16>(shape, qkv, scale, mask),
@@ -256,7 +256,7 @@ mod tests {
             };
             let of = |values, rows| HeadRows::contiguous(values, heads, rows, dim);
             let qkv = [of(&q, queries), of(&k, keys), of(&v, keys)];
-            for (format, tolerance) in [(PackedFormat::F32, 1e-5), (PackedFormat::Bf16, 1e-2)] {
+            for (format, tolerance) in [(NumberFormat::F32, 1e-5), (NumberFormat::Bf16, 1e-2)] {
                 let found = dense_attention(shape, qkv, 0.3, mask, format);
                 for (number, found) in found.chunks_exact(dim).enumerate() {
                     let (entry, query, head) = (
@@ -305,6 +305,6 @@ mod tests {
             HeadRows::contiguous(&q, 3, 1, 8),
             HeadRows::contiguous(&k, 3, 4, 8),
         );
-        dense_attention(shape, [q, k, k], 1.0, Some(mask), PackedFormat::F32);
+        dense_attention(shape, [q, k, k], 1.0, Some(mask), NumberFormat::F32);
     }
 }

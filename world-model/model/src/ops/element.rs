@@ -11,35 +11,9 @@ use super::vectorised::vectorised;
 /// The largest absolute value of a weight, and of an input, of 8 bits. -128 does not occur: it has no opposite.
 pub(crate) const INT8_MOST: f32 = 127.0;
 
-/// The number format of packed weights.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum PackedFormat {
-    /// 32-bit floats.
-    #[default]
-    F32,
-    /// The upper half of a 32-bit float: half the memory, which is what bounds large models.
-    ///
-    /// Where the processor multiplies bf16, activations are rounded to bf16 before they are multiplied, as PyTorch does,
-    /// which is about twice as fast as f32. Elsewhere they stay f32. Sums are f32 in both.
-    Bf16,
-    /// Whole numbers of 8 bits, and a scale for every output: a quarter of the memory.
-    ///
-    /// What a matrix is multiplied with is rounded to 8 bits as well, with a scale for every row, and the sums are exact:
-    /// every processor gives the same bits. Of matrices only; convolutions and attention compute as in [`Self::Bf16`].
-    Int8,
-}
+use crate::NumberFormat;
 
-impl PackedFormat {
-    /// What matrices are kept in for which 8 bits are too few, where the others are in this: those whose errors meet all
-    /// places of an output alike, and those that a model begins and ends with.
-    pub fn sensitive(self) -> Self {
-        match self {
-            Self::F32 => Self::F32,
-            Self::Bf16 | Self::Int8 => Self::Bf16,
-        }
-    }
-
+impl NumberFormat {
     /// What multiplies bf16, if the format allows inputs to be rounded to it and the processor has it.
     pub(crate) fn bf16_unit(self) -> Option<Bf16Unit> {
         match self {
@@ -221,14 +195,14 @@ mod tests {
 
     #[test]
     fn kernels_are_named() {
-        let of_f32 = PackedFormat::F32.kernels();
+        let of_f32 = NumberFormat::F32.kernels();
         assert_eq!(of_f32, InstructionSet::detect().name());
-        for format in [PackedFormat::Bf16, PackedFormat::Int8] {
+        for format in [NumberFormat::Bf16, NumberFormat::Int8] {
             let names = format.kernels();
             assert!(names.starts_with(&of_f32), "{names}");
             let bf16 = Bf16Unit::detect().is_none_or(|unit| names.contains(unit.name()));
             let int8 = names.ends_with(Int8Unit::detect().name());
-            assert!(bf16 && int8 == (format == PackedFormat::Int8), "{names}");
+            assert!(bf16 && int8 == (format == NumberFormat::Int8), "{names}");
         }
     }
 

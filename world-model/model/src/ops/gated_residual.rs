@@ -3,24 +3,24 @@
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor};
 use rayon::prelude::*;
 
-use super::Engine;
 use super::host::{host, slice};
 use super::vectorised::vectorised;
+use crate::Kernels;
 
 /// `x` + gate * `branch`, both (.., N, d); the gate is chunk `gate` of `modulation`
 /// (frames, chunks * d).
 ///
 /// # Errors
 /// If the shapes do not fit.
-pub fn gated_residual(
-    engine: Engine,
+pub(crate) fn gated_residual(
+    kernels: Kernels,
     x: &Tensor,
     branch: &Tensor,
     modulation: &Tensor,
     gate: usize,
 ) -> Result<Tensor> {
     let op = GatedResidual { gate };
-    if engine.takes_kernel(x) {
+    if kernels.takes_kernel(x) {
         let (branch, modulation) = (branch.contiguous()?, modulation.contiguous()?);
         return x.contiguous()?.apply_op3(&branch, &modulation, op);
     }
@@ -161,7 +161,7 @@ vectorised! {
 
 #[cfg(test)]
 mod tests {
-    use super::super::engine::tests::{check_gradients, check_refused, check_same, random};
+    use super::super::comparison::{check_gradients, check_refused, check_same, random};
     use super::*;
 
     #[test]
@@ -169,12 +169,12 @@ mod tests {
         let (x, branch) = (random(&[2, 3, 5, 12], 1), random(&[2, 3, 5, 12], 2));
         let modulation = random(&[6, 36], 3);
         for gate in 0..3 {
-            check_same("gated_residual", |engine| {
-                gated_residual(engine, &x, &branch, &modulation, gate)
+            check_same("gated_residual", |kernels| {
+                gated_residual(kernels, &x, &branch, &modulation, gate)
             });
         }
-        check_refused("with a modulation of [6, 36]", |engine| {
-            gated_residual(engine, &x, &branch, &modulation, 3)
+        check_refused("with a modulation of [6, 36]", |kernels| {
+            gated_residual(kernels, &x, &branch, &modulation, 3)
         });
     }
 
@@ -182,8 +182,8 @@ mod tests {
     fn gradients_are_those_of_finite_differences() {
         let x = |seed| random(&[2, 2, 3, 5], seed);
         let inputs = [x(1), x(2), random(&[4, 15], 3)];
-        check_gradients("gated_residual", &inputs, |engine, inputs| {
-            gated_residual(engine, &inputs[0], &inputs[1], &inputs[2], 1)
+        check_gradients("gated_residual", &inputs, |kernels, inputs| {
+            gated_residual(kernels, &inputs[0], &inputs[1], &inputs[2], 1)
         });
     }
 }

@@ -6,9 +6,9 @@
 use candle_core::{CpuStorage, CustomOp2, CustomOp3, Layout, Result, Shape, Tensor};
 use gemm::Parallelism;
 
-use super::Engine;
 use super::host::{host, slice};
 use super::vectorised::vectorised;
+use crate::Kernels;
 
 /// `x` (.., in) times the transpose of `weight` (out, in) plus `bias` (out): (.., out).
 ///
@@ -17,12 +17,12 @@ use super::vectorised::vectorised;
 /// # Errors
 /// If the shapes do not fit.
 pub fn linear(
-    engine: Engine,
+    kernels: Kernels,
     x: &Tensor,
     weight: &Tensor,
     bias: Option<&Tensor>,
 ) -> Result<Tensor> {
-    if !engine.takes_kernel(x) {
+    if !kernels.takes_kernel(x) {
         return Linear::plain(x, weight, bias);
     }
     let x = x.contiguous()?;
@@ -344,7 +344,7 @@ fn multiply(
 
 #[cfg(test)]
 mod tests {
-    use super::super::engine::tests::{check_gradients, check_refused, check_same, random};
+    use super::super::comparison::{check_gradients, check_refused, check_same, random};
     use super::*;
 
     #[test]
@@ -353,23 +353,23 @@ mod tests {
         for shape in [&[2, 3, 5, 16][..], &[7, 16]] {
             let x = random(shape, 3);
             for bias in [None, Some(&bias)] {
-                check_same("linear", |engine| linear(engine, &x, &weight, bias));
+                check_same("linear", |kernels| linear(kernels, &x, &weight, bias));
             }
         }
         let x = random(&[3, 15], 4);
-        check_refused("[3, 15] for a weight of shape [9, 16]", |engine| {
-            linear(engine, &x, &weight, None)
+        check_refused("[3, 15] for a weight of shape [9, 16]", |kernels| {
+            linear(kernels, &x, &weight, None)
         });
     }
 
     #[test]
     fn gradients_are_those_of_finite_differences() {
         let inputs = [random(&[2, 3, 5], 1), random(&[4, 5], 2), random(&[4], 3)];
-        check_gradients("linear with bias", &inputs, |engine, inputs| {
-            linear(engine, &inputs[0], &inputs[1], Some(&inputs[2]))
+        check_gradients("linear with bias", &inputs, |kernels, inputs| {
+            linear(kernels, &inputs[0], &inputs[1], Some(&inputs[2]))
         });
-        check_gradients("linear", &inputs[..2], |engine, inputs| {
-            linear(engine, &inputs[0], &inputs[1], None)
+        check_gradients("linear", &inputs[..2], |kernels, inputs| {
+            linear(kernels, &inputs[0], &inputs[1], None)
         });
     }
 }

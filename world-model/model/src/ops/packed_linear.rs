@@ -5,7 +5,6 @@ use std::sync::Arc;
 use half::bf16;
 use rayon::prelude::*;
 
-use super::element::PackedFormat;
 use super::input_range::InputRange;
 use super::int8_panels::{Int8Panels, MOST_INPUTS};
 use super::panel_product::{PanelProduct, Rows};
@@ -13,6 +12,7 @@ use super::panel_values::MappedBytes;
 use super::panels::{LAYOUT, Panels};
 use super::simd::{InstructionSet, Int8Unit};
 use super::smoothing::Smoothing;
+use crate::NumberFormat;
 use crate::{Error, Result};
 
 /// Rows that one task handles at most: enough for a panel to be used often once it is there, few enough for them to stay
@@ -50,24 +50,24 @@ impl PackedLinear {
         weight: &[f32],
         bias: Option<&[f32]>,
         (outputs, inputs): (usize, usize),
-        format: PackedFormat,
+        format: NumberFormat,
     ) -> Result<Self> {
         check_matrix(weight, bias, (outputs, inputs))?;
         let format = match format {
-            PackedFormat::F32 => {
+            NumberFormat::F32 => {
                 let panels = Panels::pack_transposed(inputs, outputs, bias, weight);
                 Format::F32(Arc::new(panels))
             }
-            PackedFormat::Bf16 => {
+            NumberFormat::Bf16 => {
                 let panels = Panels::pack_transposed(inputs, outputs, bias, weight);
                 Format::Bf16(Arc::new(panels))
             }
-            PackedFormat::Int8 => return Self::quantised(weight, bias, (outputs, inputs), None),
+            NumberFormat::Int8 => return Self::quantised(weight, bias, (outputs, inputs), None),
         };
         Ok(Self::of(format))
     }
 
-    /// As [`Self::new`] in [`PackedFormat::Int8`], with what is known of the inputs.
+    /// As [`Self::new`] in [`NumberFormat::Int8`], with what is known of the inputs.
     ///
     /// # Errors
     /// If a slice has another length, there are more inputs than sums are exact for, or `smoothing` is not valid.
@@ -99,18 +99,18 @@ impl PackedLinear {
         values: MappedBytes,
         bias: Option<&[f32]>,
         (outputs, inputs): (usize, usize),
-        format: PackedFormat,
+        format: NumberFormat,
     ) -> Result<Self> {
         if let Some(bias) = bias {
             check("the bias of packed weights", bias, outputs)?;
         }
         let found = values.as_slice().len();
         let packed = match format {
-            PackedFormat::F32 => Panels::mapped(inputs, outputs, bias, values)
+            NumberFormat::F32 => Panels::mapped(inputs, outputs, bias, values)
                 .map(|panels| Format::F32(Arc::new(panels))),
-            PackedFormat::Bf16 => Panels::mapped(inputs, outputs, bias, values)
+            NumberFormat::Bf16 => Panels::mapped(inputs, outputs, bias, values)
                 .map(|panels| Format::Bf16(Arc::new(panels))),
-            PackedFormat::Int8 => Int8Panels::mapped(&values, bias, (outputs, inputs))
+            NumberFormat::Int8 => Int8Panels::mapped(&values, bias, (outputs, inputs))
                 .map(|panels| Format::Int8(Arc::new(panels))),
         };
         packed.map(Self::of).ok_or_else(|| {
@@ -154,11 +154,11 @@ impl PackedLinear {
     }
 
     /// What the weights are kept in.
-    pub fn format(&self) -> PackedFormat {
+    pub fn format(&self) -> NumberFormat {
         match &self.format {
-            Format::F32(_) => PackedFormat::F32,
-            Format::Bf16(_) => PackedFormat::Bf16,
-            Format::Int8(_) => PackedFormat::Int8,
+            Format::F32(_) => NumberFormat::F32,
+            Format::Bf16(_) => NumberFormat::Bf16,
+            Format::Int8(_) => NumberFormat::Int8,
         }
     }
 
@@ -268,7 +268,7 @@ mod tests {
     #[test]
     fn inputs_are_noted_by_every_task() {
         let range = InputRange::new(2);
-        let linear = PackedLinear::new(&[1.0; 6], None, (3, 2), PackedFormat::F32).unwrap();
+        let linear = PackedLinear::new(&[1.0; 6], None, (3, 2), NumberFormat::F32).unwrap();
         let linear = linear.noting(range.clone()).unwrap();
         let x: Vec<f32> = (0..1000).map(|i| i as f32).collect();
         linear.forward_on_pool(&x, &mut vec![0.0; 1500]);
@@ -297,7 +297,7 @@ mod tests {
             y
         };
         let shape = (outputs, inputs);
-        let exact = run(PackedLinear::new(&weight, None, shape, PackedFormat::F32).unwrap());
+        let exact = run(PackedLinear::new(&weight, None, shape, NumberFormat::F32).unwrap());
         let error = |smoothing| {
             let found = run(PackedLinear::quantised(&weight, None, shape, smoothing).unwrap());
             let squares = found.iter().zip(&exact).map(|(a, b)| (a - b).powi(2));
@@ -321,7 +321,7 @@ mod tests {
 
     #[test]
     fn a_weight_of_another_size_is_refused() {
-        let error = PackedLinear::new(&[0.0; 5], None, (2, 3), PackedFormat::F32).unwrap_err();
+        let error = PackedLinear::new(&[0.0; 5], None, (2, 3), NumberFormat::F32).unwrap_err();
         assert!(error.to_string().contains("[6]"), "{error}");
     }
 }

@@ -3,7 +3,7 @@
 use std::hint::black_box;
 use std::time::Instant;
 
-use super::element::{Element, PackedFormat};
+use super::element::Element;
 #[cfg(target_arch = "x86_64")]
 use super::product::WidenedInt8;
 use super::product::{Bf16, F32, Int8, Product, Step};
@@ -16,6 +16,7 @@ use super::simd::amx::{
 #[cfg(target_arch = "x86_64")]
 use super::simd::{Avx2, Avx512};
 use super::simd::{Bf16Unit, BytesUnit, InstructionSet, Int8Unit, LANES, Lanes, Portable};
+use crate::NumberFormat;
 
 /// Inputs and weights of the tiles that are added to, as in the kernels: their sums are more than a processor's latency of an
 /// addition times its units, and fit into its registers. With an input for every product, Zen 4 reads inputs as long as it
@@ -29,12 +30,12 @@ const ROUNDS: usize = 200_000;
 /// Operations a second that the products of a kernel for weights of `format` have at most, measured on the calling thread:
 /// multiplications and additions of values that are in registers. None where the processor has no
 /// products of the format.
-pub fn peak_rate(format: PackedFormat) -> Option<f64> {
+pub fn peak_rate(format: NumberFormat) -> Option<f64> {
     let start = Instant::now();
     let steps = match format {
-        PackedFormat::F32 => f32_steps(InstructionSet::detect()),
-        PackedFormat::Bf16 => bf16_steps(Bf16Unit::detect()?),
-        PackedFormat::Int8 => int8_steps(Int8Unit::detect()),
+        NumberFormat::F32 => f32_steps(InstructionSet::detect()),
+        NumberFormat::Bf16 => bf16_steps(Bf16Unit::detect()?),
+        NumberFormat::Int8 => int8_steps(Int8Unit::detect()),
     };
     Some((2 * steps) as f64 / start.elapsed().as_secs_f64())
 }
@@ -185,11 +186,11 @@ mod tests {
 
     #[test]
     fn a_processor_computes_something() {
-        for format in [PackedFormat::F32, PackedFormat::Int8] {
+        for format in [NumberFormat::F32, NumberFormat::Int8] {
             assert!(peak_rate(format).is_some_and(|rate| rate > 1e6));
         }
         assert_eq!(
-            peak_rate(PackedFormat::Bf16).is_some(),
+            peak_rate(NumberFormat::Bf16).is_some(),
             Bf16Unit::detect().is_some()
         );
     }

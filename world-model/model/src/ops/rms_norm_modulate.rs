@@ -3,10 +3,10 @@
 use candle_core::{CpuStorage, CustomOp2, D, Layout, Result, Shape, Tensor};
 use rayon::prelude::*;
 
-use super::Engine;
 use super::host::{host, slice};
 use super::reduction::dot;
 use super::vectorised::vectorised;
+use crate::Kernels;
 
 const EPSILON: f32 = 1e-6;
 
@@ -17,15 +17,15 @@ const EPSILON: f32 = 1e-6;
 ///
 /// # Errors
 /// If the shapes do not fit.
-pub fn rms_norm_modulate(
-    engine: Engine,
+pub(crate) fn rms_norm_modulate(
+    kernels: Kernels,
     x: &Tensor,
     modulation: &Tensor,
     shift: usize,
     scale: usize,
 ) -> Result<Tensor> {
     let op = RmsNormModulate { shift, scale };
-    if engine.takes_kernel(x) {
+    if kernels.takes_kernel(x) {
         return x.contiguous()?.apply_op2(&modulation.contiguous()?, op);
     }
     op.plain(x, modulation)
@@ -191,7 +191,7 @@ fn backward_row(
 
 #[cfg(test)]
 mod tests {
-    use super::super::engine::tests::{check_gradients, check_refused, check_same, random};
+    use super::super::comparison::{check_gradients, check_refused, check_same, random};
     use super::*;
 
     #[test]
@@ -199,12 +199,12 @@ mod tests {
         for d in [4, 16, 24] {
             let (x, modulation) = (random(&[2, 3, 5, d], 1), random(&[6, 3 * d], 2));
             for (shift, scale) in [(0, 1), (2, 0)] {
-                check_same("rms_norm_modulate", |engine| {
-                    rms_norm_modulate(engine, &x, &modulation, shift, scale)
+                check_same("rms_norm_modulate", |kernels| {
+                    rms_norm_modulate(kernels, &x, &modulation, shift, scale)
                 });
             }
-            check_refused("with a modulation of", |engine| {
-                rms_norm_modulate(engine, &x, &modulation, 0, 3)
+            check_refused("with a modulation of", |kernels| {
+                rms_norm_modulate(kernels, &x, &modulation, 0, 3)
             });
         }
     }
@@ -213,8 +213,8 @@ mod tests {
     fn gradients_are_those_of_finite_differences() {
         for d in [8, 20] {
             let inputs = [random(&[2, 2, 3, d], 1), random(&[4, 3 * d], 2)];
-            check_gradients("rms_norm_modulate", &inputs, |engine, inputs| {
-                rms_norm_modulate(engine, &inputs[0], &inputs[1], 2, 0)
+            check_gradients("rms_norm_modulate", &inputs, |kernels, inputs| {
+                rms_norm_modulate(kernels, &inputs[0], &inputs[1], 2, 0)
             });
         }
     }

@@ -102,7 +102,7 @@ impl RotaryTable {
     }
 
     /// Head dimension that the table is for.
-    pub fn head_dim(&self) -> usize {
+    pub(crate) fn head_dim(&self) -> usize {
         2 * self.pairs
     }
 

@@ -3,10 +3,10 @@
 use candle_core::{CpuStorage, CustomOp1, D, Layout, Result, Shape, Tensor};
 use rayon::prelude::*;
 
-use super::Engine;
 use super::exponential::sigmoid;
 use super::host::{host, slice};
 use super::vectorised::vectorised;
+use crate::Kernels;
 
 /// Rows that one task handles: enough work to be worth a task, few enough to spread.
 const ROWS: usize = 64;
@@ -15,8 +15,8 @@ const ROWS: usize = 64;
 ///
 /// # Errors
 /// If the last dimension is odd.
-pub fn swiglu(engine: Engine, x: &Tensor) -> Result<Tensor> {
-    if engine.takes_kernel(x) {
+pub fn swiglu(kernels: Kernels, x: &Tensor) -> Result<Tensor> {
+    if kernels.takes_kernel(x) {
         return x.contiguous()?.apply_op1(Swiglu);
     }
     let h = half(x.shape())?;
@@ -99,23 +99,23 @@ vectorised! {
 
 #[cfg(test)]
 mod tests {
-    use super::super::engine::tests::{check_gradients, check_refused, check_same, random};
+    use super::super::comparison::{check_gradients, check_refused, check_same, random};
     use super::*;
 
     #[test]
     fn the_kernel_is_the_plain_form() {
         for shape in [&[2, 3, 40][..], &[70, 6], &[2]] {
             let x = random(shape, 1);
-            check_same("swiglu", |engine| swiglu(engine, &x));
+            check_same("swiglu", |kernels| swiglu(kernels, &x));
         }
         let odd = random(&[2, 7], 2);
-        check_refused("cannot halve [2, 7]", |engine| swiglu(engine, &odd));
+        check_refused("cannot halve [2, 7]", |kernels| swiglu(kernels, &odd));
     }
 
     #[test]
     fn the_gradient_is_that_of_finite_differences() {
-        check_gradients("swiglu", &[random(&[2, 3, 10], 1)], |engine, inputs| {
-            swiglu(engine, &inputs[0])
+        check_gradients("swiglu", &[random(&[2, 3, 10], 1)], |kernels, inputs| {
+            swiglu(kernels, &inputs[0])
         });
     }
 }

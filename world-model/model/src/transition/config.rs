@@ -185,7 +185,7 @@ impl TransitionConfig {
     }
 
     /// Channels of an attention head.
-    pub fn head_dim(&self) -> usize {
+    pub(crate) fn head_dim(&self) -> usize {
         self.hidden / self.heads.max(1)
     }
 
@@ -210,12 +210,12 @@ impl TransitionConfig {
     }
 
     /// Hidden width of the feed-forward networks, h = floor(8 d / 3).
-    pub fn ffn_hidden(&self) -> usize {
+    pub(crate) fn ffn_hidden(&self) -> usize {
         2 * (4 * self.hidden) / 3
     }
 
     /// Values of a patch, p * p * C.
-    pub fn patch_values(&self) -> usize {
+    pub(crate) fn patch_values(&self) -> usize {
         self.patch * self.patch * self.channels
     }
 

@@ -24,9 +24,10 @@ use std::sync::Arc;
 use candle_core::{Device, Tensor};
 
 use super::{Transition, TransitionConfig};
+use crate::NumberFormat;
 use crate::Result;
 use crate::ops::block_attention::TokenBlocks;
-use crate::ops::{PackedFormat, PackedLinear, RotaryTable};
+use crate::ops::{PackedLinear, RotaryTable};
 use crate::transition::network::Network;
 pub(crate) use frame_context::FrameContext;
 pub(crate) use modulation::Modulation;
@@ -45,7 +46,7 @@ pub struct PackedTransition {
 #[derive(Debug)]
 struct Layers {
     /// What weights are packed in.
-    format: PackedFormat,
+    format: NumberFormat,
     blocks: TokenBlocks,
     /// Angles of the tokens of a frame.
     grid: RotaryTable,
@@ -59,7 +60,7 @@ impl PackedTransition {
     ///
     /// # Errors
     /// If its tensors cannot be read.
-    pub fn new(model: &Transition, format: PackedFormat) -> Result<Self> {
+    pub fn new(model: &Transition, format: NumberFormat) -> Result<Self> {
         let config = model.config.as_ref().clone();
         Self::build(config, &OfTransition { model, format })
     }
@@ -95,7 +96,7 @@ impl PackedTransition {
     }
 
     /// What weights are packed in.
-    pub fn format(&self) -> PackedFormat {
+    pub fn format(&self) -> NumberFormat {
         self.layers.format
     }
 

@@ -23,8 +23,9 @@ use candle_core::{DType, Device, DeviceLocation, Tensor};
 use super::embedding::Patches;
 use super::values::Batched;
 use super::{Transition, TransitionConfig};
+use crate::Kernels;
+use crate::ops::RotaryTable;
 use crate::ops::token_layers::{ClipLayers as _, TensorLayers};
-use crate::ops::{Engine, RotaryTable};
 use crate::{Error, Result};
 use attention::{Angles, Heads};
 pub(super) use context::FrameContext;
@@ -34,7 +35,7 @@ use modulation::OfFrames;
 use replays::Replays;
 
 /// What computes.
-const ENGINE: Engine = Engine::Candle;
+const KERNELS: Kernels = Kernels::Candle;
 
 /// The transition model on tensor operations. Clones share everything.
 #[derive(Clone, Debug)]
@@ -236,7 +237,7 @@ impl TensorTransition {
         let at = |angles: &Tensor| angles.narrow(0, earlier.frames(), frames);
         let in_time = (at(&in_time.0)?, at(&in_time.1)?);
         let patches = Patches::of(&inputs.latents, c.patch)?;
-        let mut layers = TensorLayers::new(ENGINE, batch);
+        let mut layers = TensorLayers::new(KERNELS, batch);
         let mut tokens = model.embedding.tokens(&mut layers, &patches)?;
         let mut block_layers = layers.in_format(model.embedding.patch_weight.dtype());
         let mut kept = Vec::with_capacity(model.network.blocks.len());

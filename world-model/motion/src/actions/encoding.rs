@@ -1,13 +1,11 @@
-//! The rule that turns what a robot does in a model step into a model action, and back.
+//! Conversion between the motion in a model step and a model action.
 
 use serde::{Deserialize, Serialize};
 
 use super::{ActionError, ActionSpace, Dimension, Kind};
 use crate::motion::rotation;
 
-/// Most values of a model action.
 const MOST_VALUES: usize = 1024;
-/// Most intervals of a model step.
 const MOST_INTERVALS: usize = 1000;
 
 /// How the intervals of one model step become one action.
@@ -17,23 +15,23 @@ pub enum Accumulation {
     /// The mean of the scaled and clipped deltas and velocities; states of the last interval.
     #[default]
     Mean,
-    /// The sum of the scaled and clipped deltas; the mean of velocities, whose product with the time is the motion; states
-    /// of the last interval.
+    /// The sum of the scaled and clipped deltas; the mean of velocities (their time integral is the motion); states of
+    /// the last interval.
     Sum,
-    /// The first interval alone, that of the sampled frame: the rule of the authors' release, which drops the others.
+    /// The first interval alone, as in the authors' release; the others are dropped.
     Index,
 }
 
-/// A model action, and how much of it was cut off.
+/// A model action, and how many of its values were clipped.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ModelAction {
     /// `action_dim` values in model units.
     pub values: Vec<f32>,
-    /// Values of intervals that were clipped.
+    /// Clipped values, over all intervals.
     pub clipped: usize,
 }
 
-/// The rule that turns physical actions into model actions and back.
+/// Conversion between physical actions and model actions.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "RawEncoding")]
 pub struct ActionEncoding {
@@ -43,7 +41,7 @@ pub struct ActionEncoding {
     space: ActionSpace,
 }
 
-/// As it is written. Before 0.1 there was no `space`: scales and clips of Bridge V2's seven values stood here.
+/// The serialised form. Files older than 0.1 have no `space`: they hold scales and clips of Bridge V2's seven values.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RawEncoding {
@@ -91,7 +89,7 @@ impl TryFrom<RawEncoding> for ActionEncoding {
                 ),
             ),
         };
-        // The spaces of older files have not been checked yet.
+        // Deserialised scales and clips are still unchecked.
         let space = ActionSpace::new(
             space.name().to_owned(),
             space.rate(),
@@ -102,7 +100,7 @@ impl TryFrom<RawEncoding> for ActionEncoding {
     }
 }
 
-/// Bridge V2's, with the mean over two frames.
+/// Bridge V2, with the mean over two frames.
 impl Default for ActionEncoding {
     fn default() -> Self {
         let space = ActionSpace::bridge();
@@ -116,10 +114,10 @@ impl Default for ActionEncoding {
 }
 
 impl ActionEncoding {
-    /// Model actions of `action_dim` values, those beyond the space's being zero, over `frame_skip` intervals.
+    /// An encoding to `action_dim` values (those beyond the space are zero) from `frame_skip` intervals.
     ///
     /// # Errors
-    /// [`ActionError::Encoding`] where the values have no room, or a step has no interval.
+    /// [`ActionError::Encoding`] if the space has more values than `action_dim`, or a number is out of range.
     pub fn new(
         space: ActionSpace,
         action_dim: usize,
@@ -149,13 +147,13 @@ impl ActionEncoding {
         })
     }
 
-    /// What the values of a physical action are.
+    /// The space of physical actions.
     pub fn space(&self) -> &ActionSpace {
         &self.space
     }
 
-    /// Length of a model action; the values beyond the space's are zero. 7, or 10 for the published checkpoints, whose
-    /// last value flags the null action.
+    /// Length of a model action. 10 for the published checkpoints: the seven values of the space, zeros, and a last
+    /// value that flags the null action.
     pub fn action_dim(&self) -> usize {
         self.action_dim
     }
@@ -165,15 +163,15 @@ impl ActionEncoding {
         self.frame_skip
     }
 
-    /// How intervals become one action.
+    /// Combination of the intervals.
     pub fn accumulation(&self) -> Accumulation {
         self.accumulation
     }
 
-    /// What happens in one interval, in model units: (values of the space), and how many values were clipped.
+    /// Scales and clips the motion in one interval.
     ///
     /// # Errors
-    /// Those of [`ActionSpace::check`], but for values that are implausible: they are clipped.
+    /// Those of [`ActionSpace::check`], except that implausible values are clipped.
     fn scale(&self, values: &[f32]) -> Result<ModelAction, ActionError> {
         match self.space.check(values) {
             Ok(()) | Err(ActionError::Implausible { .. }) => {}
@@ -192,12 +190,12 @@ impl ActionEncoding {
         })
     }
 
-    /// The model action of one step from what happens in each of its intervals, oldest first: (`frame_skip` lists of the
+    /// The model action of one step from the motion in each of its intervals, oldest first: (`frame_skip` lists of the
     /// space's values) -> (`action_dim`).
     ///
     /// # Errors
-    /// [`ActionError::Count`] where another number of intervals came, and those of [`ActionSpace::check`]; what is
-    /// beyond the clip is clipped and counted.
+    /// [`ActionError::Count`] for a wrong number of intervals, and those of [`ActionSpace::check`]; values beyond the
+    /// clip are clipped and counted.
     pub fn encode_step<V: AsRef<[f32]>>(
         &self,
         intervals: &[V],
@@ -218,7 +216,7 @@ impl ActionEncoding {
                 action.values.resize(self.action_dim, 0.0);
                 return Ok(action);
             }
-            // A step holds a handful of intervals: exact in f32.
+            // A step has few intervals: exact in f32.
             Accumulation::Mean => scaled.len() as f32,
             Accumulation::Sum => 1.0,
         };
@@ -233,7 +231,7 @@ impl ActionEncoding {
             };
             values.push(match dimension.kind {
                 kind if kind.is_delta() => sum() / divisor,
-                // Intervals are equally long.
+                // Intervals have equal length.
                 kind if kind.is_velocity() => sum() / count,
                 _ => *of_last,
             });
@@ -245,11 +243,12 @@ impl ActionEncoding {
         })
     }
 
-    /// What a model action stands for over its whole model step, in the units of the space: the deltas of all its
-    /// intervals, alike, the velocities and the states. Inverse to [`Self::encode_step`] within the clips.
+    /// The physical action over a whole model step: the deltas summed over equal intervals, the velocities and the
+    /// states. Inverse of [`Self::encode_step`] within the clips.
     ///
     /// # Errors
-    /// [`ActionError::Length`] where `model` has neither `action_dim` nor the space's values, [`ActionError::NotFinite`].
+    /// [`ActionError::Length`] if `model` has neither `action_dim` values nor those of the space;
+    /// [`ActionError::NotFinite`].
     pub fn decode_step(&self, model: &[f32]) -> Result<Vec<f32>, ActionError> {
         if model.len() != self.action_dim && model.len() != self.space.len() {
             return Err(ActionError::Length {
@@ -288,7 +287,7 @@ impl ActionEncoding {
         Ok(values)
     }
 
-    /// Least and greatest of each of the space's values in a model action: what [`Self::encode_step`] can produce.
+    /// Least and greatest value that [`Self::encode_step`] gives for each value of the space.
     pub fn bounds(&self) -> Vec<(f32, f32)> {
         let most = |dimension: &Dimension| match self.accumulation {
             Accumulation::Sum if dimension.kind.is_delta() => {
@@ -302,10 +301,10 @@ impl ActionEncoding {
 }
 
 impl Dimension {
-    /// Model units of a value, and whether it was clipped.
+    /// Value in model units, and whether it was clipped.
     fn to_model(&self, value: f32) -> (f32, bool) {
         let scaled = match self.kind {
-            // Halves go to the even number, as in the authors' release (numpy): an opening of exactly 0.5 is closed.
+            // Halves round to even, as in the authors' release (numpy): an opening of exactly 0.5 counts as closed.
             Kind::GripperBinary => {
                 let open = value.clamp(0.0, 1.0).round_ties_even();
                 return (-(2.0 * open - 1.0), false);
@@ -317,7 +316,6 @@ impl Dimension {
         (clipped, clipped != scaled)
     }
 
-    /// The value of model units.
     fn to_physical(&self, model: f32) -> f32 {
         match self.kind {
             Kind::GripperBinary => f32::from(model < 0.0),

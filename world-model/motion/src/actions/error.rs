@@ -1,79 +1,79 @@
-//! What can be wrong with an action.
+//! Errors of actions and of their descriptions.
 
 use thiserror::Error;
 
 use crate::motion::MAX_CHUNK;
 
-/// What can be wrong with an action, or with what describes it.
+/// An invalid action or description of actions.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum ActionError {
-    /// Not as many values as the action space has.
+    /// An action with the wrong number of values.
     #[error("an action has {actual} values; expected {expected} of {space}")]
     Length {
         /// Values expected.
         expected: usize,
-        /// Values that came.
+        /// Values found.
         actual: usize,
-        /// The action space, in words.
+        /// The action space, for the message.
         space: String,
     },
     /// Not a number, or infinite.
     #[error("value {index} of an action is {value}, not a finite number")]
     NotFinite {
-        /// Which value.
+        /// Index of the value.
         index: usize,
-        /// What it was.
+        /// The value.
         value: f32,
     },
-    /// More than an arm reaches in the time of one action.
+    /// A value beyond the reach of any arm in the time of one action.
     #[error("{name} of an action is {value:e} {unit}; at most {limit:.3} is accepted")]
     Implausible {
-        /// The dimension.
+        /// Name of the dimension.
         name: String,
-        /// What it was.
+        /// The value.
         value: f32,
-        /// Greatest magnitude that is accepted.
+        /// Greatest accepted magnitude.
         limit: f32,
-        /// Its unit.
+        /// Unit of the dimension.
         unit: String,
     },
-    /// A model step got another number of intervals than it spans.
+    /// A model step with the wrong number of intervals.
     #[error("expected {expected} intervals for a model step, got {actual}")]
     Count {
         /// Intervals of a step.
         expected: usize,
-        /// Intervals that came.
+        /// Intervals found.
         actual: usize,
     },
-    /// A chunk that says nothing about when or what.
+    /// A chunk without actions, with too many, or with an unusable period.
     #[error(
         "action chunk of {count} actions, {period_ns} ns apart: expected 1 to {MAX_CHUNK} actions, 1 ms to 60 s apart"
     )]
     Chunk {
-        /// How many actions.
+        /// Number of actions.
         count: usize,
-        /// Their period \[ns\].
+        /// Time between actions \[ns\].
         period_ns: i64,
     },
-    /// No action is known for a moment, nor for one before.
-    #[error("no action is known for {at_ns} ns or before")]
+    /// No action at or earlier than this time.
+    #[error("no action at {at_ns} ns or earlier")]
     Unknown {
-        /// The moment.
+        /// Time requested \[ns\].
         at_ns: i64,
     },
-    /// A description of actions that cannot be used.
+    /// An invalid action space.
     #[error("action space: {0}")]
     Space(String),
-    /// The encoding itself cannot be used.
+    /// An invalid encoding.
     #[error("action encoding: {0}")]
     Encoding(String),
-    /// Actions of another space.
+    /// Two different action spaces.
     #[error("action spaces differ: {expected}, but {actual}")]
     Mismatch {
-        /// Who takes which space.
+        /// Owner and space expected.
         expected: String,
-        /// Who has which.
+        /// Owner and space found.
         actual: String,
     },
 }

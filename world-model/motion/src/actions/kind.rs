@@ -1,8 +1,8 @@
-//! What one value of an action stands for.
+//! The physical quantity of a value.
 
 use serde::{Deserialize, Serialize};
 
-/// What one value of an action stands for, and so how it adds up over time.
+/// The physical quantity of a value, which determines how it accumulates over time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
@@ -14,11 +14,10 @@ pub enum Kind {
     RotationDelta,
     /// Change of a joint's angle or position. Changes add up.
     JointDelta,
-    /// Velocity of the end effector along or about one axis of the robot's base. It holds until the next one; over an
-    /// interval it is the mean over time, so that value times duration is the motion.
+    /// Velocity of the end effector along or about one axis of the robot's base. It holds until the next one; an
+    /// interval has the mean over time, so value times duration is the motion.
     Velocity,
-    /// Velocity of a joint. It holds until the next one; over an interval it is the mean over time, so that value times
-    /// duration is the motion.
+    /// Velocity of a joint; accumulates as [`Self::Velocity`].
     JointVelocity,
     /// Position of the end effector along one axis. The last one holds.
     Position,
@@ -33,7 +32,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// Whether the value is a change over the time of its action, which adds up.
+    /// Whether the value is a change, which is summed over time.
     pub fn is_delta(self) -> bool {
         matches!(
             self,
@@ -46,8 +45,8 @@ impl Kind {
         matches!(self, Self::Velocity | Self::JointVelocity)
     }
 
-    /// Whether the robot stands still if the value is 0: a delta or a velocity. Otherwise the value is a state, which
-    /// holds until the next one.
+    /// Whether a value of 0 means standing still: a delta or a velocity. All other values are states, which hold until
+    /// the next one.
     pub fn is_motion(self) -> bool {
         self.is_delta() || self.is_velocity()
     }
@@ -57,7 +56,7 @@ impl Kind {
         matches!(self, Self::GripperBinary | Self::GripperContinuous)
     }
 
-    /// Its name in texts.
+    /// Name in messages.
     pub(super) fn name(self) -> &'static str {
         match self {
             Self::TranslationDelta => "translation delta",

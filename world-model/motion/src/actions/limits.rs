@@ -1,11 +1,11 @@
-//! The greatest magnitude of a value that an arm reaches, by kind, unit and time.
+//! Greatest plausible magnitude of a value, by kind, unit and duration.
 
 use std::f64::consts::{PI, TAU};
 
 use super::{Dimension, Kind};
 
-/// Greatest speed of an end effector or of a linear joint \[m/s\]. Collaborative arms reach 1 to 2 m/s, teleoperated ones
-/// stay below 1 m/s.
+/// Greatest speed of an end effector or of a linear joint \[m/s\]. Collaborative arms reach 1 to 2 m/s; teleoperated
+/// ones stay below 1 m/s.
 const SPEED: f64 = 2.5;
 /// Greatest speed of a joint or of the hand's rotation \[rad/s\]. The wrists of fast arms reach 2 pi.
 const TURN: f64 = 10.0;
@@ -15,12 +15,12 @@ const REACH: f64 = 5.0;
 const ANGLE: f64 = 2.0 * TAU;
 /// Greatest magnitude of a gripper's opening, as a multiple of fully open.
 const OPENING: f32 = 1.5;
-/// Without a known unit: this many clips.
+/// Limit for unknown units, in clips.
 const CLIPS: f32 = 20.0;
-/// Without a known unit: a state of at most this magnitude is plausible, whatever its scale.
+/// Least limit for states of unknown units, whatever their scale.
 const UNKNOWN_STATE: f32 = 1000.0;
 
-/// What a unit measures, and how many of the SI unit one is.
+/// The quantity of a unit, and its size in SI units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Unit {
     /// Metres.
@@ -30,7 +30,7 @@ pub(super) enum Unit {
 }
 
 impl Unit {
-    /// A unit by its symbol; that of a velocity with or without `/s`.
+    /// A unit by its symbol; a velocity's may end in `/s`.
     pub fn parse(symbol: &str) -> Option<Self> {
         match symbol.strip_suffix("/s").unwrap_or(symbol) {
             "m" => Some(Self::Length(1.0)),
@@ -67,7 +67,7 @@ impl Dimension {
             Kind::Velocity | Kind::JointVelocity => speed,
             _ => place,
         };
-        // A limit needs no more than f32 has.
+        // f32 is precise enough for a limit.
         (limit / si) as f32
     }
 }

@@ -1,4 +1,4 @@
-//! What the values of an action are: the description that a model, a bag and a robot have to share.
+//! The description of actions that a model, a bag and a robot share.
 
 use std::{collections::BTreeSet, fmt};
 
@@ -6,30 +6,30 @@ use serde::{Deserialize, Serialize};
 
 use super::{ActionError, Kind};
 
-/// Most values that an action may have.
+/// Most values of an action.
 pub const MAX_DIMENSIONS: usize = 32;
-/// Longest name of an action space or of one of its dimensions.
+/// Longest name of an action space or of a dimension \[characters\].
 const MAX_NAME: usize = 64;
-/// Shortest duration that is assumed of an action whose duration is unknown \[s\]: 5 Hz, the slowest rate of common arms.
+/// Shortest duration assumed for an action of unknown duration \[s\]: 5 Hz, the slowest rate of common arms.
 const LEAST_SPAN_S: f64 = 0.2;
 
 /// One value of an action.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Dimension {
-    /// Its name, for example `dx`.
+    /// Name, for example `dx`.
     pub name: String,
-    /// Its unit, for example `m`, `rad`, or `1` for none.
+    /// Unit, for example `m`, `rad`, or `1` for none.
     pub unit: String,
-    /// What it stands for.
+    /// Physical quantity.
     pub kind: Kind,
-    /// The value whose model unit is 0; only states have one.
+    /// The value that maps to 0 in model units; only states have one.
     #[serde(default)]
     pub offset: f32,
-    /// Model units in one `unit`. A delta is scaled per interval of the space's rate; a velocity does not depend on it.
+    /// Model units per `unit`. A delta is scaled per interval of the space's rate; a velocity does not depend on it.
     #[serde(default = "one")]
     pub scale: f32,
-    /// Greatest magnitude in model units: what lies beyond is clipped.
+    /// Greatest magnitude in model units; values beyond are clipped.
     #[serde(default = "one")]
     pub clip: f32,
 }
@@ -38,7 +38,7 @@ fn one() -> f32 {
     1.0
 }
 
-/// What the values of an action are, and the rate at which a model's actions are defined.
+/// The values of an action, and the rate at which a model's actions are defined.
 ///
 /// ```
 /// use wm_motion::actions::ActionSpace;
@@ -56,7 +56,7 @@ pub struct ActionSpace {
     dimensions: Vec<Dimension>,
 }
 
-/// As it is written, before it is known to make sense.
+/// The serialised form, unchecked.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RawSpace {
@@ -85,7 +85,7 @@ impl ActionSpace {
     /// A space of 1 to [`MAX_DIMENSIONS`] values whose model actions are defined at `rate` \[Hz\].
     ///
     /// # Errors
-    /// [`ActionError::Space`] names the first thing that cannot serve.
+    /// [`ActionError::Space`] names the first invalid part.
     pub fn new(name: String, rate: f64, dimensions: Vec<Dimension>) -> Result<Self, ActionError> {
         let space = Self {
             name,
@@ -98,13 +98,13 @@ impl ActionSpace {
         }
     }
 
-    /// Bridge V2's: dx dy dz \[m\], droll dpitch dyaw \[rad\] in the robot's base frame, and the gripper's opening, with
-    /// the scales and clips of the authors' release.
+    /// The space of Bridge V2: dx dy dz \[m\] and droll dpitch dyaw \[rad\] in the robot's base frame, and the
+    /// gripper's opening, with the scales and clips of the authors' release.
     pub fn bridge() -> Self {
         Self::end_effector_deltas((35.0, 1.74), (5.6, 1.39))
     }
 
-    /// As [`Self::bridge`], with other (scale, clip) of translations and rotations.
+    /// [`Self::bridge`] with other (scale, clip) of translations and rotations.
     pub(super) fn end_effector_deltas(translation: (f32, f32), rotation: (f32, f32)) -> Self {
         let dimension = |name: &str, unit: &str, kind, (scale, clip)| Dimension {
             name: name.into(),
@@ -180,7 +180,7 @@ impl ActionSpace {
         None
     }
 
-    /// Its name.
+    /// Name of the space.
     pub fn name(&self) -> &str {
         &self.name
     }
@@ -190,12 +190,12 @@ impl ActionSpace {
         self.rate
     }
 
-    /// The values, in order; at least one.
+    /// The values in order, at least one.
     pub fn dimensions(&self) -> &[Dimension] {
         &self.dimensions
     }
 
-    /// Values of an action.
+    /// Number of values.
     #[allow(clippy::len_without_is_empty)] // never empty
     pub fn len(&self) -> usize {
         self.dimensions.len()
@@ -206,14 +206,14 @@ impl ActionSpace {
         let is_rotation =
             |(_, dimension): &(usize, &Dimension)| dimension.kind == Kind::RotationDelta;
         let indices = self.dimensions.iter().enumerate().filter(is_rotation);
-        // Three in a row each, as `new` made sure.
+        // `new` rejects rotation deltas that are not three in a row.
         indices.step_by(3).map(|(index, _)| index)
     }
 
     /// Checks the values of a message whose duration is unknown.
     ///
     /// # Errors
-    /// Those of [`Self::check_over`], for the duration of an interval of the rate, or 0.2 s if that is longer.
+    /// Those of [`Self::check_over`] for one interval of the rate, at least 0.2 s.
     pub fn check(&self, values: &[f32]) -> Result<(), ActionError> {
         self.check_over(values, self.rate.recip().max(LEAST_SPAN_S))
     }
@@ -221,8 +221,8 @@ impl ActionSpace {
     /// Checks the values of an action that lasts `span_s` \[s\].
     ///
     /// # Errors
-    /// [`ActionError::Length`] names both sides, [`ActionError::NotFinite`], and [`ActionError::Implausible`] for a value
-    /// that no arm reaches in that time ([`Dimension::limit_over`]).
+    /// [`ActionError::Length`], [`ActionError::NotFinite`], and [`ActionError::Implausible`] for a value beyond
+    /// [`Dimension::limit_over`].
     pub fn check_over(&self, values: &[f32], span_s: f64) -> Result<(), ActionError> {
         if values.len() != self.len() {
             return Err(ActionError::Length {
@@ -251,11 +251,11 @@ impl ActionSpace {
         Ok(())
     }
 
-    /// Whether `other` has the same values: names, units and kinds. Rates, scales and clips may differ: they say how a
-    /// model takes the values, not what they are.
+    /// Checks that `other` has the same names, units and kinds. Rates, scales and clips may differ: they belong to the
+    /// model, not to the values.
     ///
     /// # Errors
-    /// [`ActionError::Mismatch`] names both sides, `own` and `others` being what they belong to.
+    /// [`ActionError::Mismatch`] with both spaces and their owners `own` and `others`.
     pub fn expect_same(&self, other: &Self, own: &str, others: &str) -> Result<(), ActionError> {
         let alike = |(a, b): (&Dimension, &Dimension)| {
             (&a.name, &a.unit, a.kind) == (&b.name, &b.unit, b.kind)
@@ -270,7 +270,7 @@ impl ActionSpace {
     }
 }
 
-/// The name, and the dimensions grouped by unit and kind.
+/// The name, then the dimensions grouped by unit and kind.
 impl fmt::Display for ActionSpace {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}:", self.name)?;
@@ -325,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_serve_is_named() {
+    fn invalid_parts_are_named() {
         let delta = |name| dimension(name, Kind::RotationDelta);
         for (dimensions, named) in [
             (vec![delta("roll"), delta("pitch")], "in threes"),
@@ -354,7 +354,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_read_back_and_nonsense_is_not() {
+    fn json_round_trips_and_invalid_json_is_rejected() {
         let bridge = ActionSpace::bridge();
         let text = serde_json::to_string(&bridge).unwrap();
         assert_eq!(serde_json::from_str::<ActionSpace>(&text).unwrap(), bridge);
@@ -374,7 +374,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mismatch_names_both_sides() {
+    fn mismatch_names_both_owners() {
         let joints = space(vec![dimension("shoulder", Kind::JointDelta)]).unwrap();
         let error = ActionSpace::bridge()
             .expect_same(&joints, "the model", "the bag")
@@ -393,7 +393,7 @@ mod tests {
     }
 
     #[test]
-    fn values_that_no_robot_moves_by_are_refused() {
+    fn implausible_values_are_rejected() {
         let space = ActionSpace::bridge();
         let good = [0.01, -0.02, 0.005, 0.1, -0.05, 0.0, 1.0];
         assert_eq!(space.check(&good), Ok(()));

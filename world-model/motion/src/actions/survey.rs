@@ -1,4 +1,4 @@
-//! Ranges of recorded actions, compared with what their kinds can be.
+//! Checks the ranges of recorded actions against their kinds and units.
 
 mod agreement;
 mod finding;
@@ -9,24 +9,23 @@ use super::{ActionSpace, Dimension, Kind, limits::Unit};
 use agreement::Agreement;
 pub use finding::{Cause, Contradiction, Hint};
 
-/// Longest way along one axis that the hand ends from where it began, in an episode \[m\]: beyond it, values that are
-/// called deltas are positions.
-const WAY: f64 = 2.5;
-/// The same for angles \[rad\]: two turns.
-const TURNS: f64 = 4.0 * std::f64::consts::PI;
-/// Greatest mean speed from the begin to the end of an episode \[m/s\].
+/// Longest net translation along one axis in an episode \[m\]. Beyond it, the "deltas" are positions.
+const LONGEST_WAY: f64 = 2.5;
+/// Longest net rotation in an episode \[rad\]: two turns.
+const LONGEST_TURN: f64 = 4.0 * std::f64::consts::PI;
+/// Greatest net speed over an episode \[m/s\].
 const MEAN_SPEED: f64 = 1.0;
-/// Fewer actions say nothing about the mean of an episode.
+/// Shorter episodes have no meaningful mean speed.
 const LEAST_ACTIONS: usize = 5;
-/// How far a gripper's values may lie outside of closed and open, as a share of the range: measured openings do.
+/// Share of the range by which measured openings overshoot closed and open.
 const GRIPPER_SLACK: f32 = 0.1;
 
-/// Rounding errors of zero motion \[m, rad\].
+/// Greatest rounding error of zero motion \[m, rad\].
 const IDLE: f32 = 1e-6;
-/// Change of a state that is more than noise \[m, rad\].
-const MOVED: f32 = 2e-3;
+/// Least change of a state above noise \[m, rad\].
+const LEAST_CHANGE: f32 = 2e-3;
 
-/// The least and the greatest of some values.
+/// A closed range.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Range {
     /// Least value.
@@ -36,7 +35,6 @@ pub struct Range {
 }
 
 impl Range {
-    /// Of no values.
     const EMPTY: Self = Self {
         low: f32::INFINITY,
         high: f32::NEG_INFINITY,
@@ -58,7 +56,7 @@ impl fmt::Display for Range {
     }
 }
 
-/// A value with three significant digits.
+/// Prints three significant digits.
 struct Rounded(f32);
 
 impl fmt::Display for Rounded {
@@ -67,7 +65,7 @@ impl fmt::Display for Rounded {
         if !value.is_finite() {
             return write!(f, "{value}");
         }
-        // Rounding: no value of an action is so small.
+        // Smaller values are rounding errors.
         if value.abs() < 1e-9 {
             return write!(f, "0");
         }
@@ -81,16 +79,16 @@ impl fmt::Display for Rounded {
     }
 }
 
-/// What was measured of one value of the actions.
+/// Measurements of one value of the actions.
 #[derive(Clone, Debug)]
 struct Column {
     range: Range,
-    /// Greatest change from one action to the next.
+    /// Greatest change between consecutive actions.
     step: f32,
-    /// Greatest magnitude of an episode's sum, and of that sum per second.
+    /// Greatest net motion of an episode, and greatest net motion per second.
     net: f64,
     net_speed: f64,
-    /// Episodes in which it changes by more than half of a gripper's range, and those of them that begin closed.
+    /// Episodes in which the gripper moves by more than half of its range, and those of them that begin closed.
     moving: usize,
     begins_low: usize,
 }
@@ -102,13 +100,13 @@ pub struct ActionSurvey {
     rate: f64,
     columns: Vec<Column>,
     episodes: usize,
-    /// Episodes whose first action is zero, although later ones are not.
+    /// Episodes whose first action alone is zero.
     first_zero: usize,
     agreement: Agreement,
 }
 
 impl ActionSurvey {
-    /// Of actions of `space` that are recorded at `rate` \[Hz\]. Nothing is measured yet.
+    /// An empty survey for actions of `space`, recorded at `rate` \[Hz\].
     #[must_use]
     pub fn new(space: ActionSpace, rate: f64) -> Self {
         let column = Column {
@@ -129,8 +127,8 @@ impl ActionSurvey {
         }
     }
 
-    /// Measures an episode: `actions` are (T, values of the space); `states` are (T, the same values as poses), or none if
-    /// the episode has no poses of the hand.
+    /// Measures an episode: `actions` (T, values of the space) and `states` (T, the same values as poses; empty if
+    /// unknown).
     pub fn add<A: AsRef<[f32]>, S: AsRef<[f32]>>(&mut self, actions: &[A], states: &[S]) {
         if actions.is_empty() {
             return;
@@ -171,7 +169,7 @@ impl ActionSurvey {
         self.agreement.add(&self.space, actions, states);
     }
 
-    /// Whether the first action is zero, although later ones are not and the state, if it is known, changes.
+    /// Whether only the first action is zero, although the state changes (if known).
     fn is_first_idle<A: AsRef<[f32]>, S: AsRef<[f32]>>(&self, actions: &[A], states: &[S]) -> bool {
         let is_motion = |index: usize| {
             let dimension = self.space.dimensions().get(index);
@@ -187,20 +185,20 @@ impl ActionSurvey {
             [first, second, ..] => {
                 let pairs = first.as_ref().iter().zip(second.as_ref());
                 let mut motion = (0..).zip(pairs).filter(|(index, _)| is_motion(*index));
-                motion.any(|(_, (before, after))| (after - before).abs() > MOVED)
+                motion.any(|(_, (before, after))| (after - before).abs() > LEAST_CHANGE)
             }
             _ => true,
         };
         has_moved && actions.first().is_some_and(is_still) && !actions.iter().all(is_still)
     }
 
-    /// Episodes that were measured.
     #[must_use]
+    /// Measured episodes.
     pub fn episodes(&self) -> usize {
         self.episodes
     }
 
-    /// What contradicts the kinds, by column; at most one for each.
+    /// Contradictions between values and kinds, at most one per column.
     #[must_use]
     pub fn contradictions(&self) -> Vec<Contradiction> {
         let mut found: Vec<Contradiction> = Vec::new();
@@ -243,7 +241,7 @@ impl ActionSurvey {
         }
     }
 
-    /// Why values of motion or place cannot be of their kind.
+    /// Why a value of motion or position contradicts its kind.
     fn motion_cause(&self, dimension: &Dimension, column: &Column) -> Option<Cause> {
         let (limit, most) = (
             dimension.limit_over(self.rate.recip()),
@@ -251,8 +249,8 @@ impl ActionSurvey {
         );
         let unit = Unit::parse(&dimension.unit);
         let (si, longest) = match unit {
-            Some(Unit::Length(si)) => (si, WAY),
-            Some(Unit::Angle(si)) => (si, TURNS),
+            Some(Unit::Length(si)) => (si, LONGEST_WAY),
+            Some(Unit::Angle(si)) => (si, LONGEST_TURN),
             None => (1.0, f64::INFINITY),
         };
         let is_far = column.net * si > longest
@@ -273,7 +271,7 @@ impl ActionSurvey {
         })
     }
 
-    /// What looks unusual, and may be right.
+    /// Unusual but possible findings.
     #[must_use]
     pub fn hints(&self) -> Vec<Hint> {
         let mut hints = Vec::new();
@@ -296,7 +294,7 @@ impl ActionSurvey {
                     measured: column.range,
                 });
             }
-            // Of five episodes, four.
+            // Four of five episodes.
             if column.moving > 0 && column.begins_low * 5 >= column.moving * 4 {
                 hints.push(Hint::GripperInverted {
                     column: dimension.name.clone(),
@@ -329,7 +327,7 @@ impl ActionSurvey {
     }
 }
 
-/// The values of a gripper that is closed, and that is open.
+/// The values of a closed and of an open gripper.
 fn ends(dimension: &Dimension) -> (f32, f32) {
     match dimension.kind {
         Kind::GripperContinuous => (dimension.offset, dimension.offset + dimension.scale.recip()),
@@ -349,7 +347,7 @@ fn gripper_cause(dimension: &Dimension, measured: Range) -> Option<Cause> {
         let is_unit = low >= -1.1 && high <= 1.1;
         if is_unit { (-1.0, 1.0) } else { (low, high) }
     } else {
-        // Percent, bytes and per mille.
+        // Percent, byte and per mille ranges.
         let full = [100.0, 255.0, 1000.0];
         let full = full.into_iter().find(|full| high > 10.0 && high <= *full);
         (0.0, full.unwrap_or(high))
@@ -357,7 +355,7 @@ fn gripper_cause(dimension: &Dimension, measured: Range) -> Option<Cause> {
     Some(Cause::Gripper { closed, open })
 }
 
-/// The ranges, in order.
+/// The ranges in order.
 impl fmt::Display for ActionSurvey {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let plural = if self.episodes == 1 { "" } else { "s" };

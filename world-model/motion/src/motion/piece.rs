@@ -1,25 +1,25 @@
-//! One action over its time, and what several of them come to.
+//! One action with its duration, and the sum of several.
 
 use std::sync::Arc;
 
 use super::{Interval, rotation};
 use crate::actions::ActionSpace;
 
-/// An action over the time that it takes.
+/// An action with its duration.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Piece {
     pub start_ns: i64,
-    /// Where it ends: at the next one, or where it is cut off.
+    /// End: the start of the next action, or where this one is cut off.
     pub end_ns: i64,
-    /// The time in which a delta is made in full \[ns\], above 0.
+    /// Time in which a delta is made in full \[ns\], above 0.
     pub span_ns: i64,
     pub values: Arc<[f32]>,
-    /// Whether nobody said so: the piece before goes on.
+    /// Whether the previous action is held for lack of a new one.
     pub is_held: bool,
 }
 
 impl Piece {
-    /// The same motion, going on without end.
+    /// The same motion, held without end.
     pub fn held(&self) -> Self {
         Self {
             start_ns: self.end_ns,
@@ -29,23 +29,23 @@ impl Piece {
         }
     }
 
-    /// The time of it that lies in an interval \[ns\].
+    /// Time inside an interval \[ns\].
     fn overlap_ns(&self, from_ns: i64, to_ns: i64) -> i64 {
         (self.end_ns.min(to_ns) - self.start_ns.max(from_ns)).max(0)
     }
 }
 
-/// What `pieces`, which are in order and do not overlap, come to from `from_ns` to `to_ns`; none where they begin later
-/// than a quarter into it.
+/// The motion of `pieces`, in order and without overlap, from `from_ns` to `to_ns`; `None` if they start later than a
+/// quarter into it.
 pub(super) fn integrate(
     space: &ActionSpace,
     pieces: &[Piece],
     from_ns: i64,
     to_ns: i64,
 ) -> Option<Interval> {
-    // Stamps jitter: what begins a quarter of the interval late or early still belongs to it.
+    // Stamps jitter: a piece up to a quarter of the interval late or early belongs to it.
     let slack_ns = (to_ns - from_ns) / 4;
-    // Between two actions that are far apart the robot stands still; before the first one nothing is known.
+    // Between distant actions the robot stands still; earlier than the first its motion is unknown.
     if pieces.first()?.start_ns > from_ns + slack_ns {
         return None;
     }
@@ -58,13 +58,13 @@ pub(super) fn integrate(
         .map(|piece| piece.overlap_ns(from_ns, to_ns))
         .sum();
     let is_given = held_ns <= slack_ns;
-    // The mean of a velocity is over all of the interval, also if the action is shorter.
+    // The mean of a velocity is over the whole interval, even if the action is shorter.
     let has_velocities = space.dimensions().iter().any(|d| d.kind.is_velocity());
     if let [only] = inside
         && only.overlap_ns(from_ns, to_ns) == only.span_ns
         && !(has_velocities && only.span_ns < to_ns - from_ns)
     {
-        // Exactly this action: without the rounding of sums.
+        // Exactly this action, without rounding by sums.
         let values = only.values.to_vec();
         return Some(Interval { values, is_given });
     }
@@ -87,18 +87,16 @@ fn sum(
     let state = pieces.get(begun.saturating_sub(1))?;
     let mut values = Vec::with_capacity(space.len());
     for (index, dimension) in space.dimensions().iter().enumerate() {
+        let weighted_sum = |weight: &dyn Fn(&Piece) -> f64| {
+            let product =
+                |piece: &Piece| Some(f64::from(*piece.values.get(index)?) * weight(piece));
+            inside.iter().map(product).sum::<Option<f64>>()
+        };
         values.push(if dimension.kind.is_delta() {
-            let part = |piece: &Piece| {
-                let value = piece.values.get(index).copied().unwrap_or_default();
-                f64::from(value) * share(piece)
-            };
-            inside.iter().map(part).sum::<f64>() as f32
+            weighted_sum(&share)? as f32
         } else if dimension.kind.is_velocity() {
-            let way = |piece: &Piece| {
-                let value = piece.values.get(index).copied().unwrap_or_default();
-                f64::from(value) * piece.overlap_ns(from_ns, to_ns) as f64
-            };
-            (inside.iter().map(way).sum::<f64>() / (to_ns - from_ns).max(1) as f64) as f32
+            let overlap = |piece: &Piece| piece.overlap_ns(from_ns, to_ns) as f64;
+            (weighted_sum(&overlap)? / (to_ns - from_ns).max(1) as f64) as f32
         } else {
             state.values.get(index).copied()?
         });
@@ -107,7 +105,7 @@ fn sum(
         let mut whole = rotation::from_angles([0.0; 3]);
         for piece in inside {
             if let Some([roll, pitch, yaw]) = piece.values.get(first..first + 3) {
-                // About the fixed axes of the base: the later one goes on the left.
+                // Fixed axes of the base: the later rotation multiplies from the left.
                 whole = rotation::share([*roll, *pitch, *yaw], share(piece)) * whole;
             }
         }

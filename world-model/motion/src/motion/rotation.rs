@@ -1,8 +1,8 @@
-//! Rotations as roll, pitch and yaw about fixed axes (REP 103), composed and divided as rotations.
+//! Rotations as roll, pitch and yaw about fixed axes (REP 103).
 
 use nalgebra::UnitQuaternion;
 
-/// The rotation of roll, pitch and yaw \[rad\]: about x, then y, then z of the fixed frame.
+/// Rotation by roll, pitch and yaw \[rad\]: about x, then y, then z of the fixed frame.
 pub(crate) fn from_angles([roll, pitch, yaw]: [f32; 3]) -> UnitQuaternion<f64> {
     UnitQuaternion::from_euler_angles(roll.into(), pitch.into(), yaw.into())
 }
@@ -10,16 +10,16 @@ pub(crate) fn from_angles([roll, pitch, yaw]: [f32; 3]) -> UnitQuaternion<f64> {
 /// Roll, pitch and yaw \[rad\] of a rotation.
 pub(crate) fn to_angles(rotation: &UnitQuaternion<f64>) -> [f32; 3] {
     let (roll, pitch, yaw) = rotation.euler_angles();
-    // Angles need no more than f32 has.
+    // f32 is precise enough for angles.
     [roll as f32, pitch as f32, yaw as f32]
 }
 
-/// `share` of the rotation of `angles`, at constant angular velocity: a half applied twice is the whole.
+/// `share` of the rotation of `angles` at constant angular velocity.
 pub(crate) fn share(angles: [f32; 3], share: f64) -> UnitQuaternion<f64> {
     from_angles(angles).powf(share)
 }
 
-/// The angles of `times` of the rotation of `angles`.
+/// The angles of `times` the rotation of `angles`.
 pub(crate) fn multiple(angles: [f32; 3], times: f64) -> [f32; 3] {
     if times == 1.0 {
         return angles;
@@ -27,10 +27,10 @@ pub(crate) fn multiple(angles: [f32; 3], times: f64) -> [f32; 3] {
     to_angles(&share(angles, times))
 }
 
-/// The rotation that leads from one orientation to another, as roll, pitch and yaw about the fixed axes of the base:
-/// (3) and (3) \[rad\] -> (3) \[rad\], with `to` = result * `from`.
+/// The rotation from one orientation to another, as roll, pitch and yaw about the fixed axes of the base: (3) and (3)
+/// \[rad\] -> (3) \[rad\], with `to` = result * `from`.
 ///
-/// Differences of the angles are another quantity: they agree with it for small rotations about z alone.
+/// Differences of angles agree with it only for small rotations about z alone.
 #[must_use]
 pub fn turn_between(from: [f64; 3], to: [f64; 3]) -> [f64; 3] {
     let rotation =
@@ -47,9 +47,8 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// Whatever the orientation, near pitch 90 degrees too, a turn about an axis of the base is that turn.
         #[test]
-        fn turns_between_orientations_are_about_base_axes(
+        fn turn_between_is_about_base_axes(
             from in prop::array::uniform3(-PI..PI),
             turn in prop::array::uniform3(-0.5_f64..0.5),
         ) {
@@ -60,7 +59,7 @@ mod tests {
             let (end_roll, end_pitch, end_yaw) = end.euler_angles();
             let found = turn_between(from, [end_roll, end_pitch, end_yaw]);
             for (found, expected) in found.iter().zip(turn) {
-                // Near pitch 90 degrees, roll and yaw have half of the digits.
+                // Near pitch 90 degrees, roll and yaw keep half of their digits.
                 prop_assert!((found - expected).abs() < 1e-6, "{found} {expected}");
             }
         }
@@ -68,7 +67,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn parts_compose_to_the_whole(angles in prop::array::uniform3(-0.5_f32..0.5), part in 0.0_f64..1.0) {
+        fn shares_compose_to_the_whole(angles in prop::array::uniform3(-0.5_f32..0.5), part in 0.0_f64..1.0) {
             let whole = share(angles, 1.0 - part) * share(angles, part);
             for (found, angle) in to_angles(&whole).iter().zip(angles) {
                 prop_assert!((found - angle).abs() < 1e-6);

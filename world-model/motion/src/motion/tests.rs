@@ -7,7 +7,6 @@ use crate::actions::{Accumulation, Dimension, Kind};
 
 /// One frame of a 5 Hz camera \[ns\].
 const FRAME: i64 = 200_000_000;
-/// Bags begin at some date.
 const START: i64 = 1_700_000_000_000_000_000;
 
 fn motion() -> Motion {
@@ -28,10 +27,10 @@ fn x_of(motion: &Motion, from_ns: i64, to_ns: i64) -> f32 {
     interval.unwrap().values[0]
 }
 
-/// How an arm moves: at constant velocity over each frame, another one in the next.
+/// An arm that moves at constant velocity over each frame.
 #[derive(Clone, Debug)]
 struct Trajectory {
-    /// Translation \[m\] and rotation \[rad\] of each frame, and the gripper.
+    /// Translation \[m\], rotation \[rad\] and gripper of each frame.
     frames: Vec<([f32; 3], [f32; 3], bool)>,
 }
 
@@ -45,9 +44,8 @@ impl Trajectory {
         prop::collection::vec(frame, 4).prop_map(|frames| Self { frames })
     }
 
-    /// What is told of it with a message at each of `stamps`, which hold every frame's begin: the motion from each
-    /// stamp to the next.
-    fn told(&self, stamps: &[i64]) -> Motion {
+    /// The motion published with a message at each of `stamps`, which include the start of every frame.
+    fn publish(&self, stamps: &[i64]) -> Motion {
         let mut motion = motion();
         for (from, to) in stamps.iter().zip(&stamps[1..]) {
             let frame = usize::try_from((from - START) / FRAME).unwrap();
@@ -64,7 +62,7 @@ impl Trajectory {
             values[6] = f32::from(*open);
             motion.take(*from, values.into());
         }
-        // What ends the last one.
+        // Ends the last action.
         motion.take(START + 4 * FRAME, [0.0; 7].into());
         motion
     }
@@ -78,35 +76,33 @@ impl Trajectory {
 }
 
 proptest! {
-    /// Told at 5, 10, 30 or 50 Hz, or at jittering stamps, one motion is one and the same model action.
     #[test]
-    fn the_rate_at_which_a_motion_is_told_makes_no_difference(
+    fn model_action_is_the_same_at_any_action_rate(
         trajectory in Trajectory::any(),
         jitter in prop::collection::vec(0.1_f64..0.9, 20),
     ) {
-        let told_at = |per_frame: i64| {
+        let steps_at = |per_frame: i64| {
             let ticks = 0..=4 * per_frame;
             let stamps: Vec<i64> = ticks.map(|tick| START + tick * FRAME / per_frame).collect();
-            Trajectory::steps(&trajectory.told(&stamps))
+            Trajectory::steps(&trajectory.publish(&stamps))
         };
-        let expected = told_at(1);
+        let expected = steps_at(1);
         let mut jittering: Vec<i64> = (0..=4).map(|frame| START + frame * FRAME).collect();
         jittering.extend(jitter.iter().zip(0_i64..).map(|(part, index)| {
             START + index % 4 * FRAME + (part * FRAME as f64) as i64
         }));
         jittering.sort_unstable();
         jittering.dedup();
-        let jittering = Trajectory::steps(&trajectory.told(&jittering));
-        for found in [told_at(2), told_at(6), told_at(10), jittering] {
+        let jittering = Trajectory::steps(&trajectory.publish(&jittering));
+        for found in [steps_at(2), steps_at(6), steps_at(10), jittering] {
             for (found, expected) in found.iter().flatten().zip(expected.iter().flatten()) {
                 prop_assert!((found - expected).abs() < 1e-5, "{found} {expected}");
             }
         }
     }
 
-    /// A plan that comes back as a chunk is the model action that it was made of.
     #[test]
-    fn a_plan_as_a_chunk_is_its_own_model_action(
+    fn announced_plan_gives_its_own_model_action(
         translation in prop::array::uniform3(-1.7_f32..1.7),
         rotation in prop::array::uniform3(-1.3_f32..1.3),
         open in any::<bool>(),
@@ -119,7 +115,7 @@ proptest! {
         let action: Arc<[f32]> = encoding.decode_step(&planned).unwrap().into();
         let chunk = Chunk::new(encoding.space(), START, 2 * FRAME, vec![action.clone(), action]).unwrap();
         let mut motion = motion();
-        // What the robot did before says nothing of what is planned, also where its stamps jitter.
+        // Earlier actions do not affect the plan, even with jittering stamps.
         motion.take(START - FRAME + late_ns, along_x(0.04));
         motion.announce(chunk, encoding.space());
         let step = motion.step(&encoding, START, START + 2 * FRAME).unwrap();
@@ -142,7 +138,7 @@ fn a_slow_delta_counts_once() {
 }
 
 #[test]
-fn an_action_that_belongs_in_part_counts_in_part() {
+fn partly_overlapping_action_counts_in_part() {
     let mut motion = motion();
     motion.take(START, along_x(0.02));
     motion.take(START + FRAME, along_x(0.04));
@@ -169,7 +165,7 @@ fn rotations_compose_about_fixed_axes() {
 }
 
 #[test]
-fn the_gripper_is_that_of_the_end() {
+fn gripper_is_the_last_state() {
     let mut motion = motion();
     motion.take(START, [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0].into());
     motion.take(START + FRAME * 3 / 5, [0.0; 7].into());
@@ -182,7 +178,7 @@ fn the_gripper_is_that_of_the_end() {
 }
 
 #[test]
-fn the_last_motion_goes_on_and_is_not_given() {
+fn last_action_is_held_and_reported_as_not_given() {
     let mut motion = motion();
     motion.take(START, along_x(0.01));
     motion.take(START + FRAME, along_x(0.02));
@@ -199,17 +195,17 @@ fn the_last_motion_goes_on_and_is_not_given() {
 }
 
 #[test]
-fn between_actions_that_are_far_apart_the_robot_stands_still() {
+fn robot_stands_still_between_distant_actions() {
     let mut motion = motion();
     motion.take(START, along_x(0.05));
     motion.take(START + 100 * FRAME, along_x(0.02));
-    // The first is made within the longest time, a second.
+    // The first motion is over within the longest time, a second.
     assert!((x_of(&motion, START, START + 5 * FRAME) - 0.05).abs() < 1e-7);
     assert_eq!(x_of(&motion, START + 50 * FRAME, START + 51 * FRAME), 0.0);
 }
 
 #[test]
-fn what_was_taken_wins_over_what_was_announced() {
+fn executed_actions_win_over_announced_ones() {
     let mut motion = motion();
     motion.announce(
         chunk(START, FRAME, &[0.01, 0.02, 0.03]),
@@ -218,13 +214,13 @@ fn what_was_taken_wins_over_what_was_announced() {
     motion.take(START, along_x(-0.05));
     assert_eq!(x_of(&motion, START, START + FRAME), -0.05);
     assert_eq!(x_of(&motion, START + FRAME, START + 2 * FRAME), 0.02);
-    // Ten milliseconds late, the second one still replaces all of what was announced for its time.
+    // Ten milliseconds late, the second action still replaces the announced one.
     motion.take(START + FRAME + 10_000_000, along_x(0.0));
     assert!((x_of(&motion, START + 2 * FRAME, START + 3 * FRAME) - 0.03).abs() < 1e-7);
 }
 
 #[test]
-fn a_newer_chunk_replaces_what_is_to_come_and_not_what_was() {
+fn newer_chunk_replaces_only_later_actions() {
     let mut motion = motion();
     let space = ActionSpace::bridge();
     motion.announce(chunk(START, FRAME, &[0.01, 0.02, 0.03]), &space);
@@ -243,7 +239,7 @@ fn chunks_are_merged_by_the_rule() {
     ] {
         let mut motion = motion().with_merging(merging);
         motion.announce(chunk(START, 2 * FRAME, &[0.04, 0.04]), &space);
-        // The older one moves by 0.02 in the time of one of the newer one's actions.
+        // In the time of one newer action, the older chunk moves by 0.02.
         motion.announce(chunk(START + FRAME, FRAME, &[0.04, 0.04]), &space);
         let x = x_of(&motion, START + FRAME, START + 2 * FRAME);
         assert!((x - expected).abs() < 1e-7, "{merging:?}: {x}");
@@ -251,7 +247,7 @@ fn chunks_are_merged_by_the_rule() {
 }
 
 #[test]
-fn chunks_that_say_nothing_are_refused_by_name() {
+fn invalid_chunks_are_rejected_by_name() {
     let space = ActionSpace::bridge();
     let chunk =
         |count: usize, period_ns| Chunk::new(&space, START, period_ns, vec![along_x(0.0); count]);
@@ -291,7 +287,7 @@ fn states_hold_and_joints_add_up() {
 }
 
 #[test]
-fn memory_is_bounded_whatever_the_stamps() {
+fn memory_is_bounded() {
     let mut motion = motion();
     for index in 0..20_000_i64 {
         motion.take(START + index, along_x(0.0));
@@ -315,7 +311,6 @@ fn stamps_at_the_ends_of_time_do_not_overflow() {
 }
 
 proptest! {
-    /// Published at any rate, a velocity is the same mean over an interval: value times duration is the motion.
     #[test]
     fn velocity_integral_is_the_same_at_any_rate(
         frames in prop::collection::vec(-2.0_f32..2.0, 4),
@@ -341,7 +336,7 @@ proptest! {
         let way = frames.iter().map(|velocity| velocity * 0.2).sum::<f32>();
         let whole = motion.between(&space, START, START + 4 * FRAME).unwrap();
         prop_assert!((whole.values[0] * 0.8 - way).abs() < 1e-5);
-        // A model step of four intervals: neither rule changes the integral, and it comes back.
+        // A model step of four intervals keeps the integral under both rules, and decodes back.
         let encoding = ActionEncoding::new(space, 1, 4, rule).unwrap();
         let step = motion.step(&encoding, START, START + 4 * FRAME).unwrap();
         prop_assert!((step.model.values[0] / 0.5 * 0.8 - way).abs() < 1e-5);

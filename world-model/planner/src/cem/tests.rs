@@ -71,7 +71,7 @@ fn a_goal_out_of_reach_ends_at_the_bounds() {
 }
 
 #[test]
-fn target_at_each_step_fixes_the_way() {
+fn target_at_each_step_fixes_the_path() {
     let way = vec![0.2_f32, 0.1, 0.9, 0.1, 0.0, 0.1];
     let way = Tensor::from_vec(way, (3, 1, 1, 2), &Device::Cpu).unwrap();
     let settings = CemSettings {
@@ -85,7 +85,7 @@ fn target_at_each_step_fixes_the_way() {
 }
 
 #[test]
-fn one_seed_one_plan_whatever_the_batch() {
+fn plan_does_not_depend_on_the_batch_size() {
     let (space, objective) = (bounds(), objective(&[0.3, 0.2]));
     let plan = |batch, seed| {
         let mut point = Point::new(2);
@@ -102,7 +102,7 @@ fn one_seed_one_plan_whatever_the_batch() {
 }
 
 #[test]
-fn values_that_are_not_searched_are_the_bases() {
+fn unsearched_values_keep_their_base() {
     struct Padded(Point);
     impl Dynamics for Padded {
         fn action_dim(&self) -> usize {
@@ -128,7 +128,7 @@ fn values_that_are_not_searched_are_the_bases() {
 }
 
 #[test]
-fn a_deadline_cuts_but_leaves_a_plan() {
+fn plan_survives_a_deadline() {
     let objective = objective(&[1.0, 0.0]);
     let cut = |watch: Watch<'_>| {
         let asked = (&mut Point::new(2), &objective);
@@ -143,7 +143,7 @@ fn a_deadline_cuts_but_leaves_a_plan() {
         told.push((progress.iteration, progress.candidates));
         told.len() > 5
     });
-    // Before batches 2, 3, 4, then before iteration 2, then batch 2 of it; cut before batch 3 of it.
+    // Checked at batches 2, 3, 4, at iteration 2, and at its batch 2; cut at its batch 3.
     assert_eq!(
         told,
         [(1, 50), (1, 100), (1, 150), (1, 200), (2, 250), (2, 300)]
@@ -152,7 +152,7 @@ fn a_deadline_cuts_but_leaves_a_plan() {
 }
 
 #[test]
-fn costs_that_are_not_finite_are_rejected() {
+fn candidates_without_finite_cost_are_rejected() {
     let objective = objective(&[2.0, 0.0]);
     let plan = |cliff: f32| {
         let mut point = Point {
@@ -182,7 +182,7 @@ fn costs_that_are_not_finite_are_rejected() {
 }
 
 #[test]
-fn a_shifted_plan_is_a_warm_start() {
+fn shifted_plan_is_a_warm_start() {
     let objective = objective(&[2.4, 0.0]);
     let few = CemSettings {
         iterations: 1,
@@ -202,7 +202,7 @@ fn a_shifted_plan_is_a_warm_start() {
     assert_eq!(left.actions[..2], good.actions[1..]);
     assert_eq!(
         left.actions[2], good.actions[2],
-        "it goes on with its last action"
+        "the last action continues"
     );
     assert_eq!(good.without(0).unwrap(), good);
     assert_eq!(good.without(3), None);
@@ -221,7 +221,7 @@ fn a_shifted_plan_is_a_warm_start() {
 }
 
 #[test]
-fn a_gripper_is_searched_as_one_of_two() {
+fn gripper_is_searched_as_one_of_two_values() {
     let gripper = Coordinate {
         index: 1,
         range: Range::Either(-0.5, 0.5),
@@ -241,7 +241,7 @@ fn a_gripper_is_searched_as_one_of_two() {
 }
 
 #[test]
-fn settings_are_refused_by_name() {
+fn invalid_settings_are_named() {
     let refused = |settings: CemSettings| Cem::new(settings).unwrap_err().to_string();
     let elites = CemSettings {
         elites: 500,

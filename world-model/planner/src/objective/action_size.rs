@@ -1,12 +1,12 @@
-//! How large actions are.
+//! Cost of large actions.
 
 use candle_core::Tensor;
 
 use super::{PortableTerm, Term};
 use crate::{PlanError, Range, SearchSpace};
 
-/// Mean squared size of the actions, each value as a part of its range: 0 for no motion, 1 at the bounds. Values that are
-/// one of two do not count.
+/// Mean squared size of the actions, each value as a share of its range: 0 for no motion, 1 at the bounds. Two-valued
+/// coordinates do not count.
 #[derive(Clone, Copy, Debug)]
 pub struct ActionSize;
 
@@ -37,7 +37,7 @@ impl Term for ActionSize {
     }
 }
 
-/// Half the range of each value; `None` for one of two and for what cannot move.
+/// Half the range of each value; `None` for a two-valued or fixed one.
 pub(super) fn half_ranges(space: &SearchSpace) -> Vec<Option<f32>> {
     let half = |range| match range {
         Range::Between(low, high) if high > low => Some((high - low) / 2.0),
@@ -49,7 +49,7 @@ pub(super) fn half_ranges(space: &SearchSpace) -> Vec<Option<f32>> {
         .collect()
 }
 
-/// Mean of squares; 0 of none.
+/// Mean of squares; 0 if empty.
 pub(super) fn mean(values: impl Iterator<Item = f32>) -> f32 {
     let (sum, count) = values.fold((0.0_f64, 0_u32), |(sum, count), value| {
         (sum + f64::from(value).powi(2), count + 1)

@@ -1,28 +1,29 @@
-//! How far predicted latents are from those of a goal.
+//! Distance of predicted latents to a goal.
 
 use candle_core::{D, Tensor};
 use serde::{Deserialize, Serialize};
-use wm_model::Error;
+use wm_model::{Error, LatentSpace};
 
 use super::{PortableTerm, Term};
 use crate::{Array, PlanError, SearchSpace};
 
-/// The latents that the predicted ones are compared with.
+/// Latents that predictions are compared with.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Target<L = Tensor> {
-    /// One latent a step (k, h, w, C): the cost is the mean over all k steps. The objective of the controllability metric.
+    /// One latent per step (k, h, w, C); the cost is the mean over all k steps. The objective of the controllability
+    /// metric.
     EachStep(L),
-    /// One latent (h, w, C) for the last step; how the plan comes there is free.
+    /// One latent (h, w, C) for the last step; the path is free.
     LastStep(L),
-    /// One latent (h, w, C) for all steps: the cost is the mean over them, so that what comes there sooner costs less.
+    /// One latent (h, w, C) for all steps. The cost is the mean, so an early arrival costs less.
     AllSteps(L),
-    /// Latents (h, w, C), each for the step of its index from 0; one that is beyond the plan's last step is for that.
-    /// The cost is the mean over them.
+    /// Latents (h, w, C) with the index of their step, from 0. An index beyond the plan means its last step. The cost
+    /// is the mean.
     At(Vec<(usize, L)>),
 }
 
 impl<L> Target<L> {
-    /// The same of other latents.
+    /// Converts the latents.
     fn try_map<M, E>(&self, of: impl Fn(&L) -> Result<M, E>) -> Result<Target<M>, E> {
         Ok(match self {
             Self::EachStep(latents) => Target::EachStep(of(latents)?),
@@ -39,11 +40,31 @@ impl<L> Target<L> {
 }
 
 impl Target {
+    /// The values of a latent of `space`, row-major with channels last, for the last step.
+    ///
+    /// # Errors
+    /// If it has another number of values than the space.
+    pub fn last_step(space: &LatentSpace, latent: &[f32]) -> wm_model::Result<Self> {
+        Ok(Self::LastStep(space.stack(&[latent])?.squeeze(0)?))
+    }
+
+    /// As [`Self::costs`], of candidates of one step: `latents` of `space`, one for each.
+    ///
+    /// # Errors
+    /// As there; or if one has another number of values than the space.
+    pub fn step_costs(
+        &self,
+        space: &LatentSpace,
+        latents: &[&[f32]],
+    ) -> wm_model::Result<Vec<f32>> {
+        self.costs(&space.stack(latents)?.unsqueeze(1)?)
+    }
+
     /// Mean squared latent error of each candidate: `latents` (N, k, h, w, C) to N costs, in normalised units squared.
     /// A cost may be NaN or infinite where the model's latents are.
     ///
     /// # Errors
-    /// [`Error::Shape`] where the target has not the shape of the latents.
+    /// [`Error::Shape`] if target and latents differ in shape.
     pub fn costs(&self, latents: &Tensor) -> wm_model::Result<Vec<f32>> {
         self.weighted(latents, None)
     }
@@ -99,7 +120,7 @@ fn expect(target: &Tensor, shape: &[usize]) -> wm_model::Result<()> {
     })
 }
 
-/// Mean squared latent error to a target, of the whole picture or of a region.
+/// Mean squared latent error to a target, over the whole picture or a region.
 #[derive(Clone, Debug)]
 pub struct GoalDistance {
     name: &'static str,
@@ -109,7 +130,7 @@ pub struct GoalDistance {
 }
 
 impl GoalDistance {
-    /// The distance to `target`, all over the picture.
+    /// The distance to `target` over the whole picture.
     pub fn new(target: Target) -> Self {
         Self {
             name: "goal",
@@ -118,17 +139,17 @@ impl GoalDistance {
         }
     }
 
-    /// The same under another name, where an objective has several.
+    /// Renames the term, for objectives with several distances.
     #[must_use]
     pub fn named(self, name: &'static str) -> Self {
         Self { name, ..self }
     }
 
-    /// The same where `mask` (h, w) is above 0, each place in proportion to its value there.
+    /// Weighs each place of the picture by `mask` (h, w).
     ///
     /// # Errors
-    /// [`PlanError::Setting`] where nothing is above 0, or a value is negative or not finite; the shape is compared with
-    /// the latents' when they come.
+    /// [`PlanError::Setting`] if no value is above 0, or one is negative or not finite. [`Term::costs`] checks the
+    /// shape.
     pub fn within(self, mask: &Tensor) -> Result<Self, PlanError> {
         let (height, width) = mask.dims2().map_err(wm_model::Error::from)?;
         let values = mask.flatten_all()?.to_vec1::<f32>()?;
@@ -152,7 +173,7 @@ impl GoalDistance {
 }
 
 impl GoalDistance {
-    /// What [`Term::portable`] made of one.
+    /// The inverse of [`Term::portable`].
     pub(super) fn of_portable(
         target: &Target<Array>,
         mask: Option<&Array>,
@@ -208,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn each_kind_of_target_counts_its_steps() {
+    fn each_target_counts_its_own_steps() {
         let latents = tensor(&[0.0, 2.0, 1.0, 4.0], &[2, 2, 1, 1, 1]);
         let costs = |target: Target| target.costs(&latents).unwrap();
         let each = tensor(&[0.0, 1.0], &[2, 1, 1, 1]);
@@ -230,7 +251,7 @@ mod tests {
     }
 
     #[test]
-    fn outside_the_mask_nothing_counts() {
+    fn places_outside_the_mask_do_not_count() {
         let latents = tensor(&[3.0, 1.0], &[1, 1, 1, 2, 1]);
         let goal = Target::LastStep(tensor(&[0.0, 0.0], &[1, 2, 1]));
         let space = SearchSpace::bounded(&[(-1.0, 1.0)], 1).unwrap();

@@ -1,11 +1,11 @@
-//! A term as data.
+//! Serialisable terms.
 
 use serde::{Deserialize, Serialize};
 
 use super::{ActionSize, GoalDistance, Smoothness, Target, Term, WorkspaceMargin};
 use crate::{Array, PlanError, error::check_positive};
 
-/// A term as data: all that its costs depend on but candidates and latents.
+/// A term as data: all inputs of its costs except candidates and latents.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum PortableTerm {
     /// [`GoalDistance`].
@@ -27,7 +27,6 @@ pub enum PortableTerm {
 }
 
 impl PortableTerm {
-    /// What kind it is.
     pub(super) fn name(&self) -> &'static str {
         match self {
             Self::GoalDistance { .. } => "goal",
@@ -45,7 +44,7 @@ impl PortableTerm {
             Self::ActionSize => Box::new(ActionSize),
             Self::Smoothness => Box::new(Smoothness),
             Self::WorkspaceMargin { margin } => {
-                // Metres; a cast that becomes infinite or zero is refused too.
+                // A cast to infinity or zero is rejected too.
                 check_positive("the workspace's margin", *margin as f32)?;
                 Box::new(WorkspaceMargin { margin: *margin })
             }

@@ -1,4 +1,4 @@
-//! How much actions change from step to step.
+//! Cost of changes between actions.
 
 use candle_core::Tensor;
 
@@ -8,8 +8,8 @@ use super::{
 };
 use crate::{PlanError, SearchSpace};
 
-/// Mean squared change from one action to the next, each value as a part of its range; the first one's is from the action
-/// before the plan, where that is known. Values that are one of two do not count.
+/// Mean squared change between consecutive actions, each value as a share of its range, including the change from the
+/// action before the plan, if known. Two-valued coordinates do not count.
 #[derive(Clone, Copy, Debug)]
 pub struct Smoothness;
 
@@ -49,7 +49,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_jump_costs_and_so_does_one_from_the_action_before() {
+    fn jumps_within_and_into_the_plan_cost() {
         let latents = Tensor::zeros((2, 2, 1, 1, 1), DType::F32, &Device::Cpu).unwrap();
         let candidates = [vec![1.0, 1.0], vec![1.0, -1.0]];
         let space = SearchSpace::bounded(&[(-2.0, 2.0)], 1).unwrap();

@@ -1,4 +1,4 @@
-//! How likely the imagined episode does what words ask for.
+//! Cost of imagined episodes that do not follow an instruction.
 
 use std::sync::Arc;
 
@@ -8,8 +8,7 @@ use wm_zoo::success_probe::{Instruction, SuccessClassifier};
 use super::Term;
 use crate::{PlanError, SearchSpace};
 
-/// One minus the probability, by the success probe, that the observed frames and then the imagined ones do what the
-/// instruction says.
+/// One minus the success probe's probability that the observed and imagined frames follow the instruction.
 #[derive(Clone, Debug)]
 pub struct Success {
     probe: Arc<SuccessClassifier>,
@@ -19,7 +18,7 @@ pub struct Success {
 }
 
 impl Success {
-    /// The term for an `instruction` that the probe has read, after the `observed` latents (H, h, w, C), the oldest first.
+    /// The term for an encoded `instruction` and the `observed` latents (H, h, w, C), oldest first.
     pub fn new(probe: Arc<SuccessClassifier>, instruction: Instruction, observed: Tensor) -> Self {
         Self {
             probe,

@@ -1,12 +1,12 @@
-//! How near a plan comes to the limits of the workspace.
+//! Cost of positions near the limits of the workspace.
 
 use candle_core::Tensor;
 
 use super::{PortableTerm, Term, action_size::mean};
 use crate::{PlanError, SearchSpace};
 
-/// Mean square of how far the end effector is within a margin of the workspace's limits, as a part of the margin: 0
-/// inside of it, 1 at a limit. 0 without a workspace.
+/// Mean squared intrusion of the end effector into the margin along the workspace's limits, as a share of the margin: 0
+/// inside, 1 at a limit. 0 without a workspace.
 #[derive(Clone, Copy, Debug)]
 pub struct WorkspaceMargin {
     /// Width of the margin \[m\], above 0.
@@ -54,7 +54,7 @@ mod tests {
     use crate::{Workspace, WorkspaceAxis};
 
     #[test]
-    fn only_the_margin_costs() {
+    fn only_positions_in_the_margin_cost() {
         let axes = vec![WorkspaceAxis {
             coordinate: 0,
             metres: 0.1,

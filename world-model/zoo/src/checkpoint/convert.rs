@@ -109,10 +109,7 @@ fn write(checkpoint: &Checkpoint, path: &Path) -> std::io::Result<Conversion> {
 
 /// Writes the values of `entry`, rows in order, as they are.
 fn copy(bytes: &Bytes, entry: &Entry, file: &mut impl Write) -> std::io::Result<()> {
-    // Checked when the file was opened: the entry lies within the file.
-    let span = entry.span().unwrap_or_default();
-    let all = bytes.as_slice().get(entry.start..entry.start + span);
-    let all = all.unwrap_or_default();
+    let all = values::stored(bytes, entry);
     match &entry.strides {
         None => {
             for (i, chunk) in all.chunks(CHUNK).enumerate() {
@@ -123,9 +120,10 @@ fn copy(bytes: &Bytes, entry: &Entry, file: &mut impl Write) -> std::io::Result<
         Some(strides) => {
             let size = entry.element.size();
             for at in values::offsets(&entry.shape, strides) {
-                file.write_all(all.get(at * size..(at + 1) * size).unwrap_or_default())?;
+                let stored = all.get(at * size..(at + 1) * size);
+                file.write_all(stored.ok_or(std::io::ErrorKind::UnexpectedEof)?)?;
             }
-            bytes.release(entry.start, span);
+            bytes.release(entry.start, all.len());
         }
     }
     Ok(())

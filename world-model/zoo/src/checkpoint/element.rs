@@ -43,7 +43,7 @@ impl Element {
     }
 
     /// Whether it is a floating-point format.
-    pub const fn is_float(self) -> bool {
+    pub(crate) const fn is_float(self) -> bool {
         matches!(self, Self::F64 | Self::F32 | Self::F16 | Self::BF16)
     }
 

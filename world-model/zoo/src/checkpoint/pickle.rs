@@ -130,6 +130,7 @@ impl<'a> Machine<'a> {
 
     /// Takes the top of the stack, which must not lie under a mark.
     fn pop(&mut self) -> Result<Id, String> {
+        // Without a mark, the whole stack is free.
         let floor = self.marks.last().copied().unwrap_or(0);
         if self.stack.len() <= floor {
             return Err("the stack is empty".to_owned());

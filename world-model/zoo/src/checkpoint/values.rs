@@ -83,10 +83,11 @@ pub(super) fn stay_finite(values: &[f32], rounded: bool) -> bool {
 }
 
 /// Bytes from the first value of `entry` to the end of the last one.
-fn stored<'a>(bytes: &'a Bytes, entry: &Entry) -> &'a [u8] {
-    // Checked when the file was opened: the entry lies within the file.
-    let span = entry.span().unwrap_or_default();
-    let all = bytes.as_slice().get(entry.start..entry.start + span);
+pub(super) fn stored<'a>(bytes: &'a Bytes, entry: &Entry) -> &'a [u8] {
+    let span = entry.span();
+    let all = span.and_then(|span| bytes.as_slice().get(entry.start..entry.start + span));
+    // Opening the file checked it.
+    debug_assert!(all.is_some(), "an entry lies beyond its file");
     all.unwrap_or_default()
 }
 
@@ -112,7 +113,10 @@ where
         Some(strides) => {
             let mut values = vec![T::default(); entry.count()];
             for (value, at) in values.iter_mut().zip(offsets(&entry.shape, strides)) {
-                let stored = all.get(at * size..(at + 1) * size).unwrap_or_default();
+                let stored = all.get(at * size..(at + 1) * size);
+                // The span ends with the value of the greatest offset.
+                debug_assert!(stored.is_some(), "an offset lies beyond the span");
+                let stored = stored.unwrap_or_default();
                 convert(std::slice::from_mut(value), stored, entry.element, &from);
             }
             bytes.release(entry.start, all.len());

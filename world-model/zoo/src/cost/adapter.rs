@@ -12,7 +12,7 @@ const TOKENS: usize = 16 * 16;
 ///
 /// # Errors
 /// If the configuration cannot be built.
-pub fn adapter(config: &SvaeConfig) -> Result<Cost> {
+pub(crate) fn adapter(config: &SvaeConfig) -> Result<Cost> {
     count(
         |loader| Svae::load(config, loader),
         |weight| {

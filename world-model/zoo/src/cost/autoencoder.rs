@@ -12,7 +12,7 @@ use crate::vae::{
 ///
 /// # Errors
 /// If the configuration cannot be built.
-pub fn sd3_encoder(config: &SdVaeConfig) -> Result<Cost> {
+pub(crate) fn sd3_encoder(config: &SdVaeConfig) -> Result<Cost> {
     let sizes = Sizes::of_levels(FRAME_SIDE, config.block_out_channels.len());
     count(
         |loader| SdVaeEncoder::load(config, loader),
@@ -24,7 +24,7 @@ pub fn sd3_encoder(config: &SdVaeConfig) -> Result<Cost> {
 ///
 /// # Errors
 /// If the configuration cannot be built.
-pub fn sd3_decoder(config: &SdVaeConfig) -> Result<Cost> {
+pub(crate) fn sd3_decoder(config: &SdVaeConfig) -> Result<Cost> {
     let sizes = Sizes::of_levels(FRAME_SIDE, config.block_out_channels.len());
     count(
         |loader| SdVaeDecoder::load(config, loader),
@@ -36,7 +36,7 @@ pub fn sd3_decoder(config: &SdVaeConfig) -> Result<Cost> {
 ///
 /// # Errors
 /// If the configuration cannot be built.
-pub fn va_vae_encoder(config: &VaVaeConfig) -> Result<Cost> {
+pub(crate) fn va_vae_encoder(config: &VaVaeConfig) -> Result<Cost> {
     let sizes = Sizes::of_levels(FRAME_SIDE, config.multipliers.len());
     count(
         |loader| VaVaeEncoder::load(config, loader),
@@ -48,7 +48,7 @@ pub fn va_vae_encoder(config: &VaVaeConfig) -> Result<Cost> {
 ///
 /// # Errors
 /// If the configuration cannot be built.
-pub fn va_vae_decoder(config: &VaVaeConfig) -> Result<Cost> {
+pub(crate) fn va_vae_decoder(config: &VaVaeConfig) -> Result<Cost> {
     let sizes = Sizes::of_levels(FRAME_SIDE, config.multipliers.len());
     count(
         |loader| VaVaeDecoder::load(config, loader),
@@ -60,7 +60,7 @@ pub fn va_vae_decoder(config: &VaVaeConfig) -> Result<Cost> {
 ///
 /// # Errors
 /// If the configuration cannot be built.
-pub fn cosmos_encoder(config: &CosmosConfig) -> Result<Cost> {
+pub(crate) fn cosmos_encoder(config: &CosmosConfig) -> Result<Cost> {
     let sizes = Sizes::of_cosmos(config);
     count(
         |loader| CosmosEncoder::load(config, loader),
@@ -72,7 +72,7 @@ pub fn cosmos_encoder(config: &CosmosConfig) -> Result<Cost> {
 ///
 /// # Errors
 /// If the configuration cannot be built.
-pub fn cosmos_decoder(config: &CosmosConfig) -> Result<Cost> {
+pub(crate) fn cosmos_decoder(config: &CosmosConfig) -> Result<Cost> {
     let sizes = Sizes::of_cosmos(config);
     count(
         |loader| CosmosDecoder::load(config, loader),
@@ -84,7 +84,7 @@ pub fn cosmos_decoder(config: &CosmosConfig) -> Result<Cost> {
 ///
 /// # Errors
 /// If the configuration cannot be built.
-pub fn pixel_decoder(config: &PixelDecoderConfig) -> Result<Cost> {
+pub(crate) fn pixel_decoder(config: &PixelDecoderConfig) -> Result<Cost> {
     let sizes = Sizes::of_levels(FRAME_SIDE, config.multipliers.len());
     count(
         |loader| PixelDecoder::load(config, loader),

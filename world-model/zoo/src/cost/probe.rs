@@ -10,7 +10,7 @@ use crate::vit::{SiglipText, SiglipTextConfig};
 ///
 /// # Errors
 /// If the configuration cannot be built.
-pub fn siglip2_text(config: &SiglipTextConfig) -> Result<Cost> {
+pub(crate) fn siglip2_text(config: &SiglipTextConfig) -> Result<Cost> {
     count(
         |loader| SiglipText::load(config, loader),
         |weight| match weight.name.contains("encoder.layers.") {
@@ -24,7 +24,7 @@ pub fn siglip2_text(config: &SiglipTextConfig) -> Result<Cost> {
 ///
 /// # Errors
 /// If the configuration cannot be built.
-pub fn success_probe(config: &SuccessProbeConfig, text_length: usize) -> Result<Cost> {
+pub(crate) fn success_probe(config: &SuccessProbeConfig, text_length: usize) -> Result<Cost> {
     let tokens = config.max_frames * config.pool * config.pool;
     count(
         |loader| SuccessProbe::load(config, loader),

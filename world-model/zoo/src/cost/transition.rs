@@ -14,7 +14,7 @@ pub const CLIP_FRAMES: usize = 10;
 ///
 /// # Errors
 /// If the configuration cannot be built.
-pub fn transition(config: &DitConfig) -> Result<Cost> {
+pub(crate) fn transition(config: &DitConfig) -> Result<Cost> {
     let sizes = config.transition()?;
     count(
         |loader| build_dit(config, loader),

@@ -9,7 +9,7 @@ use crate::vit::{SiglipVision, SiglipVisionConfig, Vjepa, VjepaConfig, WebDino, 
 ///
 /// # Errors
 /// If the configuration cannot be built.
-pub fn vjepa(config: &VjepaConfig) -> Result<Cost> {
+pub(crate) fn vjepa(config: &VjepaConfig) -> Result<Cost> {
     let tokens = config.grid() * config.grid();
     count(
         |loader| Vjepa::load(config, loader),
@@ -24,7 +24,7 @@ pub fn vjepa(config: &VjepaConfig) -> Result<Cost> {
 ///
 /// # Errors
 /// If the configuration cannot be built.
-pub fn web_dino(config: &WebDinoConfig) -> Result<Cost> {
+pub(crate) fn web_dino(config: &WebDinoConfig) -> Result<Cost> {
     let patches = config.grid() * config.grid();
     count(
         |loader| WebDino::load(config, loader),
@@ -45,7 +45,7 @@ pub fn web_dino(config: &WebDinoConfig) -> Result<Cost> {
 ///
 /// # Errors
 /// If the configuration cannot be built.
-pub fn siglip2(config: &SiglipVisionConfig) -> Result<Cost> {
+pub(crate) fn siglip2(config: &SiglipVisionConfig) -> Result<Cost> {
     let tokens = config.grid() * config.grid();
     count(
         |loader| SiglipVision::load(config, loader),

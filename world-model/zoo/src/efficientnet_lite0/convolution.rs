@@ -4,9 +4,8 @@ use candle_core::{DType, Tensor};
 
 use super::depthwise::DepthwiseKernel;
 use super::window::Window;
-use crate::Engine;
 use crate::Result;
-use wm_model::ops::PackedFormat;
+use wm_model::{Kernels, NumberFormat};
 
 use crate::layers::{Linear, takes_kernels};
 use crate::loader::Loader;
@@ -42,7 +41,7 @@ pub(super) struct Spatial {
     bias: Tensor,
     window: Window,
     groups: usize,
-    engine: Engine,
+    kernels: Kernels,
 }
 
 impl Convolution {
@@ -60,9 +59,9 @@ impl Convolution {
             return Ok(Self::Pointwise(Linear::new(
                 weight,
                 Some(bias),
-                loader.engine(),
+                loader.kernels(),
                 // Rounded before the fold; the folded ones are not rounded again.
-                PackedFormat::F32,
+                NumberFormat::F32,
             )?));
         }
         Ok(Self::Spatial(Spatial {
@@ -70,7 +69,7 @@ impl Convolution {
             bias,
             window: Window { kernel, stride },
             groups: 1,
-            engine: loader.engine(),
+            kernels: loader.kernels(),
         }))
     }
 
@@ -87,7 +86,7 @@ impl Convolution {
             bias,
             window: Window { kernel, stride },
             groups: channels,
-            engine: loader.engine(),
+            kernels: loader.kernels(),
         }))
     }
 
@@ -106,7 +105,7 @@ impl Spatial {
         if h == 0 || w == 0 {
             return Err(shape_error("the image", "(N, H, W, C), not empty", x));
         }
-        if self.groups > 1 && takes_kernels(self.engine, x) {
+        if self.groups > 1 && takes_kernels(self.kernels, x) {
             let kernel = DepthwiseKernel::new(&self.weight, &self.bias, self.window)?;
             return Ok(x.contiguous()?.apply_op1_no_bwd(&kernel)?);
         }
@@ -124,7 +123,7 @@ impl Spatial {
 
 /// Weight and bias of a convolution with the BatchNorm behind it.
 ///
-/// Only the 1x1 convolutions are rounded to the loader's precision: they hold 86 % of the values. A sum over the few
+/// Only the 1x1 convolutions are rounded to the loader's number format: they hold 86 % of the values. A sum over the few
 /// values of a depthwise filter, or of the stem's, averages no rounding out, and a BatchNorm subtracts means that are
 /// near its shift: in bf16 these few values would cause most of the error, beyond what bf16 may have.
 fn folded(
@@ -181,10 +180,10 @@ mod tests {
                 bias: random(&[channels]),
                 window: Window { kernel, stride },
                 groups: channels,
-                engine: Engine::Candle,
+                kernels: Kernels::Candle,
             };
             let reference = spatial.forward(&x).unwrap();
-            spatial.engine = Engine::Cpu;
+            spatial.kernels = Kernels::Cpu;
             let fast = spatial.forward(&x).unwrap();
             assert_eq!(fast.dims(), reference.dims());
             let difference = (fast - reference)

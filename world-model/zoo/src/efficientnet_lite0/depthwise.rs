@@ -40,13 +40,11 @@ impl DepthwiseKernel {
             let Some(ky) = (row + top).checked_sub(at * stride) else {
                 continue;
             };
-            if ky >= kernel {
+            let Some(taps) = self.taps.chunks_exact(kernel * channels).nth(ky) else {
                 break;
-            }
-            let taps = self.taps.chunks_exact(kernel * channels).nth(ky);
+            };
             for (column, out) in out.chunks_exact_mut(channels).enumerate() {
-                let taps = taps.unwrap_or_default().chunks_exact(channels);
-                for (kx, taps) in taps.enumerate() {
+                for (kx, taps) in taps.chunks_exact(channels).enumerate() {
                     let Some(x) = (column * stride + kx).checked_sub(left) else {
                         continue;
                     };

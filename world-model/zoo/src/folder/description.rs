@@ -8,10 +8,10 @@ use wm_model::trained_folder::TRANSITION_FILE;
 use wm_model::transition::{
     ACTIONS_KEY, ActionAlignment, CONFIG_KEY, LATENT_SPACE_KEY, Parametrisation, TransitionConfig,
 };
-use wm_model::{Fit, LatentSpace, PictureSize, Weights};
+use wm_model::{Fit, LatentSpace, NumberFormat, PictureSize, Weights};
 
 use crate::kinds::{DitConfig, Kind};
-use crate::{Error, Precision, Result};
+use crate::{Error, Result};
 
 /// Side of the paper's frames in pixels.
 const FRAME_SIDE: usize = 256;
@@ -35,8 +35,9 @@ pub struct Description {
     pub trained_on: Option<PictureSize>,
     /// Number format of all weights: `bf16` halves their memory, `int8` quarters that of the matrices.
     #[serde(default)]
-    pub dtype: Precision,
-    /// Pictures to latents: `web-dino`, `siglip2`, `vjepa2.1`, `sd3-vae`, `va-vae` or `cosmos-ci16x16`.
+    pub dtype: NumberFormat,
+    /// Pictures to latents: `web-dino`, `siglip2`, `vjepa2.1`, `sd3-vae`, `va-vae` or `cosmos-ci16x16`; or, with a decoder
+    /// of the same kind, `autoencoder` or `taef2`.
     pub encoder: Part,
     /// The S-VAE that takes the encoder's features to a compact latent.
     #[serde(default)]
@@ -66,7 +67,8 @@ pub struct Description {
 pub struct Part {
     /// Its kind, as `wm model forward` names it.
     pub kind: String,
-    /// Its configuration.
+    /// Its configuration; an autoencoder has it in its weights.
+    #[serde(default)]
     pub config: Configuration,
     /// Its checkpoint, safetensors or a torch file, relative to the folder.
     pub weights: String,
@@ -78,7 +80,8 @@ pub struct Part {
 pub struct DecoderPart {
     /// Its kind, as `wm model forward` names it.
     pub kind: String,
-    /// Its configuration.
+    /// Its configuration; an autoencoder has it in its weights.
+    #[serde(default)]
     pub config: Configuration,
     /// Its checkpoint, safetensors or a torch file, relative to the folder.
     pub weights: String,
@@ -131,7 +134,7 @@ pub struct ProbePart {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TextPart {
-    /// A [`SiglipTextConfig`](crate::vit::SiglipTextConfig).
+    /// Hugging Face's config.json (Siglip).
     pub config: Configuration,
     /// Its checkpoint, relative to the folder; it may hold the vision tower as well.
     pub weights: String,
@@ -184,7 +187,18 @@ impl Description {
     }
 }
 
+impl Default for Configuration {
+    fn default() -> Self {
+        Self::Object(serde_json::Map::new())
+    }
+}
+
 impl Configuration {
+    /// Whether it has no value.
+    pub(super) fn is_empty(&self) -> bool {
+        matches!(self, Self::Object(values) if values.is_empty())
+    }
+
     /// The configuration as JSON.
     ///
     /// # Errors

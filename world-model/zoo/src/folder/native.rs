@@ -3,14 +3,14 @@
 use candle_core::{DType, Device, Tensor};
 use sha2::{Digest as _, Sha256};
 use wm_model::autoencoder::Normalisation;
-use wm_model::{LatentSpace, Place};
+use wm_model::{Compute, LatentSpace, NumberFormat};
 
 use super::encoder::canonical;
 use super::source::{KnownInputs, Source};
 use super::{DescribedFolder, Opened, load_adapter, views};
 use crate::sizes::shape_error;
 use crate::svae::{Svae, SvaeConfig};
-use crate::{Error, Precision, Result};
+use crate::{Error, Result};
 
 /// The adapter's decoder: what was trained on the features of an encoder, its native latent space, can read the latents
 /// of its adapter through it (the paper, appendix C.3).
@@ -68,7 +68,7 @@ impl DescribedFolder {
     /// # Errors
     /// If a value is not finite.
     pub fn native_decoder(&self) -> Result<Option<NativeDecoder>> {
-        let compute = self.compute(&Place::default())?;
+        let compute = self.in_own_format(&Compute::default())?;
         let Some(adapter) = load_adapter(self.adapter.as_ref(), &compute, &self.known)? else {
             return Ok(None);
         };
@@ -103,14 +103,14 @@ impl DescribedFolder {
     pub(super) fn space_of(
         &self,
         name: String,
-        (latent, precision): ([usize; 3], Precision),
+        (latent, format): ([usize; 3], NumberFormat),
         adapter: Option<&Opened<SvaeConfig>>,
         normalisation: &Normalisation,
     ) -> Result<LatentSpace> {
         let mut hash = Sha256::new();
         let [height, width, channels] = latent;
         let description = &self.description;
-        let settings = (latent, description.image, self.views, precision);
+        let settings = (latent, description.image, self.views, format);
         hash.update(format!("{}\n", canonical(&settings)?));
         if !description.fit.is_stretch() {
             hash.update(format!("{}\n", description.fit));
@@ -122,7 +122,7 @@ impl DescribedFolder {
             adapter.source.hash(&adapter.tensors, &mut hash)?;
         }
         normalisation.add_to(&mut hash);
-        if precision == Precision::Int8 {
+        if format == NumberFormat::Int8 {
             self.hash_ranges(&self.encoder.source, &mut hash);
             if let Some(adapter) = adapter {
                 self.hash_ranges(&adapter.source, &mut hash);

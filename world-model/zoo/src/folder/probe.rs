@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use wm_model::Compute;
 use wm_model::autoencoder::Normalisation;
 
 use super::fit::giver;
@@ -14,7 +15,7 @@ use crate::success_probe::{
     SuccessProbeConfig,
 };
 use crate::vit::{SiglipText, SiglipTextConfig};
-use crate::{Error, Precision, Result};
+use crate::{Error, Result};
 
 /// The probe, and what reads the instruction for one that takes it.
 #[derive(Clone, Debug)]
@@ -139,21 +140,21 @@ impl Probe {
 
     pub(super) fn load(
         &self,
-        precision: Precision,
+        compute: &Compute,
         known: &KnownInputs,
         normalisation: Normalisation,
     ) -> Result<SuccessClassifier> {
         let judge = match self {
-            Self::Pooled(probe) => Judge::Pooled(probe.source.load(
-                precision,
-                known,
-                |loader| probe.config.load(loader),
-            )?),
+            Self::Pooled(probe) => Judge::Pooled(
+                probe
+                    .source
+                    .load(compute, known, |loader| probe.config.load(loader))?,
+            ),
             Self::Instructed { probe, text } => {
                 let tower = &text.tower;
                 // First what is cheap: it may be wrong.
                 let tokenizer = InstructionTokenizer::open(&text.tokenizer, &tower.config)?;
-                let text = tower.source.load(precision, known, |loader| {
+                let text = tower.source.load(compute, known, |loader| {
                     SiglipText::load(&tower.config, loader)
                 })?;
                 Judge::Instructed(Box::new(Instructed {
@@ -162,7 +163,7 @@ impl Probe {
                         text: Box::new(text),
                     },
                     probe: ProbeNetwork::Transformer(Box::new(probe.source.load(
-                        precision,
+                        compute,
                         known,
                         |loader| SuccessProbe::load(&probe.config, loader),
                     )?)),

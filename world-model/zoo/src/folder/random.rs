@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use candle_core::{Device, Tensor};
+use wm_model::Kernels;
 use wm_model::autoencoder::{MEAN, STD};
 use wm_model::transition::{Initialisation, Parameter};
 use wm_model::weights::{Precision as Stored, WeightsBuilder};
@@ -15,7 +16,7 @@ use crate::pooled_probe::PooledProbeConfig;
 use crate::success_probe::SuccessProbe;
 use crate::svae::{Svae, SvaeConfig};
 use crate::vit::SiglipText;
-use crate::{Engine, Error, Loader, Result};
+use crate::{Error, Loader, Result};
 
 use super::decoder::DecoderConfig;
 use super::encoder::EncoderConfig;
@@ -122,7 +123,7 @@ fn parts(description: &Description) -> Vec<Part> {
 
 fn requested(part: &Part, folder: &Path) -> Result<(Kind, Vec<Requested>)> {
     let (kind, config): (Kind, String) = (part.kind.parse()?, part.config.text(folder)?);
-    let loader = Loader::skeleton(Engine::Candle);
+    let loader = Loader::skeleton(Kernels::Candle);
     match kind {
         Kind::Dit => drop(build_dit(&parse::<DitConfig>(&config)?, &loader)?),
         Kind::Svae => drop(Svae::load(&parse(&config)?, &loader)?),
@@ -159,6 +160,7 @@ fn values(name: &str, shape: &[usize], seed: u64) -> Result<Tensor> {
 #[cfg(test)]
 mod tests {
     use serde_json::json;
+    use wm_model::Compute;
 
     use super::super::DescribedFolder;
     use super::super::tests::adapted;
@@ -180,7 +182,7 @@ mod tests {
         ];
         assert_eq!(written, expected.map(|file| folder.path().join(file)));
         let model = DescribedFolder::open(folder.path()).unwrap();
-        model.world_model().unwrap();
+        model.world_model(&Compute::default()).unwrap();
         // Nothing is written twice.
         assert!(write_random_weights(folder.path(), 2).unwrap().is_empty());
     }

@@ -3,13 +3,14 @@
 use std::path::Path;
 
 use sha2::{Digest as _, Sha256};
+use wm_model::Compute;
 
 use super::Part;
 use crate::calibration::{Calibration, RangeRecorder};
 use crate::checkpoint::Average;
 use crate::kinds::Kind;
 use crate::loader::Requested;
-use crate::{Checkpoint, Compute, Engine, Loader, Precision, Result};
+use crate::{Checkpoint, Loader, Result};
 
 /// What is known of the inputs of a model's matrices.
 #[derive(Debug)]
@@ -56,24 +57,14 @@ impl Source {
         Ok(loader.requested())
     }
 
-    /// Has a model built from its values, rounded to `precision`, for the CPU's kernels.
+    /// Builds a model from its values, for the device, number format and kernels of `compute`.
     pub(super) fn load<M>(
-        &self,
-        precision: Precision,
-        known: &KnownInputs,
-        load: impl FnOnce(&Loader<'_>) -> Result<M>,
-    ) -> Result<M> {
-        self.load_at(&Compute::on_cpu(Engine::Cpu, precision)?, known, load)
-    }
-
-    /// As [`Self::load`], for what computes it.
-    pub(super) fn load_at<M>(
         &self,
         compute: &Compute,
         known: &KnownInputs,
         load: impl FnOnce(&Loader<'_>) -> Result<M>,
     ) -> Result<M> {
-        let mut loader = Loader::on(&self.checkpoint, compute);
+        let mut loader = Loader::new(&self.checkpoint, compute)?;
         match known {
             KnownInputs::Nothing => {}
             KnownInputs::Calibrated(calibration) => {

@@ -5,11 +5,11 @@ use wm_model::sampler::Rollout;
 use wm_model::trained_folder::TRANSITION_FILE;
 use wm_model::transition::{ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition};
 use wm_model::weights::{Precision as Stored, WeightsBuilder};
-use wm_model::{Fit, Framing};
+use wm_model::{Fit, Framing, Kernels};
 use wm_motion::actions::Accumulation;
 
 use super::*;
-use crate::{Engine, ModelFolder, PlacedModel, Placement, Precision};
+use crate::ModelFolder;
 
 mod calibrated;
 
@@ -111,7 +111,7 @@ fn a_folder_encodes_predicts_and_decodes_in_one_space() {
 }
 
 /// What `model` makes of two pictures: their latents, what three candidates predict after them, and its pictures.
-fn through(model: &PlacedModel) -> [Tensor; 3] {
+fn through(model: &ModelFolder) -> [Tensor; 3] {
     let decoder = model.decoder().unwrap().unwrap();
     pass(
         &*model.encoder().unwrap(),
@@ -144,10 +144,10 @@ fn pass(encoder: &dyn Encoder, model: &WorldModel, decoder: &dyn Decoder) -> [Te
 }
 
 /// The first GPU, with recorded passes and without, in a build for it.
-fn gpus() -> Vec<Placement> {
-    let on = |recorded| Placement::on(crate::DeviceName::Cuda(0), recorded);
-    match on(false).open() {
-        Ok(_) => vec![on(false), on(true)],
+fn gpus() -> Vec<Compute> {
+    let gpu: Compute = "cuda".parse().unwrap();
+    match gpu.device() {
+        Ok(_) => vec![gpu.clone(), gpu.recording(true)],
         Err(missing) => {
             eprintln!("GPU: skipped, {missing}");
             vec![]
@@ -169,16 +169,12 @@ fn what_a_gpu_would_compute_is_what_the_kernels_do() {
         .iter()
         .map(|f| f.path().to_string_lossy().into_owned());
     for name in names.chain(["tiny".to_owned()]) {
-        let on = |placement| {
-            let model = ModelFolder::open(&name).unwrap();
-            through(&PlacedModel::new(model, placement))
-        };
-        let kernels = on(Placement::default());
-        for (tensors, place) in gpus()
-            .iter()
-            .chain([&Placement::rehearsed()])
-            .map(|p| (on(*p), p))
-        {
+        let on = |compute| through(&ModelFolder::open(&name).unwrap().on(compute));
+        let kernels = on(Compute::default());
+        // The code of a GPU runs on the CPU too.
+        let rehearsed = Compute::on_cpu(Kernels::Candle).recording(true);
+        for compute in gpus().into_iter().chain([rehearsed]) {
+            let tensors = on(compute.clone());
             for ((what, found), expected) in ["latents", "predicted", "pictures"]
                 .into_iter()
                 .zip(&tensors)
@@ -191,8 +187,8 @@ fn what_a_gpu_would_compute_is_what_the_kernels_do() {
                 };
                 let difference = norm(&(found - expected).unwrap()) / norm(expected);
                 // Both have bf16 weights as f32 here; kernels round activations to them where the processor has such products.
-                assert!(difference < 2e-2, "{name}, {what}, {place:?}: {difference}");
-                println!("{name}, {what}, {place:?}: {difference:.1e}");
+                assert!(difference < 2e-2, "{name}, {what}, {compute}: {difference}");
+                println!("{name}, {what}, {compute}: {difference:.1e}");
             }
         }
     }
@@ -202,13 +198,16 @@ fn what_a_gpu_would_compute_is_what_the_kernels_do() {
 fn an_adapter_decodes_to_the_space_of_its_encoder_alone() {
     let folder = folder(&adapted());
     let open = || DescribedFolder::open(folder.path()).unwrap();
-    let (adapter, encoder) = (open().native_decoder().unwrap().unwrap(), open().encoder());
+    let (adapter, encoder) = (
+        open().native_decoder().unwrap().unwrap(),
+        open().encoder(&Compute::default()),
+    );
     let images = Tensor::rand(0f32, 1.0, (2, 32, 32, 3), &Device::Cpu).unwrap();
     let latents = encoder.unwrap().encode(&images).unwrap();
     let features = adapter.decode(&latents).unwrap();
     assert_eq!(features.dims(), [2, 4, 4, 48]);
     // By the adapter's own round trip of the encoder's features.
-    let compute = Compute::on_cpu(Engine::Cpu, Precision::F32).unwrap();
+    let compute = Compute::default();
     let svae = load_adapter(open().adapter.as_ref(), &compute, &KnownInputs::Nothing)
         .unwrap()
         .unwrap();
@@ -220,7 +219,13 @@ fn an_adapter_decodes_to_the_space_of_its_encoder_alone() {
     assert_eq!(adapter.native().hash, space.hash);
     assert_eq!(adapter.native().shape(), space.shape());
     assert!(open().native_decoder().unwrap().is_none());
-    let own = svae.forward(&open().encoder().unwrap().encode(&images).unwrap());
+    let own = svae.forward(
+        &open()
+            .encoder(&Compute::default())
+            .unwrap()
+            .encode(&images)
+            .unwrap(),
+    );
     let values = |x: &Tensor| x.flatten_all().unwrap().to_vec1::<f32>().unwrap();
     for (a, b) in values(&features).iter().zip(values(&own.unwrap())) {
         assert!((a - b).abs() < 1e-4, "{a} {b}");
@@ -284,7 +289,10 @@ fn decoding_undoes_the_normalisation() {
     let open = |model| {
         let folder = folder(model);
         let model = DescribedFolder::open(folder.path()).unwrap();
-        (model.encoder().unwrap(), model.decoder().unwrap().unwrap())
+        (
+            model.encoder(&Compute::default()).unwrap(),
+            model.decoder(&Compute::default()).unwrap().unwrap(),
+        )
     };
     let ((encoder, decoder), (plain_encoder, plain_decoder)) = (open(&with), open(&without));
     let image = Tensor::rand(0f32, 1.0, (1, 32, 32, 3), &Device::Cpu).unwrap();
@@ -380,7 +388,7 @@ fn views_lie_beside_each_other() {
     model["transition"]["config"]["grid"] = json!([4, 8]);
     let folder = folder(&model);
     let model = DescribedFolder::open(folder.path()).unwrap();
-    let encoder = model.encoder().unwrap();
+    let encoder = model.encoder(&Compute::default()).unwrap();
     assert_eq!(encoder.input_size(), (32, 64));
     assert_eq!(encoder.space().shape(), (4, 8, 6));
     let image = Tensor::rand(0f32, 1.0, (1, 32, 64, 3), &Device::Cpu).unwrap();
@@ -397,7 +405,7 @@ fn views_lie_beside_each_other() {
     let difference = (swapped(&latent, 4) - of_swapped).unwrap().abs().unwrap();
     let most = difference.max_all().unwrap().to_scalar::<f32>().unwrap();
     assert!(most < 1e-5, "{most}");
-    let decoder = model.decoder().unwrap().unwrap();
+    let decoder = model.decoder(&Compute::default()).unwrap().unwrap();
     assert_eq!(decoder.decode(&latent).unwrap().dims(), [1, 8, 16, 3]);
 }
 
@@ -413,7 +421,7 @@ fn positions_of_several_views_are_part_of_the_models_hash() {
         }
         std::fs::write(folder.path().join(FILE), model.to_string()).unwrap();
         let opened = DescribedFolder::open(folder.path()).unwrap();
-        opened.world_model().unwrap()
+        opened.world_model(&Compute::default()).unwrap()
     };
     let default = transition(None);
     let [reference, by_view] = ["reference", "by_view"].map(|layout| transition(Some(layout)));
@@ -451,7 +459,9 @@ fn of_a_steps_actions_the_first_is_taken_as_in_the_reference() {
             ),
         }
         let folder = folder(&model);
-        let transition = DescribedFolder::open(folder.path()).unwrap().world_model();
+        let transition = DescribedFolder::open(folder.path())
+            .unwrap()
+            .world_model(&Compute::default());
         assert_eq!(transition.unwrap().encoding.accumulation(), expected);
     }
 }
@@ -562,7 +572,7 @@ fn a_model_need_not_decode() {
     model["decoder"] = Value::Null;
     let folder = folder(&model);
     let model = DescribedFolder::open(folder.path()).unwrap();
-    assert!(model.decoder().unwrap().is_none());
+    assert!(model.decoder(&Compute::default()).unwrap().is_none());
     let summary = model.summary().unwrap();
     let roles: Vec<_> = summary.parts.iter().map(|part| part.role).collect();
     assert_eq!(roles, ["encoder", "adapter", "transition"]);

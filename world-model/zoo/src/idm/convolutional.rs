@@ -144,7 +144,7 @@ impl ConvolutionalIdm {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Engine;
+    use wm_model::Kernels;
 
     fn config() -> ConvolutionalIdmConfig {
         ConvolutionalIdmConfig {
@@ -159,7 +159,7 @@ mod tests {
 
     #[test]
     fn that_of_the_bundled_model_is_small() {
-        let loader = Loader::skeleton(Engine::Cpu);
+        let loader = Loader::skeleton(Kernels::Cpu);
         ConvolutionalIdm::load(&config(), &loader).unwrap();
         assert_eq!(loader.parameters(), 683_015);
     }
@@ -171,7 +171,7 @@ mod tests {
             horizon: 3,
             ..config()
         };
-        let model = ConvolutionalIdm::load(&config, &Loader::skeleton(Engine::Candle)).unwrap();
+        let model = ConvolutionalIdm::load(&config, &Loader::skeleton(Kernels::Candle)).unwrap();
         let latents = |frames| Tensor::zeros((2, frames, 5, 6, 12), DType::F32, &Device::Cpu);
         let actions = model.forward_dropping(&latents(4).unwrap(), &mut Dropout::none());
         assert_eq!(actions.unwrap().dims(), [2, 3, 7]);

@@ -1,6 +1,7 @@
 use std::path::Path;
 
 use candle_core::Tensor;
+use wm_model::Kernels;
 use wm_model::{
     LatentSpace, Weights,
     transition::{ACTIONS_KEY, LATENT_SPACE_KEY},
@@ -8,7 +9,7 @@ use wm_model::{
 use wm_motion::actions::ActionEncoding;
 
 use super::{IdmNetwork, IdmNetworkConfig};
-use crate::{Engine, Loader, Result, loader::OfWeights};
+use crate::{Loader, Result, loader::OfWeights};
 
 /// Metadata key of the [`IdmNetworkConfig`] (JSON).
 pub const IDM_KEY: &str = "idm";
@@ -38,7 +39,7 @@ impl TrainedIdm {
         let config: IdmNetworkConfig = weights.json(IDM_KEY)?;
         let idm = IdmNetwork::load(
             &config,
-            &Loader::supplied(&OfWeights(&weights), Engine::Cpu),
+            &Loader::supplied(&OfWeights(&weights), Kernels::Cpu),
         )?;
         let (space, encoding) = (weights.json(LATENT_SPACE_KEY)?, weights.json(ACTIONS_KEY)?);
         weights.finish()?;

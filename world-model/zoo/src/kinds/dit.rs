@@ -1,17 +1,17 @@
 //! The transition model from its published checkpoints.
 
 use serde::{Deserialize, Serialize};
-use wm_model::Place;
 use wm_model::ops::RopeLayout;
 use wm_model::sampler::Sampler;
 use wm_model::transition::{
     ActionAlignment, LoadedTransition, PackedTransition, Parametrisation, Transition,
     TransitionConfig, published_shift,
 };
+use wm_model::{Compute, Kernels};
 
 use super::Kind;
 use crate::checkpoint::Average;
-use crate::{Checkpoint, Compute, Engine, Loader, Precision, Result};
+use crate::{Checkpoint, Loader, Result};
 
 /// Width of the wide head of all published models that have one (the paper, appendix B, table
 /// "Architecture size and compute").
@@ -133,28 +133,16 @@ impl DitConfig {
         Ok(config)
     }
 
-    /// The model with the weights of `checkpoint` (the averaged ones, if it has both), packed for inference on the CPU
-    /// in `precision`: what [`Rollout`](wm_model::sampler::Rollout) and the planner run on.
+    /// The model with the weights of `checkpoint` (the averaged ones, if it has both), ready for inference on the
+    /// device, in the number format and with the kernels of `compute`: what [`Rollout`](wm_model::sampler::Rollout) and the planner run on.
     ///
     /// # Errors
-    /// If a model of these sizes cannot be built, or the checkpoint's tensors are not the model's.
-    pub fn load(&self, checkpoint: &Checkpoint, precision: Precision) -> Result<LoadedTransition> {
-        self.load_at(checkpoint, &Place::default(), precision)
-    }
-
-    /// As [`Self::load`], to compute at `place`.
-    ///
-    /// # Errors
-    /// As [`Self::load`]; or that the device has no memory for it, or its engine does not compute in that precision.
-    pub fn load_at(
-        &self,
-        checkpoint: &Checkpoint,
-        place: &Place,
-        precision: Precision,
-    ) -> Result<LoadedTransition> {
+    /// If a model of these sizes cannot be built, the checkpoint's tensors are not the model's, or the device cannot be
+    /// used or has no memory for it.
+    pub fn load(&self, checkpoint: &Checkpoint, compute: &Compute) -> Result<LoadedTransition> {
         let checkpoint = Kind::Dit.weights(checkpoint, Average::Ema);
-        let loader = Loader::on(&checkpoint, &Compute::at(place, precision)?);
-        let model = load_transition(self.transition()?, &loader, place)?;
+        let loader = Loader::new(&checkpoint, compute)?;
+        let model = load_transition(self.transition()?, &loader, compute)?;
         loader.finish()?;
         Ok(model)
     }
@@ -165,15 +153,15 @@ pub(crate) fn build(config: &DitConfig, loader: &Loader<'_>) -> Result<Transitio
     build_transition(config.transition()?, loader)
 }
 
-/// The model of the tensors of `loader`, ready to compute at `place`. Kernels have the weights packed from where they lie.
+/// The model of the tensors of `loader`, ready to compute. The CPU's kernels have the weights packed from where they lie.
 pub(crate) fn load_transition(
     config: TransitionConfig,
     loader: &Loader<'_>,
-    place: &Place,
+    compute: &Compute,
 ) -> Result<LoadedTransition> {
-    Ok(match place.engine() {
-        Engine::Cpu => PackedTransition::build(config, loader)?.into(),
-        Engine::Candle => place.load(build_transition(config, loader)?, loader.format())?,
+    Ok(match compute.kernels() {
+        Kernels::Cpu => PackedTransition::build(config, loader)?.into(),
+        Kernels::Candle => compute.load(build_transition(config, loader)?, loader.format())?,
     })
 }
 

@@ -2,6 +2,7 @@
 
 use candle_core::{Device, Tensor};
 use serde::de::DeserializeOwned;
+use wm_model::Compute;
 
 use super::inputs::Inputs;
 use super::{DitConfig, Kind, Tensors, finite, owned, parse};
@@ -16,7 +17,7 @@ use crate::vae::{
     VaVaeEncoder,
 };
 use crate::vit::{SiglipText, SiglipVision, Vjepa, WebDino};
-use crate::{Checkpoint, Compute, Loader, Result};
+use crate::{Checkpoint, Loader, Result};
 
 /// First of EfficientNet-Lite0's blocks that is given.
 const FIRST_BLOCK: usize = 8;
@@ -46,13 +47,12 @@ impl Loaded {
         let checkpoint = kind.weights(checkpoint, Average::Ema);
         let source = Source {
             config,
-            loader: Loader::on(&checkpoint, compute),
+            loader: Loader::new(&checkpoint, compute)?,
         };
         let run = match kind {
             Kind::Dit => {
                 let config: DitConfig = parse(config)?;
-                let (place, precision) = (compute.place(), compute.precision());
-                let model = config.load_at(&checkpoint, &place, precision)?;
+                let model = config.load(&checkpoint, compute)?;
                 Box::new(move |inputs: &Inputs<'_>| {
                     let (x, tau) = (inputs.float("x")?, inputs.unit("tau")?);
                     let velocity = model.forward(&x, &tau, &inputs.float("action")?)?;
@@ -135,7 +135,7 @@ impl Loaded {
         };
         Ok(Self {
             kind,
-            device: compute.device().clone(),
+            device: compute.device()?.clone(),
             run,
         })
     }

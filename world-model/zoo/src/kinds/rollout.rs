@@ -1,13 +1,14 @@
 //! Predicts many frames, one after the other.
 
 use candle_core::{Device, Tensor};
+use wm_model::Compute;
 use wm_model::sampler::{Given, Rollout, Sampler};
 use wm_model::transition::LoadedTransition;
 
 use super::inputs::Inputs;
 use super::{DitConfig, Tensors, finite, owned, parse};
 use crate::sizes::shape_error;
-use crate::{Checkpoint, Compute, Result};
+use crate::{Checkpoint, Result};
 
 /// How frames are sampled.
 #[derive(Clone, Debug, PartialEq)]
@@ -35,7 +36,7 @@ pub fn rollout(
 ) -> Result<Tensors> {
     options.sampler.validate()?;
     let config: DitConfig = parse(config)?;
-    let model = config.load_at(checkpoint, &compute.place(), compute.precision())?;
+    let model = config.load(checkpoint, compute)?;
     let inputs = Clips::new(&model, &Inputs::new("dit", inputs, &Device::Cpu))?;
     let predicted = match options.cache {
         true => inputs.predict_cached(&model, &options.sampler)?,

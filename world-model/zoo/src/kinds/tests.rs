@@ -4,7 +4,6 @@ use wm_model::sampler::Sampler;
 use wm_model::transition::Transition;
 
 use super::*;
-use crate::{Engine, Precision};
 
 const CONFIG: &str = r#"{"hidden": 32, "depth": 2, "heads": 2, "channels": 4, "patch": 2, "grid": [4, 6],
     "action_dim": 5, "max_frames": 4, "head": "wide", "wide_dim": 48}"#;
@@ -68,14 +67,7 @@ fn a_transition_model_is_found_in_its_wrappers() {
         ("action", random(&[2, 3, 5])),
     ]);
     let run = |checkpoint: &Checkpoint| {
-        forward(
-            Kind::Dit,
-            CONFIG,
-            checkpoint,
-            &inputs,
-            &Compute::on_cpu(Engine::Cpu, Precision::F32).unwrap(),
-        )
-        .unwrap()
+        forward(Kind::Dit, CONFIG, checkpoint, &inputs, &Compute::default()).unwrap()
     };
     let plain = run(&checkpoint(""));
     assert_eq!(plain["velocity"].dims(), [2, 3, 4, 6, 4]);
@@ -102,13 +94,7 @@ fn a_rollout_with_the_cache_equals_the_definition() {
                 },
                 cache,
             };
-            let out = rollout(
-                CONFIG,
-                &checkpoint,
-                &inputs,
-                &options,
-                &Compute::on_cpu(Engine::Cpu, Precision::F32).unwrap(),
-            );
+            let out = rollout(CONFIG, &checkpoint, &inputs, &options, &Compute::default());
             out.unwrap()["predicted"].clone()
         };
         let (cached, plain) = (run(true), run(false));
@@ -122,13 +108,7 @@ fn what_is_missing_is_named() {
     let checkpoint = checkpoint("");
     let inputs = tensors(&[("x", random(&[1, 1, 4, 6, 4]))]);
     let run = |config: &str, kind| {
-        let out = forward(
-            kind,
-            config,
-            &checkpoint,
-            &inputs,
-            &Compute::on_cpu(Engine::Cpu, Precision::F32).unwrap(),
-        );
+        let out = forward(kind, config, &checkpoint, &inputs, &Compute::default());
         out.unwrap_err().to_string()
     };
     let message = run(CONFIG, Kind::Dit);
@@ -178,13 +158,7 @@ fn an_input_that_cannot_be_computed_with_is_named() {
     ] {
         let mut inputs = good.clone();
         inputs.insert(name.to_owned(), tensor);
-        let out = forward(
-            Kind::Dit,
-            CONFIG,
-            &checkpoint,
-            &inputs,
-            &Compute::on_cpu(Engine::Cpu, Precision::F32).unwrap(),
-        );
+        let out = forward(Kind::Dit, CONFIG, &checkpoint, &inputs, &Compute::default());
         let message = out.unwrap_err().to_string();
         assert!(message.contains(expected), "{message}");
     }

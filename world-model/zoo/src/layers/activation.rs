@@ -2,10 +2,11 @@
 
 use candle_core::Tensor;
 use serde::{Deserialize, Serialize};
+use wm_model::Kernels;
 use wm_model::ops;
 
 use super::{host, takes_kernels};
-use crate::{Engine, Result};
+use crate::Result;
 
 /// Activation function, by the names that Hugging Face configurations use.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -29,10 +30,10 @@ impl Activation {
     }
 
     /// Applies it to every value.
-    pub(crate) fn apply(self, engine: Engine, x: &Tensor) -> Result<Tensor> {
+    pub(crate) fn apply(self, kernels: Kernels, x: &Tensor) -> Result<Tensor> {
         match self {
-            Self::GeluExact => gelu_exact(engine, x),
-            Self::GeluTanh => gelu_tanh(engine, x),
+            Self::GeluExact => gelu_exact(kernels, x),
+            Self::GeluTanh => gelu_tanh(kernels, x),
         }
     }
 }
@@ -41,8 +42,8 @@ impl Activation {
 ///
 /// # Errors
 /// If the values are not floating-point numbers.
-pub fn gelu_exact(engine: Engine, x: &Tensor) -> Result<Tensor> {
-    if takes_kernels(engine, x) {
+pub(crate) fn gelu_exact(kernels: Kernels, x: &Tensor) -> Result<Tensor> {
+    if takes_kernels(kernels, x) {
         return host::changed(x, ops::gelu_exact);
     }
     Ok(x.gelu_erf()?)
@@ -52,22 +53,11 @@ pub fn gelu_exact(engine: Engine, x: &Tensor) -> Result<Tensor> {
 ///
 /// # Errors
 /// If the values are not floating-point numbers.
-pub fn gelu_tanh(engine: Engine, x: &Tensor) -> Result<Tensor> {
-    if takes_kernels(engine, x) {
+pub(crate) fn gelu_tanh(kernels: Kernels, x: &Tensor) -> Result<Tensor> {
+    if takes_kernels(kernels, x) {
         return host::changed(x, ops::gelu_tanh);
     }
     Ok(x.gelu()?)
-}
-
-/// x times the logistic function of x.
-///
-/// # Errors
-/// If the values are not floating-point numbers.
-pub fn silu(engine: Engine, x: &Tensor) -> Result<Tensor> {
-    if takes_kernels(engine, x) {
-        return host::changed(x, ops::silu);
-    }
-    Ok(x.silu()?)
 }
 
 #[cfg(test)]

@@ -1,12 +1,14 @@
 //! Attention.
 
 use candle_core::{D, DType, Tensor};
-use wm_model::ops::{AttentionShape, PackedFormat, ScoreMask, dense_attention};
+use wm_model::Kernels;
+use wm_model::NumberFormat;
+use wm_model::ops::{AttentionShape, ScoreMask, dense_attention};
 
 use super::host::with_heads;
 use super::takes_kernels;
+use crate::Result;
 use crate::sizes::shape_error;
-use crate::{Engine, Result};
 
 /// softmax(scale q k^T + mask) v, for `q` (B, heads, Lq, D), `k` and `v` (B, heads, Lk, D): (B, heads, Lq, D).
 ///
@@ -16,13 +18,13 @@ use crate::{Engine, Result};
 ///
 /// # Errors
 /// If the shapes do not fit.
-pub fn attention(
-    (engine, format): (Engine, PackedFormat),
+pub(crate) fn attention(
+    (kernels, format): (Kernels, NumberFormat),
     [q, k, v]: [&Tensor; 3],
     scale: f64,
     mask: Option<&Tensor>,
 ) -> Result<Tensor> {
-    if takes_kernels(engine, q) {
+    if takes_kernels(kernels, q) {
         return on_kernel(format, [q, k, v], scale, mask);
     }
     let q = (q.contiguous()? * scale)?;
@@ -41,7 +43,7 @@ pub fn attention(
 }
 
 fn on_kernel(
-    format: PackedFormat,
+    format: NumberFormat,
     [q, k, v]: [&Tensor; 3],
     scale: f64,
     mask: Option<&Tensor>,
@@ -111,17 +113,17 @@ mod tests {
         let v = Tensor::arange(0f32, 5.0, &Device::Cpu).unwrap();
         let v = v.reshape((1, 1, 5, 1)).unwrap();
         let v = v.broadcast_as((2, 3, 5, 8)).unwrap();
-        let mean = |engine: Engine, mask: Option<&Tensor>| -> f32 {
-            let y = attention((engine, PackedFormat::F32), [&q, &k, &v], 0.3, mask).unwrap();
+        let mean = |kernels: Kernels, mask: Option<&Tensor>| -> f32 {
+            let y = attention((kernels, NumberFormat::F32), [&q, &k, &v], 0.3, mask).unwrap();
             assert_eq!(y.dims(), [2, 3, 4, 8]);
             y.mean_all().unwrap().to_scalar().unwrap()
         };
         let mask = [0f32, 0.0, f32::NEG_INFINITY, f32::NEG_INFINITY, 0.0];
         let mask = Tensor::new(&mask, &Device::Cpu).unwrap();
         let mask = mask.reshape((1, 1, 1, 5)).unwrap();
-        for engine in [Engine::Candle, Engine::Cpu] {
-            assert!((mean(engine, None) - 2.0).abs() < 1e-5);
-            assert!((mean(engine, Some(&mask)) - 5.0 / 3.0).abs() < 1e-5);
+        for kernels in [Kernels::Candle, Kernels::Cpu] {
+            assert!((mean(kernels, None) - 2.0).abs() < 1e-5);
+            assert!((mean(kernels, Some(&mask)) - 5.0 / 3.0).abs() < 1e-5);
         }
     }
 
@@ -133,8 +135,8 @@ mod tests {
             normal([2, 3, 5, 8]),
             normal([2, 3, 5, 8]),
         );
-        let run = |engine: Engine, mask: &Tensor| {
-            attention((engine, PackedFormat::F32), [&q, &k, &v], 0.3, Some(mask)).map(|y| {
+        let run = |kernels: Kernels, mask: &Tensor| {
+            attention((kernels, NumberFormat::F32), [&q, &k, &v], 0.3, Some(mask)).map(|y| {
                 let values: Vec<f32> = y.flatten_all().unwrap().to_vec1().unwrap();
                 values
             })
@@ -146,13 +148,13 @@ mod tests {
             vec![4, 5],
         ] {
             let mask = Tensor::randn(0f32, 2.0, dims.as_slice(), &Device::Cpu).unwrap();
-            let (found, expected) = (run(Engine::Cpu, &mask), run(Engine::Candle, &mask));
+            let (found, expected) = (run(Kernels::Cpu, &mask), run(Kernels::Candle, &mask));
             for (found, expected) in found.unwrap().iter().zip(expected.unwrap()) {
                 assert!((found - expected).abs() < 1e-5, "{dims:?}");
             }
         }
         let mask = Tensor::zeros((3, 1, 1, 5), DType::F32, &Device::Cpu).unwrap();
-        let error = run(Engine::Cpu, &mask).unwrap_err().to_string();
+        let error = run(Kernels::Cpu, &mask).unwrap_err().to_string();
         assert!(
             error.contains("mask") && error.contains("[3, 1, 1, 5]"),
             "{error}"

@@ -1,27 +1,29 @@
 //! Two-dimensional convolution.
 
 use candle_core::{DType, Tensor};
-use wm_model::ops::{self, ConvShape, Fused, GridSize, PackedConv, PackedFormat};
+use wm_model::Kernels;
+use wm_model::NumberFormat;
+use wm_model::ops::{self, ConvShape, Fused, GridSize, PackedConv};
 
 use super::{GroupNorm, Linear, host, takes_kernels, upsample_nearest_2x};
-use crate::{Engine, Result};
+use crate::Result;
 
 /// Rows and columns of zeros around a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Padding {
+pub(crate) struct Padding {
     /// Rows above.
-    pub top: usize,
+    pub(crate) top: usize,
     /// Rows below.
-    pub bottom: usize,
+    pub(crate) bottom: usize,
     /// Columns on the left.
-    pub left: usize,
+    pub(crate) left: usize,
     /// Columns on the right.
-    pub right: usize,
+    pub(crate) right: usize,
 }
 
 impl Padding {
     /// No border.
-    pub const NONE: Self = Self {
+    pub(crate) const NONE: Self = Self {
         top: 0,
         bottom: 0,
         left: 0,
@@ -29,7 +31,7 @@ impl Padding {
     };
 
     /// One row below and one column on the right: how latent diffusion's autoencoders halve a picture.
-    pub const BOTTOM_RIGHT: Self = Self {
+    pub(crate) const BOTTOM_RIGHT: Self = Self {
         top: 0,
         bottom: 1,
         left: 0,
@@ -37,7 +39,7 @@ impl Padding {
     };
 
     /// What keeps a picture's size under a kernel of `kernel` rows and columns with stride 1.
-    pub const fn same(kernel: usize) -> Self {
+    pub(crate) const fn same(kernel: usize) -> Self {
         let (before, after) = (kernel.saturating_sub(1) / 2, kernel / 2);
         Self {
             top: before,
@@ -61,22 +63,22 @@ impl Padding {
 
 /// What a convolution does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ConvSpec {
+pub(crate) struct ConvSpec {
     /// Input channels.
-    pub inputs: usize,
+    pub(crate) inputs: usize,
     /// Output channels.
-    pub outputs: usize,
+    pub(crate) outputs: usize,
     /// Rows and columns of the kernel.
-    pub kernel: usize,
+    pub(crate) kernel: usize,
     /// Places from one output's input to the next's.
-    pub stride: usize,
+    pub(crate) stride: usize,
     /// Border of zeros.
-    pub padding: Padding,
+    pub(crate) padding: Padding,
 }
 
 impl ConvSpec {
     /// Shape of its weight in checkpoints: (outputs, inputs, kernel, kernel).
-    pub fn weight_shape(&self) -> [usize; 4] {
+    pub(crate) fn weight_shape(&self) -> [usize; 4] {
         [self.outputs, self.inputs, self.kernel, self.kernel]
     }
 
@@ -116,7 +118,7 @@ enum Plan {
 
 /// A convolution (cross-correlation, as PyTorch's) with bias.
 #[derive(Clone, Debug)]
-pub struct Conv2d {
+pub(crate) struct Conv2d {
     spec: ConvSpec,
     weights: Weights,
     /// (outputs).
@@ -140,36 +142,36 @@ impl Conv2d {
     ///
     /// # Errors
     /// If the shapes are not those of `spec`, or its stride is 0.
-    pub fn new(
+    pub(crate) fn new(
         spec: ConvSpec,
         weight: &Tensor,
         bias: Tensor,
-        engine: Engine,
-        format: PackedFormat,
+        kernels: Kernels,
+        format: NumberFormat,
     ) -> Result<Self> {
-        Self::build((spec, false), weight, bias, engine, format)
+        Self::build((spec, false), weight, bias, kernels, format)
     }
 
     /// A convolution of a picture that is first doubled in both directions by nearest neighbour.
     ///
     /// # Errors
     /// As [`Conv2d::new`], or if its stride is not 1.
-    pub fn doubling(
+    pub(crate) fn doubling(
         spec: ConvSpec,
         weight: &Tensor,
         bias: Tensor,
-        engine: Engine,
-        format: PackedFormat,
+        kernels: Kernels,
+        format: NumberFormat,
     ) -> Result<Self> {
-        Self::build((spec, true), weight, bias, engine, format)
+        Self::build((spec, true), weight, bias, kernels, format)
     }
 
     fn build(
         (spec, doubles): (ConvSpec, bool),
         weight: &Tensor,
         bias: Tensor,
-        engine: Engine,
-        format: PackedFormat,
+        kernels: Kernels,
+        format: NumberFormat,
     ) -> Result<Self> {
         let shape = |what, expected: String, found: &Tensor| wm_model::Error::Shape {
             what,
@@ -194,12 +196,12 @@ impl Conv2d {
         let pointwise =
             !doubles && spec.kernel == 1 && spec.stride == 1 && spec.padding == Padding::NONE;
         // A skeleton's weights are one repeated zero, and stay so: it is for counting.
-        let on_kernels = takes_kernels(engine, weight) && !host::is_repeated(weight);
+        let on_kernels = takes_kernels(kernels, weight) && !host::is_repeated(weight);
         let weights = match spec.plan() {
             _ if pointwise => {
                 // Not reshaped, which would write a skeleton's repeated zero out.
                 let weight = weight.squeeze(3)?.squeeze(2)?;
-                Weights::Pointwise(Linear::new(weight, Some(bias.clone()), engine, format)?)
+                Weights::Pointwise(Linear::new(weight, Some(bias.clone()), kernels, format)?)
             }
             Some(plan) if on_kernels => {
                 let shape = spec.shape(doubles);
@@ -227,7 +229,7 @@ impl Conv2d {
     ///
     /// # Errors
     /// If `x` has another number of channels or number format.
-    pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
+    pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor> {
         self.check(x)?;
         match &self.weights {
             Weights::Pointwise(linear) => linear.forward(x),
@@ -248,7 +250,7 @@ impl Conv2d {
     ///
     /// # Errors
     /// If `x` has another number of channels or number format, or `residual` another shape.
-    pub fn forward_adding(&self, x: &Tensor, residual: &Tensor) -> Result<Tensor> {
+    pub(crate) fn forward_adding(&self, x: &Tensor, residual: &Tensor) -> Result<Tensor> {
         self.check(x)?;
         match &self.weights {
             Weights::Packed(packed) => self.on_kernel(x, packed, (None, Some(residual))),
@@ -260,7 +262,7 @@ impl Conv2d {
     ///
     /// # Errors
     /// If `x` has another number of channels or number format, or `residual` another shape.
-    pub fn forward_normed(
+    pub(crate) fn forward_normed(
         &self,
         x: &Tensor,
         norm: &GroupNorm,
@@ -372,8 +374,9 @@ mod tests {
         let weight = random(&spec.weight_shape());
         let bias = random(&[spec.outputs]);
         let x = random(&[2, size.0, size.1, spec.inputs]);
-        [Engine::Candle, Engine::Cpu].map(|engine| {
-            let conv = Conv2d::new(spec, &weight, bias.clone(), engine, PackedFormat::F32).unwrap();
+        [Kernels::Candle, Kernels::Cpu].map(|kernels| {
+            let conv =
+                Conv2d::new(spec, &weight, bias.clone(), kernels, NumberFormat::F32).unwrap();
             conv.forward(&x).unwrap()
         })
     }
@@ -417,9 +420,9 @@ mod tests {
         };
         let (weight, bias) = (random(&spec.weight_shape()), random(&[5]));
         let x = random(&[2, 5, 4, 3]);
-        let [a, b] = [Engine::Candle, Engine::Cpu].map(|engine| {
+        let [a, b] = [Kernels::Candle, Kernels::Cpu].map(|kernels| {
             let conv =
-                Conv2d::doubling(spec, &weight, bias.clone(), engine, PackedFormat::F32).unwrap();
+                Conv2d::doubling(spec, &weight, bias.clone(), kernels, NumberFormat::F32).unwrap();
             conv.forward(&x).unwrap()
         });
         assert_eq!(a.dims(), [2, 10, 8, 5]);
@@ -444,9 +447,9 @@ mod tests {
             } else {
                 Conv2d::new
             };
-            let format = PackedFormat::F32;
+            let format = NumberFormat::F32;
             let of_layer = bias.as_tensor().clone();
-            let conv = build(spec, &weight, of_layer, Engine::Candle, format).unwrap();
+            let conv = build(spec, &weight, of_layer, Kernels::Candle, format).unwrap();
             assert!(conv.is_trained(&x, &weight));
             let plain = match doubles {
                 true => conv.on_candle(&upsample_nearest_2x(&x).unwrap(), &weight),
@@ -484,8 +487,9 @@ mod tests {
         let bias = Tensor::zeros(1, DType::F32, &Device::Cpu).unwrap();
         let x = Tensor::arange(0f32, 16.0, &Device::Cpu).unwrap();
         let x = x.reshape((1, 4, 4, 1)).unwrap();
-        for engine in [Engine::Candle, Engine::Cpu] {
-            let conv = Conv2d::new(spec, &weight, bias.clone(), engine, PackedFormat::F32).unwrap();
+        for kernels in [Kernels::Candle, Kernels::Cpu] {
+            let conv =
+                Conv2d::new(spec, &weight, bias.clone(), kernels, NumberFormat::F32).unwrap();
             let y = conv.forward(&x).unwrap().flatten_all().unwrap();
             assert_eq!(y.to_vec1::<f32>().unwrap(), [10.0, 0.0, 0.0, 0.0]);
         }

@@ -1,22 +1,23 @@
 //! Group normalisation.
 
 use candle_core::{D, DType, Tensor};
+use wm_model::Kernels;
 use wm_model::ops;
 
 use super::{host, takes_kernels};
-use crate::{Engine, Result};
+use crate::Result;
 
 /// Mean 0 and variance 1 over all places of a group of neighbouring channels, then a learned scale and shift of each
 /// channel.
 #[derive(Clone, Debug)]
-pub struct GroupNorm {
+pub(crate) struct GroupNorm {
     /// (channels).
     scale: Tensor,
     /// (channels).
     shift: Tensor,
     groups: usize,
     eps: f64,
-    engine: Engine,
+    kernels: Kernels,
 }
 
 impl GroupNorm {
@@ -24,11 +25,11 @@ impl GroupNorm {
     ///
     /// # Errors
     /// If it is none, or the shapes differ.
-    pub fn new(
+    pub(crate) fn new(
         (scale, shift): (Tensor, Tensor),
         groups: usize,
         eps: f64,
-        engine: Engine,
+        kernels: Kernels,
     ) -> Result<Self> {
         let channels = scale.dims1()?;
         if shift.dims() != [channels] || groups == 0 || !channels.is_multiple_of(groups) {
@@ -44,7 +45,7 @@ impl GroupNorm {
             shift,
             groups,
             eps,
-            engine,
+            kernels,
         })
     }
 
@@ -52,9 +53,9 @@ impl GroupNorm {
     ///
     /// # Errors
     /// If `x` has another number of channels.
-    pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
+    pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor> {
         self.check(x)?;
-        if takes_kernels(self.engine, x) {
+        if takes_kernels(self.kernels, x) {
             return self.on_kernel(x, ops::Activation::None);
         }
         if self.is_trained(x) {
@@ -67,9 +68,9 @@ impl GroupNorm {
     ///
     /// # Errors
     /// If `x` has another number of channels.
-    pub fn forward_silu(&self, x: &Tensor) -> Result<Tensor> {
+    pub(crate) fn forward_silu(&self, x: &Tensor) -> Result<Tensor> {
         self.check(x)?;
-        if takes_kernels(self.engine, x) {
+        if takes_kernels(self.kernels, x) {
             return self.on_kernel(x, ops::Activation::Silu);
         }
         if self.is_trained(x) {
@@ -163,8 +164,8 @@ mod tests {
         let random = |shape: &[usize]| Tensor::randn(1f32, 2.0, shape, &Device::Cpu).unwrap();
         let (scale, shift) = (random(&[12]), random(&[12]));
         let x = random(&[2, 5, 7, 12]);
-        let [a, b] = [Engine::Candle, Engine::Cpu].map(|engine| {
-            let norm = GroupNorm::new((scale.clone(), shift.clone()), 4, 1e-6, engine).unwrap();
+        let [a, b] = [Kernels::Candle, Kernels::Cpu].map(|kernels| {
+            let norm = GroupNorm::new((scale.clone(), shift.clone()), 4, 1e-6, kernels).unwrap();
             norm.forward(&x).unwrap()
         });
         let difference = (a - b).unwrap().abs().unwrap().max_all().unwrap();
@@ -180,7 +181,7 @@ mod tests {
         let (scale, shift, x) = (random(&[12]), random(&[12]), random(&[2, 9, 7, 12]));
         let weight = Tensor::randn(0f32, 1.0, (2, 9, 7, 12), &Device::Cpu).unwrap();
         let affine = (scale.as_tensor().clone(), shift.as_tensor().clone());
-        let norm = GroupNorm::new(affine, 4, 1e-6, Engine::Candle).unwrap();
+        let norm = GroupNorm::new(affine, 4, 1e-6, Kernels::Candle).unwrap();
         assert!(norm.is_trained(&x));
         let of = |y: Tensor| {
             let store = (y * &weight).unwrap().sum_all().unwrap().backward();
@@ -207,7 +208,7 @@ mod tests {
     fn every_group_of_a_picture_gets_mean_zero_and_variance_one() {
         let ones = Tensor::ones(6, DType::F32, &Device::Cpu).unwrap();
         let zeros = ones.zeros_like().unwrap();
-        let norm = GroupNorm::new((ones, zeros), 2, 0.0, Engine::Candle).unwrap();
+        let norm = GroupNorm::new((ones, zeros), 2, 0.0, Kernels::Candle).unwrap();
         let x = Tensor::randn(3f32, 2.0, (2, 4, 4, 6), &Device::Cpu).unwrap();
         let y = norm.forward(&x).unwrap().narrow(3, 3, 3).unwrap();
         let y = y.get(1).unwrap().flatten_all().unwrap();

@@ -1,30 +1,31 @@
 //! Layer normalisation.
 
 use candle_core::{D, DType, Tensor};
+use wm_model::Kernels;
 use wm_model::ops;
 
 use super::{host, takes_kernels};
-use crate::{Engine, Result};
+use crate::Result;
 
 /// Mean 0 and variance 1 over the last dimension, then a learned scale and shift.
 #[derive(Clone, Debug)]
-pub struct LayerNorm {
+pub(crate) struct LayerNorm {
     /// (width).
     scale: Tensor,
     /// (width).
     shift: Tensor,
     eps: f64,
-    engine: Engine,
+    kernels: Kernels,
 }
 
 impl LayerNorm {
     /// `scale` and `shift` are (width); `eps` is added to the variance.
-    pub fn new(scale: Tensor, shift: Tensor, eps: f64, engine: Engine) -> Self {
+    pub(crate) fn new(scale: Tensor, shift: Tensor, eps: f64, kernels: Kernels) -> Self {
         Self {
             scale,
             shift,
             eps,
-            engine,
+            kernels,
         }
     }
 
@@ -32,8 +33,8 @@ impl LayerNorm {
     ///
     /// # Errors
     /// If `x` has another last dimension.
-    pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        if takes_kernels(self.engine, x) && x.dim(D::Minus1)? == self.scale.dim(0)? {
+    pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor> {
+        if takes_kernels(self.kernels, x) && x.dim(D::Minus1)? == self.scale.dim(0)? {
             let (scale, shift) = (self.scale.to_vec1::<f32>()?, self.shift.to_vec1::<f32>()?);
             let normed = host::with_values(x, |x| {
                 let mut normed = vec![0.0; x.len()];
@@ -63,8 +64,8 @@ mod tests {
         let x = Tensor::new(&[[1f32, 2.0, 3.0, 6.0]], &Device::Cpu).unwrap();
         let scale = Tensor::new(&[1f32, 1.0, 1.0, 2.0], &Device::Cpu).unwrap();
         let shift = Tensor::new(&[0f32, 0.0, 5.0, 0.0], &Device::Cpu).unwrap();
-        for engine in [Engine::Candle, Engine::Cpu] {
-            let norm = LayerNorm::new(scale.clone(), shift.clone(), 0.0, engine);
+        for kernels in [Kernels::Candle, Kernels::Cpu] {
+            let norm = LayerNorm::new(scale.clone(), shift.clone(), 0.0, kernels);
             let y = norm.forward(&x).unwrap().to_vec2::<f32>().unwrap();
             let deviation = 3.5f32.sqrt();
             for (found, expected) in y[0].iter().zip([-2.0, -1.0, 0.0, 6.0]) {

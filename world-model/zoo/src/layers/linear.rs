@@ -1,17 +1,19 @@
 //! y = x W^T + b.
 
 use candle_core::{D, Tensor};
-use wm_model::ops::{self, PackedFormat, PackedLinear};
+use wm_model::Kernels;
+use wm_model::NumberFormat;
+use wm_model::ops::{self, PackedLinear};
 
 use super::{Activation, host, takes_kernels};
-use crate::{Engine, Result};
+use crate::Result;
 
 /// A matrix product with an optional bias.
 #[derive(Clone, Debug)]
-pub struct Linear {
+pub(crate) struct Linear {
     weights: Weights,
     outputs: usize,
-    engine: Engine,
+    kernels: Kernels,
 }
 
 #[derive(Clone, Debug)]
@@ -27,11 +29,11 @@ impl Linear {
     ///
     /// # Errors
     /// If the weight is no matrix, or the bias does not fit it.
-    pub fn new(
+    pub(crate) fn new(
         weight: Tensor,
         bias: Option<Tensor>,
-        engine: Engine,
-        format: PackedFormat,
+        kernels: Kernels,
+        format: NumberFormat,
     ) -> Result<Self> {
         let (outputs, inputs) = weight.dims2()?;
         if let Some(bias) = &bias
@@ -45,7 +47,7 @@ impl Linear {
             .into());
         }
         // A skeleton's weights are one repeated zero, and stay so: it is for counting.
-        let weights = if takes_kernels(engine, &weight) && !host::is_repeated(&weight) {
+        let weights = if takes_kernels(kernels, &weight) && !host::is_repeated(&weight) {
             let bias: Option<Vec<f32>> = bias.map(|bias| bias.to_vec1()).transpose()?;
             let shape = (outputs, inputs);
             Weights::Packed(host::with_values(&weight, |weight| {
@@ -57,7 +59,7 @@ impl Linear {
         Ok(Self {
             weights,
             outputs,
-            engine,
+            kernels,
         })
     }
 
@@ -66,15 +68,15 @@ impl Linear {
         Self {
             outputs: packed.outputs(),
             weights: Weights::Packed(packed),
-            engine: Engine::Cpu,
+            kernels: Kernels::Cpu,
         }
     }
 
     /// What its weights are packed in for the kernels.
-    pub(crate) fn format(&self) -> PackedFormat {
+    pub(crate) fn format(&self) -> NumberFormat {
         match &self.weights {
             Weights::Packed(packed) => packed.format(),
-            Weights::Plain(..) => PackedFormat::F32,
+            Weights::Plain(..) => NumberFormat::F32,
         }
     }
 
@@ -82,11 +84,11 @@ impl Linear {
     ///
     /// # Errors
     /// If `x` has another last dimension, or for the kernels another number format than f32.
-    pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
+    pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor> {
         match &self.weights {
             Weights::Packed(packed) => self.on_kernel(packed, x, |_, _| {}),
             Weights::Plain(weight, bias) => {
-                Ok(ops::linear(Engine::Candle, x, weight, bias.as_ref())?)
+                Ok(ops::linear(Kernels::Candle, x, weight, bias.as_ref())?)
             }
         }
     }
@@ -100,7 +102,7 @@ impl Linear {
             Weights::Packed(packed) => {
                 self.on_kernel(packed, x, |rows, _| activation.of_values(rows))
             }
-            Weights::Plain(..) => activation.apply(self.engine, &self.forward(x)?),
+            Weights::Plain(..) => activation.apply(self.kernels, &self.forward(x)?),
         }
     }
 
@@ -115,7 +117,8 @@ impl Linear {
         residual: &Tensor,
         scale: Option<&Tensor>,
     ) -> Result<Tensor> {
-        let (Weights::Packed(packed), true) = (&self.weights, takes_kernels(self.engine, residual))
+        let (Weights::Packed(packed), true) =
+            (&self.weights, takes_kernels(self.kernels, residual))
         else {
             return add_scaled(residual, &self.forward(x)?, scale);
         };
@@ -137,7 +140,9 @@ impl Linear {
         };
         host::with_values(residual, |residual| {
             self.on_kernel(packed, x, |rows, first| {
-                let from = residual.get(first * self.outputs..).unwrap_or_default();
+                let from = residual.get(first * self.outputs..);
+                debug_assert!(from.is_some(), "the residual has the shape of the result");
+                let from = from.unwrap_or_default();
                 ops::scale_and_add_rows(rows, &scale, from);
             })
         })?
@@ -191,9 +196,9 @@ mod tests {
         let (weight, bias) = (random(&[7, 5]), random(&[7]));
         let x = random(&[2, 3, 4, 5]);
         for bias in [Some(bias), None] {
-            let [a, b] = [Engine::Candle, Engine::Cpu].map(|engine| {
+            let [a, b] = [Kernels::Candle, Kernels::Cpu].map(|kernels| {
                 let linear =
-                    Linear::new(weight.clone(), bias.clone(), engine, PackedFormat::F32).unwrap();
+                    Linear::new(weight.clone(), bias.clone(), kernels, NumberFormat::F32).unwrap();
                 linear.forward(&x).unwrap()
             });
             assert_eq!(a.dims(), [2, 3, 4, 7]);
@@ -207,16 +212,16 @@ mod tests {
         let random = |shape: &[usize]| Tensor::randn(0f32, 1.0, shape, &Device::Cpu).unwrap();
         let (weight, bias, x) = (random(&[7, 5]), random(&[7]), random(&[2, 3, 5]));
         let (residual, scale) = (random(&[2, 3, 7]), random(&[7]));
-        let linear = |engine| {
+        let linear = |kernels| {
             Linear::new(
                 weight.clone(),
                 Some(bias.clone()),
-                engine,
-                PackedFormat::F32,
+                kernels,
+                NumberFormat::F32,
             )
             .unwrap()
         };
-        let (kernels, plain) = (linear(Engine::Cpu), linear(Engine::Candle));
+        let (kernels, plain) = (linear(Kernels::Cpu), linear(Kernels::Candle));
         let close = |a: Tensor, b: Tensor| {
             let difference = (a - b).unwrap().abs().unwrap().max_all().unwrap();
             assert!(difference.to_scalar::<f32>().unwrap() < 1e-5);
@@ -240,8 +245,8 @@ mod tests {
         let error = Linear::new(
             zeros(&[3, 2]).unwrap(),
             Some(bias),
-            Engine::Cpu,
-            PackedFormat::F32,
+            Kernels::Cpu,
+            NumberFormat::F32,
         )
         .unwrap_err();
         assert!(error.to_string().contains("[4]"), "{error}");

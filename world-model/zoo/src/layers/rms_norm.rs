@@ -9,7 +9,7 @@ use crate::Result;
 ///
 /// # Errors
 /// If the values are not floating-point numbers.
-pub fn rms_norm(x: &Tensor, eps: f64) -> Result<Tensor> {
+pub(crate) fn rms_norm(x: &Tensor, eps: f64) -> Result<Tensor> {
     let wide = x.to_dtype(DType::F32)?;
     let mean_square = wide.sqr()?.mean_keepdim(D::Minus1)?;
     let normed = wide.broadcast_div(&(mean_square + eps)?.sqrt()?)?;

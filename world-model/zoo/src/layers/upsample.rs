@@ -8,7 +8,7 @@ use crate::Result;
 ///
 /// # Errors
 /// If `x` has not four dimensions.
-pub fn upsample_nearest_2x(x: &Tensor) -> Result<Tensor> {
+pub(crate) fn upsample_nearest_2x(x: &Tensor) -> Result<Tensor> {
     let (n, h, w, c) = x.dims4()?;
     Ok(x.reshape((n, h, 1, w, 1, c))?
         .broadcast_as((n, h, 2, w, 2, c))?

@@ -27,7 +27,7 @@ fn all_faults_are_listed_together() {
         ("a.mask_token", &[2]),
         ("extra.weight", &[1]),
     ]);
-    let loader = Loader::new(&source, Engine::Candle, Precision::F32).unwrap();
+    let loader = Loader::new(&source, &Compute::on_cpu(Kernels::Candle)).unwrap();
     let a = loader.at("a");
     a.linear_no_bias("fc", 2, 3).unwrap();
     assert_eq!(a.tensor("fc.bias", &[3]).unwrap().dims(), [3]);
@@ -56,7 +56,7 @@ fn all_faults_are_listed_together() {
 #[test]
 fn what_fits_is_no_error_and_is_counted() {
     let source = checkpoint(&[("fc.weight", &[3, 2]), ("fc.bias", &[3])]);
-    let loader = Loader::new(&source, Engine::Cpu, Precision::F32).unwrap();
+    let loader = Loader::new(&source, &Compute::default()).unwrap();
     assert!(loader.has("fc.weight") && !loader.has("weight"));
     assert!(loader.at("fc").has("weight"));
     let linear = loader.clone().linear("fc", 2, 3).unwrap();
@@ -70,7 +70,7 @@ fn what_fits_is_no_error_and_is_counted() {
 
 #[test]
 fn a_skeleton_gives_whatever_is_asked_for() {
-    let loader = Loader::skeleton(Engine::Cpu);
+    let loader = Loader::skeleton(Kernels::Cpu);
     let norm = loader.group_norm("norm", 4, 8, 1e-6).unwrap();
     let spec = ConvSpec {
         inputs: 8,
@@ -90,8 +90,10 @@ fn a_skeleton_gives_whatever_is_asked_for() {
 #[test]
 fn matrices_are_rounded_to_sixteen_bits_and_computed_with_in_32() {
     let source = checkpoint(&[("w", &[2, 150]), ("b", &[300])]);
-    for engine in [Engine::Candle, Engine::Cpu] {
-        let loader = Loader::new(&source, engine, Precision::Bf16).unwrap();
+    for kernels in [Kernels::Candle, Kernels::Cpu] {
+        let compute = Compute::on_cpu(kernels);
+        let compute = compute.with_format(NumberFormat::Bf16).unwrap();
+        let loader = Loader::new(&source, &compute).unwrap();
         let values = |loader: &Loader<'_>, name: &str, shape: &[usize]| {
             let tensor = loader.tensor(name, shape).unwrap();
             assert_eq!((loader.dtype(), tensor.dtype()), (DType::F32, DType::F32));

@@ -11,7 +11,7 @@
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
-use wm_model::ops::PackedFormat;
+use wm_model::NumberFormat;
 
 use super::identity::Identity;
 
@@ -43,7 +43,7 @@ pub(super) struct Matrix {
     pub(super) name: String,
     pub(super) outputs: usize,
     pub(super) inputs: usize,
-    pub(super) format: PackedFormat,
+    pub(super) format: NumberFormat,
     /// First byte, from the start of the file.
     pub(super) start: u64,
     pub(super) bytes: u64,

@@ -8,7 +8,8 @@ use std::time::SystemTime;
 
 use memmap2::Mmap;
 use rayon::prelude::*;
-use wm_model::ops::{MappedBytes, PackedFormat, PackedLinear, packed_layout};
+use wm_model::NumberFormat;
+use wm_model::ops::{MappedBytes, PackedLinear, packed_layout};
 
 use super::header::{Header, Matrix, Refusal};
 use super::identity::Identity;
@@ -83,7 +84,7 @@ impl PackedFile {
         &self,
         name: &str,
         shape: (usize, usize),
-        format: PackedFormat,
+        format: NumberFormat,
         bias: Option<&[f32]>,
     ) -> Option<PackedLinear> {
         let matrix = self.header.matrices.iter().find(|matrix| {

@@ -4,14 +4,15 @@ use std::path::PathBuf;
 use std::thread;
 
 use sha2::{Digest as _, Sha256};
-use wm_model::ops::{PackedFormat, PackedLinear, packed_layout};
+use wm_model::NumberFormat;
+use wm_model::ops::{PackedLinear, packed_layout};
 
 use super::PackedCache;
 use super::header::Refusal;
 use super::identity::{Identity, Stamp};
 use super::packed_file::{self, PackedFile};
+use crate::Checkpoint;
 use crate::calibration::InputRanges;
-use crate::{Checkpoint, Precision};
 
 /// Takes packed matrices from the cache's file as they are asked for, and writes a new one if one was not there.
 #[derive(Debug)]
@@ -35,11 +36,11 @@ struct Opened {
 }
 
 impl Session {
-    /// Of loading `checkpoint` in `precision`; `None` for what is not kept.
+    /// Of loading `checkpoint` in `format`; `None` for what is not kept.
     pub(crate) fn new(
         cache: PackedCache,
         checkpoint: &Checkpoint,
-        precision: Precision,
+        format: NumberFormat,
     ) -> Option<Self> {
         let stamp = checkpoint.stamp()?.clone();
         // Packed, 16 bits become 32 at most.
@@ -55,7 +56,7 @@ impl Session {
                 state: stamp.state,
                 contents,
             },
-            source: format!("{path}\n{part}\n{precision}\n{}\n", packed_layout()),
+            source: format!("{path}\n{part}\n{format}\n{}\n", packed_layout()),
             stamp,
             opened: None,
             packed: Vec::new(),
@@ -74,7 +75,7 @@ impl Session {
         &mut self,
         name: &str,
         shape: (usize, usize),
-        format: PackedFormat,
+        format: NumberFormat,
         bias: Option<&[f32]>,
     ) -> Option<PackedLinear> {
         let opened = self.opened.get_or_insert_with(|| {

@@ -113,6 +113,7 @@ impl Drop for Partial {
 /// Whether there is a file at `path` that nobody has written to for long.
 fn is_abandoned(path: &Path) -> bool {
     let modified = fs::metadata(path).and_then(|metadata| metadata.modified());
+    // A file of the future, after the clock was set back, is new.
     let age = modified.map(|at| SystemTime::now().duration_since(at).unwrap_or_default());
     age.is_ok_and(|age| age > ABANDONED)
 }

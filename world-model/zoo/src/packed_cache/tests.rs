@@ -6,13 +6,13 @@ use std::time::SystemTime;
 use candle_core::{DType, Device, Tensor};
 use proptest::prelude::*;
 use safetensors::tensor::{Dtype, TensorView};
-use wm_model::ops::PackedFormat;
+use wm_model::{Compute, NumberFormat};
 
 use super::header::{Header, Matrix, Refusal};
 use super::identity::Identity;
 use super::packed_file::PackedFile;
 use super::*;
-use crate::{Checkpoint, Engine, Loader, Precision};
+use crate::{Checkpoint, Loader};
 
 /// Outputs and inputs: the last one fills large pages.
 const SHAPES: [(usize, usize); 3] = [(48, 40), (100, 48), (600, 1000)];
@@ -48,7 +48,7 @@ impl Place {
     /// Outputs of the Linears, loaded through a cache, and what is in it then.
     fn load(&self, limits: CacheLimits) -> (Vec<Vec<u32>>, Vec<PathBuf>) {
         let cache = self.cache(limits);
-        let outputs = outputs(&self.weights(), Some(cache.clone()), Precision::F32);
+        let outputs = outputs(&self.weights(), Some(cache.clone()), NumberFormat::F32);
         cache.wait();
         (outputs, files(cache.folder()))
     }
@@ -95,9 +95,10 @@ fn checkpoint(seed: usize) -> Vec<u8> {
 }
 
 /// What the Linears of a checkpoint make of ones, as bits.
-fn outputs(weights: &Path, cache: Option<PackedCache>, precision: Precision) -> Vec<Vec<u32>> {
+fn outputs(weights: &Path, cache: Option<PackedCache>, format: NumberFormat) -> Vec<Vec<u32>> {
     let checkpoint = Checkpoint::open(weights).unwrap();
-    let mut loader = Loader::new(&checkpoint, Engine::Cpu, precision).unwrap();
+    let compute = Compute::default().with_format(format).unwrap();
+    let mut loader = Loader::new(&checkpoint, &compute).unwrap();
     if let Some(cache) = cache {
         loader = loader.cached(cache);
     }
@@ -140,14 +141,14 @@ fn replace(path: &Path, bytes: &[u8]) {
 #[test]
 fn what_was_kept_gives_the_same_bits() {
     let place = Place::new();
-    for precision in Precision::ALL {
+    for format in NumberFormat::ALL {
         let load = || {
             let cache = place.cache(ALL);
-            let outputs = outputs(&place.weights(), Some(cache.clone()), precision);
+            let outputs = outputs(&place.weights(), Some(cache.clone()), format);
             cache.wait();
             outputs
         };
-        let expected = outputs(&place.weights(), None, precision);
+        let expected = outputs(&place.weights(), None, format);
         assert_eq!(load(), expected, "packed");
         let before: Vec<u64> = files(place.cache(ALL).folder())
             .iter()
@@ -179,17 +180,17 @@ fn values_come_from_the_kept_file() {
     for (i, shape) in SHAPES.into_iter().enumerate() {
         let name = format!("{i}.weight");
         let linear = |name, shape, format| kept.linear(name, shape, format, None);
-        let found = linear(&name, shape, PackedFormat::F32).unwrap();
+        let found = linear(&name, shape, NumberFormat::F32).unwrap();
         let packed = checkpoint.with_values(&name, false, |values| {
-            wm_model::ops::PackedLinear::new(values, None, shape, PackedFormat::F32).unwrap()
+            wm_model::ops::PackedLinear::new(values, None, shape, NumberFormat::F32).unwrap()
         });
         assert_eq!(found.packed_parts(), packed.unwrap().packed_parts());
         let start = found.packed_parts()[0].as_ptr();
         assert_eq!(start.align_offset(64), 0, "whole cache lines");
         let other = (shape.1, shape.0);
-        assert!(linear(&name, other, PackedFormat::F32).is_none());
-        assert!(linear(&name, shape, PackedFormat::Bf16).is_none());
-        assert!(linear("another", shape, PackedFormat::F32).is_none());
+        assert!(linear(&name, other, NumberFormat::F32).is_none());
+        assert!(linear(&name, shape, NumberFormat::Bf16).is_none());
+        assert!(linear("another", shape, NumberFormat::F32).is_none());
     }
 }
 
@@ -307,7 +308,7 @@ fn other_weights_of_the_same_size_are_packed_anew() {
         // Even if somebody sets the time back.
         let file = File::options().write(true).open(place.weights()).unwrap();
         file.set_modified(modified).unwrap();
-        let expected = outputs(&place.weights(), None, Precision::F32);
+        let expected = outputs(&place.weights(), None, NumberFormat::F32);
         assert_eq!(place.refusal(), Refusal::Checkpoint.to_string(), "{what}");
         let (found, files) = place.load(ALL);
         assert_eq!(found, expected, "{what}");
@@ -405,13 +406,13 @@ fn a_file_that_another_process_writes_is_left_to_it() {
 #[test]
 fn a_folder_that_cannot_be_written_changes_nothing() {
     let place = Place::new();
-    let expected = outputs(&place.weights(), None, Precision::F32);
+    let expected = outputs(&place.weights(), None, NumberFormat::F32);
     // No folder can be created below a file, by whoever.
     let blocked = place.root.path().join("blocked");
     fs::write(&blocked, "").unwrap();
     let cache = PackedCache::new(blocked.join("packed"), ALL);
     for _ in 0..2 {
-        let found = outputs(&place.weights(), Some(cache.clone()), Precision::F32);
+        let found = outputs(&place.weights(), Some(cache.clone()), NumberFormat::F32);
         cache.wait();
         assert_eq!(found, expected);
     }
@@ -421,7 +422,7 @@ fn a_folder_that_cannot_be_written_changes_nothing() {
 #[test]
 fn loaders_side_by_side_agree() {
     let place = Place::new();
-    let expected = outputs(&place.weights(), None, Precision::F32);
+    let expected = outputs(&place.weights(), None, NumberFormat::F32);
     for round in 0..3 {
         let barrier = Barrier::new(8);
         std::thread::scope(|scope| {
@@ -442,14 +443,14 @@ fn loaders_side_by_side_agree() {
 fn weights_that_are_no_file_are_not_kept() {
     let place = Place::new();
     let checkpoint = Checkpoint::from_bytes("memory", checkpoint(1)).unwrap();
-    assert!(Session::new(place.cache(ALL), &checkpoint, Precision::F32).is_none());
+    assert!(Session::new(place.cache(ALL), &checkpoint, NumberFormat::F32).is_none());
 }
 
 fn matrices() -> impl Strategy<Value = Vec<Matrix>> {
     let format = prop_oneof![
-        Just(PackedFormat::F32),
-        Just(PackedFormat::Bf16),
-        Just(PackedFormat::Int8)
+        Just(NumberFormat::F32),
+        Just(NumberFormat::Bf16),
+        Just(NumberFormat::Int8)
     ];
     let matrix = (
         ".{0,20}",

@@ -1,11 +1,11 @@
 //! A block of the success probe.
 
 use candle_core::{D, Tensor};
+use wm_model::Kernels;
 
 use super::SuccessProbeConfig;
 use super::names::Names;
 use super::norm::RmsNorm;
-use crate::Engine;
 use crate::Result;
 use crate::layers::{Dropout, Linear, attention};
 use crate::loader::Loader;
@@ -38,7 +38,7 @@ impl ProbeBlock {
             ffn: Mlp::SwiGlu {
                 gate_and_value: loader.linear("ffn.w12", width, 2 * ffn)?,
                 out: loader.linear("ffn.w3", ffn, width)?,
-                engine: loader.engine(),
+                kernels: loader.kernels(),
             },
         })
     }
@@ -86,7 +86,7 @@ struct Attention {
     q_norm: RmsNorm,
     k_norm: RmsNorm,
     heads: usize,
-    engine: Engine,
+    kernels: Kernels,
 }
 
 impl Attention {
@@ -106,7 +106,7 @@ impl Attention {
             q_norm: norm("q_norm")?,
             k_norm: norm("k_norm")?,
             heads: config.heads,
-            engine: loader.engine(),
+            kernels: loader.kernels(),
         })
     }
 
@@ -117,7 +117,7 @@ impl Attention {
         let k = self.k_norm.forward(&project(&self.k, source)?)?;
         let v = project(&self.v, source)?;
         let scale = 1.0 / (q.dim(D::Minus1)? as f64).sqrt();
-        let mixed = attention((self.engine, self.out.format()), [&q, &k, &v], scale, mask)?;
+        let mixed = attention((self.kernels, self.out.format()), [&q, &k, &v], scale, mask)?;
         self.out.forward(&join_heads(&mixed)?)
     }
 }

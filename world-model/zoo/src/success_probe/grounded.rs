@@ -17,12 +17,13 @@
 
 use candle_core::{D, DType, Device, Tensor};
 use serde::{Deserialize, Serialize};
+use wm_model::Kernels;
 
 use crate::layers::{Conv2d, ConvSpec, Dropout, Linear, Padding, gelu_exact};
 use crate::sizes::{check_counts, check_multiple, check_sizes, shape_error};
 use crate::vit::siglip_text::additive_mask;
 use crate::vit::{Block, BlockNames};
-use crate::{Engine, Loader, Result};
+use crate::{Loader, Result};
 
 /// Epsilon of the LayerNorms: PyTorch's default.
 const LAYER_NORM_EPS: f64 = 1e-5;
@@ -74,7 +75,7 @@ pub struct GroundedProbe {
     head: [Linear; 3],
     /// (places, 2): column and row, from -1 to 1.
     places: Tensor,
-    engine: Engine,
+    kernels: Kernels,
 }
 
 /// What an episode shows.
@@ -179,7 +180,7 @@ impl GroundedProbe {
                 loader.linear("head.2", c.hidden, 1)?,
             ],
             places: places(c.grid, loader.device())?.to_dtype(loader.dtype())?,
-            engine: loader.engine(),
+            kernels: loader.kernels(),
             config: c.clone(),
         })
     }
@@ -210,9 +211,9 @@ impl GroundedProbe {
             .to_device(self.places.device())?
             .to_dtype(self.places.dtype())?;
         let [first, second, third] = &self.convs;
-        let x = gelu_exact(self.engine, &first.forward(&x)?)?;
+        let x = gelu_exact(self.kernels, &first.forward(&x)?)?;
         let x = second.forward_adding(&x, &x)?;
-        let x = gelu_exact(self.engine, &x)?;
+        let x = gelu_exact(self.kernels, &x)?;
         let x = third.forward_adding(&x, &x)?;
         let x = x.reshape((c.frames, rows * columns, c.width))?;
         let places = self.places.unsqueeze(0)?;
@@ -355,7 +356,7 @@ mod tests {
 
     #[test]
     fn it_answers_each_instruction_as_if_it_were_alone() {
-        let loader = Loader::supplied(&Mixed, Engine::Candle);
+        let loader = Loader::supplied(&Mixed, Kernels::Candle);
         let probe = GroundedProbe::load(&config(), &loader).unwrap();
         let values = (0..7 * 4 * 5 * 6).map(|i| (i as f32 * 0.37).sin());
         let latents = Tensor::from_iter(values, &Device::Cpu).unwrap();
@@ -390,7 +391,7 @@ mod tests {
 
     #[test]
     fn other_latents_and_texts_are_refused() {
-        let probe = GroundedProbe::load(&config(), &Loader::skeleton(Engine::Candle)).unwrap();
+        let probe = GroundedProbe::load(&config(), &Loader::skeleton(Kernels::Candle)).unwrap();
         let zeros = |shape: &[usize]| Tensor::zeros(shape, DType::F32, &Device::Cpu).unwrap();
         let error = probe
             .look(&zeros(&[1, 2, 4, 4, 6]))

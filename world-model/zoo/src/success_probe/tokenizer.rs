@@ -31,7 +31,7 @@ impl InstructionTokenizer {
     /// # Errors
     /// Names the file: if it cannot be read, is no tokenizer, has no padding, or has more tokens than the tower's
     /// vocabulary.
-    pub fn open(path: &Path, config: &SiglipTextConfig) -> Result<Self> {
+    pub(crate) fn open(path: &Path, config: &SiglipTextConfig) -> Result<Self> {
         let wrong = |reason: String| Error::ConfigFile {
             file: path.display().to_string(),
             reason,

@@ -1,6 +1,9 @@
 use std::path::{Path, PathBuf};
 
-use wm_model::{LatentSpace, Weights, autoencoder::Normalisation, transition::LATENT_SPACE_KEY};
+use wm_model::{
+    Compute, Kernels, LatentSpace, Weights, autoencoder::Normalisation,
+    transition::LATENT_SPACE_KEY,
+};
 
 use super::{
     Instructed, InstructionTokenizer, Judge, ProbeNetwork, ProbeNetworkConfig, Reader,
@@ -9,9 +12,7 @@ use super::{
 use crate::kinds::Kind;
 use crate::pooled_probe::PooledProbe;
 use crate::vit::{SiglipText, SiglipTextConfig};
-use crate::{
-    Checkpoint, Engine, Error, Loader, Precision, Result, checkpoint::Average, loader::OfWeights,
-};
+use crate::{Checkpoint, Error, Loader, Result, checkpoint::Average, loader::OfWeights};
 
 /// Metadata key of the [`ProbeNetworkConfig`] (JSON).
 pub const PROBE_KEY: &str = "success_probe";
@@ -32,7 +33,7 @@ impl SuccessClassifier {
         trained_on.require(space)?;
         let config: ProbeNetworkConfig = weights.json(PROBE_KEY)?;
         let supply = OfWeights(&weights);
-        let probe = ProbeNetwork::load(&config, &Loader::supplied(&supply, Engine::Cpu))?;
+        let probe = ProbeNetwork::load(&config, &Loader::supplied(&supply, Kernels::Cpu))?;
         let judge = match probe {
             ProbeNetwork::Linear(probe) => Judge::Pooled(PooledProbe::Linear(probe)),
             ProbeNetwork::Temporal(probe) => Judge::Pooled(PooledProbe::Temporal(probe)),
@@ -61,7 +62,7 @@ impl Reader {
         }
         let words: WordsConfig = weights.json(WORDS_KEY)?;
         let supply = OfWeights(weights);
-        let loader = Loader::supplied(&supply, Engine::Cpu);
+        let loader = Loader::supplied(&supply, Kernels::Cpu);
         Ok(Self::Words(WordEmbedding::load(&words, &loader)?))
     }
 
@@ -78,7 +79,7 @@ impl Reader {
         let tokenizer = InstructionTokenizer::open(&folder.join("tokenizer.json"), &config)?;
         let checkpoint = Checkpoint::open(folder.join("model.safetensors"))?;
         let checkpoint = Kind::Siglip2Text.weights(&checkpoint, Average::Ema);
-        let loader = Loader::new(&checkpoint, Engine::Cpu, Precision::F32)?;
+        let loader = Loader::new(&checkpoint, &Compute::default())?;
         let text = SiglipText::load(&config, &loader)?;
         loader.finish()?;
         Ok(Self::Siglip {

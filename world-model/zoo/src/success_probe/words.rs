@@ -126,7 +126,7 @@ impl WordEmbedding {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Engine;
+    use wm_model::Kernels;
 
     #[test]
     fn a_vocabulary_is_that_of_its_instructions() {
@@ -149,7 +149,7 @@ mod tests {
     #[test]
     fn each_word_has_a_feature() {
         let config = WordsConfig::of(["pick the cup"], 4);
-        let words = WordEmbedding::load(&config, &Loader::skeleton(Engine::Candle)).unwrap();
+        let words = WordEmbedding::load(&config, &Loader::skeleton(Kernels::Candle)).unwrap();
         assert_eq!(words.read("the cup").unwrap().dims(), [1, 2, 4]);
     }
 }

@@ -4,11 +4,11 @@
 //! diffusion and diffusers' `resnet.py`, which agree. Activations are (N, H, W, C).
 
 use candle_core::Tensor;
-use wm_model::ops::PackedFormat;
+use wm_model::{Kernels, NumberFormat};
 
 use super::naming::Naming;
 use crate::layers::{Conv2d, ConvSpec, GroupNorm, Linear, Padding, attention};
-use crate::{Engine, Loader, Result};
+use crate::{Loader, Result};
 
 /// Added to the variance in every group normalisation.
 const NORM_EPS: f64 = 1e-6;
@@ -96,7 +96,7 @@ pub(super) struct AttentionBlock {
     value: Pointwise,
     out: Pointwise,
     heads: usize,
-    engine: Engine,
+    kernels: Kernels,
 }
 
 impl AttentionBlock {
@@ -116,7 +116,7 @@ impl AttentionBlock {
             value: pointwise(names.value)?,
             out: pointwise(names.out)?,
             heads: family.heads,
-            engine: loader.engine(),
+            kernels: loader.kernels(),
         })
     }
 
@@ -133,7 +133,7 @@ impl AttentionBlock {
         let (query, key, value) = (heads(&self.query)?, heads(&self.key)?, heads(&self.value)?);
         let scale = (head_dim as f64).sqrt().recip();
         // In f32: a softmax over a whole picture adds up the rounding of many, and it is a hundredth of the work.
-        let compute = (self.engine, PackedFormat::F32);
+        let compute = (self.kernels, NumberFormat::F32);
         let mixed = attention(compute, [&query, &key, &value], scale, None)?
             .transpose(1, 2)?
             .contiguous()?

@@ -32,22 +32,22 @@ const MAX_HAAR_LEVELS: u32 = 4;
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct CosmosConfig {
+pub(crate) struct CosmosConfig {
     /// Channels of the first convolution.
-    pub channels: usize,
+    pub(crate) channels: usize,
     /// Channels at each level, finest first, in multiples of `channels`; upstream `channels_mult`.
-    pub multipliers: Vec<usize>,
+    pub(crate) multipliers: Vec<usize>,
     /// Residual blocks of an encoder level; a decoder level has one more.
-    pub res_blocks: usize,
+    pub(crate) res_blocks: usize,
     /// Channels of the latent.
-    pub latent: usize,
+    pub(crate) latent: usize,
     /// Side of a Haar patch in pixels, a power of two; upstream `patch_size`.
-    pub patch: usize,
+    pub(crate) patch: usize,
     /// Pixels along the side of one latent place, a power of two; upstream `spatial_compression`.
-    pub compression: usize,
+    pub(crate) compression: usize,
     /// Groups of every group normalisation, 32 if absent.
     #[serde(default = "default_groups")]
-    pub groups: usize,
+    pub(crate) groups: usize,
 }
 
 fn default_groups() -> usize {
@@ -56,7 +56,7 @@ fn default_groups() -> usize {
 
 impl CosmosConfig {
     /// The published CI16x16: 33.5 M parameters in the encoder, 48.0 M in the decoder.
-    pub fn ci16x16() -> Self {
+    pub(crate) fn ci16x16() -> Self {
         Self {
             channels: 128,
             multipliers: vec![2, 4, 4],
@@ -118,7 +118,7 @@ impl CosmosConfig {
 
 /// Images to latents. Keys `encoder.*` and `quant_conv.*`.
 #[derive(Debug)]
-pub struct CosmosEncoder {
+pub(crate) struct CosmosEncoder {
     tower: DownTower,
     quant: Conv2d,
     haar_levels: u32,
@@ -131,7 +131,7 @@ impl CosmosEncoder {
     ///
     /// # Errors
     /// If the configuration is invalid.
-    pub fn load(config: &CosmosConfig, loader: &Loader<'_>) -> Result<Self> {
+    pub(crate) fn load(config: &CosmosConfig, loader: &Loader<'_>) -> Result<Self> {
         let plan = config.plan()?;
         let latent = config.latent;
         let inputs = config.patch_channels();
@@ -154,7 +154,7 @@ impl CosmosEncoder {
     ///
     /// # Errors
     /// If `image` has another number of channels, or a size that the compression does not divide.
-    pub fn encode(&self, image: &Tensor) -> Result<Tensor> {
+    pub(crate) fn encode(&self, image: &Tensor) -> Result<Tensor> {
         check_grid("image for Cosmos", image, RGB, self.compression)?;
         let mut x = to_signed(image)?;
         for _ in 0..self.haar_levels {
@@ -167,7 +167,7 @@ impl CosmosEncoder {
 
 /// Latents to images. Keys `decoder.*` and `post_quant_conv.*`.
 #[derive(Debug)]
-pub struct CosmosDecoder {
+pub(crate) struct CosmosDecoder {
     quant: Conv2d,
     tower: UpTower,
     haar_levels: u32,
@@ -180,7 +180,7 @@ impl CosmosDecoder {
     ///
     /// # Errors
     /// If the configuration is invalid.
-    pub fn load(config: &CosmosConfig, loader: &Loader<'_>) -> Result<Self> {
+    pub(crate) fn load(config: &CosmosConfig, loader: &Loader<'_>) -> Result<Self> {
         let plan = config.plan()?;
         let latent = config.latent;
         let quant = loader.conv2d("post_quant_conv", conv(latent, latent, 1))?;
@@ -203,7 +203,7 @@ impl CosmosDecoder {
     ///
     /// # Errors
     /// If `latent` has another shape.
-    pub fn decode(&self, latent: &Tensor) -> Result<Tensor> {
+    pub(crate) fn decode(&self, latent: &Tensor) -> Result<Tensor> {
         check_grid("latent for Cosmos", latent, self.latent, 1)?;
         let z = self.quant.forward(&latent.to_dtype(self.dtype)?)?;
         let mut x = self.tower.forward(&z)?.to_dtype(DType::F32)?;

@@ -16,7 +16,8 @@ use crate::Result;
 ///
 /// # Errors
 /// If `x` has not four dimensions, or H or W is odd.
-pub fn split(x: &Tensor) -> Result<Tensor> {
+pub(crate) fn split(x: &Tensor) -> Result<Tensor> {
+    // Without a dimension it fails, like any other than four.
     check_grid("Haar input", x, x.dims().last().copied().unwrap_or(0), 2)?;
     let (images, height, width, channels) = x.dims4()?;
     let cells = x.reshape((images, height / 2, 2, width / 2, 2, channels))?;
@@ -39,7 +40,7 @@ pub fn split(x: &Tensor) -> Result<Tensor> {
 ///
 /// # Errors
 /// If `x` has not four dimensions, or the channels are not a multiple of four.
-pub fn join(x: &Tensor) -> Result<Tensor> {
+pub(crate) fn join(x: &Tensor) -> Result<Tensor> {
     let (images, height, width, bands) = x.dims4()?;
     let channels = bands / 4;
     // Refuses a remainder of the division.

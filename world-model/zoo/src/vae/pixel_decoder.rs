@@ -82,6 +82,7 @@ impl PixelDecoderConfig {
         }
         let widths = self.widths();
         check_widths("multipliers", &widths, GROUPS, 1)?;
+        // The line above refuses empty widths.
         check_widths("heads", widths.get(..1).unwrap_or(&[]), GROUPS, self.heads)?;
         check_sizes(&[("latent", self.latent)])?;
         check_counts(&[("res_blocks", self.res_blocks)])
@@ -114,7 +115,9 @@ impl PixelDecoder {
             heads: config.heads,
         };
         let widths = config.widths();
-        let mut before = widths.first().copied().unwrap_or(0);
+        let Some(mut before) = widths.first().copied() else {
+            return Err(config_error("multipliers", "no level".to_owned()));
+        };
         let proj_in = loader.conv2d(naming.conv_in(), conv(config.latent, before, 1))?;
         let middle = Middle::load(family, before, true, loader)?;
         let last_block = config.res_blocks - 1;

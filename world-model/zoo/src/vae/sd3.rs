@@ -36,38 +36,38 @@ const UP_BLOCK: &str = "UpDecoderBlock2D";
 /// absent has diffusers' default (but no scale or shift, see the [module](self)).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
-pub struct SdVaeConfig {
+pub(crate) struct SdVaeConfig {
     /// Channels of the image that is encoded.
-    pub in_channels: usize,
+    pub(crate) in_channels: usize,
     /// Channels of the image that is decoded.
-    pub out_channels: usize,
+    pub(crate) out_channels: usize,
     /// Kind of each encoder level.
-    pub down_block_types: Vec<String>,
+    pub(crate) down_block_types: Vec<String>,
     /// Kind of each decoder level.
-    pub up_block_types: Vec<String>,
+    pub(crate) up_block_types: Vec<String>,
     /// Channels at each level, finest first.
-    pub block_out_channels: Vec<usize>,
+    pub(crate) block_out_channels: Vec<usize>,
     /// Residual blocks of an encoder level; a decoder level has one more.
-    pub layers_per_block: usize,
+    pub(crate) layers_per_block: usize,
     /// Activation.
-    pub act_fn: String,
+    pub(crate) act_fn: String,
     /// Channels of the latent.
-    pub latent_channels: usize,
+    pub(crate) latent_channels: usize,
     /// Groups of every group normalisation.
-    pub norm_num_groups: usize,
+    pub(crate) norm_num_groups: usize,
     /// Factor of the latent's scale.
-    pub scaling_factor: Option<f64>,
+    pub(crate) scaling_factor: Option<f64>,
     /// What is subtracted from the mean before.
-    pub shift_factor: Option<f64>,
+    pub(crate) shift_factor: Option<f64>,
     /// Whether a 1x1 convolution follows the encoder.
-    pub use_quant_conv: bool,
+    pub(crate) use_quant_conv: bool,
     /// Whether a 1x1 convolution precedes the decoder.
-    pub use_post_quant_conv: bool,
+    pub(crate) use_post_quant_conv: bool,
     /// Whether the middle has attention.
-    pub mid_block_add_attention: bool,
+    pub(crate) mid_block_add_attention: bool,
     /// Ours, not diffusers': whether scale and shift are applied; see the [module](self) for what happens
     /// without it.
-    pub apply_scaling: Option<bool>,
+    pub(crate) apply_scaling: Option<bool>,
 }
 
 impl Default for SdVaeConfig {
@@ -94,7 +94,7 @@ impl Default for SdVaeConfig {
 
 impl SdVaeConfig {
     /// Stable Diffusion 3: 34.3 M parameters in the encoder, 49.5 M in the decoder.
-    pub fn sd3() -> Self {
+    pub(crate) fn sd3() -> Self {
         Self {
             down_block_types: vec![DOWN_BLOCK.to_owned(); 4],
             up_block_types: vec![UP_BLOCK.to_owned(); 4],
@@ -113,7 +113,7 @@ impl SdVaeConfig {
     ///
     /// # Errors
     /// If the scale cannot be undone, or a value is not finite.
-    pub fn scale_and_shift(&self) -> Result<Option<(f64, f64)>> {
+    pub(crate) fn scale_and_shift(&self) -> Result<Option<(f64, f64)>> {
         let stated = self.scaling_factor.is_some() && self.shift_factor.is_some();
         if !self.apply_scaling.unwrap_or(stated) {
             return Ok(None);
@@ -139,7 +139,7 @@ impl SdVaeConfig {
     ///
     /// # Errors
     /// If the configuration is invalid.
-    pub fn downsampling(&self) -> Result<usize> {
+    pub(crate) fn downsampling(&self) -> Result<usize> {
         Ok(self.plan()?.downsampling())
     }
 
@@ -174,6 +174,7 @@ impl SdVaeConfig {
                 heads: 1,
             },
             widths_field: "block_out_channels",
+            // `Plan::check` refuses a width of 0.
             stem: self.block_out_channels.first().copied().unwrap_or(0),
             widths: self.block_out_channels.clone(),
             res_blocks: self.layers_per_block,
@@ -186,7 +187,7 @@ impl SdVaeConfig {
 
 /// Images to latents. Keys `encoder.*` and, where the config has it, `quant_conv.*`.
 #[derive(Debug)]
-pub struct SdVaeEncoder {
+pub(crate) struct SdVaeEncoder {
     tower: DownTower,
     quant: Option<Conv2d>,
     scale_and_shift: Option<(f64, f64)>,
@@ -201,7 +202,7 @@ impl SdVaeEncoder {
     ///
     /// # Errors
     /// If the configuration is invalid or names a block that is not known here.
-    pub fn load(config: &SdVaeConfig, loader: &Loader<'_>) -> Result<Self> {
+    pub(crate) fn load(config: &SdVaeConfig, loader: &Loader<'_>) -> Result<Self> {
         let plan = config.plan()?;
         let moments = 2 * config.latent_channels;
         let tower = DownTower::load(&plan, config.in_channels, moments, &loader.at("encoder"))?;
@@ -227,7 +228,7 @@ impl SdVaeEncoder {
     ///
     /// # Errors
     /// If `image` has another number of channels, or a size that the levels do not divide.
-    pub fn encode(&self, image: &Tensor) -> Result<Tensor> {
+    pub(crate) fn encode(&self, image: &Tensor) -> Result<Tensor> {
         check_grid(
             "image for the SD3 VAE",
             image,
@@ -251,7 +252,7 @@ impl SdVaeEncoder {
 
 /// Latents to images. Keys `decoder.*` and, where the config has it, `post_quant_conv.*`.
 #[derive(Debug)]
-pub struct SdVaeDecoder {
+pub(crate) struct SdVaeDecoder {
     tower: UpTower,
     quant: Option<Conv2d>,
     scale_and_shift: Option<(f64, f64)>,
@@ -264,7 +265,7 @@ impl SdVaeDecoder {
     ///
     /// # Errors
     /// If the configuration is invalid or names a block that is not known here.
-    pub fn load(config: &SdVaeConfig, loader: &Loader<'_>) -> Result<Self> {
+    pub(crate) fn load(config: &SdVaeConfig, loader: &Loader<'_>) -> Result<Self> {
         let plan = config.plan()?;
         let latent = config.latent_channels;
         let quant = config
@@ -288,7 +289,7 @@ impl SdVaeDecoder {
     ///
     /// # Errors
     /// If `latent` has another shape.
-    pub fn decode(&self, latent: &Tensor) -> Result<Tensor> {
+    pub(crate) fn decode(&self, latent: &Tensor) -> Result<Tensor> {
         check_grid("latent for the SD3 VAE", latent, self.latent_channels, 1)?;
         let mut z = latent.to_dtype(DType::F32)?;
         if let Some((scale, shift)) = self.scale_and_shift {

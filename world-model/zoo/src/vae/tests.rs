@@ -2,12 +2,13 @@
 
 use candle_core::{DType, Device, Tensor};
 use safetensors::tensor::{Dtype, TensorView};
+use wm_model::{Compute, Kernels};
 
 use super::*;
-use crate::{Checkpoint, Engine, Error, Loader, Precision, Result};
+use crate::{Checkpoint, Error, Loader, Result};
 
 fn skeleton() -> Loader<'static> {
-    Loader::skeleton(Engine::Candle)
+    Loader::skeleton(Kernels::Candle)
 }
 
 /// Values that the loader was asked for while `load` ran.
@@ -297,7 +298,7 @@ fn differences<T>(
     });
     let bytes = safetensors::serialize(views, None).unwrap();
     let checkpoint = Checkpoint::from_bytes("test", bytes).unwrap();
-    let loader = Loader::new(&checkpoint, Engine::Candle, Precision::F32).unwrap();
+    let loader = Loader::new(&checkpoint, &Compute::on_cpu(Kernels::Candle)).unwrap();
     load(&loader).unwrap();
     match loader.finish().unwrap_err() {
         Error::Tensors {

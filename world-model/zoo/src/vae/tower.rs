@@ -61,6 +61,7 @@ impl Plan {
 
     /// Channels of the coarsest level, at which the middle works.
     fn coarsest(&self) -> usize {
+        // `check` refuses a plan without a level.
         self.widths.last().copied().unwrap_or(self.stem)
     }
 

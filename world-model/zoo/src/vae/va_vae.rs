@@ -31,23 +31,23 @@ const TRAINING_ONLY: [&str; 3] = ["loss.", "foundation_model.", "linear_proj."];
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct VaVaeConfig {
+pub(crate) struct VaVaeConfig {
     /// Channels of the first convolution; upstream `ch`.
-    pub channels: usize,
+    pub(crate) channels: usize,
     /// Channels at each level, finest first, in multiples of `channels`; upstream `ch_mult`.
-    pub multipliers: Vec<usize>,
+    pub(crate) multipliers: Vec<usize>,
     /// Residual blocks of an encoder level; a decoder level has one more.
-    pub res_blocks: usize,
+    pub(crate) res_blocks: usize,
     /// Channels of the latent; upstream `z_channels` and `embed_dim`.
-    pub latent: usize,
+    pub(crate) latent: usize,
     /// Pixels along an image's side from which `attention_resolutions` are counted. Other sizes can be
     /// encoded.
-    pub resolution: usize,
+    pub(crate) resolution: usize,
     /// Grid sizes at which attention follows every residual block.
-    pub attention_resolutions: Vec<usize>,
+    pub(crate) attention_resolutions: Vec<usize>,
     /// Groups of every group normalisation, 32 if absent.
     #[serde(default = "default_groups")]
-    pub groups: usize,
+    pub(crate) groups: usize,
 }
 
 fn default_groups() -> usize {
@@ -56,7 +56,7 @@ fn default_groups() -> usize {
 
 impl VaVaeConfig {
     /// The published f16d32: 28.4 M parameters in the encoder, 41.4 M in the decoder.
-    pub fn f16d32() -> Self {
+    pub(crate) fn f16d32() -> Self {
         Self {
             channels: 128,
             multipliers: vec![1, 1, 2, 2, 4],
@@ -72,7 +72,7 @@ impl VaVaeConfig {
     ///
     /// # Errors
     /// If the configuration is invalid.
-    pub fn downsampling(&self) -> Result<usize> {
+    pub(crate) fn downsampling(&self) -> Result<usize> {
         Ok(self.plan()?.downsampling())
     }
 
@@ -106,7 +106,7 @@ impl VaVaeConfig {
 
 /// Images to latents. Keys `encoder.*` and `quant_conv.*`.
 #[derive(Debug)]
-pub struct VaVaeEncoder {
+pub(crate) struct VaVaeEncoder {
     tower: DownTower,
     quant: Conv2d,
     latent: usize,
@@ -119,7 +119,7 @@ impl VaVaeEncoder {
     ///
     /// # Errors
     /// If the configuration is invalid.
-    pub fn load(config: &VaVaeConfig, loader: &Loader<'_>) -> Result<Self> {
+    pub(crate) fn load(config: &VaVaeConfig, loader: &Loader<'_>) -> Result<Self> {
         let plan = config.plan()?;
         let moments = 2 * config.latent;
         let tower = DownTower::load(&plan, RGB, moments, &loader.at("encoder"))?;
@@ -143,7 +143,7 @@ impl VaVaeEncoder {
     ///
     /// # Errors
     /// If `image` has another number of channels, or a size that the levels do not divide.
-    pub fn encode(&self, image: &Tensor) -> Result<Tensor> {
+    pub(crate) fn encode(&self, image: &Tensor) -> Result<Tensor> {
         check_grid("image for the VA-VAE", image, RGB, self.downsampling)?;
         let x = to_signed(image)?.to_dtype(self.dtype)?;
         let moments = self.quant.forward(&self.tower.forward(&x)?)?;
@@ -155,7 +155,7 @@ impl VaVaeEncoder {
 
 /// Latents to images. Keys `decoder.*` and `post_quant_conv.*`.
 #[derive(Debug)]
-pub struct VaVaeDecoder {
+pub(crate) struct VaVaeDecoder {
     quant: Conv2d,
     tower: UpTower,
     latent: usize,
@@ -167,7 +167,7 @@ impl VaVaeDecoder {
     ///
     /// # Errors
     /// If the configuration is invalid.
-    pub fn load(config: &VaVaeConfig, loader: &Loader<'_>) -> Result<Self> {
+    pub(crate) fn load(config: &VaVaeConfig, loader: &Loader<'_>) -> Result<Self> {
         let plan = config.plan()?;
         let latent = config.latent;
         let quant = loader.conv2d("post_quant_conv", conv(latent, latent, 1))?;
@@ -187,7 +187,7 @@ impl VaVaeDecoder {
     ///
     /// # Errors
     /// If `latent` has another shape.
-    pub fn decode(&self, latent: &Tensor) -> Result<Tensor> {
+    pub(crate) fn decode(&self, latent: &Tensor) -> Result<Tensor> {
         check_grid("latent for the VA-VAE", latent, self.latent, 1)?;
         let z = self.quant.forward(&latent.to_dtype(self.dtype)?)?;
         to_unit(&self.tower.forward(&z)?)

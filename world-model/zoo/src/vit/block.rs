@@ -54,7 +54,7 @@ impl Block {
                 projections: Projections::Fused(loader.linear(names.qkv, width, 3 * width)?),
                 out: loader.linear(names.out, width, width)?,
                 heads,
-                engine: loader.engine(),
+                kernels: loader.kernels(),
             },
             attention_scale: None,
             mlp_norm: loader.layer_norm("norm2", width, eps)?,

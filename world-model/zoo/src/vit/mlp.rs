@@ -1,9 +1,9 @@
 //! The feed-forward half of a block.
 
 use candle_core::Tensor;
+use wm_model::Kernels;
 use wm_model::ops::swiglu;
 
-use crate::Engine;
 use crate::Result;
 use crate::layers::{Activation, Linear};
 
@@ -20,7 +20,7 @@ pub(crate) enum Mlp {
     SwiGlu {
         gate_and_value: Linear,
         out: Linear,
-        engine: Engine,
+        kernels: Kernels,
     },
 }
 
@@ -33,9 +33,9 @@ impl Mlp {
             } => first.forward_activated(x, *activation),
             Self::SwiGlu {
                 gate_and_value,
-                engine,
+                kernels,
                 ..
-            } => Ok(swiglu(*engine, &gate_and_value.forward(x)?)?),
+            } => Ok(swiglu(*kernels, &gate_and_value.forward(x)?)?),
         }
     }
 

@@ -33,6 +33,7 @@ impl PatchEmbedding {
         shape.extend([patch, patch]);
         let weight = loader.tensor(&format!("{name}.weight"), &shape)?;
         let bias = loader.tensor(&format!("{name}.bias"), &[width])?;
+        // A filter without frames sees one.
         let inputs = frames.unwrap_or(1) * patch * patch;
         let channels_last = weight.reshape((width, 3, inputs))?.transpose(1, 2)?;
         let weight = channels_last.contiguous()?.reshape((width, inputs * 3))?;
@@ -40,7 +41,7 @@ impl PatchEmbedding {
             patch,
             dtype: weight.dtype(),
             device: weight.device().clone(),
-            filters: Linear::new(weight, Some(bias), loader.engine(), loader.format())?,
+            filters: Linear::new(weight, Some(bias), loader.kernels(), loader.format())?,
         })
     }
 

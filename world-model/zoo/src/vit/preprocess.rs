@@ -12,22 +12,22 @@ use crate::sizes::shape_error;
 
 /// Mean and standard deviation per colour channel that pictures are normalised with.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Normalisation {
+pub(crate) struct Normalisation {
     /// Mean of red, green and blue.
-    pub mean: [f32; 3],
+    pub(crate) mean: [f32; 3],
     /// Standard deviation of red, green and blue.
-    pub std: [f32; 3],
+    pub(crate) std: [f32; 3],
 }
 
 impl Normalisation {
     /// That of ImageNet: V-JEPA, DINO and EfficientNet.
-    pub const IMAGENET: Self = Self {
+    pub(crate) const IMAGENET: Self = Self {
         mean: [0.485, 0.456, 0.406],
         std: [0.229, 0.224, 0.225],
     };
 
     /// 0..1 to -1..1: SigLIP.
-    pub const HALF: Self = Self {
+    pub(crate) const HALF: Self = Self {
         mean: [0.5; 3],
         std: [0.5; 3],
     };
@@ -36,7 +36,7 @@ impl Normalisation {
     ///
     /// # Errors
     /// If the picture has not three channels.
-    pub fn apply(&self, image: &Tensor) -> Result<Tensor> {
+    pub(crate) fn apply(&self, image: &Tensor) -> Result<Tensor> {
         check(image)?;
         let device = image.device();
         let image = image.to_dtype(DType::F32)?;
@@ -51,7 +51,7 @@ impl Normalisation {
 ///
 /// # Errors
 /// If the picture is empty or has not three channels.
-pub fn resize_bicubic(image: &Tensor, size: usize) -> Result<Tensor> {
+pub(crate) fn resize_bicubic(image: &Tensor, size: usize) -> Result<Tensor> {
     let (h, w) = check(image)?;
     if (h, w) == (size, size) {
         return Ok(image.to_dtype(DType::F32)?);

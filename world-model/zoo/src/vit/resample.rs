@@ -19,6 +19,7 @@ pub(crate) struct AxisWeights {
 impl AxisWeights {
     /// PyTorch's cubic convolution to another size: a = -0.75, half-pixel centres, borders
     /// repeated, no antialiasing. Four taps an output. (`upsample_bicubic2d`, align_corners off.)
+    /// wm_evaluation resamples for ONNX networks in f64; one function for both would change the bits of one of them.
     pub(crate) fn bicubic(inputs: usize, outputs: usize) -> Self {
         let mut weights = Self::zero(inputs, outputs);
         // In f32, as PyTorch computes it for f32 pictures: the taps then agree to the last bit.

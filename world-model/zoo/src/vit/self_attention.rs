@@ -1,9 +1,9 @@
 //! Attention of tokens among themselves.
 
 use candle_core::{D, Tensor};
+use wm_model::Kernels;
 
 use super::Rotary;
-use crate::Engine;
 use crate::Result;
 use crate::layers::{Linear, attention};
 
@@ -22,7 +22,7 @@ pub(crate) struct SelfAttention {
     pub(crate) projections: Projections,
     pub(crate) out: Linear,
     pub(crate) heads: usize,
-    pub(crate) engine: Engine,
+    pub(crate) kernels: Kernels,
 }
 
 impl SelfAttention {
@@ -52,7 +52,7 @@ impl SelfAttention {
             None => (q, k),
         };
         let scale = 1.0 / ((width / self.heads) as f64).sqrt();
-        let compute = (self.engine, self.out.format());
+        let compute = (self.kernels, self.out.format());
         let mixed = attention(compute, [&q, &k, &v], scale, mask)?;
         join_heads(&mixed)
     }

@@ -24,27 +24,27 @@ use crate::sizes::{check_counts, check_multiple, check_sizes};
 /// `SiglipVisionConfig`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(remote = "Self", default)]
-pub struct SiglipVisionConfig {
+pub(crate) struct SiglipVisionConfig {
     /// Width of the tokens.
-    pub hidden_size: usize,
+    pub(crate) hidden_size: usize,
     /// Hidden width of the feed-forward networks.
-    pub intermediate_size: usize,
+    pub(crate) intermediate_size: usize,
     /// Number of blocks.
-    pub num_hidden_layers: usize,
+    pub(crate) num_hidden_layers: usize,
     /// Attention heads.
-    pub num_attention_heads: usize,
+    pub(crate) num_attention_heads: usize,
     /// Colour channels; 3 is all that can be built.
-    pub num_channels: usize,
+    pub(crate) num_channels: usize,
     /// Side in pixels of the picture that is encoded.
-    pub image_size: usize,
+    pub(crate) image_size: usize,
     /// Side of a patch in pixels.
-    pub patch_size: usize,
+    pub(crate) patch_size: usize,
     /// Activation of the feed-forward networks.
-    pub hidden_act: Activation,
+    pub(crate) hidden_act: Activation,
     /// Epsilon of every LayerNorm.
-    pub layer_norm_eps: f64,
+    pub(crate) layer_norm_eps: f64,
     /// Whether the checkpoint holds the attention pooling head, which the feature does not pass.
-    pub vision_use_head: bool,
+    pub(crate) vision_use_head: bool,
 }
 
 impl Default for SiglipVisionConfig {
@@ -91,7 +91,7 @@ pub(super) fn nested<'de, D: Deserializer<'de>>(
 
 impl SiglipVisionConfig {
     /// `google/siglip2-so400m-patch14-224`.
-    pub fn so400m() -> Self {
+    pub(crate) fn so400m() -> Self {
         Self {
             hidden_size: 1152,
             intermediate_size: 4304,
@@ -103,7 +103,7 @@ impl SiglipVisionConfig {
     }
 
     /// Patches along one side of the picture.
-    pub fn grid(&self) -> usize {
+    pub(crate) fn grid(&self) -> usize {
         self.image_size / self.patch_size.max(1)
     }
 
@@ -143,7 +143,7 @@ impl SiglipVisionConfig {
 
 /// The vision tower.
 #[derive(Clone, Debug)]
-pub struct SiglipVision {
+pub(crate) struct SiglipVision {
     config: SiglipVisionConfig,
     patches: PatchEmbedding,
     /// (patches, hidden).
@@ -156,7 +156,7 @@ impl SiglipVision {
     ///
     /// # Errors
     /// If the configuration cannot be built; [`Loader::finish`] reports missing tensors.
-    pub fn load(config: &SiglipVisionConfig, loader: &Loader<'_>) -> Result<Self> {
+    pub(crate) fn load(config: &SiglipVisionConfig, loader: &Loader<'_>) -> Result<Self> {
         config.validate()?;
         for prefix in ["text_model.", "logit_scale", "logit_bias"] {
             loader.ignore(prefix);
@@ -188,11 +188,6 @@ impl SiglipVision {
         })
     }
 
-    /// The configuration.
-    pub fn config(&self) -> &SiglipVisionConfig {
-        &self.config
-    }
-
     /// Encodes `image` (N, H, W, 3), f32 in 0..1, to (N, grid, grid, hidden), f32.
     ///
     /// The picture is resized to the configuration's size (bicubic, not clamped) and taken from
@@ -200,7 +195,7 @@ impl SiglipVision {
     ///
     /// # Errors
     /// If the picture has another shape.
-    pub fn encode(&self, image: &Tensor) -> Result<Tensor> {
+    pub(crate) fn encode(&self, image: &Tensor) -> Result<Tensor> {
         let image = resize_bicubic(image, self.config.image_size)?;
         let patches = self.patches.forward(&Normalisation::HALF.apply(&image)?)?;
         let mut x = patches.broadcast_add(&self.positions)?;
@@ -266,7 +261,7 @@ fn layer(sizes: &LayerSizes, loader: &Loader<'_>) -> Result<Block> {
             projections: Projections::Separate(Box::new(separate)),
             out: projection("out")?,
             heads: sizes.heads,
-            engine: loader.engine(),
+            kernels: loader.kernels(),
         },
         attention_scale: None,
         mlp_norm: loader.layer_norm("layer_norm2", width, sizes.eps)?,
@@ -282,12 +277,12 @@ fn layer(sizes: &LayerSizes, loader: &Loader<'_>) -> Result<Block> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Engine;
     use candle_core::Device;
+    use wm_model::Kernels;
 
     #[test]
     fn so400m_has_the_published_size() {
-        let loader = Loader::skeleton(Engine::Candle);
+        let loader = Loader::skeleton(Kernels::Candle);
         SiglipVision::load(&SiglipVisionConfig::so400m(), &loader).unwrap();
         assert_eq!(loader.parameters(), 427_680_704);
     }
@@ -325,7 +320,7 @@ mod tests {
             patch_size: 7,
             ..SiglipVisionConfig::default()
         };
-        let model = SiglipVision::load(&config, &Loader::skeleton(Engine::Candle)).unwrap();
+        let model = SiglipVision::load(&config, &Loader::skeleton(Kernels::Candle)).unwrap();
         let image = Tensor::zeros((2, 256, 256, 3), DType::F32, &Device::Cpu).unwrap();
         assert_eq!(model.encode(&image).unwrap().dims(), [2, 4, 4, 32]);
     }

@@ -21,25 +21,25 @@ use crate::sizes::{check_counts, check_multiple, check_sizes, shape_error};
 /// Sizes of the text tower, with the names and the defaults of Hugging Face's `SiglipTextConfig`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(remote = "Self", default)]
-pub struct SiglipTextConfig {
+pub(crate) struct SiglipTextConfig {
     /// Number of different tokens.
-    pub vocab_size: usize,
+    pub(crate) vocab_size: usize,
     /// Width of the tokens.
-    pub hidden_size: usize,
+    pub(crate) hidden_size: usize,
     /// Hidden width of the feed-forward networks.
-    pub intermediate_size: usize,
+    pub(crate) intermediate_size: usize,
     /// Number of blocks.
-    pub num_hidden_layers: usize,
+    pub(crate) num_hidden_layers: usize,
     /// Attention heads.
-    pub num_attention_heads: usize,
+    pub(crate) num_attention_heads: usize,
     /// Length of the longest text in tokens.
-    pub max_position_embeddings: usize,
+    pub(crate) max_position_embeddings: usize,
     /// Activation of the feed-forward networks.
-    pub hidden_act: Activation,
+    pub(crate) hidden_act: Activation,
     /// Epsilon of every LayerNorm.
-    pub layer_norm_eps: f64,
+    pub(crate) layer_norm_eps: f64,
     /// Width of the pooled feature; that of the tokens if it is not given.
-    pub projection_size: Option<usize>,
+    pub(crate) projection_size: Option<usize>,
 }
 
 impl Default for SiglipTextConfig {
@@ -73,7 +73,7 @@ impl Serialize for SiglipTextConfig {
 
 impl SiglipTextConfig {
     /// `google/siglip2-so400m-patch14-224`.
-    pub fn so400m() -> Self {
+    pub(crate) fn so400m() -> Self {
         Self {
             vocab_size: 256_000,
             hidden_size: 1152,
@@ -120,7 +120,7 @@ impl SiglipText {
     ///
     /// # Errors
     /// If the configuration cannot be built; [`Loader::finish`] reports missing tensors.
-    pub fn load(config: &SiglipTextConfig, loader: &Loader<'_>) -> Result<Self> {
+    pub(crate) fn load(config: &SiglipTextConfig, loader: &Loader<'_>) -> Result<Self> {
         config.validate()?;
         for prefix in ["vision_model.", "logit_scale", "logit_bias"] {
             loader.ignore(prefix);
@@ -148,11 +148,6 @@ impl SiglipText {
         })
     }
 
-    /// The configuration.
-    pub fn config(&self) -> &SiglipTextConfig {
-        &self.config
-    }
-
     /// Features of the tokens behind the final LayerNorm: `ids` (B, L), integers below the
     /// vocabulary's size, to (B, L, hidden), f32.
     ///
@@ -161,7 +156,7 @@ impl SiglipText {
     ///
     /// # Errors
     /// If the text is too long, a token is not in the vocabulary, or the shapes differ.
-    pub fn forward(&self, ids: &Tensor, mask: Option<&Tensor>) -> Result<Tensor> {
+    pub(crate) fn forward(&self, ids: &Tensor, mask: Option<&Tensor>) -> Result<Tensor> {
         let (b, l) = match ids.dims() {
             &[b, l] if l > 0 && l <= self.config.max_position_embeddings => (b, l),
             _ => {
@@ -239,8 +234,8 @@ pub(crate) fn additive_mask(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Engine;
     use candle_core::Device;
+    use wm_model::Kernels;
 
     fn small() -> SiglipTextConfig {
         SiglipTextConfig {
@@ -258,14 +253,14 @@ mod tests {
     #[test]
     fn so400m_has_the_published_size() {
         // With the vision tower, logit scale and logit bias: 1 135 463 602, the 1.1 B of the card.
-        let loader = Loader::skeleton(Engine::Candle);
+        let loader = Loader::skeleton(Kernels::Candle);
         SiglipText::load(&SiglipTextConfig::so400m(), &loader).unwrap();
         assert_eq!(loader.parameters(), 707_782_896);
     }
 
     #[test]
     fn a_small_one_has_the_shape_of_its_configuration() {
-        let model = SiglipText::load(&small(), &Loader::skeleton(Engine::Candle)).unwrap();
+        let model = SiglipText::load(&small(), &Loader::skeleton(Kernels::Candle)).unwrap();
         let ids = Tensor::new(&[[1_u32, 19, 0], [3, 4, 5]], &Device::Cpu).unwrap();
         let mask = Tensor::new(&[[1_u32, 1, 0], [1, 1, 1]], &Device::Cpu).unwrap();
         for mask in [None, Some(&mask)] {
@@ -277,7 +272,7 @@ mod tests {
 
     #[test]
     fn a_text_too_long_is_refused() {
-        let model = SiglipText::load(&small(), &Loader::skeleton(Engine::Candle)).unwrap();
+        let model = SiglipText::load(&small(), &Loader::skeleton(Kernels::Candle)).unwrap();
         let ids = Tensor::zeros((1, 9), DType::U32, &Device::Cpu).unwrap();
         let message = model.forward(&ids, None).unwrap_err().to_string();
         assert!(message.contains("from 1 to 8"), "{message}");
@@ -285,7 +280,7 @@ mod tests {
 
     #[test]
     fn a_token_beyond_the_vocabulary_is_named() {
-        let model = SiglipText::load(&small(), &Loader::skeleton(Engine::Candle)).unwrap();
+        let model = SiglipText::load(&small(), &Loader::skeleton(Kernels::Candle)).unwrap();
         for id in [20_i64, -1] {
             let ids = Tensor::new(&[[1, id]], &Device::Cpu).unwrap();
             let message = model.forward(&ids, None).unwrap_err().to_string();

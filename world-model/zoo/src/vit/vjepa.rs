@@ -35,31 +35,31 @@ const TRAINED_SIZE: usize = 256;
 /// Sizes of the encoder.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct VjepaConfig {
+pub(crate) struct VjepaConfig {
     /// Width of the tokens.
-    pub hidden: usize,
+    pub(crate) hidden: usize,
     /// Number of blocks.
-    pub depth: usize,
+    pub(crate) depth: usize,
     /// Attention heads; each turns 3 x 2 x (d / 3 / 2) of its d = hidden / heads channels.
-    pub heads: usize,
+    pub(crate) heads: usize,
     /// Side of a patch in pixels.
-    pub patch: usize,
+    pub(crate) patch: usize,
     /// Side in pixels of the picture that is encoded; others are resized to it first.
     #[serde(default = "default_image_size")]
-    pub image_size: usize,
+    pub(crate) image_size: usize,
     /// Hidden width of the feed-forward networks; four times `hidden` if it is not given.
     #[serde(default)]
-    pub mlp: Option<usize>,
+    pub(crate) mlp: Option<usize>,
     /// Frames that a video patch spans: a size of `patch_embed.proj.weight`, otherwise unused.
     #[serde(default = "default_tubelet")]
-    pub tubelet: usize,
+    pub(crate) tubelet: usize,
     /// Number of output norms; the feature is behind the last.
     #[serde(default = "default_output_norms")]
-    pub output_norms: usize,
+    pub(crate) output_norms: usize,
     /// Whether the grid's positions are stretched to the range of the grid that a 256x256 picture
     /// has, as the upstream hub entries do for pictures of 384. At 256 it changes nothing.
     #[serde(default)]
-    pub interpolate_rotary: bool,
+    pub(crate) interpolate_rotary: bool,
 }
 
 fn default_image_size() -> usize {
@@ -76,7 +76,7 @@ fn default_output_norms() -> usize {
 
 impl VjepaConfig {
     /// ViT-L/16 at 256x256, as the paper uses it.
-    pub fn vit_large() -> Self {
+    pub(crate) fn vit_large() -> Self {
         Self {
             hidden: 1024,
             depth: 24,
@@ -91,12 +91,12 @@ impl VjepaConfig {
     }
 
     /// Hidden width of the feed-forward networks.
-    pub fn mlp_width(&self) -> usize {
+    pub(crate) fn mlp_width(&self) -> usize {
         self.mlp.unwrap_or(4 * self.hidden)
     }
 
     /// Patches along one side of the picture.
-    pub fn grid(&self) -> usize {
+    pub(crate) fn grid(&self) -> usize {
         self.image_size / self.patch.max(1)
     }
 
@@ -129,7 +129,7 @@ impl VjepaConfig {
 
 /// The encoder.
 #[derive(Clone, Debug)]
-pub struct Vjepa {
+pub(crate) struct Vjepa {
     config: VjepaConfig,
     patches: PatchEmbedding,
     /// `img_mod_embed`, (1, 1, hidden).
@@ -144,7 +144,7 @@ impl Vjepa {
     ///
     /// # Errors
     /// If the configuration cannot be built; [`Loader::finish`] reports missing tensors.
-    pub fn load(config: &VjepaConfig, loader: &Loader<'_>) -> Result<Self> {
+    pub(crate) fn load(config: &VjepaConfig, loader: &Loader<'_>) -> Result<Self> {
         config.validate()?;
         // A sine table that older files hold beside the rotary embedding.
         loader.ignore("pos_embed");
@@ -176,11 +176,6 @@ impl Vjepa {
         })
     }
 
-    /// The configuration.
-    pub fn config(&self) -> &VjepaConfig {
-        &self.config
-    }
-
     /// Encodes `image` (N, H, W, 3), f32 in 0..1, to (N, grid, grid, hidden), f32.
     ///
     /// A picture of another size than the configuration's is resized (bicubic); values are then
@@ -188,7 +183,7 @@ impl Vjepa {
     ///
     /// # Errors
     /// If the picture has another shape.
-    pub fn encode(&self, image: &Tensor) -> Result<Tensor> {
+    pub(crate) fn encode(&self, image: &Tensor) -> Result<Tensor> {
         let image = resize_bicubic(image, self.config.image_size)?.clamp(0.0, 1.0)?;
         let image = Normalisation::IMAGENET.apply(&image)?;
         let mut x = self
@@ -218,7 +213,7 @@ fn block(config: &VjepaConfig, loader: &Loader<'_>) -> Result<Block> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Engine;
+    use wm_model::Kernels;
 
     fn small() -> VjepaConfig {
         let json = r#"{"hidden": 48, "depth": 2, "heads": 3, "patch": 8, "image_size": 32}"#;
@@ -227,14 +222,14 @@ mod tests {
 
     #[test]
     fn vit_large_has_the_published_size() {
-        let loader = Loader::skeleton(Engine::Candle);
+        let loader = Loader::skeleton(Kernels::Candle);
         Vjepa::load(&VjepaConfig::vit_large(), &loader).unwrap();
         assert_eq!(loader.parameters(), 304_680_960);
     }
 
     #[test]
     fn a_small_one_has_the_shape_of_its_configuration() {
-        let model = Vjepa::load(&small(), &Loader::skeleton(Engine::Candle)).unwrap();
+        let model = Vjepa::load(&small(), &Loader::skeleton(Kernels::Candle)).unwrap();
         let image = Tensor::zeros((2, 40, 64, 3), DType::F32, &Device::Cpu).unwrap();
         let feature = model.encode(&image).unwrap();
         assert_eq!(feature.dims(), [2, 4, 4, 48]);
@@ -261,7 +256,7 @@ mod tests {
             heads: 5,
             ..small()
         };
-        let fault = Vjepa::load(&config, &Loader::skeleton(Engine::Candle)).unwrap_err();
+        let fault = Vjepa::load(&config, &Loader::skeleton(Kernels::Candle)).unwrap_err();
         assert!(fault.to_string().contains("heads = 5"), "{fault}");
         let unknown = r#"{"hidden": 48, "depth": 2, "heads": 3, "patch": 8, "layers": 2}"#;
         assert!(serde_json::from_str::<VjepaConfig>(unknown).is_err());

@@ -71,7 +71,7 @@ impl Default for WebDinoConfig {
 
 impl WebDinoConfig {
     /// ViT-L/14 of `facebook/webssl-dino300m-full2b-224`.
-    pub fn vit_large() -> Self {
+    pub(crate) fn vit_large() -> Self {
         Self {
             hidden_size: 1024,
             num_hidden_layers: 24,
@@ -82,7 +82,7 @@ impl WebDinoConfig {
     }
 
     /// Hidden width of the feed-forward networks (2736 for SwiGLU at width 1024).
-    pub fn mlp_width(&self) -> usize {
+    pub(crate) fn mlp_width(&self) -> usize {
         // Truncations as in Python's int().
         let plain = (self.hidden_size as f64 * self.mlp_ratio) as usize;
         if self.use_swiglu_ffn {
@@ -224,7 +224,7 @@ fn block(config: &WebDinoConfig, loader: &Loader<'_>) -> Result<Block> {
             projections: Projections::Separate(Box::new(separate)),
             out: loader.linear("attention.output.dense", width, width)?,
             heads: config.num_attention_heads,
-            engine: loader.engine(),
+            kernels: loader.kernels(),
         },
         attention_scale: Some(loader.tensor("layer_scale1.lambda1", &[width])?),
         mlp_norm: loader.layer_norm("norm2", width, config.layer_norm_eps)?,
@@ -232,7 +232,7 @@ fn block(config: &WebDinoConfig, loader: &Loader<'_>) -> Result<Block> {
             Mlp::SwiGlu {
                 gate_and_value: loader.linear("mlp.weights_in", width, 2 * mlp)?,
                 out: loader.linear("mlp.weights_out", mlp, width)?,
-                engine: loader.engine(),
+                kernels: loader.kernels(),
             }
         } else {
             Mlp::Plain {
@@ -248,14 +248,14 @@ fn block(config: &WebDinoConfig, loader: &Loader<'_>) -> Result<Block> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Engine;
     use candle_core::Device;
+    use wm_model::Kernels;
 
     #[test]
     fn vit_large_has_the_published_size() {
         let config = WebDinoConfig::vit_large();
         assert_eq!(config.mlp_width(), 2736);
-        let loader = Loader::skeleton(Engine::Candle);
+        let loader = Loader::skeleton(Kernels::Candle);
         WebDino::load(&config, &loader).unwrap();
         assert_eq!(loader.parameters(), 303_655_168);
     }
@@ -286,7 +286,7 @@ mod tests {
                 qkv_bias: use_swiglu_ffn,
                 ..WebDinoConfig::default()
             };
-            let model = WebDino::load(&config, &Loader::skeleton(Engine::Candle)).unwrap();
+            let model = WebDino::load(&config, &Loader::skeleton(Kernels::Candle)).unwrap();
             let image = Tensor::zeros((2, 256, 256, 3), DType::F32, &Device::Cpu).unwrap();
             assert_eq!(model.encode(&image).unwrap().dims(), [2, 4, 4, 32]);
         }

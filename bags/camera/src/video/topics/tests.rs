@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use wm_bag::{BagWarning, BagWriter, Converted, QosProfile, Schema, WriterOptions, convert};
+use wm_bag::{BagWarning, BagWriter, Conversion, QosProfile, Schema, WriterOptions, convert};
 
 use super::{super::tests::*, *};
 use crate::camera_frame::CameraFrame;
@@ -12,7 +12,7 @@ const FFMPEG: &str = "ffmpeg_image_transport_msgs/msg/FFMPEGPacket";
 const TOPIC: &str = "/camera/image_raw/ffmpeg";
 const START_NS: u64 = 1_750_000_000_000_000_000;
 
-/// A packet as a message of a type.
+/// Encodes a packet as a message of a type.
 fn message(type_name: &str, packet: &VideoPacket) -> Vec<u8> {
     let bytes = serde_bytes::Bytes::new(&packet.data);
     let (header, codec) = (&packet.header, packet.codec.as_str());
@@ -23,7 +23,7 @@ fn message(type_name: &str, packet: &VideoPacket) -> Vec<u8> {
     .unwrap()
 }
 
-/// A bag with these packets, 0.1 s apart, on a topic that is best effort, and a text.
+/// Writes a bag with these packets, 0.1 s apart, on a best-effort topic, and a text.
 fn write(bag: &Path, topic: &str, type_name: &str, packets: &[(usize, VideoPacket)]) {
     let mut writer = BagWriter::create(bag, WriterOptions::default()).unwrap();
     let schema = Schema::ros2msg("uint8[] data");
@@ -43,22 +43,22 @@ fn write(bag: &Path, topic: &str, type_name: &str, packets: &[(usize, VideoPacke
     writer.finish().unwrap();
 }
 
-/// Packets with their numbers, by which they are recorded.
-type Numbered = Vec<(usize, VideoPacket)>;
+/// Packets with their numbers, which give the recording times.
+type NumberedPackets = Vec<(usize, VideoPacket)>;
 
-fn numbered(frames: usize) -> Numbered {
+fn numbered(frames: usize) -> NumberedPackets {
     packets(frames).into_iter().enumerate().collect()
 }
 
-fn converted(folder: &Path) -> Converted {
+fn converted(folder: &Path) -> Conversion {
     let (old, new) = (folder.join("old"), folder.join("new"));
     let topics = VideoTopics::of(&BagReader::open(&old).unwrap(), 95);
-    assert_eq!(topics.kept(), []);
+    assert_eq!(topics.skipped(), []);
     let mut transforms: [Box<dyn Transform>; 1] = [Box::new(topics)];
     convert(&old, &new, WriterOptions::default(), &mut transforms).unwrap()
 }
 
-/// The frames that the pictures of a topic show, by their stamps.
+/// Checks the frames of a topic's pictures by their stamps.
 fn assert_pictures(bag: &Path, topic: &str, frames: impl IntoIterator<Item = usize>) {
     let reader = BagReader::open(bag).unwrap();
     let mut messages = reader.messages().only_topics([topic]);
@@ -97,10 +97,10 @@ fn video_topics_become_pictures() {
 }
 
 #[test]
-fn omitted_packets_are_counted_by_topic_and_cause() {
+fn omitted_packets_are_counted_by_cause() {
     let folder = tempfile::tempdir().unwrap();
     let mut packets = numbered(16);
-    // A truncated picture, which the rest of its group depends on.
+    // A truncated picture; the rest of its group depends on it.
     packets[12].1.data.truncate(7);
     // A missing packet.
     packets.remove(GROUP + 2);
@@ -138,7 +138,7 @@ fn omitted_packets_are_counted_by_topic_and_cause() {
 }
 
 #[test]
-fn undecodable_video_is_kept_with_its_reason() {
+fn undecodable_video_is_copied_and_named() {
     let mut other = numbered(3);
     other
         .iter_mut()
@@ -149,7 +149,7 @@ fn undecodable_video_is_kept_with_its_reason() {
         let (old, new) = (folder.path().join("old"), folder.path().join("new"));
         write(&old, TOPIC, FOXGLOVE, &packets);
         let topics = VideoTopics::of(&BagReader::open(&old).unwrap(), 95);
-        let [(topic, reason)] = topics.kept() else {
+        let [(topic, reason)] = topics.skipped() else {
             panic!("{topics:?}");
         };
         assert_eq!(topic, TOPIC);
@@ -191,11 +191,11 @@ fn new_name_is_free_in_the_bag() {
         ("/c/h264", "/c/h264/compressed"),
     ];
     assert_eq!(names, expected);
-    assert_eq!(topics.kept().len(), 1);
-    assert_eq!(topics.kept()[0].0, "/d/video");
+    assert_eq!(topics.skipped().len(), 1);
+    assert_eq!(topics.skipped()[0].0, "/d/video");
 }
 
-/// The output of ffmpeg, if it is installed with what the arguments need.
+/// Runs ffmpeg; `None` if it or a component is not installed.
 fn ffmpeg(args: &[&str], input: &[u8]) -> Option<Vec<u8>> {
     use std::{
         io::Write as _,
@@ -212,18 +212,18 @@ fn ffmpeg(args: &[&str], input: &[u8]) -> Option<Vec<u8>> {
     let input = input.to_vec();
     let writer = std::thread::spawn(move || stdin.write_all(&input));
     let output = child.wait_with_output().unwrap();
-    // A program that ends early reads no more.
+    // A write error means that the program ended early.
     let _ = writer.join().unwrap();
     output.status.success().then_some(output.stdout)
 }
 
 const SIDE: u32 = 64;
 const FRAMES: usize = 30;
-/// Bytes of a picture.
+/// Size of a picture \[bytes\].
 const PICTURE: usize = (SIDE * SIDE * 3) as usize;
 
-/// Packets of ffmpeg with a keyframe every ten, and the pictures that it decodes from them; `None` without ffmpeg.
-fn coded_by_ffmpeg(b_frames: &str) -> Option<(Numbered, Vec<u8>)> {
+/// Encodes with ffmpeg, with a keyframe every ten packets; returns packets and the pictures that ffmpeg decodes from them.
+fn coded_by_ffmpeg(b_frames: &str) -> Option<(NumberedPackets, Vec<u8>)> {
     let raw: Vec<u8> = (0..FRAMES as u32)
         .flat_map(|frame| {
             let pixel = move |x: u32, y: u32| {
@@ -249,7 +249,7 @@ fn coded_by_ffmpeg(b_frames: &str) -> Option<(Numbered, Vec<u8>)> {
     .concat();
     let as_format = |format| ffmpeg(&[&encode, &["-f", format, "-"][..]].concat(), &raw);
     let coded = as_format("h264")?;
-    // Lines of stream, decoding time, presentation time, and more.
+    // Columns: stream, decoding time, presentation time, and more.
     let lines = String::from_utf8(as_format("framecrc")?).unwrap();
     let lines = lines.lines().filter(|line| !line.starts_with('#'));
     let shown_at = lines.map(|line| line.split(',').nth(2).unwrap().trim().parse::<i64>());
@@ -258,7 +258,7 @@ fn coded_by_ffmpeg(b_frames: &str) -> Option<(Numbered, Vec<u8>)> {
         "-f", "h264", "-i", "-", "-f", "rawvideo", "-pix_fmt", "rgb24", "-",
     ];
     let expected = ffmpeg(&decode, &coded).unwrap();
-    // An access unit delimiter begins each packet.
+    // Each packet begins with an access unit delimiter.
     let delimiter = [0, 0, 0, 1, 9];
     let starts: Vec<usize> = (0..coded.len())
         .filter(|at| coded[*at..].starts_with(&delimiter))
@@ -279,7 +279,7 @@ fn coded_by_ffmpeg(b_frames: &str) -> Option<(Numbered, Vec<u8>)> {
 }
 
 #[test]
-fn pictures_are_those_that_ffmpeg_decodes() {
+fn pictures_equal_those_of_ffmpeg() {
     for b_frames in ["0", "2"] {
         let Some((packets, expected)) = coded_by_ffmpeg(b_frames) else {
             eprintln!("skipped: ffmpeg with libx264 is not installed");
@@ -312,7 +312,7 @@ fn assert_pictures_of_ffmpeg(packets: &[(usize, VideoPacket)], expected: &[u8]) 
     assert_eq!(count, FRAMES as i64);
 }
 
-/// The decoder holds a picture of this encoder back until the next packet.
+/// With this encoder, the decoder delays each picture until the next packet.
 #[test]
 fn pictures_before_a_gap_are_kept() {
     let Some((mut packets, _)) = coded_by_ffmpeg("0") else {

@@ -1,12 +1,10 @@
-use std::time::Duration;
-
-use super::http_date;
+use std::time::{Duration, UNIX_EPOCH};
 
 /// Before the first retry.
 const FIRST: Duration = Duration::from_secs(1);
 /// A server that restarts loads a model for longer than any shorter sum of waits.
 const LONGEST: Duration = Duration::from_secs(60);
-/// What a server may ask for. More is a quota that is used up for the day: better to come back later.
+/// Limit of `Retry-After`. A longer wait means a quota that is used up for the day: better to come back later.
 pub(super) const MAX_RETRY_AFTER: Duration = Duration::from_secs(600);
 
 /// How long to wait before retry `retry`, counted from 0, if the server does not say: doubled each time, and between half of
@@ -19,10 +17,15 @@ pub(super) fn delay(retry: u32, seed: u64) -> Duration {
     doubled.min(LONGEST).mul_f64(0.5 + fraction / 2.0)
 }
 
-/// What a server asks for in `Retry-After`: seconds, or a date.
+/// The wait of a `Retry-After` header: seconds, or a date.
 pub(super) fn retry_after(header: &str, now_unix_s: u64) -> Option<Duration> {
-    let seconds = header.trim().parse().ok();
-    let seconds = seconds.or_else(|| Some(http_date::unix_s(header)?.saturating_sub(now_unix_s)));
+    let header = header.trim();
+    let until_date = || {
+        let date = httpdate::parse_http_date(header).ok()?;
+        let unix_s = date.duration_since(UNIX_EPOCH).ok()?.as_secs();
+        Some(unix_s.saturating_sub(now_unix_s))
+    };
+    let seconds = header.parse().ok().or_else(until_date);
     seconds.map(Duration::from_secs)
 }
 
@@ -52,11 +55,14 @@ mod tests {
     }
 
     #[test]
-    fn servers_ask_in_seconds_or_by_date() {
+    fn retry_after_is_seconds_or_a_date() {
         let seconds = |header| retry_after(header, 784_111_770).map(|d| d.as_secs());
         assert_eq!(seconds(" 17 "), Some(17));
         assert_eq!(seconds("Sun, 06 Nov 1994 08:49:37 GMT"), Some(7));
+        assert_eq!(seconds("Sunday, 06-Nov-94 08:49:37 GMT"), Some(7));
         assert_eq!(seconds("Sun, 06 Nov 1994 08:49:00 GMT"), Some(0));
+        assert_eq!(seconds("Sun, 06 Nov 1994 08:49:37 CET"), None);
+        assert_eq!(seconds("Sun, 32 Nov 1994 08:49:37 GMT"), None);
         assert_eq!(seconds("-1"), None);
         assert_eq!(seconds("later"), None);
     }

@@ -1,6 +1,10 @@
 use serde_json::{Value, json};
 
-use super::{Bags, BuiltIn, PolicyArgs, of, server::Server, threads};
+use super::{
+    Bags, BuiltIn, PolicyArgs, of,
+    server::{Server, says},
+    threads,
+};
 
 /// Two say what the instruction decides, the third the contrary.
 fn last_line(body: &Value) -> String {
@@ -29,7 +33,7 @@ fn panel(server: &Server) -> String {
 #[test]
 fn judges_are_asked_once_and_the_closest_two_decide() {
     let bags = Bags::new();
-    let server = Server::new(last_line);
+    let server = Server::new(|_, request| says(&last_line(&request.body)));
     let arguments = PolicyArgs {
         judges: Some(bags.write("judges.yaml", &panel(&server))),
         ..of(BuiltIn::Recorded)
@@ -38,7 +42,7 @@ fn judges_are_asked_once_and_the_closest_two_decide() {
         |folder: &str, count| threads(count).install(|| bags.run(&arguments, folder).unwrap());
     let (lines, section) = run("records", 1);
     // Four trials: three judges, and a rubric.
-    assert_eq!(server.requests(), 4 * 4);
+    assert_eq!(server.requests().len(), 4 * 4);
     let value = |name: &str| section.metrics[&format!("policy.{name}")].value;
     assert_eq!(value("success_by_the_first"), 0.5);
     assert_eq!(value("consensus_success"), 0.5);
@@ -68,7 +72,7 @@ fn judges_are_asked_once_and_the_closest_two_decide() {
         }
     }
     assert_eq!(run("records", 2).0, lines);
-    assert_eq!(server.requests(), 4 * 4);
+    assert_eq!(server.requests().len(), 4 * 4);
     assert_eq!(run("other records", 2).0, lines);
-    assert_eq!(server.requests(), 8 * 4);
+    assert_eq!(server.requests().len(), 8 * 4);
 }

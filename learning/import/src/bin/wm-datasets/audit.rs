@@ -1,4 +1,4 @@
-//! The audit of `wm bag info --audit`, which `wm` leaves to this program for bags with video: it has the decoder.
+//! The audit for `wm bag info --audit`, which needs this program's decoder for bags with video.
 
 use std::{io::Write as _, path::PathBuf, process::ExitCode};
 
@@ -8,12 +8,12 @@ use wm_audit::{Topics, audit_bag};
 use wm_bag::BagReader;
 use wm_program::progress::Progress;
 
-/// Examines a bag.
+/// Audits a bag.
 #[derive(Args, Debug)]
 pub struct AuditCommand {
     /// Folder of the bag, or one of its files
     bag: PathBuf,
-    /// Topic of a camera to examine, the one that actions are compared with first (repeatable)
+    /// Topic of a camera to examine; the first one is compared with actions (repeatable)
     #[arg(long = "camera", value_name = "TOPIC")]
     cameras: Vec<String>,
     /// Topic of the actions
@@ -25,7 +25,7 @@ pub struct AuditCommand {
 }
 
 impl AuditCommand {
-    /// Runs it. Findings do not change the exit code.
+    /// Prints the audit. Findings do not change the exit code.
     pub fn run(self) -> Result<ExitCode> {
         let reader = BagReader::open(&self.bag)?;
         let topics = Topics {

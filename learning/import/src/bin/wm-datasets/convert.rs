@@ -1,4 +1,4 @@
-//! `wm bag convert --video jpeg`, which `wm` hands to this program: it has the video decoder.
+//! `wm bag convert --video jpeg`, which needs this program's video decoder.
 
 use std::{io::Write as _, path::PathBuf, process::ExitCode};
 
@@ -8,9 +8,9 @@ use wm_bag::{BagReader, Compression, Transform, WriterOptions, convert};
 use wm_camera::{protobuf_topics::ProtobufTopics, video::VideoTopics};
 use wm_program::progress::Progress;
 
-use crate::LEFT_OUT;
+use crate::INCOMPLETE;
 
-/// Converts a bag, with pictures for its video topics.
+/// Converts a bag and its video topics to pictures.
 #[derive(Args, Debug)]
 pub struct ConvertCommand {
     /// Folder of the bag, or one of its files
@@ -27,7 +27,7 @@ pub struct ConvertCommand {
     jpeg_quality: u8,
 }
 
-/// A compression of chunks, as the recorder names it.
+/// A compression of chunks, by its name in the recorder.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum Format {
     None,
@@ -36,7 +36,6 @@ enum Format {
 }
 
 impl ConvertCommand {
-    /// Runs it.
     pub fn run(self) -> Result<ExitCode> {
         let options = WriterOptions {
             compression: match self.compression_format {
@@ -48,17 +47,17 @@ impl ConvertCommand {
         };
         let progress = Progress::open_ended("converting", "messages");
         let topics = VideoTopics::of(&BagReader::open(&self.input)?, self.jpeg_quality);
-        let kept = topics.kept().to_vec();
+        let unconverted = topics.skipped().to_vec();
         let mut transforms: [Box<dyn Transform>; 2] = [Box::new(topics), Box::new(ProtobufTopics)];
         let converted = convert(&self.input, &self.output, options, &mut transforms)?;
         drop(progress);
         let mut out = std::io::stdout().lock();
         writeln!(out, "{converted}")?;
-        for (topic, reason) in kept {
+        for (topic, reason) in unconverted {
             writeln!(out, "Warning: {topic} stays compressed video: {reason}")?;
         }
         Ok(match converted.is_lossy() {
-            true => ExitCode::from(LEFT_OUT),
+            true => ExitCode::from(INCOMPLETE),
             false => ExitCode::SUCCESS,
         })
     }

@@ -1,8 +1,8 @@
-//! `wm-datasets`: imports data sets as bags, exports bags as data sets, and decodes the video in bags.
-//! `wm bag import`, `wm bag export`, `wm bag convert --video jpeg` and `wm bag info --audit` call it. It is a separate program because the video
-//! codecs and parquet take long to build.
+//! `wm-datasets`: imports data sets as bags, exports bags as data sets, and decodes the video in bags. It serves
+//! `wm bag import`, `wm bag export`, `wm bag convert --video jpeg` and `wm bag info --audit`. It is a separate program
+//! because video codecs and parquet take long to build.
 //!
-//! Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done without some of the episodes, parts of bags or messages.
+//! Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done, but some episodes, parts of bags or messages were skipped.
 
 mod audit;
 mod convert;
@@ -21,12 +21,12 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use convert::ConvertCommand;
 use mapping::MappingOptions;
 use tracing_subscriber::EnvFilter;
-use wm_import::{Imported, Shard, import_bridge, import_droid};
+use wm_import::{ImportReport, Shard, import_bridge, import_droid};
 use wm_motion::actions::ActionSpace;
 use wm_program::progress::Progress;
 
-/// Exit code if some of the episodes, parts of bags or messages are left out.
-const LEFT_OUT: u8 = 3;
+/// Exit code if some episodes, parts of bags or messages were skipped.
+const INCOMPLETE: u8 = 3;
 
 /// Imports data sets as bags, and exports bags as data sets.
 #[derive(Debug, Parser)]
@@ -38,10 +38,10 @@ enum Command {
     /// Convert bags to a data set
     #[command(subcommand)]
     Export(ExportCommand),
-    /// Convert a bag, with pictures for its video topics
+    /// Convert a bag and its video topics to pictures
     #[command(hide = true)]
     Convert(ConvertCommand),
-    /// Examine a bag, its video topics too
+    /// Audit a bag with its video topics
     #[command(hide = true)]
     Audit(AuditCommand),
 }
@@ -77,25 +77,25 @@ struct EpisodesCommand {
 
 #[derive(Args, Debug)]
 struct FromLerobot {
-    /// Folder of the dataset (with meta/info.json)
+    /// Folder of the data set (with meta/info.json)
     source: PathBuf,
     /// Folder for the bags, one per episode
     output: PathBuf,
-    /// Import only these episodes: FIRST..LAST (including LAST), or one number
-    #[arg(long, value_parser = episodes)]
+    /// Import only these episodes: FIRST..LAST (with LAST), or one number
+    #[arg(long, value_parser = parse_episodes)]
     episodes: Option<RangeInclusive<i64>>,
-    /// Action space of the data set: a JSON file with name, rate in Hz and dimensions, like "space" in model.json. It is
-    /// stored with the bags. Without it, only Bridge V2's names (dx dy dz droll dpitch dyaw gripper) are recognised
+    /// Action space of the data set: a JSON file with name, rate in Hz and dimensions, like "space" in model.json. The bags
+    /// keep it. Without it, only Bridge V2's names (dx dy dz droll dpitch dyaw gripper) are recognised
     #[arg(long, value_name = "FILE")]
     action_space: Option<PathBuf>,
-    /// Stamps of frames: recorded, by the column timestamp, or rate, by frame_index and fps alone
+    /// Stamps of frames: recorded (column timestamp) or rate (frame_index and fps)
     #[arg(long, value_enum, default_value_t = Stamps::Recorded)]
     stamps: Stamps,
     #[command(flatten)]
     common: Common,
 }
 
-/// What frames are stamped by.
+/// Source of the stamps of frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Stamps {
     Recorded,
@@ -104,11 +104,11 @@ enum Stamps {
 
 #[derive(Args, Debug)]
 struct Common {
-    /// JPEG quality of the frames of videos, 1 to 100
+    /// JPEG quality of video frames, 1 to 100
     #[arg(long, default_value_t = wm_import::ImportOptions::default().jpeg_quality, value_parser = clap::value_parser!(u8).range(1..=100))]
     jpeg_quality: u8,
-    /// Import every Nth of the episodes, from the Ith on, counted from 0: several machines share one command, each with
-    /// another I. A bag keeps its number, so that all may write to one folder
+    /// Import every Nth episode, from the Ith (counted from 0): run the command on several machines, each with a
+    /// different I. Bags keep their numbers, so that all machines may write to one folder
     #[arg(long, value_name = "I/N", default_value = "0/1")]
     shard: Shard,
     #[command(flatten)]
@@ -117,27 +117,27 @@ struct Common {
 
 #[derive(Args, Debug)]
 struct ToLerobot {
-    /// Folder for the dataset
+    /// Folder for the data set
     output: PathBuf,
-    /// The bags. A bag is one episode, or several if /task/success or gaps separate them
+    /// Bags. A bag is one episode, or several if /task/success or gaps separate them
     #[arg(required = true)]
     bags: Vec<PathBuf>,
     /// Frames per second [default: the rate of /wm/action]
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1000))]
     fps: Option<u32>,
-    /// The dataset's robot_type
+    /// robot_type of the data set
     #[arg(long)]
     robot_type: Option<String>,
     /// Topic of a camera (repeatable) [default: every .../image_raw and .../image_raw/compressed]
     #[arg(long = "camera", value_name = "TOPIC")]
     cameras: Vec<String>,
-    /// Task of the episodes that have no /task/instruction
+    /// Task of episodes without /task/instruction
     #[arg(long, default_value = "")]
     task: String,
 }
 
-/// `3`, or `0..3` with the last one too.
-fn episodes(text: &str) -> Result<RangeInclusive<i64>, String> {
+/// Parses `3`, or `0..3` including the last.
+fn parse_episodes(text: &str) -> Result<RangeInclusive<i64>, String> {
     let number = |text: &str| {
         text.parse::<i64>()
             .ok()
@@ -148,13 +148,13 @@ fn episodes(text: &str) -> Result<RangeInclusive<i64>, String> {
     let (first, last) = (number(first)?, number(last.trim_start_matches('='))?);
     if first > last {
         return Err(format!(
-            "expected the first not after the last, got {text:?}"
+            "expected FIRST..LAST with FIRST up to LAST, got {text:?}"
         ));
     }
     Ok(first..=last)
 }
 
-fn action_space(file: &Path) -> Result<ActionSpace> {
+fn read_action_space(file: &Path) -> Result<ActionSpace> {
     let text = std::fs::read_to_string(file);
     let space = text
         .map_err(anyhow::Error::from)
@@ -175,7 +175,7 @@ impl EpisodesCommand {
 }
 
 impl ImportCommand {
-    fn run(self) -> Result<Imported> {
+    fn run(self) -> Result<ImportReport> {
         let _progress = Progress::open_ended("importing", "episodes");
         Ok(match self {
             Self::Bridge(from) => import_bridge(&from.source, &from.output, &from.options())?,
@@ -183,7 +183,11 @@ impl ImportCommand {
             Self::Lerobot(from) => {
                 let options = wm_import::lerobot::ImportOptions {
                     episodes: from.episodes,
-                    action_space: from.action_space.as_deref().map(action_space).transpose()?,
+                    action_space: from
+                        .action_space
+                        .as_deref()
+                        .map(read_action_space)
+                        .transpose()?,
                     jpeg_quality: from.common.jpeg_quality,
                     shard: from.common.shard,
                     actions: from.common.mapping.mapping(),
@@ -197,7 +201,7 @@ impl ImportCommand {
 }
 
 impl ToLerobot {
-    /// Prints the result, and on standard error what differs from the bags.
+    /// Prints the result, and on standard error the differences from the bags.
     fn run(self) -> Result<ExitCode> {
         let options = wm_import::lerobot::ExportOptions {
             fps: self.fps,
@@ -212,26 +216,26 @@ impl ToLerobot {
         for line in exported.resampled.iter().chain(&exported.split) {
             eprintln!("wm-datasets: {line}");
         }
-        for line in &exported.left_out {
-            eprintln!("wm-datasets: left out: {line}");
+        for line in &exported.skipped {
+            eprintln!("wm-datasets: skipped: {line}");
         }
         writeln!(
             std::io::stdout().lock(),
-            "{}: {} episodes, {} frames at {} a second",
+            "{}: {} episodes, {} frames at {} per second",
             self.output.display(),
             exported.episodes,
             exported.frames,
             exported.fps
         )?;
-        Ok(match exported.left_out.is_empty() {
+        Ok(match exported.skipped.is_empty() {
             true => ExitCode::SUCCESS,
-            false => ExitCode::from(LEFT_OUT),
+            false => ExitCode::from(INCOMPLETE),
         })
     }
 }
 
-/// Prints the bags, and on standard error what was found about the data.
-fn report(imported: &Imported) -> Result<ExitCode> {
+/// Prints the bags, and on standard error the remarks on the data.
+fn print_report(imported: &ImportReport) -> Result<ExitCode> {
     let mut out = std::io::stdout().lock();
     for bag in &imported.bags {
         writeln!(out, "{}", bag.display())?;
@@ -244,16 +248,16 @@ fn report(imported: &Imported) -> Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     }
     for reason in &imported.skipped {
-        eprintln!("wm-datasets: left out: {reason}");
+        eprintln!("wm-datasets: skipped: {reason}");
     }
     let (made, skipped) = (imported.bags.len(), imported.skipped.len());
-    eprintln!("wm-datasets: {made} episodes imported, {skipped} left out");
-    Ok(ExitCode::from(LEFT_OUT))
+    eprintln!("wm-datasets: {made} episodes imported, {skipped} skipped");
+    Ok(ExitCode::from(INCOMPLETE))
 }
 
 fn run(command: Command) -> Result<ExitCode> {
     match command {
-        Command::Import(command) => report(&command.run()?),
+        Command::Import(command) => print_report(&command.run()?),
         Command::Export(ExportCommand::Lerobot(command)) => command.run(),
         Command::Convert(command) => command.run(),
         Command::Audit(command) => command.run(),
@@ -282,11 +286,11 @@ mod tests {
 
     #[test]
     fn episodes_are_a_number_or_a_range() {
-        assert_eq!(episodes("3"), Ok(3..=3));
-        assert_eq!(episodes("0..3"), Ok(0..=3));
-        assert_eq!(episodes("0..=3"), Ok(0..=3));
+        assert_eq!(parse_episodes("3"), Ok(3..=3));
+        assert_eq!(parse_episodes("0..3"), Ok(0..=3));
+        assert_eq!(parse_episodes("0..=3"), Ok(0..=3));
         for bad in ["", "a", "3..1", "-1", "1..", "..2"] {
-            assert!(episodes(bad).is_err(), "{bad}");
+            assert!(parse_episodes(bad).is_err(), "{bad}");
         }
     }
 }

@@ -13,14 +13,14 @@ pub struct MappingOptions {
     #[arg(long, value_name = "CLOSED:OPEN", allow_hyphen_values = true)]
     gripper_range: Option<GripperRange>,
     /// Metres in one unit of dx, dy, dz, for example 0.001 for mm
-    #[arg(long, value_name = "METRES", default_value_t = 1.0, value_parser = scale)]
+    #[arg(long, value_name = "METRES", default_value_t = 1.0, value_parser = parse_scale)]
     translation_scale: f32,
     /// Radians in one unit of droll, dpitch, dyaw, for example 0.0174533 for degrees
-    #[arg(long, value_name = "RADIANS", default_value_t = 1.0, value_parser = scale)]
+    #[arg(long, value_name = "RADIANS", default_value_t = 1.0, value_parser = parse_scale)]
     rotation_scale: f32,
 }
 
-/// What the first six values are.
+/// Meaning of the first six values.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum Form {
     Delta,
@@ -29,7 +29,6 @@ enum Form {
 }
 
 impl MappingOptions {
-    /// The mapping.
     pub fn mapping(&self) -> ActionMapping {
         ActionMapping {
             form: match self.actions {
@@ -44,7 +43,7 @@ impl MappingOptions {
     }
 }
 
-fn scale(text: &str) -> Result<f32, String> {
+fn parse_scale(text: &str) -> Result<f32, String> {
     let scale = text.parse::<f32>().ok();
     scale
         .filter(|scale| scale.is_finite() && *scale > 0.0)

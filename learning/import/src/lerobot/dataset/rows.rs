@@ -1,4 +1,4 @@
-//! Where the rows of each episode are.
+//! Locates the rows of episodes.
 
 use std::{
     collections::{BTreeMap, BTreeSet, HashMap},
@@ -7,7 +7,7 @@ use std::{
     rc::Rc,
 };
 
-use super::{Dataset, Entry, v30::tables};
+use super::{Dataset, EpisodeEntry, v30::list_tables};
 use crate::lerobot::{
     LeRobotError,
     info::EPISODE_INDEX,
@@ -22,12 +22,12 @@ const DATA: &str = "data";
 pub(crate) struct RowRange {
     pub file: PathBuf,
     pub rows: Range<u64>,
-    /// Whether it is another file than `meta` says.
+    /// Whether the file differs from the one in `meta`.
     pub is_elsewhere: bool,
 }
 
-/// Finds rows by the column `episode_index`: `dataset_from_index` of `meta/episodes` is wrong in filtered and merged
-/// datasets, and so is `data/file_index` in some.
+/// Finds rows by the column `episode_index`, since `dataset_from_index` of `meta/episodes` is wrong in filtered and merged
+/// data sets, and `data/file_index` in some.
 #[derive(Default)]
 pub(crate) struct Rows {
     known: HashMap<PathBuf, Rc<Places>>,
@@ -37,32 +37,36 @@ pub(crate) struct Rows {
 type Places = BTreeMap<i64, Vec<Range<u64>>>;
 
 impl Rows {
-    /// The rows of an episode.
+    /// Finds the rows of an episode.
     ///
     /// # Errors
-    /// Its file cannot be read, no file has rows of it, or not as many as `meta` says in one piece.
-    pub fn find(&mut self, dataset: &Dataset, entry: &Entry) -> Result<RowRange, LeRobotError> {
+    /// Its file cannot be read, no file has rows of it, or they are not contiguous or not as many as in `meta`.
+    pub fn find(
+        &mut self,
+        dataset: &Dataset,
+        entry: &EpisodeEntry,
+    ) -> Result<RowRange, LeRobotError> {
         let own = self.places(&entry.data);
         if let Ok(places) = &own
             && let Some(pieces) = places.get(&entry.index)
         {
-            return whole(&entry.data, pieces, entry, false);
+            return check_whole(&entry.data, pieces, entry, false);
         }
         let mut files: BTreeSet<PathBuf> = dataset
             .episodes
             .iter()
             .map(|other| other.data.clone())
             .collect();
-        // A folder that cannot be read has no more files; the episode's own file is named then.
-        files.extend(tables(&dataset.root.join(DATA)).into_iter().flatten());
+        // An unreadable folder has no more files; the error then names the episode's own file.
+        files.extend(list_tables(&dataset.root.join(DATA)).into_iter().flatten());
         files.remove(&entry.data);
         for file in files {
-            // A file that cannot be read is named by its own episodes.
+            // Its own episodes name an unreadable file.
             let Ok(places) = self.places(&file) else {
                 continue;
             };
             if let Some(pieces) = places.get(&entry.index) {
-                return whole(&file, pieces, entry, true);
+                return check_whole(&file, pieces, entry, true);
             }
         }
         own?;
@@ -97,10 +101,10 @@ impl Rows {
     }
 }
 
-fn whole(
+fn check_whole(
     file: &Path,
     pieces: &[Range<u64>],
-    entry: &Entry,
+    entry: &EpisodeEntry,
     is_elsewhere: bool,
 ) -> Result<RowRange, LeRobotError> {
     match pieces {

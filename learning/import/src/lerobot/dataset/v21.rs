@@ -1,10 +1,10 @@
-//! v2.x: a table and a video for each episode, `meta/tasks.jsonl` and `meta/episodes.jsonl`.
+//! v2.x: a table and a video per episode, `meta/tasks.jsonl` and `meta/episodes.jsonl`.
 
 use std::{collections::BTreeMap, fs, path::Path};
 
 use serde::{Deserialize, de::DeserializeOwned};
 
-use super::{Clip, Entry, path, video_path};
+use super::{Clip, EpisodeEntry, fill_path, video_path};
 use crate::lerobot::{LeRobotError, info::Info};
 
 const TASKS: &str = "meta/tasks.jsonl";
@@ -25,12 +25,12 @@ struct Episode {
 pub(super) fn read(
     root: &Path,
     info: &Info,
-) -> Result<(BTreeMap<i64, String>, Vec<Entry>), LeRobotError> {
+) -> Result<(BTreeMap<i64, String>, Vec<EpisodeEntry>), LeRobotError> {
     let tasks = lines::<Task>(&root.join(TASKS))?;
     let mut episodes = Vec::new();
     for episode in lines::<Episode>(&root.join(EPISODES))? {
         let index = episode.episode_index;
-        // Read from JSON, so that it fits.
+        // Never saturates: JSON numbers of this file are i64.
         let chunk = index.div_euclid(i64::try_from(info.chunks_size).unwrap_or(i64::MAX));
         let numbers = [("episode_chunk", chunk), ("episode_index", index)];
         let mut videos = BTreeMap::new();
@@ -39,7 +39,7 @@ pub(super) fn read(
             .iter()
             .filter(|(_, feature)| feature.is_video())
         {
-            let file = path(
+            let file = fill_path(
                 root,
                 video_path(root, info)?,
                 &[("video_key", key)],
@@ -47,10 +47,10 @@ pub(super) fn read(
             )?;
             videos.insert(key.clone(), Clip { file, from_s: 0.0 });
         }
-        episodes.push(Entry {
+        episodes.push(EpisodeEntry {
             index,
             length: episode.length,
-            data: path(root, &info.data_path, &[], &numbers)?,
+            data: fill_path(root, &info.data_path, &[], &numbers)?,
             videos,
             start_ns: None,
         });
@@ -59,7 +59,7 @@ pub(super) fn read(
     Ok((tasks.collect(), episodes))
 }
 
-/// A JSON value a line.
+/// Parses a JSON value per line.
 fn lines<T: DeserializeOwned>(path: &Path) -> Result<Vec<T>, LeRobotError> {
     let text = fs::read_to_string(path).map_err(|source| LeRobotError::io(path, source))?;
     let lines = (1..)

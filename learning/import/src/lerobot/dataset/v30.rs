@@ -1,9 +1,9 @@
-//! v3.x: tables and videos of many episodes; `meta/episodes/chunk-NNN/file-NNN.parquet` says where each begins,
-//! `meta/tasks.parquet` has the tasks.
+//! v3.x: tables and videos with many episodes; `meta/episodes/chunk-NNN/file-NNN.parquet` has the start of each, and
+//! `meta/tasks.parquet` the tasks.
 
 use std::{collections::BTreeMap, fs, path::Path, path::PathBuf};
 
-use super::{Clip, Entry, path, video_path};
+use super::{Clip, EpisodeEntry, fill_path, video_path};
 use crate::lerobot::{
     LeRobotError,
     info::{EPISODE_INDEX, Info, START_STAMP, TASK_INDEX},
@@ -16,15 +16,15 @@ const EPISODES: &str = "meta/episodes";
 pub(super) fn read(
     root: &Path,
     info: &Info,
-) -> Result<(BTreeMap<i64, String>, Vec<Entry>), LeRobotError> {
-    let tasks = tasks(&root.join(TASKS))?;
+) -> Result<(BTreeMap<i64, String>, Vec<EpisodeEntry>), LeRobotError> {
+    let tasks = read_tasks(&root.join(TASKS))?;
     let videos: Vec<&String> = info
         .features
         .iter()
         .filter_map(|(key, feature)| feature.is_video().then_some(key))
         .collect();
     let mut episodes = Vec::new();
-    for file in tables(&root.join(EPISODES))? {
+    for file in list_tables(&root.join(EPISODES))? {
         let table = Table::open(&file)?;
         let mut columns: Vec<String> = [
             EPISODE_INDEX,
@@ -75,7 +75,7 @@ pub(super) fn read(
         let mut videos = BTreeMap::new();
         for (key, chunk, file, from_s) in row.clips {
             let texts = [("video_key", &*key)];
-            let file = path(
+            let file = fill_path(
                 root,
                 video_path(root, info)?,
                 &texts,
@@ -83,10 +83,10 @@ pub(super) fn read(
             )?;
             videos.insert(key, Clip { file, from_s });
         }
-        Ok(Entry {
+        Ok(EpisodeEntry {
             index: row.index,
             length: row.length,
-            data: path(root, &info.data_path, &[], &numbers(row.data))?,
+            data: fill_path(root, &info.data_path, &[], &numbers(row.data))?,
             videos,
             start_ns: row.start_ns,
         })
@@ -94,14 +94,13 @@ pub(super) fn read(
     Ok((tasks, entries.collect::<Result<_, LeRobotError>>()?))
 }
 
-/// What a row of `meta/episodes` says.
 struct Row {
     index: i64,
     length: u64,
     /// Chunk and file.
     data: (i64, i64),
     start_ns: Option<u64>,
-    /// Feature, chunk, file, and where it begins in s.
+    /// Feature, chunk, file, and start in s.
     clips: Vec<(String, i64, i64, f64)>,
 }
 
@@ -109,8 +108,8 @@ fn natural(name: &str, value: i64) -> Result<u64, String> {
     u64::try_from(value).map_err(|_| format!("{name}: expected at least 0, got {value}"))
 }
 
-/// The tasks; their texts are the index of a pandas table, under whatever name.
-fn tasks(path: &Path) -> Result<BTreeMap<i64, String>, LeRobotError> {
+/// Reads the tasks; their texts are the index of a pandas table, under any name.
+fn read_tasks(path: &Path) -> Result<BTreeMap<i64, String>, LeRobotError> {
     let table = Table::open(path)?;
     let texts = table.text_column().ok_or_else(|| {
         LeRobotError::corrupt(path, "expected a text column with the tasks, got none")
@@ -124,8 +123,8 @@ fn tasks(path: &Path) -> Result<BTreeMap<i64, String>, LeRobotError> {
     Ok(tasks)
 }
 
-/// The tables `chunk-NNN/file-NNN.parquet` of a folder, in order.
-pub(super) fn tables(dir: &Path) -> Result<Vec<PathBuf>, LeRobotError> {
+/// The tables `chunk-NNN/file-NNN.parquet` of a folder, sorted.
+pub(super) fn list_tables(dir: &Path) -> Result<Vec<PathBuf>, LeRobotError> {
     let entries = |dir: &Path| -> Result<Vec<PathBuf>, LeRobotError> {
         let mut found = Vec::new();
         for entry in fs::read_dir(dir).map_err(|source| LeRobotError::io(dir, source))? {

@@ -1,4 +1,4 @@
-//! A dataset that is being written.
+//! Writer of a data set.
 
 use std::{
     collections::BTreeMap,
@@ -11,7 +11,7 @@ use wm_bag::{BagMessage, BagReader};
 use wm_camera::camera_frame::CameraFrame;
 
 use super::{
-    ExportOptions, Exported,
+    ExportOptions, ExportReport,
     episode::Episode,
     meta::{double, int, write_json, write_tasks},
     place::{DATA, Place, VIDEO},
@@ -46,13 +46,12 @@ pub(super) struct DatasetWriter {
     data_place: Place,
     data: Option<TableWriter>,
     tasks: Vec<String>,
-    /// A row of `meta/episodes` each.
     episodes: Vec<Vec<(String, Column)>>,
     stats: Vec<BTreeMap<String, Stats>>,
 }
 
 impl DatasetWriter {
-    /// Begins a dataset whose features are those of a first episode.
+    /// Creates a data set with the features of a first episode.
     pub fn create(
         root: &Path,
         fps: u32,
@@ -79,7 +78,7 @@ impl DatasetWriter {
             features.insert(name.to_owned(), Feature::column("int64", 1, None));
         }
         let mut cameras = Vec::new();
-        for (camera, (width, height)) in recording.cameras.iter().zip(sizes(recording)?) {
+        for (camera, (width, height)) in recording.cameras.iter().zip(picture_sizes(recording)?) {
             let key = Recording::feature(&camera.topic);
             let video = json!({
                 "video.height": height, "video.width": width, "video.codec": "h264",
@@ -139,7 +138,7 @@ impl DatasetWriter {
         self.fps
     }
 
-    /// Adds an episode; its features must be those of the first.
+    /// Adds an episode, which must have the features of the first.
     pub fn write(&mut self, recording: &Recording, episode: &Episode) -> Result<(), LeRobotError> {
         self.check(recording, episode)?;
         let frames = episode.frames() as u64;
@@ -149,11 +148,11 @@ impl DatasetWriter {
             int("episode_index", number),
             (
                 "tasks".to_owned(),
-                Column::TextLists(vec![distinct(&episode.tasks)]),
+                Column::TextLists(vec![deduplicate(&episode.tasks)]),
             ),
             int("length", frames),
         ];
-        let columns = self.columns(recording, episode, &mut stats);
+        let columns = self.make_columns(recording, episode, &mut stats);
         let place = self.write_data(&columns)?;
         row.extend([
             int("data/chunk_index", place.chunk),
@@ -235,7 +234,7 @@ impl DatasetWriter {
     }
 
     /// The columns of an episode's frames, and their statistics.
-    fn columns(
+    fn make_columns(
         &mut self,
         recording: &Recording,
         episode: &Episode,
@@ -252,7 +251,7 @@ impl DatasetWriter {
             .collect();
         let mut columns = vec![(
             ACTION.to_owned(),
-            vectors(recording.action_names.len(), actions),
+            vector_column(recording.action_names.len(), actions),
         )];
         if !recording.state_names.is_empty() {
             let mut values = Vec::with_capacity(frames * recording.state_names.len());
@@ -263,15 +262,15 @@ impl DatasetWriter {
                 }
             }
             let width = recording.state_names.len();
-            columns.push((STATE.to_owned(), vectors(width, values)));
+            columns.push((STATE.to_owned(), vector_column(width, values)));
         }
         if let Some(success) = episode.success {
-            let truths = (1..=frames)
+            let booleans = (1..=frames)
                 .map(|frame| success && frame == frames)
                 .collect();
-            columns.push((SUCCESS.to_owned(), Column::Truths(truths)));
+            columns.push((SUCCESS.to_owned(), Column::Booleans(booleans)));
         }
-        // LeRobot's own are single; ours are the single number nearest to it.
+        // As LeRobot's own timestamps: rounded to single precision.
         let timestamps = (0..frames).map(|frame| (frame as f64 / f64::from(self.fps)) as f32);
         columns.push((TIMESTAMP.to_owned(), Column::Floats(timestamps.collect())));
         let whole = |value: u64| i64::try_from(value).unwrap_or(i64::MAX);
@@ -295,7 +294,7 @@ impl DatasetWriter {
                 Column::FloatRows { width, values } => (single(values), *width),
                 Column::Floats(values) => (single(values), 1),
                 Column::Integers(values) => (values.iter().map(|value| *value as f64).collect(), 1),
-                Column::Truths(values) => {
+                Column::Booleans(values) => {
                     (values.iter().map(|value| f64::from(*value)).collect(), 1)
                 }
                 _ => continue,
@@ -311,7 +310,7 @@ impl DatasetWriter {
             self.tasks.push(task.to_owned());
             self.tasks.len() - 1
         });
-        // A count of texts in memory fits.
+        // Fits: a count of texts in memory.
         at as i64
     }
 
@@ -334,7 +333,7 @@ impl DatasetWriter {
         Ok(self.data_place)
     }
 
-    /// Adds an episode's frames to a camera's video; gives the frame of the file at which it begins.
+    /// Adds an episode's frames to a camera's video; returns the index of the first frame in the file.
     fn write_video(
         &mut self,
         recording: &Recording,
@@ -379,7 +378,7 @@ impl DatasetWriter {
                     format!("{}, message {number}: {reason}", stream.topic),
                 )
             };
-            let frame = picture(&message).map_err(unsuited)?;
+            let frame = decode_picture(&message).map_err(unsuited)?;
             if frame.dimensions() != camera.size {
                 return Err(unsuited(format!(
                     "expected {:?} pixels as in the first, got {:?}",
@@ -395,8 +394,8 @@ impl DatasetWriter {
         Ok((from, histogram))
     }
 
-    /// Ends all files and writes what is known only then.
-    pub fn finish(mut self) -> Result<Exported, LeRobotError> {
+    /// Closes all files and writes the metadata.
+    pub fn finish(mut self) -> Result<ExportReport, LeRobotError> {
         if let Some(data) = self.data.take() {
             data.finish()?;
         }
@@ -419,17 +418,17 @@ impl DatasetWriter {
         let path = self.root.join(INFO);
         let mut info = serde_json::to_value(&self.info)
             .map_err(|error| LeRobotError::corrupt(&path, error.to_string()))?;
-        // Whole, as LeRobot has it.
+        // A whole number, as in LeRobot.
         if let Some(fps) = info.get_mut("fps") {
             *fps = json!(self.fps);
         }
-        // Last, so that a dataset that is not complete has none.
+        // Last, so that an incomplete data set lacks it.
         write_json(&path, &info)?;
-        Ok(Exported {
+        Ok(ExportReport {
             episodes: self.info.total_episodes,
             frames: self.info.total_frames,
             fps: self.fps,
-            ..Exported::default()
+            ..ExportReport::default()
         })
     }
 
@@ -445,21 +444,21 @@ impl DatasetWriter {
     }
 }
 
-/// Vectors of so many numbers; LeRobot has those of one as numbers (`get_hf_features_from_features`).
-fn vectors(width: usize, values: Vec<f32>) -> Column {
+/// Vectors of this width; as in LeRobot, those of width 1 become numbers (`get_hf_features_from_features`).
+fn vector_column(width: usize, values: Vec<f32>) -> Column {
     match width {
         1 => Column::Floats(values),
         _ => Column::FloatRows { width, values },
     }
 }
 
-fn picture(message: &BagMessage) -> Result<RgbImage, String> {
+fn decode_picture(message: &BagMessage) -> Result<RgbImage, String> {
     let frame = CameraFrame::of_bag(message).map_err(|error| error.to_string())?;
     frame.decode().map_err(|error| error.to_string())
 }
 
-/// The size of each camera's first picture; h264 with chroma at half size takes even sides.
-fn sizes(recording: &Recording) -> Result<Vec<(u32, u32)>, LeRobotError> {
+/// The size of each camera's first picture; h264 with 4:2:0 chroma needs even sides.
+fn picture_sizes(recording: &Recording) -> Result<Vec<(u32, u32)>, LeRobotError> {
     let reader = BagReader::open(&recording.bag)?;
     let size = |topic: &str| {
         let unsuited =
@@ -468,7 +467,7 @@ fn sizes(recording: &Recording) -> Result<Vec<(u32, u32)>, LeRobotError> {
         let first = messages
             .next()
             .ok_or_else(|| unsuited("expected pictures, got none".to_owned()))??;
-        let (width, height) = picture(&first).map_err(unsuited)?.dimensions();
+        let (width, height) = decode_picture(&first).map_err(unsuited)?.dimensions();
         let is_even = |side: u32| side > 0 && side.is_multiple_of(2);
         if is_even(width) && is_even(height) {
             Ok((width, height))
@@ -485,8 +484,8 @@ fn sizes(recording: &Recording) -> Result<Vec<(u32, u32)>, LeRobotError> {
         .collect()
 }
 
-/// Each text once, in order.
-fn distinct(texts: &[String]) -> Vec<String> {
+/// The distinct texts, in order.
+fn deduplicate(texts: &[String]) -> Vec<String> {
     let mut found: Vec<String> = Vec::new();
     for text in texts {
         if !found.contains(text) {

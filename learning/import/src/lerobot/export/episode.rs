@@ -3,29 +3,29 @@ use std::ops::Range;
 use super::recording::{Part, Recording, Stream};
 use crate::lerobot::{LeRobotError, topics::frame_ns};
 
-/// The messages that an episode's frames take.
+/// The messages of an episode's frames.
 #[derive(Debug)]
 pub(super) struct Episode {
     pub start_ns: u64,
-    /// Numbers of the actions, one a frame.
+    /// Actions by frame.
     pub actions: Picks,
-    /// The same of each state.
+    /// Of each state topic.
     pub states: Vec<Picks>,
-    /// The same of each camera.
+    /// Of each camera.
     pub cameras: Vec<Picks>,
-    /// The task of each frame.
+    /// Task by frame.
     pub tasks: Vec<String>,
     pub success: Option<bool>,
 }
 
-/// The messages of a topic that the frames take, one a frame, in order; a message may be taken more than once.
+/// The message of a topic for each frame, in order; frames may share a message.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Picks {
     pub topic: String,
     pub numbers: Vec<usize>,
-    /// Frames whose message is further away than half a frame.
+    /// Number of frames whose message is further than half a frame.
     pub repeated: u64,
-    /// Messages between the first and the last that no frame takes.
+    /// Number of messages, between the first and the last, of no frame.
     pub skipped: u64,
 }
 
@@ -36,19 +36,19 @@ impl Episode {
         fps: u32,
         default_task: &str,
     ) -> Result<Self, LeRobotError> {
-        let bounds = [bound(&recording.actions, &part.time)]
+        let bounds = [first_and_last(&recording.actions, &part.time)]
             .into_iter()
             .chain(
                 recording
                     .states
                     .iter()
-                    .map(|stream| bound(stream, &part.time)),
+                    .map(|stream| first_and_last(stream, &part.time)),
             )
             .chain(
                 recording
                     .cameras
                     .iter()
-                    .map(|stream| bound(stream, &part.time)),
+                    .map(|stream| first_and_last(stream, &part.time)),
             );
         let mut time = (0, u64::MAX);
         for found in bounds {
@@ -68,10 +68,10 @@ impl Episode {
         let span_ns = end_ns.checked_sub(start_ns).ok_or_else(|| {
             LeRobotError::unsuited(
                 &recording.bag,
-                format!("there is no time at which every topic has a message: {start_ns} ns to {end_ns} ns"),
+                format!("expected a time at which every topic has a message, got none: {start_ns} ns to {end_ns} ns"),
             )
         })?;
-        // The last frame may lie a quarter of a period past the last message, as clocks that are not locked have it.
+        // The last frame may be a quarter of a period after the last message: clocks are not synchronised.
         let frames = (span_ns as f64 * f64::from(fps) / 1e9 + 0.25).floor() as u64 + 1;
         let times: Vec<u64> = (0..frames)
             .map(|frame| start_ns + frame_ns(frame, f64::from(fps)))
@@ -85,16 +85,16 @@ impl Episode {
         };
         Ok(Self {
             start_ns,
-            actions: pick(&recording.actions, &times, half_ns),
+            actions: pick_nearest(&recording.actions, &times, half_ns),
             states: recording
                 .states
                 .iter()
-                .map(|s| pick(s, &times, half_ns))
+                .map(|s| pick_nearest(s, &times, half_ns))
                 .collect(),
             cameras: recording
                 .cameras
                 .iter()
-                .map(|s| pick(s, &times, half_ns))
+                .map(|s| pick_nearest(s, &times, half_ns))
                 .collect(),
             tasks: times.iter().map(task).collect(),
             success: part.success,
@@ -105,7 +105,7 @@ impl Episode {
         self.actions.numbers.len()
     }
 
-    /// What the bag's times did not allow, in words.
+    /// Describes topics whose times do not fit the rate.
     pub fn resampled(&self) -> Vec<String> {
         let all = [&self.actions]
             .into_iter()
@@ -125,15 +125,18 @@ impl Episode {
     }
 }
 
-/// First and last stamp of a topic within a time.
-fn bound<'a, T>(stream: &'a Stream<T>, time: &Range<u64>) -> (&'a str, Option<(u64, u64)>) {
+/// First and last stamp of a topic within a time span.
+fn first_and_last<'a, T>(
+    stream: &'a Stream<T>,
+    time: &Range<u64>,
+) -> (&'a str, Option<(u64, u64)>) {
     let within = stream.within(time);
     let bounds = within.first().copied().zip(within.last().copied());
     (&stream.topic, bounds)
 }
 
-/// The message nearest to each time. Times and stamps increase, and so do the numbers.
-fn pick<T>(stream: &Stream<T>, times: &[u64], half_ns: u64) -> Picks {
+/// Finds the nearest message for each time; times, stamps and results increase.
+fn pick_nearest<T>(stream: &Stream<T>, times: &[u64], half_ns: u64) -> Picks {
     let distance = |number: usize, time: u64| {
         stream
             .stamps
@@ -180,7 +183,7 @@ mod tests {
 
     #[test]
     fn frames_take_the_nearest_message() {
-        let picks = pick(
+        let picks = pick_nearest(
             &stream(vec![0, 90, 210, 290, 300, 700]),
             &[0, 100, 200, 300, 400],
             50,
@@ -196,7 +199,7 @@ mod tests {
         ) {
             let stamps: Vec<u64> = steps.iter().scan(0, |at, step| { *at += step; Some(*at) }).collect();
             let times: Vec<u64> = times.iter().scan(0, |at, step| { *at += step; Some(*at) }).collect();
-            let picks = pick(&stream(stamps.clone()), &times, 100);
+            let picks = pick_nearest(&stream(stamps.clone()), &times, 100);
             prop_assert!(picks.numbers.is_sorted());
             for (number, time) in picks.numbers.iter().zip(&times) {
                 let nearest = stamps.iter().map(|stamp| stamp.abs_diff(*time)).min().unwrap();

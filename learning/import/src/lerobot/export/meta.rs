@@ -1,5 +1,3 @@
-//! The files of `meta/`.
-
 use std::{fs, path::Path};
 
 use serde_json::{Value, json};
@@ -10,7 +8,7 @@ use crate::lerobot::{
     table::{Column, TableWriter},
 };
 
-/// `meta/tasks.parquet`: the texts are the index of a pandas table, which its metadata say.
+/// Writes `meta/tasks.parquet`: the texts are the index of a pandas table, declared in its metadata.
 pub(super) fn write_tasks(root: &Path, tasks: &[String]) -> Result<(), LeRobotError> {
     const TASK: &str = "task";
     let numbers = (0..tasks.len()).map(|number| number as i64).collect();
@@ -18,7 +16,7 @@ pub(super) fn write_tasks(root: &Path, tasks: &[String]) -> Result<(), LeRobotEr
         (TASK_INDEX.to_owned(), Column::Integers(numbers)),
         (TASK.to_owned(), Column::Texts(tasks.to_vec())),
     ];
-    // The form is pandas' (developer guide, "Storing pandas DataFrame objects in Apache Parquet format").
+    // See pandas' developer guide, "Storing pandas DataFrame objects in Apache Parquet format".
     let pandas = json!({
         "index_columns": [TASK],
         "column_indexes": [{
@@ -51,7 +49,7 @@ pub(super) fn double(name: &str, value: f64) -> (String, Column) {
     (name.to_owned(), Column::Doubles(vec![value]))
 }
 
-/// A file as LeRobot's own: indented, and UTF-8 as it is.
+/// Writes JSON like LeRobot: indented, with unescaped UTF-8.
 pub(super) fn write_json(path: &Path, value: &Value) -> Result<(), LeRobotError> {
     let text = format!("{value:#}\n");
     fs::write(path, text).map_err(|source| LeRobotError::io(path, source))

@@ -6,7 +6,7 @@ pub(super) const DATA: &str = "data/chunk-{chunk_index:03d}/file-{file_index:03d
 pub(super) const VIDEO: &str =
     "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4";
 
-/// The chunk and the number of a file in it.
+/// Chunk and number of a file.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Place {
     pub chunk: u64,

@@ -1,4 +1,4 @@
-//! What a bag holds, but for the pictures themselves.
+//! Reads the content of a bag except the pictures.
 
 use std::{collections::BTreeMap, fmt, path::Path, sync::Arc};
 
@@ -22,20 +22,20 @@ use crate::lerobot::{
     },
 };
 
-/// The content of a bag: a recording for each span of log times without a gap and without a step of the clock.
+/// The content of a bag: a recording per span of log times without a gap or a clock step.
 #[derive(Debug)]
 pub(super) struct BagContent {
     pub recordings: Vec<Recording>,
-    /// Messages that no recording has, in words.
+    /// Descriptions of skipped messages.
     pub dropped: Vec<String>,
 }
 
-/// Why a message is in no recording.
+/// The reason why a message is skipped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum DropReason {
-    /// It cannot be decoded, because of a malformed stamp for example.
+    /// It cannot be decoded, for example because of an invalid stamp.
     Undecodable,
-    /// Its stamp is not later than the one before.
+    /// Its stamp is not later than the previous one.
     NotLater,
     /// The recorder's clock passed the time twice.
     Doubled,
@@ -45,17 +45,15 @@ impl fmt::Display for DropReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Undecodable => "they cannot be decoded",
-            Self::NotLater => "their stamps are not later than the one before",
-            Self::Doubled => {
-                "the recorder's clock was set back, so that their true order is unknown"
-            }
+            Self::NotLater => "their stamps are not later than the previous one",
+            Self::Doubled => "the recorder's clock stepped back, so their true order is unknown",
         })
     }
 }
 
-/// Why a message is not taken.
+/// A fault of a message.
 enum TakeError {
-    /// The others are.
+    /// The message is skipped.
     Dropped(DropReason, String),
     /// The bag cannot be exported.
     Refused(LeRobotError),
@@ -102,26 +100,26 @@ impl Span {
     }
 }
 
-struct Reading<'a> {
+struct BagReading<'a> {
     bag: &'a Path,
     cameras: Vec<String>,
     spans: Vec<Span>,
     instructions: Vec<(u64, String)>,
     joint_names: Vec<String>,
-    /// Messages of each camera so far.
+    /// Number of messages of each camera so far.
     numbers: Vec<u64>,
-    /// How many, and details of the first.
+    /// Their number, and details of the first.
     dropped: BTreeMap<(String, DropReason), (u64, String)>,
 }
 
 impl BagContent {
-    /// Reads all that is small; `cameras` are the topics to take, or none for all.
+    /// Reads everything except pictures; `cameras` are the topics to read, empty for all.
     pub fn read(bag: &Path, cameras: &[String]) -> Result<Self, LeRobotError> {
         let reader = BagReader::open(bag)?;
-        let cameras = camera_topics(&reader, cameras, bag)?;
+        let cameras = select_cameras(&reader, cameras, bag)?;
         let starts = reader.unbroken_ns().iter().map(|(start_ns, _)| *start_ns);
         let starts: Vec<u64> = starts.collect();
-        let mut reading = Reading {
+        let mut reading = BagReading {
             bag,
             spans: (0..starts.len().max(1))
                 .map(|_| Span::new(&cameras))
@@ -160,7 +158,7 @@ impl BagContent {
     }
 }
 
-impl Reading<'_> {
+impl BagReading<'_> {
     fn take(
         &mut self,
         message: &BagMessage,
@@ -193,7 +191,7 @@ impl Reading<'_> {
                 format!("{topic}: a message at {logged} ns holds {value}"),
             )),
         };
-        let stamped = |header| stamp(header, logged);
+        let stamped = |header| effective_stamp(header, logged);
         match topic {
             ACTION_TOPIC => {
                 let action: Action = message.decode()?;
@@ -221,7 +219,7 @@ impl Reading<'_> {
             POSE_TOPIC => {
                 let pose: PoseStamped = message.decode()?;
                 let (p, q) = (pose.pose.position, pose.pose.orientation);
-                // LeRobot's states are single.
+                // LeRobot's states have single precision.
                 let values = [p.x, p.y, p.z, q.x, q.y, q.z, q.w].map(|value| value as f32);
                 let at = stamped(pose.header.stamp);
                 span.poses.push(is_doubled, at, finite(values.to_vec())?)?;
@@ -292,7 +290,7 @@ impl Reading<'_> {
         let dropped = dropped.map(|((topic, reason), (count, details))| {
             let bag = bag.display();
             let colon = if details.is_empty() { "" } else { ": " };
-            format!("{bag}: {topic}: {count} message(s) are left out: {reason}{colon}{details}")
+            format!("{bag}: {topic}: {count} message(s) are skipped: {reason}{colon}{details}")
         });
         let dropped: Vec<String> = dropped.collect();
         Recording::check(&recordings).map_err(|reason| {
@@ -334,8 +332,8 @@ impl<T> Stream<T> {
     }
 }
 
-/// The header's stamp, or when it was recorded where the header has none.
-fn stamp(header: Time, logged: u64) -> u64 {
+/// The header's stamp, or the log time if the stamp is 0.
+fn effective_stamp(header: Time, logged: u64) -> u64 {
     match u64::try_from(header.to_nanos()) {
         Ok(0) | Err(_) => logged,
         Ok(stamp) => stamp,
@@ -354,13 +352,12 @@ fn is_read(topic: &TopicInfo) -> bool {
     transport(topic).is_some_and(Transport::is_read)
 }
 
-/// What to do about a topic with pictures that are not read.
+/// Advice for a topic with unreadable pictures.
 fn advice(topic: &TopicInfo) -> Option<String> {
     transport(topic)?.advice(&topic.name)
 }
 
-/// The names of an action's values: those of the bag's action space; numbers where it names none and has not Bridge V2's
-/// seven.
+/// The names of an action's values: from the bag's action space, or Bridge V2's for seven values, otherwise numbers.
 fn action_names(reader: &BagReader, width: usize) -> Result<Vec<String>, String> {
     let note = reader.note(ActionSpace::NOTE);
     let space = ActionSpace::of_note(note).map_err(|error| error.to_string())?;
@@ -378,8 +375,8 @@ fn action_names(reader: &BagReader, width: usize) -> Result<Vec<String>, String>
         .collect())
 }
 
-/// The requested cameras, or all; of a camera that is there raw and compressed, raw.
-fn camera_topics(
+/// The requested cameras, or all; raw topics win over compressed ones.
+fn select_cameras(
     reader: &BagReader,
     requested: &[String],
     bag: &Path,

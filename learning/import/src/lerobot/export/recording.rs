@@ -10,64 +10,64 @@ use crate::lerobot::{
     topics::{ACTION_TOPIC, GRIPPER_TOPIC},
 };
 
-/// A topic may be silent for so many of its periods \[1\] ...
-const MOST_PERIODS: u64 = 10;
-/// ... but in any case for the first and never for more than the second \[ns\]. The audit's bounds of a dropped frame, and
-/// the bag's of a gap.
+/// A silence is longer than this many periods of its topic ...
+const SILENT_PERIODS: u64 = 10;
+/// ... but at least the first and at most the second duration \[ns\]: the audit's limit of a missing frame, and the bag's
+/// limit of a gap.
 const SHORT_NS: u64 = 1_000_000_000;
 const LONG_NS: u64 = 10_000_000_000;
 
-/// The messages of a topic, in the order of their stamps.
+/// The messages of a topic, sorted by stamp.
 #[derive(Debug)]
 pub(super) struct Stream<T> {
     pub topic: String,
     /// In ns, increasing.
     pub stamps: Vec<u64>,
-    /// One a stamp.
+    /// One value per stamp.
     pub values: Vec<T>,
 }
 
-/// A span of a bag in which the clock runs on, but for the pictures themselves.
+/// A span of a bag without a clock step, except the pictures.
 #[derive(Debug)]
 pub(super) struct Recording {
     pub bag: PathBuf,
     pub actions: Stream<Vec<f32>>,
-    /// Joints, pose and gripper, those that the bag has.
+    /// Joints, pose and gripper, if recorded.
     pub states: Vec<Stream<Vec<f32>>>,
     /// Names of an action's values.
     pub action_names: Vec<String>,
-    /// Names of the values of all states, one after the other.
+    /// Names of the values of all states, concatenated.
     pub state_names: Vec<String>,
-    /// Each value is the message's number within its topic in the bag.
+    /// Values are the indices of messages within the topic.
     pub cameras: Vec<Stream<u64>>,
-    /// From when on each task of the bag holds.
+    /// Tasks with their start.
     pub instructions: Arc<[(u64, String)]>,
     pub successes: Vec<(u64, bool)>,
     /// Whether any span of the bag has a success.
     pub has_success: bool,
 }
 
-/// An episode's part of a recording.
+/// The part of a recording for an episode.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Part {
-    /// In ns; the end is left out.
+    /// In ns, without the end.
     pub time: Range<u64>,
     pub success: Option<bool>,
 }
 
-/// A time in which a topic is silent.
+/// A silence of a topic.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Silence {
     pub topic: String,
-    /// Stamps of the message before and of the one after \[ns\].
+    /// Stamps of the messages before and after \[ns\].
     pub time: (u64, u64),
 }
 
 impl Recording {
-    /// Expects actions of one width and pictures in the spans of a bag.
+    /// Checks that the spans of a bag have pictures, and actions of one width.
     ///
     /// # Errors
-    /// In words.
+    /// A description of the fault.
     pub fn check(spans: &[Self]) -> Result<(), String> {
         let unsuited = |reason: String| Err(reason);
         let actions = || spans.iter().flat_map(|span| &span.actions.values);
@@ -105,13 +105,13 @@ impl Recording {
         Ok(())
     }
 
-    /// The rate of the actions in the spans of a bag, to the nearest whole number.
+    /// The rate of the actions, to the nearest whole number.
     pub fn fps(spans: &[Self], bag: &Path) -> Result<u32, LeRobotError> {
         let mut periods: Vec<u64> = (spans.iter())
             .flat_map(|span| span.actions.periods())
             .collect();
         periods.sort_unstable();
-        // The mean of the middle half: neither a gap nor a clock that trembles moves it.
+        // The mean of the middle half, which ignores gaps and jitter.
         let quarter = periods.len() / 4;
         let middle = periods
             .get(quarter..periods.len() - quarter)
@@ -119,21 +119,21 @@ impl Recording {
         let period_ns = middle.iter().sum::<u64>() as f64 / middle.len() as f64;
         let fps = (1e9 / period_ns).round();
         if (1.0..=1000.0).contains(&fps) {
-            // Whole, and in range.
+            // Fits: a whole number in range.
             Ok(fps as u32)
         } else {
             Err(LeRobotError::unsuited(
                 bag,
                 format!(
-                    "{ACTION_TOPIC}: expected 1 to 1000 actions per second, got one after {period_ns} ns; give the \
+                    "{ACTION_TOPIC}: expected 1 to 1000 actions per second, got one after {period_ns} ns; set the \
                      rate with --fps"
                 ),
             ))
         }
     }
 
-    /// The episodes: all of it, or the parts that several messages of `/task/success` end, each split where a topic is
-    /// silent. Of a split part only the last piece may be a success.
+    /// The episodes: the whole recording, or parts that end at messages of `/task/success`, each split at silences. Of a split
+    /// part, only the last piece may be a success.
     pub fn parts(&self, silences: &[Silence]) -> Vec<Part> {
         let unsaid = self.has_success.then_some(false);
         let mut parts = Vec::new();
@@ -182,8 +182,8 @@ impl Recording {
         pieces
     }
 
-    /// When topics are silent for so long that no message stands for the time, in order. A gripper holds what it was last
-    /// commanded: its silence is none.
+    /// Silences after which the last message is outdated, sorted. A gripper keeps its last command, so its silence does not
+    /// count.
     pub fn silences(&self) -> Vec<Silence> {
         let states = self.states.iter();
         let states = states.filter(|stream| stream.topic != GRIPPER_TOPIC);
@@ -195,7 +195,7 @@ impl Recording {
         all
     }
 
-    /// The task that holds at a time: the last one before, or the first of all.
+    /// The task at a time: the last one before, or the first.
     pub fn instruction(&self, at_ns: u64) -> Option<&str> {
         let before = self
             .instructions
@@ -208,7 +208,7 @@ impl Recording {
             .filter(|text| !text.is_empty())
     }
 
-    /// Actions and pictures with stamps in a part.
+    /// Number of actions and pictures in a part.
     pub fn count(&self, part: &Part) -> (usize, usize) {
         let pictures = self
             .cameras
@@ -217,7 +217,7 @@ impl Recording {
         (self.actions.within(&part.time).len(), pictures.sum())
     }
 
-    /// Feature of a camera: `/front/image_raw/compressed` becomes `observation.images.front`.
+    /// The feature of a camera: `/front/image_raw/compressed` becomes `observation.images.front`.
     pub fn feature(topic: &str) -> String {
         let name = ["/image_raw/compressed", "/image_raw", "/compressed"]
             .iter()
@@ -230,14 +230,14 @@ impl Recording {
 }
 
 impl<T> Stream<T> {
-    /// The stamps within a time.
+    /// The stamps within a time span.
     pub fn within(&self, time: &Range<u64>) -> &[u64] {
         let begin = self.stamps.partition_point(|stamp| *stamp < time.start);
         let end = self.stamps.partition_point(|stamp| *stamp < time.end);
         self.stamps.get(begin..end).unwrap_or(&[])
     }
 
-    /// The time from each message to the next \[ns\].
+    /// Times between messages \[ns\].
     fn periods(&self) -> impl Iterator<Item = u64> + '_ {
         let pairs = self.stamps.iter().zip(self.stamps.iter().skip(1));
         pairs.map(|(one, next)| next - one)
@@ -247,7 +247,7 @@ impl<T> Stream<T> {
         let mut periods: Vec<u64> = self.periods().collect();
         periods.sort_unstable();
         let median_ns = periods.get(periods.len() / 2).copied().unwrap_or(0);
-        let longest_ns = median_ns.saturating_mul(MOST_PERIODS);
+        let longest_ns = median_ns.saturating_mul(SILENT_PERIODS);
         let longest_ns = longest_ns.clamp(SHORT_NS, LONG_NS);
         let pairs = self.stamps.iter().zip(self.stamps.iter().skip(1));
         pairs
@@ -289,7 +289,7 @@ mod tests {
     }
 
     #[test]
-    fn a_silent_topic_splits_and_a_silent_gripper_does_not() {
+    fn silent_topic_splits_unlike_a_silent_gripper() {
         let steady = |from: u64, to: u64| (from..to).step_by(100);
         let actions = stream(ACTION_TOPIC, steady(0, 2000).chain(steady(5000, 9000)));
         let recording = recording(actions, stream(GRIPPER_TOPIC, [0, 8000]));
@@ -308,7 +308,7 @@ mod tests {
     }
 
     #[test]
-    fn a_slow_topic_is_not_silent() {
+    fn slow_topic_is_not_silent() {
         let slow = stream(ACTION_TOPIC, (0..10).map(|number| number * 900));
         assert_eq!(slow.silences(), []);
         let jittery = stream(ACTION_TOPIC, [0, 400, 800, 1200, 4000, 4400, 4800]);
@@ -316,9 +316,9 @@ mod tests {
     }
 
     proptest! {
-        /// Parts neither overlap nor reach into a silence, and no message outside the silences is lost.
+        /// Parts do not overlap, exclude silences, and include all other messages.
         #[test]
-        fn parts_leave_out_the_silences_alone(
+        fn parts_exclude_only_silences(
             steps in prop::collection::vec(prop::sample::select(vec![100u64, 110, 5_000, 20_000]), 2..60),
         ) {
             let stamps: Vec<u64> = steps.iter().scan(0, |at, step| { *at += step; Some(*at) }).collect();

@@ -19,20 +19,20 @@ use openh264::{
 
 use crate::lerobot::LeRobotError;
 
-/// A frame that needs no other comes so often: LeRobot's `g`, for which its loaders seek.
+/// Interval of keyframes: LeRobot's `g`, for seeking.
 const GROUP: u32 = 2;
-/// Quantisers of H.264, 0 to 51: no visible loss (x264's documentation names 17 to 18 so).
+/// Quantisers of H.264, 0 to 51: no visible loss (x264's documentation recommends 17 to 18).
 const QUANTISER: (u8, u8) = (10, 18);
-/// More than any camera needs, so that the quantiser alone decides and no frame is left out.
+/// More than any camera needs: only the quantiser limits the quality, and no frame is dropped.
 const BITS_PER_SECOND: u32 = 200_000_000;
-/// Ticks of the video's clock in a frame, so that every time is whole.
+/// Ticks of the video's clock per frame, so that all times are whole.
 const TICKS_PER_FRAME: u32 = 512;
 
-/// An mp4 file of h264 frames that is being written.
+/// Writes an mp4 file with h264 frames.
 pub(super) struct VideoWriter {
     path: PathBuf,
     encoder: Encoder,
-    /// From the first frame on, which tells the codec's parameters.
+    /// Set at the first frame, which has the codec's parameters.
     mp4: Option<Mp4Writer<BufWriter<File>>>,
     file: Option<BufWriter<File>>,
     fps: u32,
@@ -68,17 +68,17 @@ impl VideoWriter {
         })
     }
 
-    /// Frames so far.
+    /// Number of frames so far.
     pub const fn frames(&self) -> u64 {
         self.frames
     }
 
-    /// Bytes of frames so far.
+    /// Size of the frames so far \[bytes\].
     pub const fn bytes(&self) -> u64 {
         self.bytes
     }
 
-    /// The next frame needs none before it: an episode begins.
+    /// Begins an episode: the next frame is a keyframe.
     pub fn begin_episode(&mut self) {
         if self.frames > 0 {
             self.encoder.force_intra_frame();
@@ -100,7 +100,7 @@ impl VideoWriter {
                 frame.height()
             ));
         }
-        // Sides of an image fit.
+        // Fits: sides of an image.
         let source = RgbSliceU8::new(frame.as_raw(), (width as usize, height as usize));
         let encoded = self
             .encoder
@@ -108,11 +108,11 @@ impl VideoWriter {
             .map_err(|error| error.to_string())?
             .to_vec();
         let units: Vec<&[u8]> = openh264::nal_units(&encoded)
-            .filter_map(without_start_code)
+            .filter_map(strip_start_code)
             .collect();
         let (parameters, units): (Vec<&[u8]>, Vec<&[u8]>) = units
             .into_iter()
-            .partition(|unit| matches!(kind(unit), SEQUENCE | PICTURE));
+            .partition(|unit| matches!(unit_type(unit), SEQUENCE | PICTURE));
         if units.is_empty() {
             return Err(format!("frame {}: the encoder dropped it", self.frames));
         }
@@ -127,14 +127,14 @@ impl VideoWriter {
             start_time: self.frames * u64::from(TICKS_PER_FRAME),
             duration: TICKS_PER_FRAME,
             rendering_offset: 0,
-            is_sync: units.iter().any(|unit| kind(unit) == IDR),
+            is_sync: units.iter().any(|unit| unit_type(unit) == IDR),
             bytes: Bytes::from(bytes),
         };
         let mp4 = match &mut self.mp4 {
             Some(mp4) => mp4,
             none => {
                 let file = self.file.take().ok_or("its file is closed")?;
-                none.insert(begin(file, &parameters, self.fps, self.size)?)
+                none.insert(begin_track(file, &parameters, self.fps, self.size)?)
             }
         };
         mp4.write_sample(1, &sample)
@@ -143,7 +143,7 @@ impl VideoWriter {
         Ok(())
     }
 
-    /// Ends the file.
+    /// Closes the file.
     pub fn finish(self) -> Result<(), LeRobotError> {
         let Some(mut mp4) = self.mp4 else {
             return Ok(());
@@ -162,24 +162,24 @@ const IDR: u8 = 5;
 const SEQUENCE: u8 = 7;
 const PICTURE: u8 = 8;
 
-fn kind(unit: &[u8]) -> u8 {
+fn unit_type(unit: &[u8]) -> u8 {
     unit.first().map_or(0, |first| first & 31)
 }
 
-/// A NAL unit of an elementary stream without the zeros and the one before it.
-fn without_start_code(unit: &[u8]) -> Option<&[u8]> {
+/// Removes the start code of a NAL unit.
+fn strip_start_code(unit: &[u8]) -> Option<&[u8]> {
     let one = unit.iter().position(|byte| *byte == 1)?;
     unit.get(one + 1..)
 }
 
-fn begin(
+fn begin_track(
     file: BufWriter<File>,
     parameters: &[&[u8]],
     fps: u32,
     (width, height): (u32, u32),
 ) -> Result<Mp4Writer<BufWriter<File>>, String> {
     let find = |wanted: u8| {
-        let unit = parameters.iter().find(|unit| kind(unit) == wanted);
+        let unit = parameters.iter().find(|unit| unit_type(unit) == wanted);
         unit.map(|unit| unit.to_vec()).ok_or_else(|| {
             format!("the encoder returned no parameters (NAL unit of type {wanted})")
         })

@@ -1,29 +1,29 @@
-//! What the action values of a dataset are, and how they become those of the bags.
+//! Meaning and mapping of a data set's action values.
 
-use crate::{ActionForm, ActionMapping, ValueSource};
+use crate::{ActionForm, ActionMapping, remedy::ValueSource};
 use wm_motion::actions::{ActionError, ActionSpace, Kind};
 
 use crate::lerobot::{LeRobotError, dataset::Dataset, info::ACTION};
 
-/// Values of Bridge V2's actions.
+/// Number of values in Bridge V2's actions.
 const BRIDGE: usize = 7;
 
-/// The action values of a dataset.
+/// The action values of a data set.
 #[derive(Debug)]
 pub(super) struct Actions {
-    /// What the bags' values are, if it is known.
+    /// The bags' action space, if known.
     pub space: Option<ActionSpace>,
-    /// The column of each value of the space, if they are in another order.
+    /// The column of each value of the space, if the order differs.
     order: Option<Vec<usize>>,
     mapping: ActionMapping,
     period_s: f64,
 }
 
 impl Actions {
-    /// Of a dataset with the space that the user gave, if any.
+    /// The actions of a data set, with the user's action space, if given.
     ///
     /// # Errors
-    /// The space is of other values than the dataset has, or the mapping does not apply to them.
+    /// The space does not fit the data set, or the mapping does not apply.
     pub fn of(
         dataset: &Dataset,
         given: Option<&ActionSpace>,
@@ -37,8 +37,8 @@ impl Actions {
             || mapping.translation_scale != 1.0
             || mapping.rotation_scale != 1.0;
         let (space, order) = match given {
-            Some(space) => (Some(space.clone()), order(space, &names)?),
-            None => recognised(&names, is_hand),
+            Some(space) => (Some(space.clone()), find_order(space, &names)?),
+            None => recognise_space(&names, is_hand),
         };
         let is_bridge = |space: &ActionSpace| {
             let kinds: Vec<Kind> = space.dimensions().iter().map(|d| d.kind).collect();
@@ -72,7 +72,7 @@ impl Actions {
         }))
     }
 
-    /// How the values of the bags are made.
+    /// Origin of the bags' values.
     pub fn source(&self) -> ValueSource {
         ValueSource {
             gripper: self.mapping.gripper,
@@ -80,7 +80,7 @@ impl Actions {
         }
     }
 
-    /// The values of the bags for those of the dataset, in place: (T, values).
+    /// Maps actions of the data set, (T, values), in place.
     pub fn map(&self, actions: &mut [Vec<f32>]) {
         if let Some(order) = &self.order {
             for action in actions.iter_mut() {
@@ -113,10 +113,10 @@ impl Actions {
     }
 }
 
-/// Bridge V2's space if the names are its names, in any order; also for other names if they are to be mapped to it.
-fn recognised(names: &[String], is_mapped: bool) -> (Option<ActionSpace>, Option<Vec<usize>>) {
+/// Bridge V2's space if the names are its names, in any order, or if the values are mapped to it.
+fn recognise_space(names: &[String], is_mapped: bool) -> (Option<ActionSpace>, Option<Vec<usize>>) {
     let bridge = ActionSpace::bridge();
-    match by_name(&bridge, names) {
+    match match_names(&bridge, names) {
         Some(order) => (Some(bridge), order),
         None if is_mapped && names.len() == BRIDGE => (Some(bridge), None),
         None => {
@@ -130,8 +130,8 @@ fn recognised(names: &[String], is_mapped: bool) -> (Option<ActionSpace>, Option
     }
 }
 
-/// The column of each dimension if all have names of columns; `Some(None)` if that is the order of the columns.
-fn by_name(space: &ActionSpace, names: &[String]) -> Option<Option<Vec<usize>>> {
+/// The column of each dimension if all columns are named; `Some(None)` if the order is the same.
+fn match_names(space: &ActionSpace, names: &[String]) -> Option<Option<Vec<usize>>> {
     let dimensions = space.dimensions().iter();
     let columns = dimensions.map(|dimension| names.iter().position(|name| *name == dimension.name));
     let columns: Vec<usize> = columns.collect::<Option<_>>()?;
@@ -145,8 +145,8 @@ fn by_name(space: &ActionSpace, names: &[String]) -> Option<Option<Vec<usize>>> 
     Some((!is_same).then_some(columns))
 }
 
-/// The column of each dimension of a space: by name, or by place if no name is known.
-fn order(space: &ActionSpace, names: &[String]) -> Result<Option<Vec<usize>>, LeRobotError> {
+/// The column of each dimension of a space: by name, or by position if no name is known.
+fn find_order(space: &ActionSpace, names: &[String]) -> Result<Option<Vec<usize>>, LeRobotError> {
     let mismatch = || ActionError::Mismatch {
         expected: format!("the action space given is {space}"),
         actual: format!("the dataset has {}", names.join(" ")),
@@ -154,10 +154,10 @@ fn order(space: &ActionSpace, names: &[String]) -> Result<Option<Vec<usize>>, Le
     if space.len() != names.len() {
         return Err(mismatch().into());
     }
-    if let Some(order) = by_name(space, names) {
+    if let Some(order) = match_names(space, names) {
         return Ok(order);
     }
-    // Some of the names at other places: which values are meant is uncertain.
+    // With some known names at other positions, the meaning is uncertain.
     let mut dimensions = space.dimensions().iter().enumerate();
     let is_elsewhere = |(index, dimension): (usize, &wm_motion::actions::Dimension)| {
         let column = names.iter().position(|name| *name == dimension.name);
@@ -180,7 +180,7 @@ mod tests {
     #[test]
     fn values_are_found_by_name_in_any_order() {
         let bridge = ActionSpace::bridge();
-        let of = |text: &str| order(&bridge, &names(text));
+        let of = |text: &str| find_order(&bridge, &names(text));
         assert_eq!(of("dx dy dz droll dpitch dyaw gripper").unwrap(), None);
         let first = of("gripper dx dy dz droll dpitch dyaw").unwrap();
         assert_eq!(first, Some(vec![1, 2, 3, 4, 5, 6, 0]));

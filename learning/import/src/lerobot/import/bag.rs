@@ -1,6 +1,6 @@
 use std::path::Path;
 
-use crate::write_whole;
+use crate::imported::write_whole;
 use wm_bag::{BagWriter, ORIGIN, QosProfile, WriterOptions};
 use wm_motion::actions::ActionSpace;
 use wm_msgs::{
@@ -20,11 +20,10 @@ use crate::lerobot::{
     },
 };
 
-/// REP-105's name for the frame that the robot is mounted in.
+/// The base frame of the robot (REP-105).
 const BASE_FRAME: &str = "base_link";
 
-/// Writes an episode as a bag that notes its `origin`, its first frame at `start_ns`; a bag that cannot be written whole is
-/// removed.
+/// Writes an episode as a bag with the note `origin` and its first frame at `start_ns`; an incomplete bag is removed.
 pub(super) fn write(
     episode: &Episode,
     actions: Option<&ActionSpace>,
@@ -62,7 +61,7 @@ fn write_to(
     for ((step, since_ns), frame) in episode.timing.stamps_ns.iter().enumerate().zip(0u64..) {
         stamp_ns = start_ns.saturating_add(*since_ns);
         let header = |frame_id: &str| Header {
-            // BagWriter refuses times past i64, and names the topic.
+            // BagWriter rejects times past i64, and names the topic.
             stamp: Time::from_nanos(i64::try_from(stamp_ns).unwrap_or(i64::MAX)),
             frame_id: frame_id.to_owned(),
         };
@@ -99,7 +98,7 @@ fn write_to(
     Ok(())
 }
 
-/// Which values of a state go to which topic.
+/// The topics of a state's values.
 struct StateColumns {
     joints: Vec<usize>,
     pose: Option<[usize; POSE_NAMES.len()]>,
@@ -107,7 +106,7 @@ struct StateColumns {
 }
 
 impl StateColumns {
-    /// By our own names of the pose and the gripper; all else is joints.
+    /// By our names of the pose and the gripper; all others are joints.
     fn of(names: &[String]) -> Self {
         let find = |name: &str| names.iter().position(|known| known == name);
         let pose: Option<Vec<usize>> = POSE_NAMES.iter().map(|name| find(name)).collect();
@@ -159,7 +158,7 @@ impl StateColumns {
             writer.write(POSE_TOPIC, &pose, stamp_ns)?;
         }
         if let Some(at) = &self.gripper {
-            // What the message carries.
+            // The message has single precision.
             let gripper = Float32 {
                 data: value(at) as f32,
             };

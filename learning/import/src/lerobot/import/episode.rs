@@ -1,4 +1,4 @@
-//! An episode's rows and pictures.
+//! Reads an episode's rows and pictures.
 
 use std::{
     fs::File,
@@ -12,17 +12,16 @@ use wm_msgs::sensor_msgs::CompressedImage;
 use super::{timing::Timing, videos::Videos};
 use crate::lerobot::{
     LeRobotError,
-    dataset::{Dataset, Entry, Rows},
+    dataset::{Dataset, EpisodeEntry, Rows},
     info::{
         ACTION, EPISODE_INDEX, FRAME_INDEX, IMAGES, INDEX, STATE, SUCCESS, TASK_INDEX, TIMESTAMP,
     },
-    table::{Picture, Table, integer, number, numbers, picture, truth},
+    table::{Picture, Table, boolean, integer, number, numbers, picture},
 };
 
-/// Greatest size of a picture's file \[byte\]: more than any camera's frame needs.
-const MOST_PICTURE_BYTES: u64 = 64 << 20;
+/// Limit of a picture's file, larger than any camera's frame \[bytes\].
+const PICTURE_BYTES_LIMIT: u64 = 64 << 20;
 
-/// An episode, decoded.
 #[derive(Debug)]
 pub(super) struct Episode {
     pub timing: Timing,
@@ -32,24 +31,24 @@ pub(super) struct Episode {
     pub state_names: Vec<String>,
     /// One row a frame, or none at all.
     pub states: Vec<Vec<f64>>,
-    /// The frame from which each task holds.
+    /// Tasks with their first frames.
     pub tasks: Vec<(u64, String)>,
     pub success: Option<bool>,
-    /// Peculiarities.
+    /// Remarks.
     pub notes: Vec<String>,
 }
 
 /// The frames of a camera.
 #[derive(Debug)]
 pub(super) struct Camera {
-    /// The namespace of its topics.
+    /// Namespace of its topics.
     pub name: String,
     /// `jpeg` or `png`.
     pub format: &'static str,
     pub frames: Vec<Vec<u8>>,
 }
 
-/// Whether a column becomes a topic, or says where a row belongs.
+/// Whether a column becomes a topic, or locates a row.
 pub(super) fn is_read(feature: &str) -> bool {
     [
         ACTION,
@@ -64,19 +63,19 @@ pub(super) fn is_read(feature: &str) -> bool {
     .contains(&feature)
 }
 
-/// How an episode is read.
+/// Options of reading an episode.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Reading {
-    /// JPEG quality of the frames of videos, 1 to 100.
+pub(super) struct ReadOptions {
+    /// JPEG quality of video frames, 1 to 100.
     pub jpeg_quality: u8,
-    /// Whether frames are stamped by the rate alone.
+    /// Whether frames are stamped by the rate, ignoring time stamps.
     pub is_nominal: bool,
 }
 
-/// The actions of an episode alone: (T, values).
+/// Reads only the actions of an episode: (T, values).
 pub(super) fn read_actions(
     dataset: &Dataset,
-    entry: &Entry,
+    entry: &EpisodeEntry,
     rows: &mut Rows,
 ) -> Result<Vec<Vec<f32>>, LeRobotError> {
     let mut actions = Vec::new();
@@ -84,7 +83,7 @@ pub(super) fn read_actions(
         let found = rows.find(dataset, entry)?;
         let table = Table::open(&found.file)?;
         table.rows(&[ACTION], found.rows, |_, cells| {
-            actions.push(single(numbers(ACTION, cells.first(), feature.width())?));
+            actions.push(to_single(numbers(ACTION, cells.first(), feature.width())?));
             Ok(())
         })?;
     }
@@ -93,10 +92,10 @@ pub(super) fn read_actions(
 
 pub(super) fn read(
     dataset: &Dataset,
-    entry: &Entry,
+    entry: &EpisodeEntry,
     rows: &mut Rows,
     videos: &mut Videos,
-    reading: Reading,
+    reading: ReadOptions,
 ) -> Result<Episode, LeRobotError> {
     let features = &dataset.info.features;
     let found = rows.find(dataset, entry)?;
@@ -153,7 +152,7 @@ pub(super) fn read(
         }
         if let Some(feature) = features.get(ACTION) {
             let values = numbers(ACTION, cell(ACTION), feature.width())?;
-            episode.actions.push(single(values));
+            episode.actions.push(to_single(values));
         }
         if let Some(feature) = features.get(STATE) {
             episode
@@ -161,12 +160,12 @@ pub(super) fn read(
                 .push(numbers(STATE, cell(STATE), feature.width())?);
         }
         if features.contains_key(SUCCESS) {
-            episode.success = Some(truth(SUCCESS, cell(SUCCESS))?);
+            episode.success = Some(boolean(SUCCESS, cell(SUCCESS))?);
         }
         for (name, frames) in images.iter().zip(&mut pictures) {
             frames.push(match picture(name, cell(name))? {
                 Picture::Bytes(bytes) => bytes,
-                Picture::Path(path) => file_within(&dataset.root, Path::new(&path))
+                Picture::Path(path) => read_file(&dataset.root, Path::new(&path))
                     .map_err(|reason| format!("{name}: {reason}"))?,
             });
         }
@@ -206,13 +205,13 @@ pub(super) fn read(
     Ok(episode)
 }
 
-/// What the message carries; LeRobot's own are single too.
-fn single(values: Vec<f64>) -> Vec<f32> {
+/// Converts to the messages' single precision, which LeRobot has too.
+fn to_single(values: Vec<f64>) -> Vec<f32> {
     values.into_iter().map(|value| value as f32).collect()
 }
 
-/// A file of the dataset.
-fn file_within(root: &Path, path: &Path) -> Result<Vec<u8>, String> {
+/// Reads a file of the data set.
+fn read_file(root: &Path, path: &Path) -> Result<Vec<u8>, String> {
     let mut parts = path.components();
     if !parts.all(|part| matches!(part, Component::Normal(_))) {
         return Err(format!(
@@ -223,19 +222,19 @@ fn file_within(root: &Path, path: &Path) -> Result<Vec<u8>, String> {
     let wrong = |error| format!("{}: {error}", path.display());
     let file = File::open(root.join(path)).map_err(wrong)?;
     let mut bytes = Vec::new();
-    file.take(MOST_PICTURE_BYTES + 1)
+    file.take(PICTURE_BYTES_LIMIT + 1)
         .read_to_end(&mut bytes)
         .map_err(wrong)?;
-    if bytes.len() as u64 > MOST_PICTURE_BYTES {
+    if bytes.len() as u64 > PICTURE_BYTES_LIMIT {
         return Err(format!(
-            "{}: expected at most {MOST_PICTURE_BYTES} bytes",
+            "{}: expected at most {PICTURE_BYTES_LIMIT} bytes",
             path.display()
         ));
     }
     Ok(bytes)
 }
 
-/// The format that all pictures of a camera are in, all of them complete.
+/// The format of a camera's pictures, which must be complete and have one format.
 fn picture_format(frames: &[Vec<u8>]) -> Result<&'static str, String> {
     let mut found = None;
     for (number, bytes) in frames.iter().enumerate() {
@@ -258,7 +257,7 @@ fn picture_format(frames: &[Vec<u8>]) -> Result<&'static str, String> {
     Ok(found.unwrap_or("png"))
 }
 
-/// A camera's feature as a ROS namespace: `observation.images.top-left` becomes `top_left`.
+/// The ROS namespace of a camera's feature: `observation.images.top-left` becomes `top_left`.
 fn namespace(feature: &str) -> String {
     let name = feature.strip_prefix(IMAGES).unwrap_or(feature);
     let name = name.strip_prefix("observation.").unwrap_or(name);
@@ -267,7 +266,7 @@ fn namespace(feature: &str) -> String {
         .map(|c| if c.is_ascii_alphanumeric() { c } else { '_' });
     let name: String = letters.collect();
     match name.chars().next() {
-        // A token of a topic's name does not begin with a digit (design.ros2.org, topic and service names).
+        // Tokens of topic names do not begin with a digit (design.ros2.org, topic and service names).
         Some(first) if first.is_ascii_digit() => format!("camera_{name}"),
         Some(_) => name,
         None => "camera".to_owned(),
@@ -302,7 +301,7 @@ mod tests {
     }
 
     #[test]
-    fn cameras_get_names_that_ros_allows() {
+    fn cameras_get_valid_ros_names() {
         for (feature, name) in [
             ("observation.images.front", "front"),
             ("observation.images.cam-high.left", "cam_high_left"),

@@ -1,25 +1,25 @@
-//! Which frames of a video belong to which episode.
+//! Assigns frames of a video to episodes.
 //!
-//! A video holds the frames of one episode, or of several in a row. Two sources say where an episode begins: the lengths
-//! of the episodes before it, and `from_timestamp`. Where they disagree, the number of frames in the file decides; an
-//! episode whose place remains uncertain is refused by name.
+//! A video has the frames of one or several consecutive episodes. The start of an episode follows from the lengths of the
+//! earlier episodes and from `from_timestamp`. If these disagree, the number of frames in the file decides; an episode with
+//! an uncertain place is rejected by name.
 
 use std::{collections::BTreeMap, ops::Range};
 
-/// An episode of a video, as `meta` describes it.
+/// An episode of a video, from `meta`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Member {
     pub index: i64,
-    /// Rows, and so frames.
+    /// Number of rows, and frames.
     pub length: usize,
     /// `from_timestamp` \[s\].
     pub from_s: f64,
 }
 
-/// When each frame of a video is shown \[s\], in order.
+/// Presentation times of a video's frames \[s\], sorted.
 pub(super) struct Times<'a>(pub &'a [f64]);
 
-/// The frames of an episode, and their peculiarities.
+/// The frames of an episode, and a remark.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Frames {
     pub range: Range<usize>,
@@ -29,9 +29,9 @@ pub(super) struct Frames {
 /// By episode: its frames, or why they are uncertain.
 pub(super) type Placement = BTreeMap<i64, Result<Frames, String>>;
 
-/// Frames by which a begin may differ from the sum of the lengths before it: times are rounded once for each episode.
+/// Tolerance of a start against the sum of earlier lengths \[frames\]: times are rounded once per episode.
 const TOLERANCE: usize = 3;
-/// Part of a frame by which a frame's time may differ.
+/// Tolerance of a frame's time \[frames\].
 const QUARTER: f64 = 0.25;
 const SURPLUS: &str = "the video has frames after the last row of the episode, which are ignored";
 const DRIFT: &str =
@@ -42,7 +42,7 @@ impl Times<'_> {
         self.0.len()
     }
 
-    /// Seconds from frame to frame: the median.
+    /// Median frame period \[s\].
     pub fn period_s(&self) -> Option<f64> {
         let pairs = self.0.iter().zip(self.0.iter().skip(1));
         let mut gaps: Vec<f64> = pairs.map(|(before, after)| after - before).collect();
@@ -63,35 +63,35 @@ impl Times<'_> {
     }
 }
 
-/// Places the episodes `members` of a video whose frames are shown at `times`; `fps` is the dataset's.
+/// Places the episodes `members` of a video with frames at `times`; `fps` is the data set's.
 pub(super) fn place(times: &Times<'_>, fps: f64, members: &[Member]) -> Placement {
     let mut members = members.to_vec();
     members.sort_by_key(|member| member.index);
     let total = times.count();
-    // Lengths are those of the metadata, which may be anything.
+    // Saturating: lengths in metadata may be arbitrary.
     let lengths = members.iter().map(|member| member.length);
     let rows = lengths.fold(0, usize::saturating_add);
     let period_s = times.period_s().unwrap_or(fps.recip());
     if let [only] = members.as_slice()
         && only.from_s < QUARTER * period_s
     {
-        return BTreeMap::from([(only.index, alone(only, total))]);
+        return BTreeMap::from([(only.index, place_single(only, total))]);
     }
     if rows == total {
-        return by_lengths(times, fps, period_s, &members);
+        return place_by_lengths(times, fps, period_s, &members);
     }
-    // Times with a gap show where a frame is missing.
+    // A gap in time shows a missing frame.
     let last_s = times.0.last().copied().unwrap_or(0.0);
     let begin_s = times.0.first().copied().unwrap_or(0.0);
     let spanned = (((last_s - begin_s) / period_s).round() as usize).saturating_add(1);
     match spanned > total {
-        true => by_times(times, period_s, begin_s, spanned, &members),
-        false => by_begins(times, period_s, rows, &members),
+        true => place_by_times(times, period_s, begin_s, spanned, &members),
+        false => place_by_begins(times, period_s, rows, &members),
     }
 }
 
-/// A video of one episode.
-fn alone(member: &Member, total: usize) -> Result<Frames, String> {
+/// Places the episode of a video with one episode.
+fn place_single(member: &Member, total: usize) -> Result<Frames, String> {
     if total < member.length {
         return Err(format!(
             "expected {} frames, one for each row of episode {}, got {total}",
@@ -104,12 +104,12 @@ fn alone(member: &Member, total: usize) -> Result<Frames, String> {
     })
 }
 
-/// The video has as many frames as there are rows: each episode begins where the one before ends, unless `from_timestamp`
-/// says something else altogether.
-fn by_lengths(times: &Times<'_>, fps: f64, period_s: f64, members: &[Member]) -> Placement {
+/// Places episodes of a video with as many frames as rows: each starts where the previous one ends, unless `from_timestamp`
+/// clearly differs.
+fn place_by_lengths(times: &Times<'_>, fps: f64, period_s: f64, members: &[Member]) -> Placement {
     let shortest = members.iter().map(|member| member.length).min();
     let tolerance = TOLERANCE.min(shortest.unwrap_or(0) / 2).max(1) as f64;
-    // In frames; by the video's clock and by the dataset's, which differ if a video was encoded at another rate.
+    // In frames, by the video's clock and by the data set's, which differ if the video was encoded at another rate.
     let off = |member: &Member, begin: usize| {
         let of_clock = |rate: f64| member.from_s * rate - begin as f64;
         let (own, other) = (of_clock(period_s.recip()), of_clock(fps));
@@ -131,7 +131,7 @@ fn by_lengths(times: &Times<'_>, fps: f64, period_s: f64, members: &[Member]) ->
             .map(|(member, begin)| off(member, begin))
             .collect::<Vec<f64>>()
     };
-    // Merged datasets may have them in another order.
+    // Merged data sets may have another order.
     let mut by_time = members.to_vec();
     by_time.sort_by(|a, b| a.from_s.total_cmp(&b.from_s));
     let is_other_order = in_order(&by_time).iter().all(|off| off.abs() <= tolerance);
@@ -144,7 +144,7 @@ fn by_lengths(times: &Times<'_>, fps: f64, period_s: f64, members: &[Member]) ->
     let mut placement = Placement::new();
     for (member, begin) in members.iter().zip(begins(members)) {
         let off = off(member, begin);
-        // It accumulates from episode to episode, and does not jump.
+        // Drift accumulates over episodes, and does not jump.
         let is_near = off.abs() <= tolerance || (off - drift).abs() <= 1.5;
         let result = if is_near {
             drift = off;
@@ -166,8 +166,8 @@ fn by_lengths(times: &Times<'_>, fps: f64, period_s: f64, members: &[Member]) ->
     placement
 }
 
-/// Frames are missing, and the times of the others show where: each frame is found by its time.
-fn by_times(
+/// Places episodes of a video with missing frames, if times show where: each frame is found by its time.
+fn place_by_times(
     times: &Times<'_>,
     period_s: f64,
     begin_s: f64,
@@ -208,13 +208,13 @@ fn by_times(
     };
     let placed = members.iter().map(|member| (member.index, frames(member)));
     let mut placement: Placement = placed.collect();
-    refuse_overlaps(&mut placement);
+    reject_overlaps(&mut placement);
     placement
 }
 
-/// The number of frames differs from that of rows: each episode begins at its `from_timestamp`, if all of them together
-/// account for all frames.
-fn by_begins(times: &Times<'_>, period_s: f64, rows: usize, members: &[Member]) -> Placement {
+/// Places episodes of a video with another number of frames than rows: each starts at its `from_timestamp`, if all
+/// together account for all frames.
+fn place_by_begins(times: &Times<'_>, period_s: f64, rows: usize, members: &[Member]) -> Placement {
     let total = times.count();
     let mut placement = Placement::new();
     for member in members {
@@ -242,7 +242,7 @@ fn by_begins(times: &Times<'_>, period_s: f64, rows: usize, members: &[Member]) 
         .map(|member| member.length)
         .min()
         .unwrap_or(1);
-    // Fewer frames after the last than an episode has: to which of the episodes they belong is unknown.
+    // The surplus is shorter than an episode: its owner is unknown.
     if end > total || (1..shortest).contains(&(total - end.min(total))) {
         for (index, result) in &mut placement {
             if result.is_ok() {
@@ -255,19 +255,19 @@ fn by_begins(times: &Times<'_>, period_s: f64, rows: usize, members: &[Member]) 
         }
         return placement;
     }
-    refuse_overlaps(&mut placement);
+    reject_overlaps(&mut placement);
     placement
 }
 
-/// Refuses all episodes that share a frame with another.
-fn refuse_overlaps(placement: &mut Placement) {
+/// Rejects all episodes that share a frame with another.
+fn reject_overlaps(placement: &mut Placement) {
     let mut sorted: Vec<(i64, Range<usize>)> = placement
         .iter()
         .filter_map(|(index, result)| Some((*index, result.as_ref().ok()?.range.clone())))
         .collect();
     sorted.sort_by_key(|(_, range)| (range.start, range.end));
     let mut overlaps = Vec::new();
-    // Of the episodes so far, the one that ends last: a later one that overlaps any of them overlaps it.
+    // Of the episodes so far, the one with the latest end: an episode that overlaps any overlaps it.
     let mut last: Option<&(i64, Range<usize>)> = None;
     for next in &sorted {
         if let Some((index, range)) = last

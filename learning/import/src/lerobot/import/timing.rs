@@ -1,23 +1,23 @@
-//! When the frames of an episode were taken.
+//! Times of an episode's frames.
 
 use crate::lerobot::topics::frame_ns;
 
-/// How far a row's `timestamp` may be from `frame_index / fps`, in s: LeRobot's own `tolerance_s`.
+/// Tolerance of a row's `timestamp` against `frame_index / fps`, in s: LeRobot's `tolerance_s`.
 const TOLERANCE_S: f64 = 1e-4;
-/// Share by which the median time between frames may differ from `1 / fps`: beyond it, one of them is wrong.
+/// Relative tolerance of the median frame period against `1 / fps`.
 const RATE_SHARE: f64 = 0.2;
 
-/// When frames were taken, since the first.
+/// Times of frames since the first.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Timing {
-    /// One a frame \[ns\].
+    /// By frame \[ns\].
     pub stamps_ns: Vec<u64>,
-    /// How far each time from frame to frame is from `1 / fps` \[s\]; none if the time stamps are those of the rate.
+    /// Differences of the frame periods from `1 / fps` \[s\]; empty if the time stamps follow the rate.
     pub jitter_s: Vec<f64>,
 }
 
 impl Timing {
-    /// Frames at a rate.
+    /// Frames at a constant rate.
     pub fn nominal(frames: usize, fps: f64) -> Self {
         Self {
             stamps_ns: (0..frames as u64)
@@ -27,19 +27,19 @@ impl Timing {
         }
     }
 
-    /// By the `timestamp` of each row \[s\]: the rate's, to the nanosecond, or those of the recording.
+    /// From the `timestamp` of each row \[s\]: exactly at the rate, to the nanosecond, or as recorded.
     ///
     /// # Errors
-    /// Time stamps do not increase, or are of another rate.
+    /// Time stamps do not increase, or have another rate.
     pub fn of(times_s: &[f64], fps: f64) -> Result<Self, String> {
         let begin_s = times_s.first().copied().unwrap_or(0.0);
         let is_nominal = (0u64..).zip(times_s).all(|(frame, time_s)| {
             let expected_s = frame as f64 / fps;
-            // It is single: beside the tolerance, what that rounds.
+            // The tolerance includes the rounding of single precision.
             let rounding_s = time_s.abs() * f64::from(f32::EPSILON);
             (time_s - begin_s - expected_s).abs() <= TOLERANCE_S + rounding_s
         });
-        // Of a time of day in single precision, the rounding is a minute.
+        // In single precision, a time of day is rounded to a minute.
         if is_nominal && begin_s.abs() < 1e5 {
             return Ok(Self::nominal(times_s.len(), fps));
         }
@@ -64,7 +64,7 @@ impl Timing {
                 fps.recip()
             ));
         }
-        // Times of a recording are far from 2^53 ns.
+        // Exact: times of a recording are far below 2^53 ns.
         let since = |time_s: &f64| ((time_s - begin_s) * 1e9).round() as u64;
         Ok(Self {
             stamps_ns: times_s.iter().map(since).collect(),
@@ -88,7 +88,7 @@ mod tests {
         let nominal: Vec<f64> = (0..3000).map(|frame| f64::from(frame) / 30.0).collect();
         let timing = Timing::of(&single(&nominal), 30.0).unwrap();
         assert_eq!(timing, Timing::nominal(3000, 30.0));
-        // An episode that begins later, as in a recording of several.
+        // An episode with a later start, as in a recording of several.
         let later: Vec<f64> = nominal.iter().map(|time| time + 12.5).collect();
         assert_eq!(Timing::of(&single(&later), 30.0).unwrap(), timing);
         let real = Timing::of(&[0.1, 0.131, 0.166, 0.352], 30.0).unwrap();
@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn unusable_times_are_refused_by_row() {
+    fn unusable_times_are_rejected_by_row() {
         let error = |times: &[f64], fps| Timing::of(times, fps).unwrap_err();
         assert!(error(&[0.0, 0.03, 0.03], 30.0).contains("row 2: expected a time after 0.03 s"));
         assert!(error(&[0.0, 0.03, 0.01], 30.0).contains("row 2"));

@@ -1,4 +1,4 @@
-//! The videos of a dataset, and where the episodes are in them.
+//! The videos of a data set, and the places of episodes in them.
 
 use std::{
     collections::{BTreeMap, HashMap},
@@ -13,13 +13,13 @@ use crate::lerobot::{
     dataset::{Clip, Dataset},
 };
 
-/// The video that each camera was read from last: episodes that follow each other share it.
+/// The last video of each camera: consecutive episodes share it.
 pub(super) struct Videos {
     members: BTreeMap<PathBuf, Vec<Member>>,
-    open: HashMap<String, Open>,
+    open: HashMap<String, OpenVideo>,
 }
 
-struct Open {
+struct OpenVideo {
     video: Video,
     placement: Placement,
 }
@@ -43,10 +43,10 @@ impl Videos {
         }
     }
 
-    /// The frames of an episode's part of a video as JPEG, and their peculiarities.
+    /// The frames of an episode as JPEG, and a remark.
     ///
     /// # Errors
-    /// The video cannot be read, or which frames are the episode's is uncertain; both name the file and the feature.
+    /// The video cannot be read, or the frames of the episode are uncertain; both name the file and the feature.
     pub fn frames(
         &mut self,
         dataset: &Dataset,
@@ -57,11 +57,11 @@ impl Videos {
     ) -> Result<(Vec<Vec<u8>>, Option<&'static str>), LeRobotError> {
         let corrupt =
             |reason: String| LeRobotError::corrupt(&clip.file, format!("{key}: {reason}"));
-        let is_open = |open: &Open| open.video.file() == clip.file;
+        let is_open = |open: &OpenVideo| open.video.file() == clip.file;
         if !self.open.get(key).is_some_and(is_open) {
-            // The file before is closed first: both may be large.
+            // Close the previous file first: both may be large.
             self.open.remove(key);
-            let opened = self.open(&clip.file, dataset.info.fps)?;
+            let opened = self.open_video(&clip.file, dataset.info.fps)?;
             self.open.insert(key.to_owned(), opened);
         }
         let open = self.open.get(key);
@@ -75,13 +75,13 @@ impl Videos {
         ))
     }
 
-    fn open(&self, file: &Path, fps: f64) -> Result<Open, LeRobotError> {
+    fn open_video(&self, file: &Path, fps: f64) -> Result<OpenVideo, LeRobotError> {
         let video = Video::open(file)?;
         let times: Vec<f64> = (0..video.frame_count())
             .filter_map(|frame| video.time_s(frame))
             .collect();
         let members = self.members.get(file).map_or(&[][..], Vec::as_slice);
         let placement = place(&Times(&times), fps, members);
-        Ok(Open { video, placement })
+        Ok(OpenVideo { video, placement })
     }
 }

@@ -10,7 +10,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(32))]
 
     #[test]
-    fn rows_come_back_from_any_range_of_row_groups(
+    fn rows_are_read_from_any_range_of_row_groups(
         groups in prop::collection::vec(prop::collection::vec(any::<i64>(), 1..6), 1..5),
         bounds in (0.0f64..1.0, 0.0f64..1.0),
     ) {
@@ -40,7 +40,7 @@ proptest! {
         let at = |share: f64| (share * (all.len() + 1) as f64) as u64;
         let range = at(bounds.0.min(bounds.1))..at(bounds.0.max(bounds.1));
         let mut rows = Vec::new();
-        // Not in the order of the file.
+        // In another order than in the file.
         table.rows(&["image", "whole", "row", "text"], range.clone(), |row, cells| {
             let whole = integer("whole", cells.get(1))?;
             assert_eq!(numbers("image", cells.first(), 3)?, [whole as f64, 2.0, 3.0]);
@@ -55,7 +55,7 @@ proptest! {
 }
 
 #[test]
-fn cells_that_do_not_fit_are_named() {
+fn invalid_cells_are_named() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("bad.parquet");
     let columns = [
@@ -66,7 +66,7 @@ fn cells_that_do_not_fit_are_named() {
                 values: vec![1.0, f32::NAN],
             },
         ),
-        ("flag".to_owned(), Column::Truths(vec![true])),
+        ("flag".to_owned(), Column::Booleans(vec![true])),
     ];
     let mut writer = TableWriter::create(&path, &columns, &[]).unwrap();
     writer.write(&columns).unwrap();

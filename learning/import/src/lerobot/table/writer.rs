@@ -10,21 +10,21 @@ use parquet::{
 
 use crate::lerobot::LeRobotError;
 
-/// The cells of a column, a row each.
+/// The cells of a column, by row.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Column {
     Integers(Vec<i64>),
     Floats(Vec<f32>),
     Doubles(Vec<f64>),
-    Truths(Vec<bool>),
+    Booleans(Vec<bool>),
     Texts(Vec<String>),
     /// Lists of `width` numbers.
     FloatRows {
         width: usize,
         values: Vec<f32>,
     },
-    /// Lists of numbers, in `depth` lists one in the other of which all but the outermost hold one: `[r, g, b]` at depth
-    /// 1, `[[[r]], [[g]], [[b]]]` at depth 3.
+    /// Lists of numbers, nested `depth` deep, with one element in all but the outermost: `[r, g, b]` at depth 1,
+    /// `[[[r]], [[g]], [[b]]]` at depth 3.
     DoubleLists {
         depth: usize,
         rows: Vec<Vec<f64>>,
@@ -39,7 +39,7 @@ impl Column {
             Self::Integers(_) => (PhysicalType::INT64, 0),
             Self::Floats(_) => (PhysicalType::FLOAT, 0),
             Self::Doubles(_) => (PhysicalType::DOUBLE, 0),
-            Self::Truths(_) => (PhysicalType::BOOLEAN, 0),
+            Self::Booleans(_) => (PhysicalType::BOOLEAN, 0),
             Self::Texts(_) => (PhysicalType::BYTE_ARRAY, 0),
             Self::FloatRows { .. } => (PhysicalType::FLOAT, 1),
             Self::DoubleLists { depth, .. } => (PhysicalType::DOUBLE, *depth),
@@ -48,7 +48,7 @@ impl Column {
         }
     }
 
-    /// The column in a schema: lists in the three levels that parquet's LogicalTypes.md sets.
+    /// The column in a schema, with lists in three levels (parquet's LogicalTypes.md).
     fn field(&self, name: &str) -> Result<TypePtr, ParquetError> {
         let (physical, depth) = self.shape();
         let leaf = if depth == 0 { name } else { "element" };
@@ -78,7 +78,7 @@ impl Column {
     }
 }
 
-/// Values in order, with the levels that say where lists begin (Dremel, as in parquet's format).
+/// Values in order, with the levels at which lists begin (Dremel, as in parquet's format).
 struct Levels<T> {
     values: Vec<T>,
     definitions: Vec<i16>,
@@ -111,14 +111,14 @@ impl<T> Levels<T> {
     }
 }
 
-/// A table that is being written; each batch of rows becomes a row group, as LeRobot makes one an episode.
+/// Writes a table; each batch of rows becomes a row group, as LeRobot makes one per episode.
 pub(crate) struct TableWriter {
     path: PathBuf,
     writer: SerializedFileWriter<File>,
 }
 
 impl TableWriter {
-    /// Begins a table with the columns that a first batch will have.
+    /// Creates a table with the columns of a first batch.
     pub fn create(
         path: &Path,
         columns: &[(String, Column)],
@@ -136,7 +136,7 @@ impl TableWriter {
             let metadata = metadata
                 .iter()
                 .map(|(key, value)| KeyValue::new((*key).to_owned(), value.clone()));
-            // Snappy, as LeRobot writes it.
+            // Snappy, as in LeRobot.
             let properties = WriterProperties::builder()
                 .set_compression(Compression::SNAPPY)
                 .set_key_value_metadata(Some(metadata.collect()))
@@ -149,12 +149,12 @@ impl TableWriter {
         })
     }
 
-    /// Bytes in the file.
+    /// Size of the file \[bytes\].
     pub fn bytes(&self) -> u64 {
         self.writer.bytes_written() as u64
     }
 
-    /// Adds rows; the columns are those of the first batch, in the same order.
+    /// Adds rows with the columns of the first batch, in the same order.
     pub fn write(&mut self, columns: &[(String, Column)]) -> Result<(), LeRobotError> {
         self.try_write(columns)
             .map_err(|error| LeRobotError::corrupt(&self.path, error.to_string()))
@@ -167,31 +167,34 @@ impl TableWriter {
                 .next_column()?
                 .ok_or_else(|| ParquetError::General("more columns than in the schema".into()))?;
             match column {
-                Column::Integers(values) => flat::<Int64Type>(&mut writer, values)?,
-                Column::Floats(values) => flat::<FloatType>(&mut writer, values)?,
-                Column::Doubles(values) => flat::<DoubleType>(&mut writer, values)?,
-                Column::Truths(values) => flat::<BoolType>(&mut writer, values)?,
+                Column::Integers(values) => write_flat::<Int64Type>(&mut writer, values)?,
+                Column::Floats(values) => write_flat::<FloatType>(&mut writer, values)?,
+                Column::Doubles(values) => write_flat::<DoubleType>(&mut writer, values)?,
+                Column::Booleans(values) => write_flat::<BoolType>(&mut writer, values)?,
                 Column::Texts(texts) => {
                     let texts: Vec<ByteArray> = texts.iter().map(|text| byte_array(text)).collect();
-                    flat::<ByteArrayType>(&mut writer, &texts)?;
+                    write_flat::<ByteArrayType>(&mut writer, &texts)?;
                 }
                 Column::FloatRows { width, values } => {
                     let rows = values.chunks((*width).max(1));
-                    lists::<FloatType>(&mut writer, Levels::of(rows, 1, |value| *value))?;
+                    write_lists::<FloatType>(&mut writer, Levels::of(rows, 1, |value| *value))?;
                 }
                 Column::DoubleLists { depth, rows } => {
-                    // Depths are 1 or 3.
+                    // Fits: depths are 1 or 3.
                     let depth = *depth as i16;
                     let rows = rows.iter().map(Vec::as_slice);
-                    lists::<DoubleType>(&mut writer, Levels::of(rows, depth, |value| *value))?;
+                    write_lists::<DoubleType>(
+                        &mut writer,
+                        Levels::of(rows, depth, |value| *value),
+                    )?;
                 }
                 Column::IntegerLists(rows) => {
                     let rows = rows.iter().map(Vec::as_slice);
-                    lists::<Int64Type>(&mut writer, Levels::of(rows, 1, |value| *value))?;
+                    write_lists::<Int64Type>(&mut writer, Levels::of(rows, 1, |value| *value))?;
                 }
                 Column::TextLists(rows) => {
                     let rows = rows.iter().map(Vec::as_slice);
-                    lists::<ByteArrayType>(
+                    write_lists::<ByteArrayType>(
                         &mut writer,
                         Levels::of(rows, 1, |text: &String| byte_array(text)),
                     )?;
@@ -203,7 +206,7 @@ impl TableWriter {
         Ok(())
     }
 
-    /// Ends the table.
+    /// Closes the table.
     pub fn finish(self) -> Result<(), LeRobotError> {
         let ended = self.writer.close();
         ended.map_err(|error| LeRobotError::corrupt(&self.path, error.to_string()))?;
@@ -213,12 +216,15 @@ impl TableWriter {
 
 type ColumnWriter<'a> = parquet::file::writer::SerializedColumnWriter<'a>;
 
-fn flat<T: DataType>(writer: &mut ColumnWriter, values: &[T::T]) -> Result<(), ParquetError> {
+fn write_flat<T: DataType>(writer: &mut ColumnWriter, values: &[T::T]) -> Result<(), ParquetError> {
     writer.typed::<T>().write_batch(values, None, None)?;
     Ok(())
 }
 
-fn lists<T: DataType>(writer: &mut ColumnWriter, levels: Levels<T::T>) -> Result<(), ParquetError> {
+fn write_lists<T: DataType>(
+    writer: &mut ColumnWriter,
+    levels: Levels<T::T>,
+) -> Result<(), ParquetError> {
     let (definitions, repetitions) = (Some(&*levels.definitions), Some(&*levels.repetitions));
     writer
         .typed::<T>()

@@ -1,8 +1,8 @@
-//! The published models, and where they are.
+//! The published models and their addresses.
 
 use wm_zoo::kinds::Kind;
 
-/// Where a model's files are.
+/// The address of a model's files.
 #[derive(Debug)]
 enum Place {
     /// A repository on Hugging Face.
@@ -10,24 +10,23 @@ enum Place {
     /// A folder of a web server.
     Web {
         folder: &'static str,
-        /// Where people read about it.
+        /// The page for readers.
         page: &'static str,
     },
 }
 
-/// What configures it.
+/// The source of a model's configuration.
 #[derive(Debug)]
 enum Config {
     /// One of its files.
     Published,
-    /// Our preset of this kind; the authors publish none.
+    /// Our preset of this kind, since the authors publish none.
     Preset(Kind),
 }
 
 /// A published model.
 #[derive(Debug)]
-pub struct Model {
-    /// Its name here.
+pub(super) struct Model {
     pub name: &'static str,
     place: Place,
     /// Paths in the repository or the folder.
@@ -41,8 +40,8 @@ pub struct Model {
     pub gated: bool,
 }
 
-/// All that are known. The system's own checkpoints (DiT, S-VAE, pixel decoder) are published nowhere yet.
-pub const MODELS: &[Model] = &[
+/// All known models. The system's own checkpoints (DiT, S-VAE, pixel decoder) are not published yet.
+pub(super) const MODELS: &[Model] = &[
     Model {
         name: "sd3-vae",
         place: Place::HuggingFace("stabilityai/stable-diffusion-3-medium-diffusers"),
@@ -91,8 +90,8 @@ pub const MODELS: &[Model] = &[
 ];
 
 impl Model {
-    /// Address of one of its files, at a revision of the repository, `main` if there is none.
-    pub fn url(&self, file: &str, revision: Option<&str>) -> String {
+    /// The address of a file, at a revision of the repository; `None`: `main`.
+    pub(super) fn url(&self, file: &str, revision: Option<&str>) -> String {
         match self.place {
             Place::HuggingFace(repository) => {
                 let revision = revision.unwrap_or("main");
@@ -102,20 +101,20 @@ impl Model {
         }
     }
 
-    /// Where people read about it, and accept its licence.
+    /// The page with description and licence.
     #[cfg_attr(
         not(any(feature = "fetch", test)),
         expect(dead_code, reason = "only for downloads")
     )]
-    pub fn page(&self) -> String {
+    pub(super) fn page(&self) -> String {
         match self.place {
             Place::HuggingFace(repository) => format!("https://huggingface.co/{repository}"),
             Place::Web { page, .. } => page.to_owned(),
         }
     }
 
-    /// The configuration to write beside its files, if it has none of its own.
-    pub fn config(&self) -> Option<String> {
+    /// The configuration to write next to its files, if it has none of its own.
+    pub(super) fn config(&self) -> Option<String> {
         match self.config {
             Config::Published => None,
             Config::Preset(kind) => Some(format!("{:#}\n", kind.published_config()?)),
@@ -123,8 +122,8 @@ impl Model {
     }
 }
 
-/// The models' names in a sentence.
-pub fn names() -> String {
+/// The models' names as a sentence.
+pub(super) fn names() -> String {
     let names: Vec<&str> = MODELS.iter().map(|model| model.name).collect();
     format!("Models: {}", names.join(", "))
 }

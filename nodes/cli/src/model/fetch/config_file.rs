@@ -1,4 +1,4 @@
-//! A configuration beside the weights. Once it exists, it belongs to the user.
+//! A configuration next to the weights. An existing one belongs to the user.
 
 use anyhow::{Context as _, Result};
 use serde_json::Value;
@@ -6,34 +6,34 @@ use std::fs::{self, OpenOptions};
 use std::io::{ErrorKind, Write as _};
 use std::path::Path;
 
-/// What became of the file.
+/// The result of writing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Written {
-    /// It has the content now.
+pub(super) enum WriteOutcome {
+    /// The file has the content now.
     Yes,
-    /// Another one was there and was kept.
+    /// A different file was kept.
     Kept,
 }
 
-/// Writes `content` to `path`; an existing file that differs is replaced only if `overwrite` says so.
-pub(super) fn write(path: &Path, content: &str, overwrite: bool) -> Result<Written> {
+/// Writes `content` to `path`; replaces an existing different file only if `overwrite`.
+pub(super) fn write(path: &Path, content: &str, overwrite: bool) -> Result<WriteOutcome> {
     let context = || path.display().to_string();
     match OpenOptions::new().write(true).create_new(true).open(path) {
         Ok(mut file) => file.write_all(content.as_bytes()).with_context(context)?,
         Err(error) if error.kind() == ErrorKind::AlreadyExists => {
-            // Order and spaces of JSON are no edit.
+            // another order or other spaces are not an edit
             let value = |text: &[u8]| serde_json::from_slice::<Value>(text).ok();
             let found = fs::read(path).with_context(context)?;
             let is_same = value(&found).is_some_and(|v| Some(v) == value(content.as_bytes()));
             match (is_same, overwrite) {
                 (true, _) => {}
                 (false, true) => fs::write(path, content).with_context(context)?,
-                (false, false) => return Ok(Written::Kept),
+                (false, false) => return Ok(WriteOutcome::Kept),
             }
         }
         Err(error) => return Err(error).with_context(context),
     }
-    Ok(Written::Yes)
+    Ok(WriteOutcome::Yes)
 }
 
 #[cfg(test)]
@@ -41,22 +41,22 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_edited_configuration_is_kept_unless_told_otherwise() {
+    fn edited_configuration_is_kept_without_overwrite() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("config.json");
         let content = || fs::read_to_string(&path).unwrap();
         let preset = r#"{"depth": 24, "heads": 16}"#;
-        assert_eq!(write(&path, preset, false).unwrap(), Written::Yes);
-        assert_eq!(write(&path, preset, false).unwrap(), Written::Yes);
+        assert_eq!(write(&path, preset, false).unwrap(), WriteOutcome::Yes);
+        assert_eq!(write(&path, preset, false).unwrap(), WriteOutcome::Yes);
         let reordered = r#"{"heads":16,"depth":24}"#;
-        assert_eq!(write(&path, reordered, false).unwrap(), Written::Yes);
+        assert_eq!(write(&path, reordered, false).unwrap(), WriteOutcome::Yes);
         assert_eq!(content(), preset);
         for edited in [r#"{"depth": 12, "heads": 16}"#, "not JSON"] {
             fs::write(&path, edited).unwrap();
-            assert_eq!(write(&path, preset, false).unwrap(), Written::Kept);
+            assert_eq!(write(&path, preset, false).unwrap(), WriteOutcome::Kept);
             assert_eq!(content(), edited);
         }
-        assert_eq!(write(&path, preset, true).unwrap(), Written::Yes);
+        assert_eq!(write(&path, preset, true).unwrap(), WriteOutcome::Yes);
         assert_eq!(content(), preset);
     }
 }

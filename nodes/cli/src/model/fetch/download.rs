@@ -1,7 +1,7 @@
-//! Downloads that can be resumed and are checked.
+//! Downloads with resumption and verification.
 //!
-//! A download is resumed only if the server confirms, by the entity tag, that it is still the same file. In the end the
-//! hash decides: the one recorded last time, or the one that the server states.
+//! A download resumes only if the server confirms by the entity tag that the file is the same. The final check is the
+//! hash: the one recorded by an earlier download, or the one that the server states.
 
 mod part;
 
@@ -22,41 +22,39 @@ use ureq::typestate::AgentScope;
 use ureq::{Agent, Body};
 use wm_program::progress::Progress;
 
-/// How long a server may take to answer.
+/// How long a server may take to reply.
 const ANSWER_WITHIN: Duration = Duration::from_secs(30);
 /// Bytes read at once.
 const CHUNK: usize = 1 << 20;
-/// A file larger than this is no model that could be used here, and fills the disk.
+/// A larger file is not a usable model, and would fill the disk.
 const MAX_BYTES: u64 = 64 << 30;
 
-/// Where Hugging Face states the hash of a large file: on the answer that redirects to it.
+/// The header with which Hugging Face states the hash of a large file, in the redirect to it.
 const LINKED_ETAG: &str = "x-linked-etag";
-/// Where Hugging Face states the commit that a branch or a tag stands for.
+/// The header with which Hugging Face states the commit of a branch or tag.
 const REPO_COMMIT: &str = "x-repo-commit";
 
 /// A client for downloads.
 pub struct Client {
     agent: Agent,
-    /// For Hugging Face; not sent on to where it redirects.
+    /// For Hugging Face; not sent to redirect targets.
     token: Option<String>,
 }
 
 /// A file to download.
 pub struct Request<'a> {
-    /// Its address.
     pub url: &'a str,
-    /// Where it goes.
     pub path: &'a Path,
     /// SHA-256 that the server states.
     pub stated: Option<&'a str>,
-    /// SHA-256 of the file that was taken the last time.
+    /// SHA-256 of an earlier download.
     pub pinned: Option<&'a str>,
-    /// Whether another file at `path`, or another one than pinned, is replaced.
+    /// Whether to replace a different file at `path`, or accept a different file than pinned.
     pub overwrite: bool,
 }
 
 impl Request<'_> {
-    /// The hash that the file has to have, if it is known.
+    /// The required hash, if known.
     fn expected(&self) -> Result<Option<&str>> {
         match (self.pinned.filter(|_| !self.overwrite), self.stated) {
             (Some(pinned), Some(stated)) if pinned != stated => bail!(
@@ -68,17 +66,17 @@ impl Request<'_> {
     }
 }
 
-/// What a server says of a file before it sends it.
+/// Properties of a file that a server states before it sends it.
 #[derive(Debug, Default, PartialEq, Eq)]
-pub struct Stated {
-    /// Its SHA-256, of large files on Hugging Face.
+pub struct FileProperties {
+    /// SHA-256 of a large file on Hugging Face.
     pub sha256: Option<String>,
-    /// The commit that the revision asked for stands for, on Hugging Face.
+    /// The commit of the requested revision on Hugging Face.
     pub commit: Option<String>,
 }
 
 impl Client {
-    /// A client that shows `token` to Hugging Face.
+    /// A client that sends `token` to Hugging Face.
     pub fn new(token: Option<String>) -> Self {
         Self {
             agent: settings().https_only(true).build().into(),
@@ -86,8 +84,8 @@ impl Client {
         }
     }
 
-    /// Downloads a file and gives its SHA-256. Goes on from [`Part`] if that is there and the server still has the same
-    /// file. A file that is there and complete is only checked; one that differs is an error unless it may be replaced.
+    /// Downloads a file and returns its SHA-256. Resumes from [`Part`] if the server still has the same file. A
+    /// complete file is only checked; a different one is an error unless it may be replaced.
     pub fn fetch(&self, request: &Request<'_>) -> Result<String> {
         let expected = request.expected()?;
         let path = request.path;
@@ -108,7 +106,7 @@ impl Client {
         if let Some(expected) = expected
             && expected != found
         {
-            // Going on from wrong bytes would never end.
+            // to resume from wrong bytes would never end
             part.discard()?;
             bail!(
                 "not the expected file, or damaged in transfer: SHA-256 {found}, expected {expected}; it was removed"
@@ -118,8 +116,7 @@ impl Client {
         Ok(found)
     }
 
-    /// What the server says of a file.
-    pub fn stated(&self, url: &str) -> Result<Stated> {
+    pub fn stated(&self, url: &str) -> Result<FileProperties> {
         let mut request = self.agent.head(url);
         if let Some(token) = &self.token {
             request = request.header("Authorization", format!("Bearer {token}"));
@@ -129,13 +126,13 @@ impl Client {
         if !answer.status().is_redirection() {
             check_status(&answer)?;
         }
-        Ok(Stated {
+        Ok(FileProperties {
             sha256: linked_sha256(answer.headers()),
             commit: commit(answer.headers()),
         })
     }
 
-    /// Asks for the file, or for what lies behind `start`, as long as it is of the same version.
+    /// Requests the file, or the rest after `start` of the same version.
     fn get(&self, url: &str, start: &Start) -> Result<Response<Body>> {
         let mut request = self.agent.get(url);
         if let Some(token) = &self.token {
@@ -149,7 +146,7 @@ impl Client {
         request.call().context("no answer: is there a network?")
     }
 
-    /// Receives what `part` lacks; gives the hash of the whole.
+    /// Receives the rest after `part`, and returns the hash of the whole.
     fn receive(&self, url: &str, part: &Part) -> Result<String> {
         let mut start = part.start()?;
         let mut answer = self.get(url, &start)?;
@@ -168,7 +165,7 @@ impl Client {
         let Start {
             mut hash, mut have, ..
         } = start;
-        // What was not asked for in part has to come whole.
+        // without a range request the whole file has to come
         ensure!(
             have > 0 || answer.status() == StatusCode::OK,
             "the server answered {}",
@@ -183,7 +180,7 @@ impl Client {
         );
         let mut file = match have {
             0 => part.begin(strong_etag(answer.headers()))?,
-            _ => part.go_on()?,
+            _ => part.resume()?,
         };
         let part = part.path();
         let name = part.file_stem().unwrap_or_default().to_string_lossy();
@@ -222,22 +219,21 @@ impl Client {
 
 fn settings() -> ConfigBuilder<AgentScope> {
     Agent::config_builder()
-        // What a status means is told here.
+        // status codes are handled here
         .http_status_as_error(false)
         .timeout_connect(Some(ANSWER_WITHIN))
         .timeout_recv_response(Some(ANSWER_WITHIN))
 }
 
-/// What the answer to a request for the rest of a file holds.
+/// The content of a response to a request for the rest of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Resumption {
-    /// The rest.
     Rest,
-    /// Nothing: the file ends here, as after a download that was interrupted before its file was renamed.
+    /// Nothing: the part is already complete, for example after an interruption before the rename.
     Complete,
-    /// The whole file, since it is another one by now or the server sends no parts; or an error.
+    /// The whole file, because it has changed or the server does not support ranges; or an error.
     Whole,
-    /// Another part, or a part of another file.
+    /// Another range, or a range of another file.
     Unfit,
 }
 
@@ -249,7 +245,7 @@ impl Resumption {
             .is_none_or(|etag| etag.as_bytes() == start.etag.as_bytes());
         let range = headers.get(CONTENT_RANGE);
         let range = range.and_then(|range| range.to_str().ok()?.strip_prefix("bytes "));
-        // `FIRST-LAST/LENGTH`, or `*/LENGTH` where nothing lies in the range: RFC 9110, section 14.4.
+        // `FIRST-LAST/LENGTH`, or `*/LENGTH` for an unsatisfiable range: RFC 9110, section 14.4.
         let (first, length) = match range.and_then(|range| range.split_once('/')) {
             Some((range, length)) => (range.split('-').next(), length.parse().ok()),
             None => (None, None),
@@ -284,14 +280,13 @@ fn linked_sha256(headers: &HeaderMap) -> Option<String> {
     is_sha256.then(|| value.to_ascii_lowercase())
 }
 
-/// The commit in Hugging Face's header. It becomes a part of an address: anything else than a hash is none.
+/// The commit in Hugging Face's header. It becomes part of an address, so anything but a hash is ignored.
 fn commit(headers: &HeaderMap) -> Option<String> {
     let value = headers.get(REPO_COMMIT)?.to_str().ok()?;
     let is_hash = value.len() == 40 && value.bytes().all(|byte| byte.is_ascii_hexdigit());
     is_hash.then(|| value.to_owned())
 }
 
-/// Hash and length of a file.
 fn hash_file(path: &Path) -> Result<(Sha256, u64)> {
     let mut file = File::open(path).with_context(|| path.display().to_string())?;
     let mut hash = Sha256::new();
@@ -302,7 +297,7 @@ fn hash_file(path: &Path) -> Result<(Sha256, u64)> {
 fn hex(hash: &Sha256) -> String {
     let mut text = String::new();
     for byte in hash.clone().finalize() {
-        // Writing to a string does not fail.
+        // writing to a string does not fail
         write!(text, "{byte:02x}").ok();
     }
     text

@@ -1,7 +1,7 @@
-//! Which revision and which bytes of a model a folder holds: `fetched.json`.
+//! The revision and the hashes of a model's files in a folder: `fetched.json`.
 //!
-//! The first download writes it; later ones of the same folder ask for that revision and take only files of these
-//! hashes. Copied to another machine it makes `wm model fetch` give the same files there, or fail.
+//! The first download writes it. Later ones of the same folder request that revision and accept only these hashes. On
+//! another machine, a copy makes `wm model fetch` return the same files or fail.
 
 use anyhow::{Context as _, Result};
 use serde::{Deserialize, Serialize};
@@ -10,14 +10,13 @@ use std::fs::{self, File};
 use std::io::{ErrorKind, Write as _};
 use std::path::{Path, PathBuf};
 
-/// Name of the file.
 const FILE: &str = "fetched.json";
 
-/// A model's files as they were downloaded.
+/// The revision and files of a downloaded model.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Pin {
-    /// Commit of the Hugging Face repository; none for other servers.
+    /// Commit of the Hugging Face repository; `None` for other servers.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub revision: Option<String>,
     /// Hexadecimal SHA-256 of each file, by its name in the folder.
@@ -32,7 +31,7 @@ pub(super) struct Pins {
 }
 
 impl Pins {
-    /// Those of `folder`; none where nothing was downloaded to it.
+    /// The pins of `folder`; none before the first download.
     pub(super) fn read(folder: &Path) -> Result<Self> {
         let path = folder.join(FILE);
         let models = match fs::read_to_string(&path) {
@@ -43,12 +42,11 @@ impl Pins {
         Ok(Self { path, models })
     }
 
-    /// That of a model.
     pub(super) fn of(&self, model: &str) -> Option<&Pin> {
         self.models.get(model)
     }
 
-    /// Writes that of a model, by renaming a whole file over the old one.
+    /// Adds the pin of a model, and replaces the file atomically.
     pub(super) fn write(&mut self, model: &str, pin: &Pin) -> Result<()> {
         self.models.insert(model.to_owned(), pin.clone());
         let text = serde_json::to_string_pretty(&self.models)? + "\n";
@@ -68,7 +66,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pins_are_read_back_and_those_of_other_models_kept() {
+    fn pins_of_several_models_are_kept() {
         let folder = tempfile::tempdir().unwrap();
         let mut pins = Pins::read(folder.path()).unwrap();
         assert_eq!(pins.of("web-dino"), None);

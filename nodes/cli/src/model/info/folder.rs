@@ -1,4 +1,4 @@
-//! What a model's folder has, and what it lacks.
+//! The parts of a model folder.
 
 use anyhow::Result;
 use serde_json::{Value, json};
@@ -6,26 +6,26 @@ use std::fmt;
 use wm_model::LatentSpace;
 use wm_zoo::{Error, IDM_FILE, ModelFolder, PROBE_FILE, Unfinished};
 
-/// A model, of whose weights only the encoder's are read.
-pub struct Folder {
+/// A model; reads only the encoder's weights.
+pub(super) struct Folder {
     name: String,
     space: LatentSpace,
-    /// What is there, and what its absence means.
+    /// The parts; if missing, with the consequence.
     parts: Vec<(&'static str, Result<(), &'static str>)>,
     unfinished: Vec<Unfinished>,
     has_transition: bool,
 }
 
 impl Folder {
-    /// Looks into a model.
+    /// Reads a model.
     ///
     /// # Errors
-    /// If there is none of this name, or a file of it cannot be used.
-    pub fn open(name: &str) -> Result<Self> {
+    /// There is no such model, or a file cannot be used.
+    pub(super) fn open(name: &str) -> Result<Self> {
         let model = ModelFolder::open(name)?;
-        let (has_decoder, has_probe) = match &model {
-            ModelFolder::Trained(_) => (true, false),
-            ModelFolder::Described(folder) => {
+        let (has_decoder, has_probe) = match model.described() {
+            None => (true, false),
+            Some(folder) => {
                 let description = folder.description();
                 (description.decoder.is_some(), description.probe.is_some())
             }
@@ -60,8 +60,8 @@ impl Folder {
         })
     }
 
-    /// The same for programs.
-    pub fn json(&self) -> Value {
+    /// For programs.
+    pub(super) fn json(&self) -> Value {
         let parts = self.parts.iter().filter(|(_, is_there)| is_there.is_ok());
         let marks = self.unfinished.iter();
         let marks = marks.map(|mark| {
@@ -84,14 +84,14 @@ impl fmt::Display for Folder {
         for (part, is_there) in &self.parts {
             match is_there {
                 Ok(()) => writeln!(f, "  {part:<12}there")?,
-                Err(otherwise) => writeln!(f, "  {part:<12}not there: {otherwise}")?,
+                Err(otherwise) => writeln!(f, "  {part:<12}missing: {otherwise}")?,
             }
         }
         for mark in &self.unfinished {
             writeln!(f, "The training of its {} is {mark}.", mark.part)?;
         }
         if !self.unfinished.is_empty() {
-            writeln!(f, "The command that began it goes on with it.")?;
+            writeln!(f, "The same command resumes it.")?;
         }
         if !self.has_transition {
             let name = name.clone();
@@ -111,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_stopped_training_left_is_told_with_what_to_do() {
+    fn unfinished_training_is_reported_with_a_remedy() {
         let scratch = tempfile::tempdir().unwrap();
         let folder = scratch.path();
         let config = wm_model::autoencoder::AutoencoderConfig::tiny();
@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn the_embedded_default_has_every_part() {
+    fn embedded_default_has_every_part() {
         let text = Folder::open("tiny").unwrap().to_string();
         assert_eq!(text.matches("  there").count(), 5, "{text}");
         assert_eq!(text.lines().count(), 6, "{text}");

@@ -1,5 +1,6 @@
 #![allow(clippy::unwrap_used, clippy::indexing_slicing)]
 
+use candle_core::Tensor;
 use wm_model::LatentSpace;
 use wm_msgs::builtin_interfaces::Time;
 

@@ -15,7 +15,7 @@ fn needs(frame_skip: usize, context_frames: usize) -> Needs {
     }
 }
 
-/// What became of the frames of a virtual camera.
+/// The fates of the frames of a virtual camera.
 #[derive(Debug, Default)]
 struct Run {
     /// Stamps of the encoded frames \[ns\], and how old each was when its latent was there.
@@ -158,7 +158,7 @@ fn a_slow_encoder_that_was_never_measured_settles() {
 
 /// A machine that was busy while the node started: the first frame shows that the estimate was wrong.
 #[test]
-fn an_estimate_that_was_far_too_long_costs_few_frames_and_not_a_whole_bag() {
+fn an_estimate_far_too_long_costs_few_frames() {
     let needs = needs(2, 2);
     let mut choice = Choice::new(needs, Some(PERIOD * 20));
     assert_eq!(choice.mode(), Mode::Contexts(20));
@@ -168,7 +168,7 @@ fn an_estimate_that_was_far_too_long_costs_few_frames_and_not_a_whole_bag() {
 }
 
 #[test]
-fn of_a_fast_camera_an_encoder_that_is_fast_enough_for_the_model_takes_the_model_s_frames() {
+fn a_fast_encoder_takes_the_models_frames_of_a_faster_camera() {
     let needs = needs(2, 2);
     let mut choice = Choice::new(needs, None);
     let stamps: Vec<i64> = (0..300).map(|tick| tick * PERIOD_NS / 6).collect();

@@ -1,4 +1,4 @@
-//! What an active env holds, and what it does next.
+//! The state of an active env, and its next steps.
 
 use std::{
     collections::{BTreeSet, VecDeque},
@@ -27,17 +27,17 @@ use wm_camera::camera_frame::CameraFrame;
 use wm_ros::complaints::Complaints;
 use wm_wire::transport::{ImageSubscription, Transports};
 
-/// An observation that a policy does not answer is sent again: it may have been lost, or the policy may have restarted.
+/// An observation without an answer is sent again after this time: it may be lost, or the policy may have restarted.
 pub(super) const RESEND: Duration = Duration::from_secs(1);
 /// How often the graph is checked for a policy.
 const LOOK: Duration = Duration::from_millis(100);
 
 /// Calls of one kind that may wait; each holds its request.
 const MOST_WAITING: usize = 64;
-/// Calls that came together are computed together: how long the first of them waits for the others. Far below a step.
+/// Calls that arrive together are computed together: how long the first of them waits for the others. Far below a step.
 const GATHER: Duration = Duration::from_millis(5);
 
-/// What the env's thread is to do.
+/// A job of the env's thread.
 pub(super) enum Job {
     Reset {
         request: EnvResetRequest,
@@ -47,7 +47,7 @@ pub(super) enum Job {
     Step(Vec<Move>),
 }
 
-/// What it has done, and how long it took.
+/// The result of a job, and its time.
 pub(super) enum Done {
     Reset(Result<Box<(EnvResetResponse, Observation)>, EnvError>),
     Step {
@@ -57,7 +57,7 @@ pub(super) enum Done {
     },
 }
 
-/// Who waits for an answer; the topics are their own client.
+/// The client that waits for an answer; the topics count as one.
 pub(super) enum Resetter {
     Service(Box<Call<EnvReset>>),
     Topics,
@@ -92,7 +92,7 @@ pub(super) struct Played {
     pub(super) published: Instant,
     /// When this observation was published first.
     pub(super) shown: Instant,
-    /// Whether the task was done, as somebody said; ends the episode.
+    /// Whether the task was done, by a message; ends the episode.
     pub(super) outcome: Option<bool>,
     pub(super) is_over: bool,
 }
@@ -114,7 +114,7 @@ pub(super) struct Active {
 }
 
 impl Active {
-    /// Begins what can begin; whether everything is done that the env was started for.
+    /// Starts what is possible; returns whether all episodes of the env are done.
     pub(super) fn go_on(&mut self, node: &EnvNode) -> Result<bool> {
         let now = Instant::now();
         if self
@@ -172,7 +172,7 @@ impl Active {
                 .is_some_and(|awaited| is_topics(&awaited.resetter))
     }
 
-    /// When something is to be done though nothing comes.
+    /// When the next step is due without input.
     pub(super) fn wake(&self, parameters: &Parameters) -> Instant {
         let now = Instant::now();
         let mut wake = now + RESEND;
@@ -183,7 +183,7 @@ impl Active {
             wake = wake.min(self.gathered);
         }
         match &self.played {
-            // What is due already waits for the policy, not for the time.
+            // A step that is due waits for the policy, not for the time.
             Some(played) if played.due > now => wake.min(played.due),
             Some(_) => wake,
             None if self.begun < parameters.episodes => wake.min(now + LOOK),
@@ -191,7 +191,7 @@ impl Active {
         }
     }
 
-    /// Takes a call in; one too many is refused at once.
+    /// Queues a call; refuses it at once if too many wait.
     pub(super) fn take_reset(&mut self, call: Call<EnvReset>) -> Result<()> {
         let request = call.request.clone();
         let resetter = Resetter::Service(Box::new(call));
@@ -226,7 +226,7 @@ impl Active {
         resetter: Resetter,
         node: &EnvNode,
     ) -> Result<()> {
-        match node.parameters.start(&request, &node.model.start_root) {
+        match node.parameters.start(&request, &node.resources.start_root) {
             Err(error) => self.refuse_reset(resetter, &error),
             Ok(Start::Topic(topic)) => {
                 if self.awaited.is_some() {
@@ -277,7 +277,7 @@ impl Active {
             request, resetter, ..
         }) = self.awaited.take()
         {
-            // While something else is computed it waits for a newer image.
+            // While another job runs, it waits for a newer image.
             if matches!(self.in_flight, InFlight::Nothing) {
                 self.begin(request, Start::Frame(Box::new(frame)), resetter);
             } else {
@@ -297,7 +297,7 @@ impl Active {
                 self.answer(call.respond(&response));
                 Ok(())
             }
-            // Nobody is there to begin another one.
+            // No client is left to begin another one.
             Resetter::Topics => anyhow::bail!("cannot begin the episode: {error}"),
         }
     }
@@ -438,8 +438,8 @@ impl Active {
                 self.played = Some(Played {
                     attached: Attached::new(
                         response.episode_id,
-                        node.model.encoding.clone(),
-                        node.model.timing,
+                        node.resources.encoding.clone(),
+                        node.resources.timing,
                         merging,
                         stamp,
                     ),
@@ -463,12 +463,12 @@ impl Active {
     }
 }
 
-/// Whether the caller, and not the env's own parameters, says which file the episode starts from.
+/// Whether the caller, not a parameter, names the file of the start.
 fn names_file(request: &EnvResetRequest) -> bool {
     !request.bag.is_empty() || !request.image.is_empty()
 }
 
-/// Sends what an episode by service has seen; it is on its way before the answer is.
+/// Publishes the observations of an episode by service, before the answer is sent.
 fn show(episode_id: &str, moved: &Moved, node: &EnvNode) -> Result<()> {
     // A move is a handful of steps, and they are counted.
     let first = moved.steps.saturating_sub(moved.observations.len() as u32);
@@ -524,8 +524,8 @@ fn response(
     }
 }
 
-/// What an answer says of an error. The middleware sends an answer in one datagram or not at all: RustDDS 0.15.1 writes
-/// fragments of a sample with a related sample identity that no peer can read. Images therefore go by a topic.
+/// The text of an error in an answer. The middleware sends an answer in one datagram or not at all: RustDDS 0.15.1 writes
+/// fragments of a sample with a related sample identity that no peer can read. Images therefore are sent by a topic.
 fn shortened(error: &dyn std::fmt::Display) -> String {
     const LONGEST: usize = 400;
     error.to_string().chars().take(LONGEST).collect()

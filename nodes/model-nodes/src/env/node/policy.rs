@@ -15,7 +15,7 @@ use crate::history::{HistoryError, seconds};
 use wm_camera::image_message::encode_image;
 use wm_wire::transport::Pictures;
 
-/// How long a policy may take before it is asked after.
+/// How long a policy may take before the env warns.
 const PATIENCE: Duration = Duration::from_secs(5);
 
 pub(super) fn has_policy(node: &EnvNode) -> bool {
@@ -32,7 +32,7 @@ fn action_topics(node: &EnvNode) -> String {
     [endpoints.chunks.topic(), endpoints.actions.topic()].join(" or ")
 }
 
-/// What a policy still lacks, in a word and in words.
+/// What is missing of a policy, as a word and as a sentence.
 pub(super) fn missing(node: &EnvNode) -> (&'static str, String) {
     if is_seen(node) {
         let topics = action_topics(node);
@@ -49,7 +49,7 @@ pub(super) fn missing(node: &EnvNode) -> (&'static str, String) {
     }
 }
 
-/// Shows the policy that plays through topics what there is to see.
+/// Publishes the observations for the policy that is attached by topics.
 pub(super) fn publish(observation: &Observation, node: &EnvNode) -> Result<()> {
     let transports = node.parameters.image_transport;
     let header = || observation.jpeg.header.clone();
@@ -63,7 +63,7 @@ pub(super) fn publish(observation: &Observation, node: &EnvNode) -> Result<()> {
 }
 
 impl Active {
-    /// Sends the observation again that the policy does not answer, and asks after it.
+    /// Sends an unanswered observation again, and warns.
     pub(super) fn remind(&mut self, now: Instant, node: &EnvNode) -> Result<()> {
         if let Some(played) = &mut self.played
             && !played.is_over
@@ -87,7 +87,7 @@ impl Active {
         Ok(())
     }
 
-    /// The played episode has taken a step, or has ended.
+    /// Handles a step or the end of the episode.
     pub(super) fn stepped(&mut self, moved: Result<Moved, EnvError>, node: &EnvNode) -> Result<()> {
         let moved = moved.context("the episode played through topics")?;
         let Some(mut played) = self.played.take() else {
@@ -121,7 +121,7 @@ impl Active {
         Ok(())
     }
 
-    /// Reports what became of an action or a chunk of this stamp; none: there is no episode that it could be for.
+    /// Reports the fate of an action or a chunk of this stamp; `None`: there is no episode for it.
     pub(super) fn note(&mut self, taken: Option<Result<bool, HistoryError>>, stamp: Time) {
         let shown = self.played.as_ref();
         let shown = shown.map(|played| seconds(played.observation.jpeg.header.stamp));

@@ -408,7 +408,7 @@ fn a_bag_gives_the_history_before_its_frame() {
 }
 
 #[test]
-fn what_cannot_be_is_refused_by_name_and_leaves_the_episode_as_it_is() {
+fn invalid_moves_are_refused_by_name_and_change_nothing() {
     let mut env = env(None);
     let refused = |env: &mut Env, asked: Move| step(env, asked).unwrap_err().to_string();
     assert!(refused(&mut env, moves("a", &[0.0])).contains("no episode \"a\"; there are: none"));
@@ -452,9 +452,9 @@ fn what_cannot_be_is_refused_by_name_and_leaves_the_episode_as_it_is() {
     assert!(error.contains("/no/such.png"), "{error}");
 }
 
-/// Opening a pipe waits for who writes into it, and the env computes one thing at a time.
+/// Opening a pipe blocks until a writer opens it, and the env computes one job at a time.
 #[test]
-fn a_start_that_would_block_is_refused_and_a_caller_learns_nothing_of_a_file() {
+fn a_start_that_would_block_is_refused_without_a_reason() {
     let folder = tempfile::tempdir().unwrap();
     let pipe = folder.path().join("pipe");
     let mode = rustix::fs::Mode::RUSR | rustix::fs::Mode::WUSR;

@@ -1,10 +1,8 @@
 #![allow(clippy::unwrap_used, clippy::indexing_slicing)]
 
-use candle_core::{Device, Tensor};
 use wm_model::WorldModel;
 use wm_model::{
     LatentSpace,
-    sampler::Given,
     transition::{Transition, TransitionConfig},
 };
 use wm_motion::actions::ActionEncoding;
@@ -94,7 +92,7 @@ fn history() -> History {
     History::new(settings, space(), encoding, Time::default())
 }
 
-/// Sees frame `index`.
+/// Sends frame `index`.
 fn see(step: &mut EvaluatorStep, index: i64) {
     see_of(step, index, false);
 }
@@ -128,7 +126,7 @@ fn evaluator() -> EvaluatorStep {
     step
 }
 
-/// What the node does when candidates come.
+/// Sends candidates, as the node does.
 fn ask(
     step: &EvaluatorStep,
     asked: &ActionCandidates,
@@ -205,7 +203,7 @@ fn a_candidate_beyond_the_horizon_is_named_with_what_to_do() {
 }
 
 #[test]
-fn a_candidate_in_a_batch_is_its_own_rollout_and_the_nearest_to_the_goal_is_best() {
+fn batched_candidates_equal_rollouts_and_the_nearest_is_best() {
     let mut step = evaluator();
     let model = model();
     let asked = candidates(vec![
@@ -234,22 +232,15 @@ fn a_candidate_in_a_batch_is_its_own_rollout_and_the_nearest_to_the_goal_is_best
     let mut sampler = model.transition.config().sampler.clone();
     sampler.steps = 1;
     let moment = &request.moment;
-    let mut rollout = moment
-        .rollout(&model.transition, &space(), &sampler, 9)
-        .unwrap();
-    let tensor = |action: &StepAction| {
-        Tensor::from_slice(&action.model.values, (1, 7), &Device::Cpu).unwrap()
-    };
+    let mut rollout = moment.rollout(&model.transition, &sampler, 9).unwrap();
     let actions = &request.candidates[1];
     let mut reached = Vec::new();
     for (action, next) in actions.iter().zip(&actions[1..]) {
-        let next = tensor(next);
-        let given = Given {
-            own_action: Some(&next),
-            ..Given::default()
-        };
-        let latent = rollout.next_given(&tensor(action), given).unwrap();
-        reached = latent.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+        let (fed, own) = (
+            [action.model.values.as_slice()],
+            [next.model.values.as_slice()],
+        );
+        reached = rollout.predict(&fed, Some(&own)).unwrap().concat();
     }
     step.set_goal(Goal::of_latent(Time::default(), reached.into()));
     let request = ask(&step, &asked).unwrap();
@@ -301,7 +292,7 @@ fn candidates_are_not_assessed_from_a_frame_that_is_too_old() {
     assert!(error.to_string().contains("max_age"), "{error}");
 }
 
-/// What the robot does until a candidate begins is what it was told to do.
+/// Until a candidate begins, the robot executes the current chunk.
 #[test]
 fn the_chunk_under_way_is_done_until_a_candidate_begins() {
     let mut step = evaluator();

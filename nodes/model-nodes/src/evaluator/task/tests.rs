@@ -2,7 +2,6 @@
 
 use std::time::Instant;
 
-use candle_core::Tensor;
 use serde_json::json;
 use tempfile::TempDir;
 use wm_model::WorldModel;
@@ -125,14 +124,14 @@ fn text(words: &str) -> Text {
     Text { data: words.into() }
 }
 
-/// What the node does when `words` come.
+/// Sends the instruction `words`, as the node does.
 fn instruct(step: &mut EvaluatorStep, probe: &SuccessClassifier, words: &str) {
     let words = step.task_mut().take(&text(words)).unwrap();
     let read = probe.instruction(&words);
     step.task_mut().read(words, read);
 }
 
-/// What the node does when candidates come.
+/// Sends candidates, as the node does.
 fn ask(step: &EvaluatorStep, asked: &ActionCandidates) -> EvaluationRequest {
     let request = step.candidates(asked, Instant::now(), Time::default());
     request.unwrap()
@@ -143,7 +142,7 @@ fn probabilities(candidates: &[CandidateAssessment]) -> Vec<f32> {
 }
 
 #[test]
-fn each_candidate_has_the_probability_of_its_own_episode_and_of_the_instruction() {
+fn each_candidate_has_its_own_success_probability() {
     let (_folder, predictor, probe) = probed_model();
     let mut step = evaluator(&predictor);
     instruct(&mut step, &probe, "open the drawer");
@@ -169,11 +168,11 @@ fn each_candidate_has_the_probability_of_its_own_episode_and_of_the_instruction(
     // It is that of the observed frames with the predicted ones behind.
     let request = ask(&step, &candidates(&[0.04, 0.0, -0.04]));
     let latents = model.evaluate(&request).unwrap().latents;
-    let context = request.moment.context(&predictor.space).unwrap();
     let instruction = probe.instruction("open the drawer").unwrap();
     for (index, found) in opening.iter().enumerate() {
-        let parts = [context.get(0).unwrap(), latents.get(index).unwrap()];
-        let episode = Tensor::cat(&parts, 0).unwrap();
+        let mut frames = request.moment.context();
+        frames.extend(latents.iter().map(|of_step| of_step[index].as_slice()));
+        let episode = predictor.space.stack(&frames).unwrap();
         assert_eq!(episode.dim(0).unwrap(), 4);
         let expected = probe.probability(&episode, &instruction).unwrap();
         assert!((found - expected).abs() < 1e-6, "{found} {expected}");
@@ -185,7 +184,7 @@ fn each_candidate_has_the_probability_of_its_own_episode_and_of_the_instruction(
 }
 
 #[test]
-fn there_is_no_probability_without_a_probe_or_an_instruction_and_costs_are_the_same() {
+fn without_probe_or_instruction_there_is_no_probability() {
     let (_folder, predictor, probe) = probed_model();
     let mut step = evaluator(&predictor);
     let without = EvaluatorModel::new(predictor.clone(), 0);

@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 use wm_camera::image_message::ImageError;
-use wm_msgs::builtin_interfaces::InvalidNanoseconds;
+use wm_msgs::InvalidNanoseconds;
 use wm_wire::latent_message::LatentError;
 
 use super::MOST_LATENTS;

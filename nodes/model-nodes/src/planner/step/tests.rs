@@ -140,7 +140,7 @@ fn values(index: i64) -> Vec<f32> {
         .collect()
 }
 
-/// Feeds the frames of a span, before each the robot's action.
+/// Sends the frames of a span, before each the robot's action.
 fn feed_moving(step: &mut PlannerStep, span: std::ops::RangeInclusive<u32>, moving: &[f32; 7]) {
     feed_of(step, span, moving, false);
 }
@@ -304,7 +304,7 @@ fn whole(searched: &[f32]) -> Vec<f32> {
 }
 
 #[test]
-fn plans_are_a_period_apart_and_start_from_the_rest_of_the_last_one() {
+fn plans_are_a_period_apart_and_start_from_the_last_one() {
     let mut step = planner();
     step.set_goal(goal(40), Time::default());
     feed(&mut step, 0..=2);
@@ -329,7 +329,7 @@ fn plans_are_a_period_apart_and_start_from_the_rest_of_the_last_one() {
 
 /// A search that takes longer than the plan period is behind the next request when it ends, and still a start.
 #[test]
-fn a_search_slower_than_the_plan_period_still_starts_the_next_one() {
+fn a_search_slower_than_the_period_still_starts_the_next_one() {
     let mut step = planner_that_begins(Lead::Measured {
         first: Duration::from_secs(1),
     });
@@ -381,7 +381,7 @@ fn a_plan_begins_where_the_robot_will_be_when_it_is_ready() {
     sampler.steps = 1;
     let rollout = request
         .moment
-        .rollout(&model.transition, &space(), &sampler, request.seed);
+        .rollout(&model.transition, &sampler, request.seed);
     let mut rollout = rollout.unwrap();
     let open = |action: &Vec<f32>| [action.as_slice(), &[-1.0]].concat();
     let until = request.until[..3]

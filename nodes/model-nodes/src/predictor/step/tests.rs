@@ -109,7 +109,7 @@ fn action(index: i64) -> Action {
     }
 }
 
-/// Feeds frames and actions of a span; gives the outcome of the last frame.
+/// Sends frames and actions of a span; returns the outcome of the last frame.
 fn feed(step: &mut PredictorStep, span: std::ops::RangeInclusive<i64>) -> Outcome {
     let mut last = None;
     for index in span {
@@ -183,7 +183,7 @@ fn predictions_from_a_stopped_camera_are_doubted() {
 }
 
 #[test]
-fn what_is_computed_before_the_observation_comes_changes_no_prediction() {
+fn computing_ahead_of_the_observation_changes_no_prediction() {
     let (model, mut step) = (model(), predictor());
     feed(&mut step, 0..=1);
     assert!(
@@ -201,18 +201,13 @@ fn what_is_computed_before_the_observation_comes_changes_no_prediction() {
     assert_eq!(values(Some(&prepared)), values(None));
 
     let mut rollout = (request.moment)
-        .rollout(
-            &model.transition,
-            &model.space,
-            &model.transition.config().sampler,
-            9,
-        )
+        .rollout(&model.transition, &model.transition.config().sampler, 9)
         .unwrap();
     assert_eq!(rollout.take_over(&prepared), 1);
 }
 
 #[test]
-fn the_same_messages_give_the_same_predictions_and_the_seed_changes_them() {
+fn predictions_depend_on_messages_and_seed_alone() {
     let model = model();
     let predict = |seed: Option<u64>| {
         let mut step = predictor();

@@ -1,4 +1,4 @@
-//! What holds for the adapter.
+//! Properties of the adapter.
 
 mod leaps;
 
@@ -113,7 +113,7 @@ proptest! {
 }
 
 #[test]
-fn a_pose_on_each_end_of_a_period_gives_its_displacement_exactly() {
+fn poses_at_both_ends_of_a_period_give_its_displacement() {
     let mut adapter = adapter(MotionSource::Pose);
     for ms in [0, 200, 400] {
         adapter.pose(&pose(ms), 0).unwrap();
@@ -150,7 +150,7 @@ fn twists_are_integrated_and_hold_until_the_next_one() {
 }
 
 #[test]
-fn after_the_last_twist_the_arm_comes_to_a_stop_and_then_nothing_is_published() {
+fn after_the_last_twist_come_a_stop_and_then_silence() {
     let mut adapter = adapter(MotionSource::Twist);
     assert!(adapter.tick(START));
     adapter.twist(&twist(0, 0.1), 0).unwrap();
@@ -202,7 +202,7 @@ fn across_a_gap_there_is_no_action_and_it_is_counted() {
 }
 
 #[test]
-fn stamps_that_go_back_begin_anew_and_those_that_overtake_are_left_out() {
+fn stamps_that_go_back_begin_anew_and_overtaken_are_dropped() {
     for source in [MotionSource::Pose, MotionSource::Twist] {
         let mut adapter = adapter(source.clone());
         let mut take = |ms: i64| match source {
@@ -406,7 +406,7 @@ fn frames() -> AdapterStep {
 }
 
 #[test]
-fn transforms_are_composed_along_the_tree_at_a_time_that_all_are_known() {
+fn transforms_are_composed_at_a_time_when_all_are_known() {
     let mut adapter = frames();
     let mount = Isometry3::translation(0.0, 0.0, 1.0) * Isometry3::rotation(Vector3::x());
     let tip = Isometry3::translation(0.1, 0.0, 0.0);
@@ -440,7 +440,7 @@ fn transforms_are_composed_along_the_tree_at_a_time_that_all_are_known() {
         vec![frame(30, "column", "flange", &hand(30))],
     );
     // The column is not known at 30 ms, nor the flange at 0.
-    assert!(matches!(adapter.follow(), Err(Unknown::Time(_))));
+    assert!(matches!(adapter.follow(), Err(LookupError::Time(_))));
     let mut expected = Vec::new();
     for ms in (50..1000).step_by(50) {
         tell(
@@ -485,13 +485,13 @@ fn frames_that_lead_round_nowhere_or_never_move_are_named() {
         ],
     };
     adapter.transforms(&ring, false);
-    assert_eq!(adapter.follow(), Err(Unknown::Ring("tool".into())));
+    assert_eq!(adapter.follow(), Err(LookupError::Ring("tool".into())));
     let mut adapter = frames();
     let fixed = TFMessage {
         transforms: vec![frame(0, "base_link", "tool", &one)],
     };
     adapter.transforms(&fixed, true);
-    assert!(matches!(adapter.follow(), Err(Unknown::Static { .. })));
+    assert!(matches!(adapter.follow(), Err(LookupError::Static { .. })));
     let mut bad = frame(0, "base_link", "tool", &one);
     bad.transform.rotation.w = 0.5;
     let mut good = frame(10, "base_link", "tool", &one);

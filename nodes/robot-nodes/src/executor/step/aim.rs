@@ -9,7 +9,7 @@ use crate::executor::{
 };
 
 impl ExecutorStep {
-    /// The command of the period that begins now. To be called once a period.
+    /// The command of the period that begins now. Call it once per period.
     pub fn tick(&mut self, now: Moment) -> Tick {
         let since = self
             .last
@@ -44,7 +44,7 @@ impl ExecutorStep {
         }
     }
 
-    /// The motion of this period, and why it is not that of an offer.
+    /// The motion of this period, and the reason if it is not an offer's.
     fn motion(&mut self, now: Moment, refused: &mut Vec<Refusal>) -> (PeriodMotion, Option<Cause>) {
         let nothing = PeriodMotion {
             velocity: self.still(),
@@ -94,7 +94,7 @@ impl ExecutorStep {
         (motion, cause)
     }
 
-    /// Advances the schedule; gives the reason why the last offer has ended, if none has begun since.
+    /// Advances the schedule; returns the reason for the end of the last offer, if none has begun since.
     fn advance(
         &mut self,
         now: Moment,
@@ -143,8 +143,8 @@ impl ExecutorStep {
         }
     }
 
-    /// The motion of the offers in this period. If their source is late at times and the last one ends in it, that goes on to
-    /// the end of the period: the next one may be on its way.
+    /// The motion of the offers in this period. If their source is sometimes late and the last one ends within the period, its
+    /// motion continues to the end of the period: the next offer may arrive.
     fn offered(&self, now: Moment) -> Option<PeriodMotion> {
         let joints = self.settings.joints.as_ref();
         let places = joints.and_then(|joints| joints.places());
@@ -165,8 +165,7 @@ impl ExecutorStep {
         self.lateness.is_late_at_times(now.stamp_ns) && !self.settings.layout.has_positions()
     }
 
-    /// After offers of a source that is late at times, the arm takes all the time that it has to stop: the next one may be
-    /// on its way.
+    /// After offers of a source that is sometimes late, the arm uses all of its time to stop: the next offer may arrive.
     fn eased(&self, now: Moment) -> Option<PeriodMotion> {
         let (velocity, since) = self.ease?;
         let passed = now.at.saturating_duration_since(since) + self.settings.period;
@@ -183,7 +182,7 @@ impl ExecutorStep {
         i64::try_from(self.settings.period.as_nanos()).unwrap_or(i64::MAX)
     }
 
-    /// The joints go on by the command, or rest where they are.
+    /// The joints continue by the command, or rest at their positions.
     fn go(&mut self) {
         let seconds = self.settings.period.as_secs_f64();
         if let Some(joints) = &mut self.settings.joints {
@@ -194,7 +193,7 @@ impl ExecutorStep {
         }
     }
 
-    /// Time has gone back, as when a bag begins again or the clock is set: forgets everything.
+    /// Drops everything, because time jumped back: a bag begins again, or the clock was set.
     fn jump(&mut self) {
         self.forget();
         self.epoch = None;

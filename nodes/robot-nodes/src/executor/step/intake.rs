@@ -11,7 +11,7 @@ use crate::executor::{Begin, Hold, lateness::Course, refusal::stamp_of, veto::Ve
 const MOST_WAITING: usize = 8;
 
 impl ExecutorStep {
-    /// Takes a policy's chunk that came at `received`.
+    /// Takes a policy's chunk.
     ///
     /// # Errors
     /// [`Refusal`]: it is not executed.
@@ -24,7 +24,7 @@ impl ExecutorStep {
         self.offer(Offer::of_chunk(chunk), received, now)
     }
 
-    /// Takes a planner's plan that came at `received`.
+    /// Takes a planner's plan.
     ///
     /// # Errors
     /// [`Refusal`]: it is not executed.
@@ -159,7 +159,7 @@ impl ExecutorStep {
         }
     }
 
-    /// That no condition of a motion is missing.
+    /// Checks that no condition of motion is missing.
     pub(super) fn expect_free(&self, now: Moment) -> Result<(), Hold> {
         self.settings.clock.check(now)?;
         self.settings.camera.check(now)?;
@@ -180,7 +180,7 @@ impl ExecutorStep {
         Ok(())
     }
 
-    /// Takes the chunks that a policy chooses from: an assessment refers to them.
+    /// Takes a policy's candidates, to which an assessment refers.
     ///
     /// # Errors
     /// [`Refusal::Stamp`]: they are dropped.
@@ -190,8 +190,8 @@ impl ExecutorStep {
         Ok(())
     }
 
-    /// Takes an assessment of a policy's candidates: chunks that waited for it are considered again, and the one that is
-    /// executed may be vetoed. Gives the refusals.
+    /// Takes an assessment of a policy's candidates: chunks that waited for it are checked again, and the current one may be
+    /// vetoed. Returns the refusals.
     pub fn assessment(&mut self, assessment: &Assessment, now: Moment) -> Vec<Refusal> {
         let stamp_ns = match stamp_of("assessment", assessment.candidates_stamp) {
             Ok(stamp_ns) => stamp_ns,

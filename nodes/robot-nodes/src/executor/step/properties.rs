@@ -1,4 +1,4 @@
-//! What holds whatever comes.
+//! Properties that hold for any input.
 
 use proptest::prelude::*;
 
@@ -12,7 +12,7 @@ use crate::executor::{
 const LINEAR: (f64, f64) = (0.25, 2.0);
 const ANGULAR: (f64, f64) = (1.25, 10.0);
 
-/// What may happen between two commands.
+/// An event between two commands.
 #[derive(Clone, Debug)]
 enum Event {
     Nothing,
@@ -125,7 +125,7 @@ proptest! {
         prop_assert!(last.is_zero(), "{last:?}");
     }
 
-    /// The arm goes where it is told at once, and says where it is at times.
+    /// An arm that follows commands at once, and sometimes reports its position.
     #[test]
     fn no_motion_leaves_the_box(
         motions in prop::collection::vec((prop::array::uniform3(-0.1_f32..0.1), 1_i64..10), 1..40),

@@ -134,7 +134,7 @@ impl Bench {
         self.step.tick(now).output
     }
 
-    /// Ticks from one time up to another, and gives the last command's forward velocity; none where nothing is sent.
+    /// Ticks from one time up to another; returns the last command's forward velocity, or `None` if nothing is sent.
     fn run(&mut self, from_ms: i64, to_ms: i64) -> Option<f64> {
         let mut last = None;
         let mut ms = from_ms;
@@ -381,7 +381,7 @@ fn a_new_chunk_takes_over_without_a_jump() {
 }
 
 #[test]
-fn a_policy_that_thinks_longer_than_it_tells_begins_at_reception() {
+fn a_slow_policy_without_times_begins_at_reception() {
     let mut bench = Bench::armed(Settings {
         begin: Begin::Reception,
         ..settings()

@@ -1,6 +1,6 @@
-//! How a player answers calls and keys.
+//! How a player answers requests and keys.
 
-use super::{Player, command::Command};
+use super::{Player, Request};
 use crate::{
     keyboard::Key,
     player::settings::{last_ns, start_ns},
@@ -10,62 +10,61 @@ use tracing::{info, warn};
 use wm_msgs::rosbag2_interfaces::{
     Burst, BurstResponse, Empty, IsPausedResponse, PlayNext, PlayRequest, Rate, Success,
 };
-use wm_ros::Call;
-use wm_ros::calls::answer;
+use wm_ros::{Call, answer};
 
-/// What a key changes the rate by.
+/// Change of the rate by a key.
 const RATE_STEP: f64 = 0.1;
 
-/// Messages that were requested one by one while the playback is paused.
-pub(super) struct Asked {
+/// A request for single messages while the playback is paused.
+pub(super) struct BurstOrder {
     messages: u64,
     pub published: u64,
-    by: Asker,
+    client: BurstClient,
 }
 
-enum Asker {
+enum BurstClient {
     PlayNext(Call<PlayNext>),
     Burst(Call<Burst>),
     Key,
 }
 
-impl Player {
-    pub(super) fn obey(&mut self, command: Command) {
+impl Player<'_> {
+    pub(super) fn obey(&mut self, request: Request) {
         let now = self.epoch.elapsed();
-        match command {
-            Command::Pause(call) => {
+        match request {
+            Request::Pause(call) => {
                 self.set_paused(true);
                 answer(call, &Empty::default());
             }
-            Command::Resume(call) => {
+            Request::Resume(call) => {
                 self.set_paused(false);
                 answer(call, &Empty::default());
             }
-            Command::TogglePaused(call) => {
+            Request::TogglePaused(call) => {
                 self.set_paused(!self.playback.is_paused());
                 answer(call, &Empty::default());
             }
-            Command::IsPaused(call) => {
+            Request::IsPaused(call) => {
                 let paused = self.playback.is_paused();
                 answer(call, &IsPausedResponse { paused });
             }
-            Command::GetRate(call) => {
+            Request::GetRate(call) => {
                 let rate = self.playback.rate();
                 answer(call, &Rate { rate });
             }
-            Command::SetRate(call) => {
+            Request::SetRate(call) => {
                 let success = self.set_rate(call.request.rate);
                 answer(call, &Success { success });
             }
-            Command::PlayNext(call) => self.ask(1, Asker::PlayNext(call)),
-            Command::Burst(call) => {
+            Request::PlayNext(call) => self.burst(1, BurstClient::PlayNext(call)),
+            Request::Burst(call) => {
                 let messages = match call.request.num_messages {
                     0 => u64::MAX,
                     messages => messages,
                 };
-                self.ask(messages, Asker::Burst(call));
+                self.burst(messages, BurstClient::Burst(call));
             }
-            Command::Seek(call) => {
+            Request::Seek(call) => {
                 let wanted_ns = call.request.time.checked_nanos().ok();
                 // A time before 1970 is that of the first message.
                 let wanted_ns = wanted_ns.map(|ns| u64::try_from(ns).unwrap_or(0));
@@ -77,27 +76,27 @@ impl Player {
                 let success = found_ns.is_some();
                 answer(call, &Success { success });
             }
-            Command::Play(call) => {
+            Request::Play(call) => {
                 let success = self.play_again(&call.request);
                 answer(call, &Success { success });
             }
-            Command::Stop(call) => {
+            Request::Stop(call) => {
                 self.playback.stop(now);
                 info!("stopped");
                 answer(call, &Empty::default());
             }
-            Command::Key(Key::Space) => self.set_paused(!self.playback.is_paused()),
-            Command::Key(Key::Right) => self.ask(1, Asker::Key),
-            Command::Key(key @ (Key::Up | Key::Down)) => {
-                let step = if key == Key::Up {
-                    RATE_STEP
-                } else {
-                    -RATE_STEP
-                };
-                // tenths cannot be added exactly
-                self.set_rate(((self.playback.rate() + step) * 1000.0).round() / 1000.0);
-            }
         }
+    }
+
+    pub(super) fn press(&mut self, key: Key) {
+        let step = match key {
+            Key::Space => return self.set_paused(!self.playback.is_paused()),
+            Key::Right => return self.burst(1, BurstClient::Key),
+            Key::Up => RATE_STEP,
+            Key::Down => -RATE_STEP,
+        };
+        // Tenths have no exact sum.
+        self.set_rate(((self.playback.rate() + step) * 1000.0).round() / 1000.0);
     }
 
     fn set_paused(&mut self, is_paused: bool) {
@@ -141,10 +140,10 @@ impl Player {
         };
         let positive = |ns: i64| u64::try_from(ns).ok().filter(|ns| *ns > 0);
         let offset = Duration::from_nanos(positive(offset_ns).unwrap_or(0));
-        let start_ns = start_ns(&self.reader, offset);
+        let start_ns = start_ns(self.reader, offset);
         let duration = positive(duration_ns).map(Duration::from_nanos);
         let until_ns = positive(until_ns);
-        let last_ns = last_ns(&self.reader, start_ns, duration, until_ns);
+        let last_ns = last_ns(self.reader, start_ns, duration, until_ns);
         let begins = self.playback.play(self.epoch.elapsed(), start_ns, last_ns);
         if begins {
             self.read_from(start_ns);
@@ -153,34 +152,34 @@ impl Player {
     }
 
     /// Publishes messages although it is paused; answers when that is done.
-    fn ask(&mut self, messages: u64, by: Asker) {
-        let asked = Asked {
+    fn burst(&mut self, messages: u64, client: BurstClient) {
+        let order = BurstOrder {
             messages,
             published: 0,
-            by,
+            client,
         };
-        let is_first = self.asked.is_empty();
-        self.asked.push_back(asked);
+        let is_first = self.bursts.is_empty();
+        self.bursts.push_back(order);
         if is_first && !self.playback.burst(messages) {
             warn!("pause the playback to play single messages");
         }
     }
 
-    /// Answers whose messages are published, or cannot be, and turns to the next.
-    pub(super) fn answer_who_asked(&mut self) {
+    /// Answers the bursts whose messages are published, or cannot be, and starts the next one.
+    pub(super) fn answer_bursts(&mut self) {
         while !self.playback.is_bursting()
-            && let Some(asked) = self.asked.pop_front()
+            && let Some(order) = self.bursts.pop_front()
         {
-            let actually_burst = asked.published;
-            match asked.by {
-                Asker::PlayNext(call) => {
+            let actually_burst = order.published;
+            match order.client {
+                BurstClient::PlayNext(call) => {
                     let success = actually_burst > 0;
                     answer(call, &Success { success });
                 }
-                Asker::Burst(call) => answer(call, &BurstResponse { actually_burst }),
-                Asker::Key => {}
+                BurstClient::Burst(call) => answer(call, &BurstResponse { actually_burst }),
+                BurstClient::Key => {}
             }
-            if let Some(next) = self.asked.front() {
+            if let Some(next) = self.bursts.front() {
                 self.playback.burst(next.messages);
             }
         }

@@ -34,11 +34,11 @@ impl Book {
         self.begin(options, folder).await
     }
 
-    /// Begins the bag that a peer asks for, which is always a new one.
+    /// Begins the bag that a peer requests, which is always a new one.
     ///
     /// # Errors
     /// It cannot be made, is not to be made there, or something already exists there.
-    pub async fn begin_asked_for(&mut self, options: &Options, uri: &str) -> Result<()> {
+    pub async fn begin_further(&mut self, options: &Options, uri: &str) -> Result<()> {
         let folder = options.place.asked_for(uri)?;
         self.begin(options, folder).await
     }

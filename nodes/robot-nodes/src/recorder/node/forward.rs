@@ -104,6 +104,7 @@ impl Forward {
         }
         let entry = Entry::Message {
             topic: Arc::clone(&self.topic),
+            // A clock before 1970 has no such number.
             log_time_ns: u64::try_from(received.received.to_nanos()).unwrap_or(0),
             data: received.message,
         };

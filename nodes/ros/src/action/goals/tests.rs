@@ -68,12 +68,15 @@ fn a_goal_is_accepted_executed_and_ended() {
     assert_eq!(goals.status(id(1)), Some(GoalStatus::Accepted));
     assert!(goals.execute(id(1)) && !goals.execute(id(1)));
     assert_eq!(goals.status(id(1)), Some(GoalStatus::Executing));
-    assert_eq!(goals.ask(id(1), 7, now), Asked::Later { forgot: false });
+    assert_eq!(
+        goals.ask(id(1), 7, now),
+        Availability::Later { forgot: false }
+    );
     assert_eq!(
         end(&mut goals, id(1), End::Succeeded, now),
         Some((4, vec![7]))
     );
-    assert_eq!(goals.ask(id(1), 8, now), Asked::Ended(4));
+    assert_eq!(goals.ask(id(1), 8, now), Availability::Ended(4));
     assert_eq!(end(&mut goals, id(1), End::Aborted, now), None);
     let [status] = goals.statuses().status_list[..] else {
         panic!("one goal")
@@ -146,10 +149,13 @@ fn results_are_kept_for_a_while_and_the_newest_of_many() {
     end(&mut goals, id(1), End::Succeeded, start);
     let later = start + RESULT_TIMEOUT;
     let before = later - Duration::from_nanos(1);
-    assert_eq!(goals.ask(id(1), 0, before), Asked::Ended(4));
-    assert_eq!(goals.ask(id(1), 0, later), Asked::Unknown);
+    assert_eq!(goals.ask(id(1), 0, before), Availability::Ended(4));
+    assert_eq!(goals.ask(id(1), 0, later), Availability::Unknown);
     // what is under way does not expire
-    assert_eq!(goals.ask(id(2), 0, later), Asked::Later { forgot: false });
+    assert_eq!(
+        goals.ask(id(2), 0, later),
+        Availability::Later { forgot: false }
+    );
 
     let mut goals = Numbers::default();
     let most = u8::try_from(MOST_ENDED).unwrap();
@@ -169,7 +175,7 @@ fn who_waits_for_a_result_is_bounded_too() {
     let most = u32::try_from(MOST_WAITING).unwrap();
     for who in 0..=most {
         let forgot = who == most;
-        assert_eq!(goals.ask(id(1), who, now), Asked::Later { forgot });
+        assert_eq!(goals.ask(id(1), who, now), Availability::Later { forgot });
     }
     let (_, waiting) = end(&mut goals, id(1), End::Aborted, now).unwrap();
     assert_eq!(waiting, (1..=most).collect::<Vec<_>>());
@@ -251,8 +257,8 @@ proptest! {
                     let who = u32::try_from(number).unwrap();
                     asked += 1;
                     match goals.ask(id(goal), who, now) {
-                        Asked::Later { .. } => {}
-                        Asked::Ended(_) | Asked::Unknown => answered.push(who),
+                        Availability::Later { .. } => {}
+                        Availability::Ended(_) | Availability::Unknown => answered.push(who),
                     }
                 }
             }

@@ -1,15 +1,14 @@
-//! The live line: rate, latency, error ratio, plan and drops of the last moments.
+//! The live line: recent rate, latency, error ratio, plan and drops.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-/// How far back the line looks.
+/// The time span of the figures.
 const WINDOW: Duration = Duration::from_secs(3);
 
-/// Most events of a kind that are looked at: 3 s at 300 Hz.
+/// The most events of a kind: 3 s at 300 Hz.
 const LIMIT: usize = 1000;
 
-/// What the line tells.
 #[derive(Debug, Default)]
 pub(super) struct LiveLine {
     frames: VecDeque<Instant>,
@@ -19,29 +18,29 @@ pub(super) struct LiveLine {
     plan: Option<(f32, f64)>,
 }
 
-/// What lies further back was stamped by another clock, such as that of a bag \[ms\].
+/// Longer latencies come from stamps of another clock, for example of a bag \[ms\].
 const AN_HOUR_MS: f64 = 3_600_000.0;
 
 impl LiveLine {
-    pub fn frame(&mut self, now: Instant) {
+    pub(crate) fn frame(&mut self, now: Instant) {
         push(&mut self.frames, now);
     }
 
     /// A prediction of step `step`, `latency_ns` after its observation was captured.
-    pub fn prediction(&mut self, step: u32, latency_ns: i64, now: Instant) {
+    pub(crate) fn prediction(&mut self, step: u32, latency_ns: i64, now: Instant) {
         push(&mut self.predictions, now);
         if step == 1 {
             push(&mut self.latencies, (now, latency_ns as f64 / 1e6));
         }
     }
 
-    /// A plan of this cost, found in `time_ns`.
-    pub fn plan(&mut self, cost: f32, time_ns: i64) {
+    /// A plan with this cost, found in `time_ns`.
+    pub(crate) fn plan(&mut self, cost: f32, time_ns: i64) {
         self.plan = Some((cost, time_ns as f64 / 1e6));
     }
 
-    /// The line; `error_ratio` is the last one of k = 1, `drops` the nodes' total.
-    pub fn text(&mut self, now: Instant, error_ratio: Option<f32>, drops: u64) -> String {
+    /// `error_ratio`: the last one of k = 1. `drops`: the nodes' total.
+    pub(crate) fn text(&mut self, now: Instant, error_ratio: Option<f32>, drops: u64) -> String {
         let is_old = |then: Instant| now.saturating_duration_since(then) > WINDOW;
         while self.frames.front().is_some_and(|then| is_old(*then)) {
             self.frames.pop_front();
@@ -92,10 +91,10 @@ fn push<T>(events: &mut VecDeque<T>, event: T) {
     events.push_back(event);
 }
 
-/// The shortest time that a rate is told of: the steps of a rollout may come within a millisecond.
+/// The shortest time span of a rate: the steps of a rollout may arrive within a millisecond.
 const SHORTEST: Duration = Duration::from_secs(1);
 
-/// Events a second, since the first of them.
+/// Events per second, since the first of them.
 fn rate(events: &VecDeque<Instant>, now: Instant) -> f64 {
     let Some(first) = events.front() else {
         return 0.0;
@@ -109,7 +108,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_burst_of_steps_is_no_rate_of_a_hundred_kilohertz() {
+    fn burst_of_steps_gives_no_extreme_rate() {
         let (mut line, now) = (LiveLine::default(), Instant::now());
         (1..=8).for_each(|step| line.prediction(step, 0, now));
         for tick in 0..=10 {
@@ -134,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn the_line_tells_of_the_last_seconds_only() {
+    fn line_covers_only_the_last_seconds() {
         let mut line = LiveLine::default();
         let start = Instant::now();
         let at = |milliseconds| start + Duration::from_millis(milliseconds);

@@ -6,6 +6,7 @@ use anyhow::{Result, ensure};
 use std::io::{IsTerminal as _, Write as _};
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::time::MissedTickBehavior;
 use tracing::warn;
@@ -16,21 +17,12 @@ use wm_msgs::{
     wm_msgs::{Plan, Prediction, PredictionError},
 };
 use wm_ros::{
-    Diagnostics, EndpointSet as _, Node, NodeArgs, NodeDefinition, ParameterSet as _, Qos,
-    Received, Subscription, frame_trace,
+    Diagnostics, Node, NodeDefinition, NodeProgram, Qos, Received, Setup, Subscription, frame_trace,
 };
 use wm_wire::transport::{ImageSubscription, Transports};
 
 /// The node.
-pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition {
-    name: "monitor",
-    about: "Shows a live status line, and reports at the end how well the predictions matched the camera.",
-    parameters: Parameters::specs,
-    endpoints: Inputs::specs,
-    is_managed: false,
-    run: |args| run(args).map(|()| ExitCode::SUCCESS),
-    component: None,
-};
+pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition::of::<Monitor>();
 
 /// Best effort, which matches every publisher; room for the rollouts that come while one frame is scored.
 const QOS: Qos = Qos::best_effort(64);
@@ -38,40 +30,11 @@ const QOS: Qos = Qos::best_effort(64);
 /// The camera's topic, unless a parameter names another.
 const CAMERA: &str = "/camera/image_raw";
 
-/// The monitor's thread is so many steps below the nodes. When a message came is what the thread says that receives.
+/// The monitor's thread is so many steps below the nodes. The receiving thread takes the times of messages.
 const NICE: i32 = 5;
 
 /// How often the live line is renewed.
 const LIVE_PERIOD: Duration = Duration::from_millis(500);
-
-/// Runs the monitor until a signal, then writes the report, if there is anything to report of.
-///
-/// # Errors
-/// Names what is wrong with arguments or parameters, the file that cannot be written, or the topic on which nothing was
-/// seen that a report needs.
-pub fn run(args: &NodeArgs) -> Result<()> {
-    args.expect_no_rest()?;
-    let mut monitor = None;
-    wm_ros::run(
-        NODE.name,
-        wm_ros::NAMESPACE,
-        args,
-        async |node: Node| -> Result<()> {
-            let (state, inputs) = start(&node)?;
-            // On Linux, of this thread alone.
-            if let Err(error) = rustix::process::nice(NICE) {
-                warn!("cannot lower the priority: {error}");
-            }
-            watch(monitor.insert(state), inputs).await;
-            Ok(())
-        },
-    )?;
-    // after the node has left the graph, so that nothing hurries the writing
-    match monitor {
-        Some(monitor) => monitor.report(),
-        None => Ok(()),
-    }
-}
 
 struct Monitor {
     scorer: Scorer,
@@ -87,7 +50,7 @@ struct Monitor {
     takes_raw: Option<bool>,
 }
 
-/// The names of what a report needs, for who has to look for them.
+/// The names of the topics that a report needs.
 struct Topics {
     camera: String,
     predicted: String,
@@ -133,80 +96,105 @@ wm_ros::endpoints! {
     }
 }
 
-fn start(node: &Node) -> Result<(Monitor, Inputs)> {
-    let Parameters {
-        output,
-        live_line,
-        camera_topic,
-        ..
-    } = Parameters::declare(node)?;
-    node.seal_parameters()?;
-    ensure!(
-        !output.as_os_str().is_empty(),
-        "parameter \"output\" is empty: give the folder for the report"
-    );
-    let inputs = Inputs::make(node)?;
-    node.seal_endpoints()?;
-    let topics = Topics {
-        camera: node.resolve(&camera_topic)?,
-        predicted: inputs.predicted.topic().to_owned(),
-        plan: inputs.plans.topic().to_owned(),
-    };
-    let monitor = Monitor {
-        scorer: Scorer::default(),
-        line: LiveLine::default(),
-        is_live: live_line,
-        output,
-        topics,
-        diagnostics: node.diagnostics(),
-        newest: None,
-        takes_raw: None,
-    };
-    Ok((monitor, inputs))
-}
+impl NodeProgram for Monitor {
+    const NAME: &'static str = "monitor";
+    const ABOUT: &'static str = "Shows a live status line, and reports at the end how well the predictions matched the camera.";
+    const RUNS_ALONE: bool = true;
+    type Parameters = Parameters;
+    type Endpoints = Inputs;
+    type Resources = ();
+    type Error = anyhow::Error;
 
-async fn watch(monitor: &mut Monitor, mut inputs: Inputs) {
-    let mut ticks = tokio::time::interval(LIVE_PERIOD);
-    ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
-    loop {
-        tokio::select! {
-            received = inputs.camera.recv() => match received {
-                Some(received) => monitor.camera(received.message),
-                None => break,
-            },
-            received = inputs.predicted.recv() => match received {
-                Some(received) => monitor.prediction(&received),
-                None => break,
-            },
-            Some(received) = inputs.pictures.recv() => monitor.picture(&received),
-            Some(received) = inputs.fit.recv() => match fit_of(&received.message) {
-                Ok(fit) => monitor.scorer.fit(fit),
-                Err(problem) => monitor.left_out("fit", &problem),
-            },
-            Some(received) = inputs.errors.recv() => monitor.scorer.error(&received.message),
-            Some(Received { message, .. }) = inputs.plans.recv() => {
-                monitor.line.plan(message.cost, message.time_taken.to_nanos());
-                monitor.scorer.plan(&message);
-            }
-            Some(received) = inputs.diagnostics.recv() => monitor.scorer.diagnostics(&received.message),
-            _ = ticks.tick() => monitor.show(),
-        }
+    fn check(parameters: &Parameters) -> Result<()> {
+        ensure!(
+            !parameters.output.as_os_str().is_empty(),
+            "parameter \"output\" is empty: give the folder for the report"
+        );
+        Ok(())
     }
-    monitor.score_newest();
-    if monitor.is_live && std::io::stderr().is_terminal() {
-        wm_ros::logging::last_words("");
+
+    async fn load(_: &Node, _: &Arc<Parameters>) -> Result<()> {
+        Ok(())
+    }
+
+    fn activate(at: &Setup<Self>) -> Result<Self> {
+        let (parameters, inputs) = (&at.parameters, &at.endpoints);
+        let topics = Topics {
+            camera: at.node.resolve(&parameters.camera_topic)?,
+            predicted: inputs.predicted.topic().to_owned(),
+            plan: inputs.plans.topic().to_owned(),
+        };
+        Ok(Self {
+            scorer: Scorer::default(),
+            line: LiveLine::default(),
+            is_live: parameters.live_line,
+            output: parameters.output.clone(),
+            topics,
+            diagnostics: at.node.diagnostics(),
+            newest: None,
+            takes_raw: None,
+        })
+    }
+
+    async fn run(&mut self, at: &mut Setup<Self>) -> Result<()> {
+        // On Linux, of this thread alone.
+        if let Err(error) = rustix::process::nice(NICE) {
+            warn!("cannot lower the priority: {error}");
+        }
+        let inputs = &mut at.endpoints;
+        let mut ticks = tokio::time::interval(LIVE_PERIOD);
+        ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
+        loop {
+            tokio::select! {
+                received = inputs.camera.recv() => match received {
+                    Some(received) => self.camera(received.message),
+                    None => break,
+                },
+                received = inputs.predicted.recv() => match received {
+                    Some(received) => self.prediction(&received),
+                    None => break,
+                },
+                Some(received) = inputs.pictures.recv() => self.picture(&received),
+                Some(received) = inputs.fit.recv() => match fit_of(&received.message) {
+                    Ok(fit) => self.scorer.fit(fit),
+                    Err(problem) => self.drop_input("fit", &problem),
+                },
+                Some(received) = inputs.errors.recv() => self.scorer.error(&received.message),
+                Some(Received { message, .. }) = inputs.plans.recv() => {
+                    self.line.plan(message.cost, message.time_taken.to_nanos());
+                    self.scorer.plan(&message);
+                }
+                Some(received) = inputs.diagnostics.recv() => self.scorer.diagnostics(&received.message),
+                _ = ticks.tick() => self.show(),
+            }
+        }
+        self.score_newest();
+        if self.is_live && std::io::stderr().is_terminal() {
+            wm_ros::logging::last_words("");
+        }
+        Ok(())
+    }
+
+    /// Writes the report after the node has left the graph, so that nothing hurries the writing.
+    fn finish(self, ended: Result<()>) -> Result<ExitCode> {
+        ended?;
+        self.report()?;
+        Ok(ExitCode::SUCCESS)
     }
 }
 
 impl Monitor {
-    /// Writes the report and shows its table. A monitor that has not seen what it was started for has failed.
+    /// Writes the report and shows its table.
+    ///
+    /// # Errors
+    /// The file that cannot be written, or the topic without the messages that a report needs.
     fn report(self) -> Result<()> {
         let Topics {
             camera,
             predicted,
             plan,
         } = &self.topics;
-        // as where the player found no bag: a table of nothing would hide why
+        // An empty table would hide the reason.
         ensure!(
             !self.scorer.is_empty(),
             "no report: no frame arrived on {camera} or {camera}/compressed, no prediction on {predicted}, no plan on \
@@ -248,7 +236,7 @@ impl Monitor {
         };
         match frame.decode() {
             Ok(rgb) => self.scorer.frame(frame.header().stamp.to_nanos(), rgb),
-            Err(problem) => self.left_out("camera image", &problem),
+            Err(problem) => self.drop_input("camera image", &problem),
         }
     }
 
@@ -264,7 +252,7 @@ impl Monitor {
         let stamp_ns = message.header().stamp.to_nanos();
         match message.decode() {
             Ok(picture) => self.scorer.picture(stamp_ns, picture, received.to_nanos()),
-            Err(problem) => self.left_out("predicted image", &problem),
+            Err(problem) => self.drop_input("predicted image", &problem),
         }
     }
 
@@ -288,7 +276,7 @@ impl Monitor {
         }
     }
 
-    fn left_out(&self, what: &str, problem: &dyn std::fmt::Display) {
+    fn drop_input(&self, what: &str, problem: &dyn std::fmt::Display) {
         self.diagnostics.count_drop(what);
         warn!("{what} ignored: {problem}");
     }

@@ -1,4 +1,4 @@
-//! Which rollout is shown: of those of which the most steps were seen, the one with the most motion.
+//! Chooses the rollout to show: of those with the most steps, the one with the most motion.
 
 use image::RgbImage;
 use std::cmp::Ordering;
@@ -6,22 +6,22 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 use wm_metrics::images::psnr;
 
-/// Rollouts in the making: a horizon of 64 steps of two camera frames, and some room.
+/// The most open rollouts: a horizon of 64 steps of two camera frames, and some room.
 const OPEN_LIMIT: usize = 160;
 
-/// A rollout and what really happened.
+/// A rollout and the real frames.
 #[derive(Clone, Debug)]
 pub struct ShownRollout {
     /// Stamp of the observation \[ns\].
     pub observed_ns: i64,
-    /// The frame that it started from.
+    /// The frame that it starts from.
     pub observed: Arc<RgbImage>,
-    /// The steps that were seen, by k: the real frame and the predicted picture. A decoder under load leaves some out.
+    /// By k: the real frame and the predicted picture. A decoder under load skips steps.
     pub steps: BTreeMap<u32, (Arc<RgbImage>, Arc<RgbImage>)>,
 }
 
 impl ShownRollout {
-    /// How unlike the observation the frames became, as mean PSNR \[dB\]: less is more motion.
+    /// How similar the frames stayed to the observation, as mean PSNR \[dB\]: less means more motion.
     fn stillness_db(&self) -> f64 {
         let likeness = self
             .steps
@@ -33,7 +33,6 @@ impl ShownRollout {
         sum / self.steps.len().max(1) as f64
     }
 
-    /// Whether this one is to be shown rather than the other.
     fn is_better_than(&self, other: &Self) -> bool {
         match self.steps.len().cmp(&other.steps.len()) {
             Ordering::Greater => true,
@@ -50,13 +49,13 @@ pub(super) struct Rollouts {
     recent: VecDeque<i64>,
     /// By stamp of the observation.
     open: BTreeMap<i64, ShownRollout>,
-    /// Of those that are no longer open.
+    /// The best closed rollout.
     best: Option<ShownRollout>,
 }
 
 impl Rollouts {
     /// Counts the observations that predictions start from.
-    pub fn observed(&mut self, observed_ns: i64) {
+    pub(crate) fn observed(&mut self, observed_ns: i64) {
         if self.recent.contains(&observed_ns) {
             return;
         }
@@ -67,12 +66,12 @@ impl Rollouts {
         self.observations += 1;
     }
 
-    pub fn observations(&self) -> u64 {
+    pub(crate) fn observations(&self) -> u64 {
         self.observations
     }
 
-    /// A picture and the frame of the same time.
-    pub fn picture(
+    /// Adds a picture and the frame of the same time.
+    pub(crate) fn picture(
         &mut self,
         observed_ns: i64,
         step: u32,
@@ -101,7 +100,7 @@ impl Rollouts {
         }
     }
 
-    pub fn best(&self) -> Option<&ShownRollout> {
+    pub(crate) fn best(&self) -> Option<&ShownRollout> {
         let candidates = self.best.iter().chain(self.open.values());
         candidates.reduce(|best, next| {
             if next.is_better_than(best) {
@@ -112,7 +111,7 @@ impl Rollouts {
         })
     }
 
-    pub fn flush(&mut self) {
+    pub(crate) fn flush(&mut self) {
         for (_, rollout) in std::mem::take(&mut self.open) {
             self.consider(rollout);
         }

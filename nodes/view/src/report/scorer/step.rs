@@ -5,7 +5,6 @@ use crate::report::{figures::StepFigures, histogram::Times};
 use image::RgbImage;
 use wm_metrics::images::{psnr, ssim};
 
-/// A mean in the making.
 #[derive(Clone, Copy, Debug, Default)]
 struct Mean {
     sum: f64,
@@ -54,22 +53,21 @@ impl Default for StepScore {
 }
 
 impl StepScore {
-    pub fn prediction(&mut self, ready_after_ns: i64, received_after_ns: i64) {
+    pub(crate) fn prediction(&mut self, ready_after_ns: i64, received_after_ns: i64) {
         self.predictions += 1;
         self.ready.record(ready_after_ns);
         self.received.record(received_after_ns);
     }
 
-    pub fn latent_error(&mut self, mse: f32, persistence_mse: f32) {
+    pub(crate) fn latent_error(&mut self, mse: f32, persistence_mse: f32) {
         if mse.is_finite() && persistence_mse.is_finite() {
             self.latent_mse.add(f64::from(mse));
             self.latent_persistence_mse.add(f64::from(persistence_mse));
         }
     }
 
-    /// Scores a picture and the baseline. Pictures of unequal size, which a frame that cannot be resized gives, count
-    /// for neither.
-    pub fn compare(&mut self, predicted: &RgbImage, real: &RgbImage, observed: &RgbImage) {
+    /// Scores a picture and the baseline. If sizes differ, which a frame that cannot be resized causes, neither counts.
+    pub(crate) fn compare(&mut self, predicted: &RgbImage, real: &RgbImage, observed: &RgbImage) {
         let scores = (
             psnr(predicted, real),
             psnr(observed, real),
@@ -90,7 +88,7 @@ impl StepScore {
         }
     }
 
-    pub fn figures(&self, step: u32, observations: u64) -> StepFigures {
+    pub(crate) fn figures(&self, step: u32, observations: u64) -> StepFigures {
         let persistence = self.latent_persistence_mse.get().filter(|mse| *mse > 0.0);
         StepFigures {
             step,

@@ -34,7 +34,7 @@ fn grey(level: u8) -> RgbImage {
     RgbImage::from_pixel(16, 16, Rgb([level; 3]))
 }
 
-/// The camera brightens by 10 levels a frame; predictions are off by `error` levels.
+/// The camera brightens by 10 levels per frame; predictions are off by `error` levels.
 fn run(scorer: &mut Scorer, frames: i64, error: u8) {
     for frame in 0..frames {
         let now = frame * FRAME_NS;
@@ -56,7 +56,7 @@ fn run(scorer: &mut Scorer, frames: i64, error: u8) {
 }
 
 #[test]
-fn a_prediction_without_a_period_is_counted_and_harms_nothing() {
+fn prediction_without_a_period_is_counted() {
     let mut scorer = Scorer::default();
     scorer.frame(0, grey(0));
     let broken = Prediction {
@@ -70,7 +70,7 @@ fn a_prediction_without_a_period_is_counted_and_harms_nothing() {
 }
 
 #[test]
-fn a_prediction_with_an_invalid_time_is_counted() {
+fn prediction_with_an_invalid_time_is_counted() {
     let changes: [fn(&mut Prediction); 4] = [
         |prediction| prediction.header.stamp.nanosec = 1_000_000_000,
         |prediction| prediction.observed_stamp.nanosec = u32::MAX,
@@ -88,7 +88,7 @@ fn a_prediction_with_an_invalid_time_is_counted() {
 }
 
 #[test]
-fn pictures_are_compared_with_the_frame_of_their_moment_and_the_baseline_with_it_too() {
+fn pictures_and_baseline_are_compared_with_the_same_frame() {
     let mut scorer = Scorer::default();
     run(&mut scorer, 10, 2);
     let report = scorer.report("test");
@@ -100,7 +100,7 @@ fn pictures_are_compared_with_the_frame_of_their_moment_and_the_baseline_with_it
     let [first, second] = report.steps.as_slice() else {
         panic!("{} steps", report.steps.len())
     };
-    // k=1 is two frames ahead, k=2 four: so many of the ten have a frame to be compared with
+    // k=1 is two frames ahead, k=2 four: so many of the ten have a frame to compare with
     assert_eq!(
         (first.predictions, first.compared, first.missing),
         (10, 8, 0)
@@ -116,12 +116,12 @@ fn pictures_are_compared_with_the_frame_of_their_moment_and_the_baseline_with_it
 }
 
 #[test]
-fn a_dropped_picture_is_not_replaced_by_that_of_another_observation() {
+fn lost_picture_is_not_replaced_by_another_observations() {
     let mut scorer = Scorer::default();
     for frame in 0..4 {
         scorer.frame(frame * FRAME_NS, grey(100));
     }
-    // both are of the moment 800 ms; the picture of the first was lost
+    // both predict the time 800 ms; the picture of the first was lost
     let moment = 2 * STEP_NS;
     scorer.prediction(&prediction(0, 2, 1), 10_000_000);
     scorer.prediction(&prediction(STEP_NS, 1, 1), STEP_NS + 20_000_000);
@@ -140,16 +140,16 @@ fn a_dropped_picture_is_not_replaced_by_that_of_another_observation() {
 }
 
 #[test]
-fn a_rollout_that_was_left_out_gets_no_pictures_of_the_next() {
+fn skipped_rollout_gets_no_pictures_of_the_next() {
     let mut scorer = Scorer::default();
     for frame in 0..3 {
         scorer.frame(frame * FRAME_NS, grey(100));
     }
-    // Not decoded, and late; then one that is decoded: its first picture is of the same moment.
+    // A late rollout without pictures, then one with pictures: its first picture has the same time.
     scorer.prediction(&prediction(0, 2, 1), 160_000_000);
     scorer.prediction(&prediction(STEP_NS, 1, 1), STEP_NS + 50_000_000);
     scorer.picture(2 * STEP_NS, grey(100), STEP_NS + 90_000_000);
-    // A rollout that had a picture gets the next one, although a newer prediction is of that moment.
+    // A rollout with a picture gets the next one, although a newer prediction has that time.
     scorer.prediction(&prediction(STEP_NS, 2, 1), STEP_NS + 160_000_000);
     scorer.prediction(&prediction(2 * STEP_NS, 1, 1), 2 * STEP_NS + 50_000_000);
     scorer.picture(3 * STEP_NS, grey(100), 2 * STEP_NS + 90_000_000);
@@ -162,7 +162,7 @@ fn a_rollout_that_was_left_out_gets_no_pictures_of_the_next() {
 }
 
 #[test]
-fn a_picture_later_than_a_model_step_is_counted_and_not_guessed_at() {
+fn picture_later_than_a_model_step_is_only_counted() {
     let mut scorer = Scorer::default();
     scorer.frame(0, grey(100));
     scorer.prediction(&prediction(0, 1, 1), 10_000_000);
@@ -173,7 +173,7 @@ fn a_picture_later_than_a_model_step_is_counted_and_not_guessed_at() {
 }
 
 #[test]
-fn the_rollout_with_the_most_motion_is_shown() {
+fn rollout_with_the_most_motion_is_shown() {
     let mut scorer = Scorer::default();
     // still, then a jump at frame 6
     for frame in 0..10 {
@@ -185,14 +185,14 @@ fn the_rollout_with_the_most_motion_is_shown() {
         }
     }
     let shown = scorer.shown_rollout().unwrap();
-    // from frame 4 and 5 both steps are past the jump; the first of the two stays
+    // from frames 4 and 5 both steps are past the jump; the first of the two stays
     assert_eq!((shown.observed_ns, shown.steps.len()), (4 * FRAME_NS, 2));
     assert_eq!(shown.steps[&1].0.get_pixel(0, 0).0, [200; 3]);
 }
 
-/// A decoder under load skips pictures: of no rollout every step is seen.
+/// A decoder under load skips pictures: no rollout is complete.
 #[test]
-fn a_rollout_with_gaps_is_shown_where_none_is_whole() {
+fn rollout_with_gaps_is_shown_if_none_is_complete() {
     let mut scorer = Scorer::default();
     for frame in 0..10 {
         let now = frame * FRAME_NS;
@@ -204,13 +204,13 @@ fn a_rollout_with_gaps_is_shown_where_none_is_whole() {
     }
     let shown = scorer.shown_rollout().unwrap();
     assert_eq!(shown.steps.keys().collect::<Vec<_>>(), [&2]);
-    // A jump back in time closes what is open.
+    // a jump back in time closes the open rollouts
     scorer.frame(0, grey(1));
     assert!(scorer.shown_rollout().is_some());
 }
 
 #[test]
-fn a_picture_whose_frame_never_came_is_dropped_and_a_jump_back_flushes() {
+fn pictures_without_frames_are_dropped_and_time_jumps_flush() {
     let mut scorer = Scorer::default();
     scorer.frame(0, grey(1));
     scorer.prediction(&prediction(0, 1, 1), 1);
@@ -225,7 +225,7 @@ fn a_picture_whose_frame_never_came_is_dropped_and_a_jump_back_flushes() {
 }
 
 #[test]
-fn what_waits_is_bounded() {
+fn waiting_pictures_are_bounded() {
     let mut scorer = Scorer::default();
     scorer.frame(0, grey(1));
     for index in 0..5000_i64 {
@@ -305,7 +305,7 @@ fn latent_errors_plans_and_drops_are_summed() {
 }
 
 #[test]
-fn a_scorer_is_empty_until_something_is_seen() {
+fn scorer_is_empty_before_the_first_message() {
     let mut scorer = Scorer::default();
     scorer.diagnostics(&DiagnosticArray::default());
     assert!(scorer.is_empty());

@@ -1,4 +1,4 @@
-//! Where findings and strips go.
+//! Writes findings and strips.
 
 use std::path::{Path, PathBuf};
 
@@ -8,12 +8,12 @@ use serde::Serialize;
 use wm_bag::set_aside;
 use wm_metrics::findings::ClosedLoop;
 
-/// Writes `TASK.json` and, where there is a strip, `TASK.png` into `folder`, which is made where it is missing. Older
-/// files of these names are renamed by their time.
+/// Writes `TASK.json` and, if given, `TASK.png` into `folder`, and makes the folder if it is missing. Older files of
+/// these names are renamed by their time.
 ///
 /// # Errors
 /// Names the file that cannot be written.
-pub fn write<A: Serialize>(
+pub(crate) fn write<A: Serialize>(
     folder: &Path,
     task: &str,
     findings: &ClosedLoop<A>,
@@ -29,12 +29,12 @@ pub fn write<A: Serialize>(
     };
     let json = place("json")?;
     std::fs::write(&json, findings.to_json()?)
-        .with_context(|| format!("writing {}", json.display()))?;
+        .with_context(|| format!("write {}", json.display()))?;
     if let Some(strip) = strip {
         let png = place("png")?;
         strip
             .save(&png)
-            .with_context(|| format!("writing {}", png.display()))?;
+            .with_context(|| format!("write {}", png.display()))?;
     }
     Ok(written)
 }

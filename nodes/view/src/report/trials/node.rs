@@ -1,6 +1,6 @@
 //! The trials on the wire.
 
-use std::{fmt, path::PathBuf, process::ExitCode, time::Duration};
+use std::{fmt, path::PathBuf, sync::Arc, time::Duration};
 
 use anyhow::{Context as _, Result, bail, ensure};
 use image::RgbImage;
@@ -12,27 +12,14 @@ use wm_msgs::{
     std_msgs::{Bool, Float64},
     wm_msgs::Plan,
 };
-use wm_ros::{
-    EndpointSet as _, NAMESPACE, Node, NodeArgs, NodeDefinition, ParameterSet as _, Qos,
-    Subscription,
-};
+use wm_ros::{Node, NodeDefinition, NodeProgram, Qos, Setup, Subscription};
 use wm_sim::{Environment, GoalKind, SUCCESS_TOPIC, Variety};
 use wm_wire::transport::{ImageSubscription, Transports};
 
 use super::{EpisodeWatch, Shots, files, setting::Setting, strip::strip};
 
-const NAME: &str = "trials";
-
 /// The node.
-pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition {
-    name: NAME,
-    about: "Has the simulated arm do its tasks by the planner, and counts how often it succeeds.",
-    parameters: Parameters::specs,
-    endpoints: Endpoints::specs,
-    is_managed: false,
-    run,
-    component: None,
-};
+pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition::of::<Trials>();
 
 /// Frames that an encoder may still be busy with when a new table is laid.
 const FRAMES_BEFORE: usize = 3;
@@ -77,7 +64,7 @@ wm_ros::endpoints! {
     }
 }
 
-/// What was run.
+/// A run in words.
 #[derive(Clone, Debug, Serialize)]
 struct About {
     task: String,
@@ -94,42 +81,53 @@ impl fmt::Display for About {
     }
 }
 
-fn run(args: &NodeArgs) -> Result<ExitCode> {
-    args.expect_no_rest()?;
-    wm_ros::run(NAME, NAMESPACE, args, body).map(|()| ExitCode::SUCCESS)
+struct Trials {
+    goal: Option<RgbImage>,
 }
 
-async fn body(node: Node) -> Result<()> {
-    let parameters = Parameters::declare(&node)?;
-    node.seal_parameters()?;
-    let tasks = parameters
-        .tasks
-        .iter()
-        .map(|name| name.parse::<GoalKind>().context("parameter tasks"));
-    let tasks: Vec<GoalKind> = tasks.collect::<Result<_>>()?;
-    ensure!(
-        !tasks.is_empty(),
-        "parameter tasks is empty: expected reach, push or pick-place"
-    );
-    let trials = Trials {
-        setting: Setting::new(&node)?,
-        endpoints: Endpoints::make(&node)?,
-        parameters,
-        goal: None,
-    };
-    node.seal_endpoints()?;
-    let shutdown = node.shutdown();
-    tokio::select! {
-        () = shutdown.wait() => bail!("ended before the last episode"),
-        done = trials.run(&tasks) => done,
+impl NodeProgram for Trials {
+    const NAME: &'static str = "trials";
+    const ABOUT: &'static str =
+        "Has the simulated arm do its tasks by the planner, and counts how often it succeeds.";
+    const RUNS_ALONE: bool = true;
+    type Parameters = Parameters;
+    type Endpoints = Endpoints;
+    type Resources = Setting;
+    type Error = anyhow::Error;
+
+    fn check(parameters: &Parameters) -> Result<()> {
+        parameters.goal_kinds().map(drop)
+    }
+
+    async fn load(node: &Node, _: &Arc<Parameters>) -> Result<Setting> {
+        Setting::new(node)
+    }
+
+    fn activate(_: &Setup<Self>) -> Result<Self> {
+        Ok(Self { goal: None })
+    }
+
+    async fn run(&mut self, at: &mut Setup<Self>) -> Result<()> {
+        let shutdown = at.node.shutdown();
+        tokio::select! {
+            () = shutdown.wait() => bail!("ended before the last episode"),
+            done = self.tasks(at) => done,
+        }
     }
 }
 
-struct Trials {
-    setting: Setting,
-    endpoints: Endpoints,
-    parameters: Parameters,
-    goal: Option<RgbImage>,
+impl Parameters {
+    /// The tasks.
+    fn goal_kinds(&self) -> Result<Vec<GoalKind>> {
+        ensure!(
+            !self.tasks.is_empty(),
+            "parameter tasks is empty: expected reach, push or pick-place"
+        );
+        let tasks = self.tasks.iter();
+        tasks
+            .map(|name| name.parse::<GoalKind>().context("parameter tasks"))
+            .collect()
+    }
 }
 
 /// An input that a trial cannot do without has ended.
@@ -145,24 +143,25 @@ fn decoded(frame: &CameraFrame) -> Option<RgbImage> {
 }
 
 impl Trials {
-    async fn run(mut self, tasks: &[GoalKind]) -> Result<()> {
-        let timeout = self.parameters.timeout;
-        tokio::time::timeout(timeout, self.setting.wait())
+    async fn tasks(&mut self, at: &mut Setup<Self>) -> Result<()> {
+        tokio::time::timeout(at.parameters.timeout, at.resources.wait())
             .await
             .context("sim_arm, planner and executor are needed, and not all of them are running")?;
-        for task in tasks {
-            self.task(*task).await?;
+        for task in at.parameters.goal_kinds()? {
+            self.task(at, task).await?;
         }
         Ok(())
     }
 
     /// All episodes of a task, and what came of them.
-    async fn task(&mut self, task: GoalKind) -> Result<()> {
-        let (first, count) = (self.parameters.seed, self.parameters.episodes);
+    async fn task(&mut self, at: &mut Setup<Self>, task: GoalKind) -> Result<()> {
+        let (first, count) = (at.parameters.seed, at.parameters.episodes);
         let (mut episodes, mut plans): (Vec<Episode>, Vec<PlanTime>) = (Vec::new(), Vec::new());
         let (mut planner, mut shown) = (None, Shots::default());
         for index in 0..count {
-            let watch = self.episode(task, first.wrapping_add(index as u64)).await?;
+            let watch = self
+                .episode(at, task, first.wrapping_add(index as u64))
+                .await?;
             planner = watch
                 .planner()
                 .map(|(name, ms)| (name.to_owned(), ms))
@@ -195,7 +194,7 @@ impl Trials {
         };
         let findings = ClosedLoop::of(about, step_ms, episodes, &plans)?;
         let picture = strip(&shown, self.goal.as_ref(), &title);
-        let folder = &self.parameters.output;
+        let folder = &at.parameters.output;
         let written = files::write(folder, task.name(), &findings, picture.as_ref())?;
         let mut text = format!("{findings}\n");
         for path in written {
@@ -206,57 +205,36 @@ impl Trials {
     }
 
     /// One episode, from the reset to the end.
-    async fn episode(&mut self, task: GoalKind, seed: u64) -> Result<EpisodeWatch> {
-        let timeout = self.parameters.timeout;
-        let (patience, least_s) = (self.parameters.patience, self.parameters.least_time);
+    async fn episode(
+        &mut self,
+        at: &mut Setup<Self>,
+        task: GoalKind,
+        seed: u64,
+    ) -> Result<EpisodeWatch> {
+        let timeout = at.parameters.timeout;
+        let (patience, least_s) = (at.parameters.patience, at.parameters.least_time);
         let most = tokio::task::spawn_blocking(move || most_steps(task, seed, patience, least_s));
         let most = most.await??;
-        tokio::time::timeout(timeout, self.begin(task, seed))
+        tokio::time::timeout(timeout, begin(at, task, seed))
             .await
             .with_context(|| {
                 format!("{task} with seed {seed} does not begin: no answer, no frame or no plan")
             })??;
         let mut watch = EpisodeWatch::new(task, seed, most);
         while !watch.is_over() {
-            tokio::time::timeout(timeout, self.hear(&mut watch))
+            tokio::time::timeout(timeout, self.watch(&mut at.endpoints, &mut watch))
                 .await
                 .context("sim_arm has fallen silent")??;
         }
-        self.setting.arm(false).await?;
+        at.resources.arm(false).await?;
         Ok(watch)
     }
 
-    /// Lays the table, waits until the planner has planned for it, and arms the executor.
-    async fn begin(&mut self, task: GoalKind, seed: u64) -> Result<()> {
-        self.setting.arm(false).await?;
-        self.setting.lay(task, seed).await?;
-        let endpoints = &mut self.endpoints;
-        // The arm says so once the new table is there.
-        while endpoints
-            .successes
-            .recv()
-            .await
-            .ok_or_else(ended)?
-            .message
-            .data
-        {}
-        for _ in 0..FRAMES_BEFORE {
-            endpoints.frames.recv().await.ok_or_else(ended)?;
-        }
-        self.setting.plan_anew(seed).await?;
-        while endpoints.plans.try_recv().is_some() {}
-        endpoints.plans.recv().await.ok_or_else(ended)?;
-        while endpoints.distances.try_recv().is_some() {}
-        while endpoints.outcomes.try_recv().is_some() {}
-        self.setting.arm(true).await
-    }
-
     /// Takes the next message.
-    async fn hear(&mut self, watch: &mut EpisodeWatch) -> Result<()> {
-        let endpoints = &mut self.endpoints;
+    async fn watch(&mut self, endpoints: &mut Endpoints, watch: &mut EpisodeWatch) -> Result<()> {
         tokio::select! {
             biased;
-            // The arm tells it before the success that it leads to.
+            // The arm publishes it before the success that it leads to.
             distance = endpoints.distances.recv() => {
                 watch.distance(distance.ok_or_else(ended)?.message.data);
             }
@@ -279,6 +257,31 @@ impl Trials {
         }
         Ok(())
     }
+}
+
+/// Lays the table, waits until the planner has planned for it, and arms the executor.
+async fn begin(at: &mut Setup<Trials>, task: GoalKind, seed: u64) -> Result<()> {
+    let (setting, endpoints) = (&at.resources, &mut at.endpoints);
+    setting.arm(false).await?;
+    setting.lay(task, seed).await?;
+    // The arm says so once the new table is there.
+    while endpoints
+        .successes
+        .recv()
+        .await
+        .ok_or_else(ended)?
+        .message
+        .data
+    {}
+    for _ in 0..FRAMES_BEFORE {
+        endpoints.frames.recv().await.ok_or_else(ended)?;
+    }
+    setting.plan_anew(seed).await?;
+    while endpoints.plans.try_recv().is_some() {}
+    endpoints.plans.recv().await.ok_or_else(ended)?;
+    while endpoints.distances.try_recv().is_some() {}
+    while endpoints.outcomes.try_recv().is_some() {}
+    setting.arm(true).await
 }
 
 /// Steps of the simulator that an episode may take.

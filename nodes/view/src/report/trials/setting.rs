@@ -1,4 +1,4 @@
-//! The nodes that an episode takes: the arm, the planner, the executor.
+//! The nodes of an episode: the arm, the planner, the executor.
 
 use anyhow::{Context as _, Result, bail, ensure};
 use wm_msgs::{
@@ -9,7 +9,7 @@ use wm_ros::{Client, Node, RemoteParameters};
 use wm_sim::GoalKind;
 
 /// The services of these nodes.
-pub struct Setting {
+pub(crate) struct Setting {
     table: Client<Reset>,
     parameters: RemoteParameters,
     planner: Client<Reset>,
@@ -17,11 +17,11 @@ pub struct Setting {
 }
 
 impl Setting {
-    /// Those in the namespace of `node`.
+    /// The services in the namespace of `node`.
     ///
     /// # Errors
-    /// The graph refuses.
-    pub fn new(node: &Node) -> Result<Self> {
+    /// They cannot be created.
+    pub(crate) fn new(node: &Node) -> Result<Self> {
         Ok(Self {
             table: node.client("sim_arm/reset")?,
             parameters: RemoteParameters::new(node, "sim_arm")?,
@@ -30,19 +30,19 @@ impl Setting {
         })
     }
 
-    /// Waits until all of them are there.
-    pub async fn wait(&self) {
+    /// Waits until all services exist.
+    pub(crate) async fn wait(&self) {
         self.table.wait_for_service().await;
         self.parameters.wait_for_service().await;
         self.planner.wait_for_service().await;
         self.executor.wait_for_service().await;
     }
 
-    /// Has the arm begin a task. The executor is to be disarmed.
+    /// Makes the arm begin a task. Disarm the executor first.
     ///
     /// # Errors
-    /// There is no such task, or a node does not answer.
-    pub async fn lay(&self, task: GoalKind, seed: u64) -> Result<()> {
+    /// The task is unknown, or a node does not reply.
+    pub(crate) async fn lay(&self, task: GoalKind, seed: u64) -> Result<()> {
         let name = task.name().to_owned();
         if let Err(reason) = self.parameters.set("task", name).await? {
             bail!("sim_arm does not take the task {task}: {reason}");
@@ -50,20 +50,20 @@ impl Setting {
         reset(&self.table, "sim_arm", seed).await
     }
 
-    /// Has the planner begin anew.
+    /// Resets the planner.
     ///
     /// # Errors
-    /// It does not answer, or refuses.
-    pub async fn plan_anew(&self, seed: u64) -> Result<()> {
+    /// It does not reply, or refuses.
+    pub(crate) async fn plan_anew(&self, seed: u64) -> Result<()> {
         reset(&self.planner, "planner", seed).await
     }
 
-    /// Arms the executor, or disarms it. An arm that still comes to a stop is waited for.
+    /// Arms or disarms the executor, and waits for a moving arm to stop.
     ///
     /// # Errors
-    /// It does not answer, or refuses for another reason.
-    pub async fn arm(&self, is_armed: bool) -> Result<()> {
-        for _ in 0..MOST_ASKED {
+    /// The executor does not reply, or refuses for another reason.
+    pub(crate) async fn arm(&self, is_armed: bool) -> Result<()> {
+        for _ in 0..MOST_REQUESTS {
             let answer = self.executor.call(&SetBoolRequest { data: is_armed }).await;
             let answer = answer.context("executor")?;
             if answer.success {
@@ -79,8 +79,8 @@ impl Setting {
     }
 }
 
-/// How often the executor is asked while it comes to a stop: each answer takes a turn of its loop.
-const MOST_ASKED: usize = 10_000;
+/// The most requests while the arm stops: each reply takes a turn of the executor's loop.
+const MOST_REQUESTS: usize = 10_000;
 
 async fn reset(client: &Client<Reset>, name: &str, seed: u64) -> Result<()> {
     let request = ResetRequest {

@@ -1,28 +1,28 @@
-//! A few pictures of an episode.
+//! Selected pictures of an episode.
 
 use std::sync::Arc;
 
 use image::RgbImage;
 
-/// Most shots that are kept; then every second one goes, and only every second one more is taken.
+/// The most shots: then every second one is removed, and the sampling rate halved.
 const MOST: usize = 32;
 
-/// What was seen and imagined at a moment.
+/// A camera picture and the imagined outcome.
 #[derive(Clone, Debug)]
 pub struct Shot {
     /// Since the episode's first shot \[s\].
     pub time_s: f64,
-    /// What the camera saw.
+    /// The camera's picture.
     pub seen: RgbImage,
-    /// What the newest plan was to lead to; none before the first one.
+    /// The imagined outcome of the newest plan; none before the first plan.
     pub imagined: Option<Arc<RgbImage>>,
 }
 
-/// Shots of an episode, evenly over its time, however long it is.
+/// Shots of an episode, evenly over its duration.
 #[derive(Clone, Debug)]
 pub struct Shots {
     shots: Vec<Shot>,
-    /// One of so many frames is kept.
+    /// Every how many frames one is kept.
     stride: usize,
     frames: usize,
     first_ns: Option<i64>,
@@ -40,7 +40,7 @@ impl Default for Shots {
 }
 
 impl Shots {
-    /// Takes what is seen at `stamp_ns`, if its turn has come.
+    /// Takes a picture if it is due.
     pub fn take(
         &mut self,
         stamp_ns: i64,
@@ -69,7 +69,7 @@ impl Shots {
         }
     }
 
-    /// At most `count` of them, the first and the last among them.
+    /// At most `count` of them, the first and the last included.
     pub fn evenly(&self, count: usize) -> Vec<&Shot> {
         let last = self.shots.len().saturating_sub(1);
         let columns = count.min(self.shots.len());
@@ -86,7 +86,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn shots_are_even_over_time_and_few() {
+    fn shots_are_few_and_even_over_time() {
         let mut shots = Shots::default();
         let mut most = 0;
         for frame in 0..1000_i64 {

@@ -1,31 +1,31 @@
-//! What was seen, what was imagined, and what was to be.
+//! The strip of an episode: camera, imagined outcome and goal.
 
 use image::{Rgb, RgbImage, imageops};
 
 use super::Shots;
 use crate::report::font::{CHARACTER, width, write};
 
-/// Columns at most.
+/// The most columns.
 const COLUMNS: usize = 8;
 /// Side of a picture \[px\].
 const SIDE: u32 = 128;
-/// Between pictures, and around them \[px\].
+/// Between and around pictures \[px\].
 const GAP: u32 = 6;
 
 const BACKGROUND: Rgb<u8> = Rgb([24, 24, 28]);
 const INK: Rgb<u8> = Rgb([230, 230, 230]);
 const ROWS: [&str; 3] = ["seen", "imagined", "goal"];
 
-/// Rows: what the camera saw, what the plan of the moment was to lead to, the goal. Columns: moments of the episode.
-/// None where nothing was seen.
-pub fn strip(shots: &Shots, goal: Option<&RgbImage>, title: &str) -> Option<RgbImage> {
+/// Rows: the camera's picture, the imagined outcome of the current plan, the goal. Columns: times of the episode.
+/// `None` without pictures.
+pub(crate) fn strip(shots: &Shots, goal: Option<&RgbImage>, title: &str) -> Option<RgbImage> {
     let shown = shots.evenly(COLUMNS);
     if shown.is_empty() {
         return None;
     }
     let left = ROWS.iter().map(|row| width(row)).max().unwrap_or(0) + 2 * GAP;
     let top = 2 * CHARACTER + 3 * GAP;
-    // At most COLUMNS.
+    // at most COLUMNS
     let columns = shown.len() as u32;
     let size = (left + columns * (SIDE + GAP), top + 3 * (SIDE + GAP));
     let mut strip = RgbImage::from_pixel(size.0, size.1, BACKGROUND);

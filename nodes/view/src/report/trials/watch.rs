@@ -1,4 +1,4 @@
-//! What is known of an episode that goes on.
+//! The state of a running episode.
 
 use std::sync::Arc;
 
@@ -9,25 +9,25 @@ use wm_sim::{FRAME_PERIOD_NS, GoalKind};
 
 use super::Shots;
 
-/// An episode from when the executor is armed.
+/// An episode since the executor was armed.
 #[derive(Clone, Debug)]
 pub struct EpisodeWatch {
     task: GoalKind,
     seed: u64,
-    /// Steps of the simulator after which it is over.
+    /// The most steps of the simulator.
     most: usize,
     ticks: usize,
     is_done: bool,
     distance_m: f64,
     plans: Vec<PlanTime>,
-    /// Of the newest plan: who made it, and the time of its steps \[ns\].
+    /// Of the newest plan: the planner's name and the duration of a step \[ns\].
     planner: Option<(String, i64)>,
     imagined: Option<Arc<RgbImage>>,
     shots: Shots,
 }
 
 impl EpisodeWatch {
-    /// An episode of at most `most` steps of the simulator.
+    /// `most`: the most steps of the simulator.
     pub fn new(task: GoalKind, seed: u64, most: usize) -> Self {
         Self {
             task,
@@ -43,12 +43,12 @@ impl EpisodeWatch {
         }
     }
 
-    /// Whether the task is done, or the time is up.
+    /// Whether the task is done or the time is up.
     pub fn is_over(&self) -> bool {
         self.is_done || self.ticks >= self.most
     }
 
-    /// Takes what is missing after a step of the simulator \[m\].
+    /// Takes the remaining distance after a step of the simulator \[m\].
     pub fn distance(&mut self, distance_m: f64) {
         if !self.is_over() {
             self.ticks += 1;
@@ -67,32 +67,32 @@ impl EpisodeWatch {
     pub fn plan(&mut self, plan: &Plan) {
         self.plans.push(PlanTime {
             ms: plan.time_taken.to_nanos() as f64 / 1e6,
-            // A count fits.
+            // a count fits
             candidates: plan.candidates as usize,
         });
         self.planner = Some((plan.planner.clone(), plan.period.to_nanos()));
     }
 
-    /// Takes a picture of what the newest plan leads to.
+    /// Takes a picture of the newest plan's outcome.
     pub fn outcome(&mut self, picture: RgbImage) {
         self.imagined = Some(Arc::new(picture));
     }
 
-    /// Takes a frame of the camera, which is decoded where it is to be shown.
+    /// Takes a camera frame. `seen` decodes it if it is kept.
     pub fn frame(&mut self, stamp_ns: i64, seen: impl FnOnce() -> Option<RgbImage>) {
         self.shots.take(stamp_ns, seen, self.imagined.as_ref());
     }
 
-    /// Who plans, once there was a plan, and the time of a model step \[ms\].
+    /// The planner's name after the first plan, and the duration of a model step \[ms\].
     pub fn planner(&self) -> Option<(&str, f64)> {
         let planner = self.planner.as_ref();
         planner.map(|(name, step_ns)| (name.as_str(), *step_ns as f64 / 1e6))
     }
 
-    /// What came of it: the episode, its plans and its pictures.
+    /// The episode, its plans and its pictures.
     pub fn finish(self) -> (Episode, Vec<PlanTime>, Shots) {
         let step_ns = self.planner.map_or(0, |(_, step_ns)| step_ns);
-        // A model step has a handful of the simulator's.
+        // a model step has a few steps of the simulator
         let per_step = (step_ns as f64 / FRAME_PERIOD_NS as f64).round().max(1.0) as usize;
         let episode = Episode {
             seed: self.seed,
@@ -103,7 +103,7 @@ impl EpisodeWatch {
         (episode, self.plans, self.shots)
     }
 
-    /// What is to be done.
+    /// The task of the episode.
     pub fn task(&self) -> GoalKind {
         self.task
     }
@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn an_episode_ends_with_the_task_or_with_its_time() {
+    fn episode_ends_with_its_task_or_its_time() {
         let mut watch = EpisodeWatch::new(GoalKind::Reach, 7, 6);
         watch.success(false);
         for tick in 0..5 {
@@ -137,7 +137,7 @@ mod tests {
         let mut done = watch.clone();
         done.success(true);
         assert!(done.is_over());
-        // What comes later does not count.
+        // later events do not count
         done.success(false);
         done.distance(9.0);
         let (episode, plans, _) = done.finish();

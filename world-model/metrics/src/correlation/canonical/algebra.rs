@@ -2,11 +2,12 @@ use nalgebra::{Cholesky, DMatrix, Dyn, SymmetricEigen};
 
 use crate::MetricError;
 
-/// Pivots of Cholesky's factor below this share of the largest are taken for dependent columns: columns have variance 1,
-/// and rounding leaves 1e-16.
+/// Pivots of Cholesky's factor below this share of the largest mean dependent columns: columns have variance 1,
+/// rounding errors are 1e-16.
 const DEPENDENT: f64 = 1e-12;
 
-/// Leading principal axes (p, k), projections onto which have variance 1, of the smaller one of the two matrices that have the same eigenvalues.
+/// Leading principal axes (p, k), scaled to projections of variance 1, from the smaller of the two matrices with the
+/// same eigenvalues.
 pub(super) fn components(values: &DMatrix<f64>, most: usize) -> Result<DMatrix<f64>, MetricError> {
     if most == 0 {
         return Err(MetricError::Range {
@@ -34,7 +35,7 @@ pub(super) fn components(values: &DMatrix<f64>, most: usize) -> Result<DMatrix<f
     Ok(axes)
 }
 
-/// Numbers of the greatest eigenvalues above a floor, at most so many, the greatest first.
+/// Indices of the greatest eigenvalues above a floor, greatest first.
 pub(super) fn leading(eigen: &SymmetricEigen<f64, Dyn>, floor: f64, most: usize) -> Vec<usize> {
     let values = eigen.eigenvalues.iter().copied().enumerate();
     let mut order: Vec<(usize, f64)> = values.filter(|(_, value)| *value > floor).collect();
@@ -47,7 +48,7 @@ pub(super) fn select(eigen: &SymmetricEigen<f64, Dyn>, kept: &[usize]) -> DMatri
     eigen.eigenvectors.select_columns(kept)
 }
 
-/// Cholesky's factor of the covariance, ridged.
+/// Cholesky's factor of the ridged covariance.
 pub(super) fn root(
     what: &'static str,
     values: &DMatrix<f64>,

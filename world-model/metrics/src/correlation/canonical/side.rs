@@ -3,7 +3,7 @@ use nalgebra::{DMatrix, DVector};
 use super::algebra::freedom;
 use crate::{MetricError, Table, error::same_length};
 
-/// How one table is projected: its columns' means, and weights of the differences to them.
+/// The projection of one table: column means, and weights of the differences to them.
 #[derive(Clone, Debug)]
 pub(super) struct Side {
     means: DVector<f64>,
@@ -26,11 +26,11 @@ impl Side {
     }
 }
 
-/// Columns of mean 0, and of variance 1 or 0.
+/// Columns of mean 0 and variance 1, or 0 if constant.
 pub(super) struct Standard {
     pub(super) values: DMatrix<f64>,
     means: DVector<f64>,
-    /// Standard deviations; 0 of what never varies.
+    /// Standard deviations; 0 if constant.
     pub(super) scales: DVector<f64>,
 }
 
@@ -67,7 +67,7 @@ impl Standard {
         }
     }
 
-    /// Of weights of the scaled columns.
+    /// The projection by weights of the scaled columns.
     pub(super) fn side(self, mut weights: DMatrix<f64>) -> Side {
         for (mut row, scale) in weights.row_iter_mut().zip(self.scales.iter()) {
             if *scale > 0.0 {

@@ -2,7 +2,7 @@
 
 use super::*;
 
-/// Whole numbers that look random.
+/// Pseudorandom integers.
 fn noise(index: usize) -> f64 {
     ((index * 7919 + index * index * 104_729) % 1009) as f64 / 1009.0 - 0.5
 }
@@ -14,7 +14,7 @@ fn table(rows: usize, columns: usize, of: impl Fn(usize, usize) -> f64) -> Table
 }
 
 #[test]
-fn one_column_each_is_pearson() {
+fn single_columns_give_pearson() {
     let x = table(20, 1, |row, _| noise(row));
     let y = table(20, 1, |row, _| noise(row) - 2.0 * noise(row + 100));
     let expected = pearson(&x.column(0), &y.column(0)).unwrap().r;
@@ -24,7 +24,7 @@ fn one_column_each_is_pearson() {
 }
 
 #[test]
-fn actions_that_are_linear_in_the_features_are_found() {
+fn linear_actions_are_found() {
     let x = table(50, 4, |row, column| noise(row * 4 + column));
     let y = table(50, 2, |row, column| {
         3.0 * noise(row * 4 + column) - noise(row * 4 + 3) + 7.0
@@ -73,7 +73,7 @@ fn more_features_than_samples_need_regularisation() {
     for found in [&ridged, &reduced] {
         assert!(found.eta() > 0.1 && found.eta() <= 1.0, "{}", found.eta());
     }
-    // As many components as samples leave nothing to regularise.
+    // As many components as samples: no regularisation.
     let all = CanonicalCorrelation::fit(&x, &y, Regularisation::Components(100)).unwrap();
     assert!((all.eta() - 1.0).abs() < 1e-6);
     let held_out = table(20, 40, |row, column| noise(9000 + row * 40 + column));
@@ -81,7 +81,7 @@ fn more_features_than_samples_need_regularisation() {
 }
 
 #[test]
-fn all_components_change_nothing() {
+fn keeping_all_components_changes_nothing() {
     let x = table(30, 4, |row, column| {
         noise(row * 4 + column) * (column + 1) as f64
     });
@@ -96,7 +96,7 @@ fn all_components_change_nothing() {
 }
 
 #[test]
-fn what_has_no_correlation_is_named() {
+fn undefined_correlations_are_named() {
     let x = table(10, 2, |row, column| noise(row * 2 + column));
     let still = table(
         10,

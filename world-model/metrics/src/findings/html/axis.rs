@@ -1,9 +1,9 @@
-//! An axis: what of it is drawn where, and its ticks.
+//! An axis: its range, scale and ticks.
 
-/// Values that can be drawn: beyond, differences overflow.
+/// Greatest drawable value; differences of larger ones overflow.
 const LIMIT: f64 = 1e100;
 
-/// From values to places.
+/// Maps values to positions.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Axis {
     low: f64,
@@ -15,7 +15,7 @@ pub(super) struct Axis {
 }
 
 impl Axis {
-    /// Over all of `values`, from 0 where they come near it, to round numbers; about `count` ticks.
+    /// Covers `values` and a nearby 0, extended to round numbers; about `count` ticks.
     pub(super) fn of_values(values: impl Iterator<Item = f64>, count: usize) -> Self {
         let (mut low, mut high) = bounds(values);
         if low > 0.0 && low < 0.5 * high {
@@ -32,7 +32,7 @@ impl Axis {
         )
     }
 
-    /// From the first of `values` to the last. Where they are few whole numbers, as horizons are, each is a tick.
+    /// From the first of `values` to the last. A few integers, such as horizons, get a tick each.
     pub(super) fn of_places(values: impl Iterator<Item = f64>, count: usize) -> Self {
         let mut places: Vec<f64> = values.filter(|value| drawable(*value)).collect();
         places.sort_unstable_by(f64::total_cmp);
@@ -51,14 +51,14 @@ impl Axis {
         axis
     }
 
-    /// From `low` to `high` exactly.
+    /// Exactly from `low` to `high`.
     pub(super) fn between(low: f64, high: f64, count: usize) -> Self {
         Self::new(low, high, step(high - low, count))
     }
 
     fn new(low: f64, high: f64, step: f64) -> Self {
         let first = (low / step - 1e-6).ceil();
-        // Steps are a good part of the span: there are never more.
+        // A step is a large part of the span, so 24 ticks suffice.
         let ticks = (0..24).map(|number| (first + f64::from(number)) * step);
         Self {
             low,
@@ -72,18 +72,18 @@ impl Axis {
         }
     }
 
-    /// Drawn from place `from` to place `to`.
+    /// Draws from position `from` to position `to`.
     pub(super) fn drawn(self, from: f64, to: f64) -> Self {
         Self { from, to, ..self }
     }
 
-    /// The place of a value; `None` of one that cannot be drawn.
+    /// Position of a value; `None` if it cannot be drawn.
     pub(super) fn place(&self, value: f64) -> Option<f64> {
         let share = (value - self.low) / (self.high - self.low);
         drawable(value).then_some(self.from + share * (self.to - self.from))
     }
 
-    /// Where the ticks are, and their texts.
+    /// Positions and labels of the ticks.
     pub(super) fn ticks(&self) -> impl Iterator<Item = (f64, String)> {
         let largest = self.low.abs().max(self.high.abs());
         self.ticks.iter().filter_map(move |tick| {
@@ -97,7 +97,7 @@ pub(super) fn drawable(value: f64) -> bool {
     value.abs() <= LIMIT
 }
 
-/// Least and most of what can be drawn, apart from each other.
+/// Distinct least and greatest drawable values.
 fn bounds(values: impl Iterator<Item = f64>) -> (f64, f64) {
     let values = values.filter(|value| drawable(*value));
     let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| {
@@ -113,7 +113,7 @@ fn bounds(values: impl Iterator<Item = f64>) -> (f64, f64) {
     (low, high)
 }
 
-/// 1, 2 or 5 times a power of ten, so that about `count` fit.
+/// 1, 2 or 5 times a power of ten, for about `count` steps.
 fn step(span: f64, count: usize) -> f64 {
     // A handful of ticks.
     let raw = span / count.max(1) as f64;
@@ -171,7 +171,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_values_have_an_axis(values in prop::collection::vec(any::<f64>(), 0..8)) {
+        fn axis_exists_for_any_values(values in prop::collection::vec(any::<f64>(), 0..8)) {
             for axis in [Axis::of_values(values.iter().copied(), 5), Axis::of_places(values.iter().copied(), 6)] {
                 let axis = axis.drawn(10.0, 110.0);
                 prop_assert!(axis.ticks().count() <= 24);

@@ -1,4 +1,7 @@
-//! A curve, drawn.
+//! A curve as SVG.
+//!
+//! plotters is not used: its SVG has fixed colours and no classes. Here `report.css` gives colours, dashes and the dark theme,
+//! and elements have texts for screen readers.
 
 use std::fmt::Write as _;
 
@@ -10,28 +13,28 @@ use crate::findings::number::Digits;
 
 const WIDTH: f64 = 480.0;
 const HEIGHT: f64 = 300.0;
-/// Left of the plot, for the texts of its ticks.
+/// Left margin, for tick labels.
 const LEFT: f64 = 58.0;
 const RIGHT: f64 = 14.0;
-/// Above it, for what the values are.
+/// Top margin, for the name of the values.
 const TOP: f64 = 34.0;
 const BOTTOM: f64 = 50.0;
-/// Points of a line that can be told apart; more only make the file larger.
+/// Most points of a line; more only enlarge the file.
 const POINTS: usize = 500;
-/// Points that get a mark each.
+/// Most points with a mark.
 const MARKED: usize = 32;
-/// Values that a table below the curve has, at most.
+/// Most values in the table below the curve.
 const TABLED: usize = 240;
-/// Letters that fit on an axis.
+/// Letters that fit along an axis.
 const LETTERS: usize = 54;
 
 /// A line of a chart.
 pub(super) struct Line<'a> {
     pub(super) name: String,
-    /// Which colour, and which dashes.
+    /// Index of colour and dashes.
     pub(super) colour: usize,
     pub(super) dash: usize,
-    /// Whether it is no single model's.
+    /// Whether the line is the same for all models.
     pub(super) common: bool,
     pub(super) points: &'a [[f64; 2]],
     pub(super) band: &'a [[f64; 2]],
@@ -78,12 +81,12 @@ fn drawing(markup: &mut Markup, title: &str, x_name: &str, y_name: &str, lines: 
     let y = Axis::of_values(points().map(|[_, y]| *y).chain(bands.copied()), 5)
         .drawn(HEIGHT - BOTTOM, TOP);
     let names: Vec<&str> = lines.iter().map(|line| line.name.as_str()).collect();
-    let told = format!("{title}: {y_name} over {x_name}; {}", names.join(", "));
+    let description = format!("{title}: {y_name} over {x_name}; {}", names.join(", "));
     let view = format!("0 0 {WIDTH} {HEIGHT}");
     let attributes = [
         ("viewBox", view.as_str()),
         ("role", "img"),
-        ("aria-label", &told),
+        ("aria-label", &description),
     ];
     markup.element("svg", &attributes, |markup| {
         for (place, text) in y.ticks() {
@@ -132,7 +135,7 @@ fn band(markup: &mut Markup, line: &Line<'_>, x: &Axis, y: &Axis) {
     let lower = ends.iter().rev().map(|(x, low, _)| (x, low));
     for (x, y) in upper.chain(lower) {
         let letter = if path.is_empty() { 'M' } else { 'L' };
-        // Writing to a string does not fail.
+        // Writing to a string cannot fail.
         write!(path, "{letter}{x:.1} {y:.1}").ok();
     }
     path.push('Z');
@@ -167,23 +170,23 @@ fn path(markup: &mut Markup, line: &Line<'_>, x: &Axis, y: &Axis) {
             continue;
         };
         let digits = Digits::of([*value], band.map(|[low, high]| (*low, *high)));
-        let mut told = format!(
+        let mut description = format!(
             "{}: {}",
             Digits::of([*at], []).show(*at),
             digits.show(*value)
         );
         if let Some([low, high]) = band {
-            write!(told, " {}", digits.interval(*low, *high)).ok();
+            write!(description, " {}", digits.interval(*low, *high)).ok();
         }
         if !line.name.is_empty() {
-            told = format!("{}, {told}", line.name);
+            description = format!("{}, {description}", line.name);
         }
-        mark(markup, line, px, py, Some(&told));
+        mark(markup, line, px, py, Some(&description));
     }
 }
 
-/// A mark of its own for neighbouring colours, so that colour is not all that tells lines apart.
-fn mark(markup: &mut Markup, line: &Line<'_>, x: f64, y: f64, told: Option<&str>) {
+/// Distinct marks for neighbouring colours, so that colour is not the only difference.
+fn mark(markup: &mut Markup, line: &Line<'_>, x: f64, y: f64, description: Option<&str>) {
     let shape = match line.colour % 4 {
         0 => format!(
             "M{:.1} {y:.1}a3.5 3.5 0 1 0 7 0a3.5 3.5 0 1 0 -7 0Z",
@@ -195,10 +198,10 @@ fn mark(markup: &mut Markup, line: &Line<'_>, x: f64, y: f64, told: Option<&str>
     };
     let class = class(line, "mark");
     let attributes = [("class", class.as_str()), ("d", &shape)];
-    match told {
-        Some(told) => {
+    match description {
+        Some(description) => {
             markup.element("path", &attributes, |markup| {
-                markup.leaf("title", &[], told);
+                markup.leaf("title", &[], description);
             });
         }
         None => markup.void("path", &attributes),
@@ -233,7 +236,7 @@ fn named(markup: &mut Markup, x: f64, y: f64, anchor: &str, text: &str) {
     markup.leaf("text", &attributes, &shown);
 }
 
-/// At most about `limit` of the points with their numbers: of each stretch the lowest and the highest.
+/// About `limit` of the points with their indices: lowest and highest of each stretch.
 fn thinned(points: &[[f64; 2]], limit: usize) -> Vec<(usize, [f64; 2])> {
     let numbered = points.iter().copied().enumerate();
     if points.len() <= limit {
@@ -254,7 +257,7 @@ fn thinned(points: &[[f64; 2]], limit: usize) -> Vec<(usize, [f64; 2])> {
     kept
 }
 
-/// The values, for who does not see a curve; not of long ones.
+/// The values as a table for screen readers, for short curves only.
 fn table(markup: &mut Markup, x: &str, y: &str, lines: &[Line<'_>]) {
     let points = || lines.iter().flat_map(|line| line.points);
     let mut places: Vec<f64> = points()

@@ -2,24 +2,24 @@
 
 use std::collections::BTreeSet;
 
-use super::{Named, arrow, markup::Markup, swatch, value, whisker::whiskers};
+use super::{LabelledModel, arrow, markup::Markup, swatch, value, whisker::whiskers};
 use crate::findings::{Better, Metric, Suite, number::Digits};
 
-/// A figure of every model.
+/// A figure of all models.
 pub(super) struct Row<'a> {
     pub(super) name: &'a str,
-    /// In the order of the models; `None` where one does not have it.
+    /// In the order of the models; `None` if missing.
     pub(super) metrics: Vec<Option<&'a Metric>>,
 }
 
 impl Row<'_> {
-    /// Whether any model's has an interval.
+    /// Whether any model has an interval.
     pub(super) fn is_sure(&self) -> bool {
         let mut metrics = self.metrics.iter().flatten();
         metrics.any(|metric| metric.finite_interval().is_some())
     }
 
-    /// Of all its numbers alike.
+    /// Common precision of all its numbers.
     pub(super) fn digits(&self) -> Digits {
         let metrics = || self.metrics.iter().flatten();
         let intervals = metrics().filter_map(|metric| metric.finite_interval());
@@ -29,7 +29,7 @@ impl Row<'_> {
         )
     }
 
-    /// The best value of several that differ, also as they are shown.
+    /// The best value, if values differ when printed.
     fn best(&self) -> Option<f64> {
         let mut values: Vec<f64> = self.metrics.iter().flatten().map(|m| m.value).collect();
         values.sort_unstable_by(f64::total_cmp);
@@ -48,8 +48,8 @@ impl Row<'_> {
 }
 
 /// All figures of a suite, by name.
-pub(super) fn rows<'a>(models: &[Named<'a>], suite: Suite) -> Vec<Row<'a>> {
-    let of = |model: &Named<'a>| {
+pub(super) fn rows<'a>(models: &[LabelledModel<'a>], suite: Suite) -> Vec<Row<'a>> {
+    let of = |model: &LabelledModel<'a>| {
         let findings: &'a _ = model.findings;
         findings.of(suite).flat_map(|section| &section.metrics)
     };
@@ -77,7 +77,7 @@ pub(super) fn rows<'a>(models: &[Named<'a>], suite: Suite) -> Vec<Row<'a>> {
 }
 
 /// The table of a suite.
-pub(super) fn figures(markup: &mut Markup, suite: Suite, models: &[Named<'_>]) {
+pub(super) fn figures(markup: &mut Markup, suite: Suite, models: &[LabelledModel<'_>]) {
     let rows = rows(models, suite);
     if rows.is_empty() {
         return;
@@ -103,7 +103,7 @@ pub(super) fn figures(markup: &mut Markup, suite: Suite, models: &[Named<'_>]) {
 }
 
 /// The heads of the columns.
-pub(super) fn head(markup: &mut Markup, models: &[Named<'_>]) {
+pub(super) fn head(markup: &mut Markup, models: &[LabelledModel<'_>]) {
     markup.element("thead", &[], |markup| {
         markup.element("tr", &[], |markup| {
             markup.leaf("th", &[("scope", "col")], "Figure");
@@ -126,7 +126,7 @@ pub(super) fn head(markup: &mut Markup, models: &[Named<'_>]) {
     });
 }
 
-/// A figure; with what it says where `explained`.
+/// A row, with the meaning of the figure if `explained`.
 pub(super) fn row(markup: &mut Markup, row: &Row<'_>, explained: bool) {
     let Some(first) = row.metrics.iter().flatten().next() else {
         return;
@@ -172,7 +172,7 @@ pub(super) fn row(markup: &mut Markup, row: &Row<'_>, explained: bool) {
     });
 }
 
-/// A name, which may break after its dots and underscores.
+/// A name that may wrap after dots and underscores.
 pub(super) fn name(markup: &mut Markup, name: &str) {
     markup.element("code", &[("class", "metric")], |markup| {
         let (suite, own) = name

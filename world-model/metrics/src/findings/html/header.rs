@@ -1,10 +1,9 @@
-//! What was measured on what, and how.
+//! Models, data and settings of the report.
 
-use super::{Named, markup::Markup, swatch};
+use super::{LabelledModel, markup::Markup, swatch};
 use crate::findings::json::settings;
 
-/// Title, models, data and settings.
-pub(super) fn header(markup: &mut Markup, title: &str, models: &[Named<'_>]) {
+pub(super) fn header(markup: &mut Markup, title: &str, models: &[LabelledModel<'_>]) {
     markup.element("header", &[], |markup| {
         markup.leaf("p", &[("class", "eyebrow")], "World model evaluation");
         markup.leaf("h1", &[], title);
@@ -58,12 +57,12 @@ fn fact(markup: &mut Markup, name: &str, inside: impl FnOnce(&mut Markup)) {
     });
 }
 
-/// The short form; the whole one where the pointer rests.
+/// The short form, with the whole one as tooltip.
 fn hash(markup: &mut Markup, whole: &str, short: &str) {
     markup.leaf("code", &[("title", whole)], short);
 }
 
-fn table(markup: &mut Markup, models: &[Named<'_>]) {
+fn table(markup: &mut Markup, models: &[LabelledModel<'_>]) {
     super::scrolling(markup, "Models", |markup| {
         markup.element("table", &[("class", "models")], |markup| {
             markup.leaf("caption", &[("class", "spoken")], "Models");

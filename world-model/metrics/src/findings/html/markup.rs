@@ -1,6 +1,6 @@
 //! HTML that is balanced and escaped by construction.
 
-/// Text of a document as it is written.
+/// A document.
 #[derive(Default)]
 pub(super) struct Markup {
     text: String,
@@ -28,33 +28,31 @@ impl Markup {
         }
     }
 
-    /// An element with text.
+    /// An element with text only.
     pub(super) fn leaf(&mut self, tag: &'static str, attributes: Attributes<'_>, text: &str) {
         self.element(tag, attributes, |markup| markup.text(text));
     }
 
-    /// An element that never has anything inside: `meta`, `img`, or a shape of SVG.
+    /// An element without content: `meta`, `img`, or a shape of SVG.
     pub(super) fn void(&mut self, tag: &'static str, attributes: Attributes<'_>) {
         self.open(tag, attributes);
         self.text.push_str("/>");
     }
 
-    /// Text.
     pub(super) fn text(&mut self, text: &str) {
         escape(text, &mut self.text);
     }
 
-    /// Text of this crate's own that is no HTML: a doctype, a style sheet.
+    /// Trusted text that is not escaped: a doctype, a style sheet.
     pub(super) fn raw(&mut self, text: &'static str) {
         self.text.push_str(text);
     }
 
-    /// Text that is read aloud and not seen.
+    /// Text for screen readers only.
     pub(super) fn spoken(&mut self, text: &str) {
         self.leaf("span", &[("class", "spoken")], text);
     }
 
-    /// The document.
     pub(super) fn finish(self) -> String {
         self.text
     }
@@ -72,14 +70,14 @@ impl Markup {
     }
 }
 
-/// Elements after which a line ends, so that the source can be read and a line is no megabyte.
+/// Elements followed by a line break, so that the source is readable.
 const BLOCKS: [&str; 16] = [
     "dd", "details", "div", "figure", "h1", "h2", "h3", "header", "li", "p", "section", "style",
     "svg", "table", "tr", "ul",
 ];
 
-/// What is markup becomes text, between tags and in attributes alike. Control characters, which HTML forbids, become the
-/// replacement character; those that change the direction of text do too, since they could make a name read as another.
+/// Escapes text for content and attributes. Control characters, which HTML forbids, and characters that change the text
+/// direction, which could disguise a name, become the replacement character.
 pub(super) fn escape(text: &str, into: &mut String) {
     for character in text.chars() {
         match character {
@@ -112,7 +110,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_text_is_markup(text: String) {
+        fn any_text_is_escaped(text: String) {
             let mut escaped = String::new();
             escape(&text, &mut escaped);
             prop_assert!(!escaped.contains(['<', '>', '"', '\'', '\0']));

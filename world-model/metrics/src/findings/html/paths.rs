@@ -1,4 +1,4 @@
-//! Paths in a plane, drawn.
+//! Draws paths in a plane.
 
 use std::fmt::Write as _;
 
@@ -12,17 +12,17 @@ const SIDE: f64 = 440.0;
 const LEFT: f64 = 56.0;
 const MARGIN: f64 = 14.0;
 const BOTTOM: f64 = 30.0;
-/// Paths that are drawn, at most: more cover each other.
+/// Most paths drawn; more would cover each other.
 const PATHS: usize = 120;
-/// Points of a path that can be told apart.
+/// Most points of a path.
 const POINTS: usize = 240;
 
-/// What is drawn: low and high of either coordinate.
+/// Range of both coordinates.
 #[derive(Clone, Copy)]
 pub(super) struct Extent([(f64, f64); 2]);
 
 impl Extent {
-    /// Of all paths that are to be drawn alike, so that they can be compared.
+    /// Common range of comparable paths.
     pub(super) fn of<'a>(all: impl Iterator<Item = &'a Trajectories>) -> Self {
         let mut ends = [(f64::INFINITY, f64::NEG_INFINITY); 2];
         for [x, y] in all.flat_map(|one| one.paths.iter().flatten()) {
@@ -34,20 +34,20 @@ impl Extent {
         Self(ends.map(|(low, high)| if low > high { (0.0, 1.0) } else { (low, high) }))
     }
 
-    /// Of the same length in both directions, with some room.
+    /// Axes of equal length, with a margin.
     fn axes(self) -> [Axis; 2] {
         let [x, y] = self.0;
         let span = (x.1 - x.0).max(y.1 - y.0).max(1e-9) * 1.08;
         [x, y].map(|(low, high)| {
             let middle = f64::midpoint(low, high);
-            // Where a span is lost beside the numbers, they are shown as one point.
+            // Shows spans below the precision of the numbers as one point.
             let span = span.max(middle.abs() * 1e-6);
             Axis::between(middle - span / 2.0, middle + span / 2.0, 5)
         })
     }
 }
 
-/// Paths with a caption; `model` where there are several.
+/// Paths with a caption; `model` if there are several.
 pub(super) fn paths(
     markup: &mut Markup,
     drawn: &Trajectories,
@@ -103,7 +103,7 @@ pub(super) fn paths(
 fn drawing(markup: &mut Markup, drawn: &Trajectories, extent: Extent) {
     let [x, y] = extent.axes();
     let floor = SIDE - BOTTOM;
-    // As wide as it is high, so that a metre is a metre.
+    // Square, so that both axes have the same scale.
     let length = floor - MARGIN;
     let (x, y) = (x.drawn(LEFT, LEFT + length), y.drawn(floor, MARGIN));
     let told = format!(
@@ -159,7 +159,7 @@ fn path(markup: &mut Markup, number: usize, points: &[[f64; 2]], x: &Axis, y: &A
     let mut line = String::new();
     for (px, py) in &places {
         let letter = if line.is_empty() { 'M' } else { 'L' };
-        // Writing to a string does not fail.
+        // Writing to a string cannot fail.
         write!(line, "{letter}{px:.1} {py:.1}").ok();
     }
     markup.element("g", &[("class", &format!("c{}", number % 8))], |markup| {

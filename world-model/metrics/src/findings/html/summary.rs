@@ -1,24 +1,23 @@
-//! The figures that the paper would tell first.
+//! The headline figures.
 
 use std::collections::BTreeMap;
 
 use super::{
-    Named, arrow,
+    LabelledModel, arrow,
     figures::{Row, head, row, rows},
     markup::Markup,
     value,
 };
 use crate::findings::{Suite, headlines::headlines};
 
-/// A few figures of each suite: cards of one model, a table of several.
-pub(super) fn summary(markup: &mut Markup, models: &[Named<'_>], measured: &[Suite]) {
+/// Headlines of each suite: cards for one model, a table for several.
+pub(super) fn summary(markup: &mut Markup, models: &[LabelledModel<'_>], measured: &[Suite]) {
     markup.element(
         "section",
         &[("id", "glance"), ("aria-labelledby", "glance-heading")],
         |markup| {
             markup.leaf("h2", &[("id", "glance-heading")], "At a glance");
-            let about = "↑ more is better, ↓ less is better. In brackets 95 % bootstrap intervals over the n units that a \
-                         figure is of.";
+            let about = "↑ higher is better, ↓ lower is better. Brackets: 95 % bootstrap intervals over n units.";
             markup.leaf("p", &[("class", "about")], about);
             if models.len() == 1 {
                 cards(markup, models, measured);
@@ -29,7 +28,7 @@ pub(super) fn summary(markup: &mut Markup, models: &[Named<'_>], measured: &[Sui
     );
 }
 
-fn chosen<'a>(models: &[Named<'a>], suite: Suite) -> Vec<Row<'a>> {
+fn chosen<'a>(models: &[LabelledModel<'a>], suite: Suite) -> Vec<Row<'a>> {
     let rows = rows(models, suite);
     let names = rows.iter().map(|row| (row.name, row.is_sure()));
     let names = headlines(suite, names);
@@ -39,7 +38,7 @@ fn chosen<'a>(models: &[Named<'a>], suite: Suite) -> Vec<Row<'a>> {
     names.filter_map(|name| by_name.remove(name)).collect()
 }
 
-fn cards(markup: &mut Markup, models: &[Named<'_>], measured: &[Suite]) {
+fn cards(markup: &mut Markup, models: &[LabelledModel<'_>], measured: &[Suite]) {
     markup.element("div", &[("class", "suites")], |markup| {
         for suite in measured {
             let rows = chosen(models, *suite);
@@ -75,7 +74,7 @@ fn cards(markup: &mut Markup, models: &[Named<'_>], measured: &[Suite]) {
     });
 }
 
-fn table(markup: &mut Markup, models: &[Named<'_>], measured: &[Suite]) {
+fn table(markup: &mut Markup, models: &[LabelledModel<'_>], measured: &[Suite]) {
     super::scrolling(markup, "Figures at a glance", |markup| {
         markup.element("table", &[("class", "figures several")], |markup| {
             markup.leaf("caption", &[("class", "spoken")], "Figures at a glance");
@@ -99,7 +98,7 @@ fn table(markup: &mut Markup, models: &[Named<'_>], measured: &[Suite]) {
     });
 }
 
-/// The name without the suite's, as words.
+/// The name without its suite, as words.
 fn words(name: &str) -> String {
     let own = name.split_once('.').map_or(name, |(_, own)| own);
     own.replace('_', " ")

@@ -8,7 +8,7 @@ const MARGIN: f64 = 6.0;
 /// Height of a model's line.
 const LINE: f64 = 11.0;
 
-/// The value and interval of each model on a common scale.
+/// Values and intervals of all models on a common scale.
 pub(super) fn whiskers(markup: &mut Markup, row: &Row<'_>) {
     let ends = |metric: &crate::findings::Metric| {
         let interval = metric.finite_interval();
@@ -50,7 +50,7 @@ pub(super) fn whiskers(markup: &mut Markup, row: &Row<'_>) {
     });
 }
 
-/// A difference and its interval about 0.
+/// A difference with its interval around 0.
 pub(super) fn about_zero(markup: &mut Markup, difference: &Difference) {
     let found = difference.difference;
     let interval = difference.interval;

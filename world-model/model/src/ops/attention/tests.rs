@@ -1,6 +1,6 @@
 use candle_core::Device;
 
-use super::super::engine::tests::{check_gradients, check_refused, check_same, random};
+use super::super::comparison::{check_gradients, check_refused, check_same, random};
 use super::*;
 use crate::ops::{RopeLayout, RotaryTable};
 
@@ -64,7 +64,7 @@ fn heads_of_any_width_are_those_of_the_definition() {
         let pattern = AttentionPattern::new(Axis::Space, heads, rotary, |_, _| true).unwrap();
         let shape = (1, 1, rows * columns, 3 * d);
         let qkv = Tensor::randn(0f32, 1.0, shape, &Device::Cpu).unwrap();
-        let out = attention(Engine::Cpu, &qkv, &Arc::new(pattern)).unwrap();
+        let out = attention(Kernels::Cpu, &qkv, &Arc::new(pattern)).unwrap();
         let rows = |x: &Tensor| x.squeeze(0).unwrap().squeeze(0).unwrap().to_vec2().unwrap();
         let (qkv, out): (Vec<Vec<f32>>, Vec<Vec<f32>>) = (rows(&qkv), rows(&out));
         for head in 0..heads {
@@ -109,11 +109,13 @@ fn the_kernel_is_the_plain_form() {
         ] {
             let pattern = Arc::new(pattern.unwrap());
             let qkv = random(&[2, t, n, 3 * heads * dim], 1);
-            check_same(&format!("{what}, heads of {dim}"), |engine| {
-                attention(engine, &qkv, &pattern)
+            check_same(&format!("{what}, heads of {dim}"), |kernels| {
+                attention(kernels, &qkv, &pattern)
             });
             let wrong = random(&[2, t + 1, n + 1, 3 * heads * dim], 2);
-            check_refused("attention: ", |engine| attention(engine, &wrong, &pattern));
+            check_refused("attention: ", |kernels| {
+                attention(kernels, &wrong, &pattern)
+            });
         }
     }
 }
@@ -142,8 +144,8 @@ fn the_gradient_is_that_of_finite_differences() {
         ] {
             let pattern = Arc::new(pattern.unwrap());
             let qkv = random(&[2, t, n, 3 * heads * dim], 1);
-            check_gradients(what, &[qkv], |engine, inputs| {
-                attention(engine, &inputs[0], &pattern)
+            check_gradients(what, &[qkv], |kernels, inputs| {
+                attention(kernels, &inputs[0], &pattern)
             });
         }
     }

@@ -5,7 +5,7 @@ use candle_core::{CpuStorage, CustomOp3, Error, Layout, Result, Shape, Tensor};
 use super::{
     ConvShape, Fused, GridSize, PackedConv, conv2d_input_gradient, conv2d_weight_gradient,
 };
-use crate::ops::element::PackedFormat;
+use crate::NumberFormat;
 use crate::ops::host::{host, slice};
 
 /// Convolves `x` (images, height, width, inputs) with `weight` (kernel row, kernel column, input channel, output
@@ -55,7 +55,7 @@ impl CustomOp3 for Convolution {
             &self.0,
             slice(weight, weight_layout)?,
             Some(slice(bias, bias_layout)?),
-            PackedFormat::F32,
+            NumberFormat::F32,
         );
         let packed = packed.map_err(Error::wrap)?;
         let mut y = Vec::new();

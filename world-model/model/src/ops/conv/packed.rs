@@ -7,7 +7,8 @@ use super::phase::Phase;
 use super::sweep::{Output, Sweep, whole_channels};
 use super::winograd::{self, Winograd};
 use super::{ConvShape, Fused, GridSize, check_length};
-use crate::ops::element::{Element, PackedFormat};
+use crate::NumberFormat;
+use crate::ops::element::Element;
 use crate::ops::panels::Panels;
 use crate::ops::product::{Bf16, F32, Product};
 use crate::ops::simd::{Bf16Unit, InstructionSet};
@@ -75,7 +76,7 @@ impl PackedConv {
         shape: &ConvShape,
         weight: &[f32],
         bias: Option<&[f32]>,
-        format: PackedFormat,
+        format: NumberFormat,
     ) -> Result<Self> {
         Self::of_unit(shape, weight, bias, format.bf16_unit())
     }
@@ -108,7 +109,7 @@ impl PackedConv {
         shape: &ConvShape,
         weight: &[f32],
         bias: Option<&[f32]>,
-        format: PackedFormat,
+        format: NumberFormat,
     ) -> Result<Self> {
         Self::transformed(shape, weight, bias, format.bf16_unit())
     }
@@ -147,7 +148,7 @@ impl PackedConv {
         shape: &ConvShape,
         weight: &[f32],
         bias: Option<&[f32]>,
-        format: PackedFormat,
+        format: NumberFormat,
     ) -> Result<Self> {
         if *shape != ConvShape::down(shape.inputs, shape.outputs) {
             let reason = format!("{shape:?}, expected a 3x3 kernel with stride 2");

@@ -3,8 +3,9 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
+use crate::NumberFormat;
 use crate::ops::simd::Bf16Unit;
-use crate::ops::{Activation, PackedFormat, group_norm, group_normalisations};
+use crate::ops::{Activation, group_norm, group_normalisations};
 
 fn random(count: usize, seed: u64) -> Vec<f32> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -20,7 +21,7 @@ fn conv2d(
     epilogue: Fused<'_>,
     output: &mut Vec<f32>,
 ) -> Result<GridSize> {
-    PackedConv::new(shape, weight, bias, PackedFormat::F32)?.run(input, grid, epilogue, output)
+    PackedConv::new(shape, weight, bias, NumberFormat::F32)?.run(input, grid, epilogue, output)
 }
 
 fn cases() -> Vec<(ConvShape, GridSize)> {
@@ -417,12 +418,12 @@ fn inference_is_the_plain_sum() {
             ..case
         };
         let (weight, bias) = (case.weight.as_slice(), Some(case.bias.as_slice()));
-        for (format, tolerance) in [(PackedFormat::F32, 2e-5), (PackedFormat::Bf16, 3e-2)] {
+        for (format, tolerance) in [(NumberFormat::F32, 2e-5), (NumberFormat::Bf16, 3e-2)] {
             let mut ways = vec![
                 PackedConv::new(&shape, weight, bias, format),
                 PackedConv::for_inference(&shape, weight, bias, format),
             ];
-            if format == PackedFormat::Bf16 {
+            if format == NumberFormat::Bf16 {
                 let units = Bf16Unit::ALL.iter().copied();
                 for unit in units.filter(|unit| unit.can_be_tested()) {
                     ways.push(PackedConv::of_unit(&shape, weight, bias, Some(unit)));

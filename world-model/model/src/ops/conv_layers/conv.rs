@@ -2,8 +2,9 @@
 
 use std::sync::OnceLock;
 
+use crate::NumberFormat;
 use crate::Result;
-use crate::ops::{ConvShape, Fused, GridSize, PackedConv, PackedFormat};
+use crate::ops::{ConvShape, Fused, GridSize, PackedConv};
 
 /// A convolution with its weights.
 #[derive(Clone, Debug)]
@@ -39,8 +40,8 @@ impl Conv {
         }
     }
 
-    /// The same without packed weights, to change the weights.
-    pub(crate) fn without_packed(&mut self) -> &mut Self {
+    /// Must be called before the weights change.
+    pub(crate) fn forget_packed(&mut self) -> &mut Self {
         self.packed.take();
         self
     }
@@ -92,7 +93,7 @@ impl Conv {
             Some(packed) => packed,
             None => {
                 let bias = self.bias.as_deref();
-                let format = PackedFormat::F32;
+                let format = NumberFormat::F32;
                 let packed = PackedConv::for_inference(&self.shape, &self.weight, bias, format)?;
                 self.packed.get_or_init(|| packed)
             }

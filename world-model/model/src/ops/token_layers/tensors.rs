@@ -5,13 +5,14 @@ use std::sync::Arc;
 use candle_core::{DType, Tensor};
 
 use super::{ClipLayers, HeadLayers, Linear, TokenLayers};
+use crate::Kernels;
 use crate::Result;
-use crate::ops::{self, AttentionPattern, Engine, gated_residual, rms_norm_modulate, swiglu};
+use crate::ops::{self, AttentionPattern, gated_residual, rms_norm_modulate, swiglu};
 
 /// Tensor operations. Tokens are (B, T, N, d), modulations (B T, chunks d).
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct TensorLayers {
-    engine: Engine,
+    kernels: Kernels,
     /// Number format of the inputs of products and of attention; everything else is in f32.
     format: DType,
     /// Clips of a batch.
@@ -19,10 +20,10 @@ pub(crate) struct TensorLayers {
 }
 
 impl TensorLayers {
-    /// Computed by `engine` in f32, for a batch of so many clips.
-    pub(crate) fn new(engine: Engine, clips: usize) -> Self {
+    /// Computed by `kernels` in f32, for a batch of so many clips.
+    pub(crate) fn new(kernels: Kernels, clips: usize) -> Self {
         Self {
-            engine,
+            kernels,
             format: DType::F32,
             clips,
         }
@@ -40,17 +41,17 @@ impl TokenLayers for TensorLayers {
 
     fn linear(&mut self, linear: &Linear, x: &Tensor) -> Result<Tensor> {
         let bias = linear.bias.as_ref();
-        Ok(ops::linear(self.engine, x, &linear.weight, bias)?)
+        Ok(ops::linear(self.kernels, x, &linear.weight, bias)?)
     }
 
     fn norm_modulate(&mut self, x: &Tensor, modulation: &Tensor, first: usize) -> Result<Tensor> {
-        let normed = rms_norm_modulate(self.engine, x, modulation, first, first + 1)?;
+        let normed = rms_norm_modulate(self.kernels, x, modulation, first, first + 1)?;
         Ok(normed.to_dtype(self.format)?)
     }
 
     fn linear_swiglu(&mut self, linear: &Linear, x: &Tensor) -> Result<Tensor> {
         let up = self.linear(linear, x)?;
-        Ok(swiglu(self.engine, &up)?)
+        Ok(swiglu(self.kernels, &up)?)
     }
 
     fn linear_gated(
@@ -62,9 +63,9 @@ impl TokenLayers for TensorLayers {
         gate: usize,
     ) -> Result<Tensor> {
         let branch = self.linear(linear, x)?.to_dtype(DType::F32)?;
-        let engine = self.engine;
+        let kernels = self.kernels;
         Ok(gated_residual(
-            engine, &residual, &branch, modulation, gate,
+            kernels, &residual, &branch, modulation, gate,
         )?)
     }
 }
@@ -88,7 +89,7 @@ impl HeadLayers for TensorLayers {
 
 impl ClipLayers for TensorLayers {
     fn attention(&mut self, qkv: &Tensor, pattern: &Arc<AttentionPattern>) -> Result<Tensor> {
-        Ok(ops::attention(self.engine, qkv, pattern)?)
+        Ok(ops::attention(self.kernels, qkv, pattern)?)
     }
 
     fn last_frames(&mut self, x: Tensor, last: usize) -> Result<Tensor> {

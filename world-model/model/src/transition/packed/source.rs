@@ -2,7 +2,8 @@
 
 use candle_core::{DType, Device, Tensor};
 
-use crate::ops::{PackedFormat, PackedLinear};
+use crate::NumberFormat;
+use crate::ops::PackedLinear;
 use crate::transition::network::{LinearLayer, LinearSource};
 use crate::transition::{Transition, TransitionConfig};
 use crate::{Error, Result};
@@ -18,7 +19,7 @@ pub trait PackedSource {
         name: &str,
         shape: (usize, usize),
         is_biased: bool,
-        format: PackedFormat,
+        format: NumberFormat,
     ) -> Result<PackedLinear>;
 
     /// The values of parameter `name` in row-major order.
@@ -27,14 +28,14 @@ pub trait PackedSource {
     /// Whatever keeps it from that.
     fn values(&self, name: &str, shape: &[usize]) -> Result<Vec<f32>>;
 
-    /// What weights are packed in, but for [sensitive](PackedFormat::sensitive) ones.
-    fn format(&self) -> PackedFormat;
+    /// What weights are packed in, but for [sensitive](NumberFormat::sensitive) ones.
+    fn format(&self) -> NumberFormat;
 }
 
 /// The tensors of a model, as a source.
 pub(super) struct OfTransition<'a> {
     pub(super) model: &'a Transition,
-    pub(super) format: PackedFormat,
+    pub(super) format: NumberFormat,
 }
 
 impl OfTransition<'_> {
@@ -54,7 +55,7 @@ impl PackedSource for OfTransition<'_> {
         name: &str,
         shape: (usize, usize),
         is_biased: bool,
-        format: PackedFormat,
+        format: NumberFormat,
     ) -> Result<PackedLinear> {
         let weight = self.tensor(&format!("{name}.weight"))?;
         let bias = is_biased.then(|| self.tensor(&format!("{name}.bias")));
@@ -65,7 +66,7 @@ impl PackedSource for OfTransition<'_> {
         self.tensor(name)
     }
 
-    fn format(&self) -> PackedFormat {
+    fn format(&self) -> NumberFormat {
         self.format
     }
 }

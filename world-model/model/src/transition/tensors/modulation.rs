@@ -2,7 +2,7 @@
 
 use candle_core::Tensor;
 
-use super::ENGINE;
+use super::KERNELS;
 use crate::ops::token_layers::{TensorLayers, TokenLayers as _};
 use crate::transition::Transition;
 use crate::transition::values::Batched;
@@ -59,7 +59,7 @@ impl Modulation {
         }
         let tau = Tensor::from_vec(taus, entries * batch, model.device())?;
         let actions = Tensor::cat(&actions, 0)?;
-        let mut layers = TensorLayers::new(ENGINE, batch);
+        let mut layers = TensorLayers::new(KERNELS, batch);
         let waves = model.embedding.waves(&tau)?;
         let condition = model.network.condition.at(&mut layers, &waves, &actions)?;
         let by_entry = |rows: &Tensor| rows.reshape((entries, batch, ()));

@@ -11,7 +11,7 @@ fn with(accumulation: Accumulation) -> ActionEncoding {
 }
 
 #[test]
-fn scales_as_the_authors_release_does() {
+fn scales_match_the_authors_release() {
     let scaled = ActionEncoding::default().scale(&OPEN).unwrap();
     let expected = [0.35, -0.7, 0.175, 0.56, -0.28, 0.0, -1.0];
     for (value, expected) in scaled.values.iter().zip(expected) {
@@ -21,7 +21,7 @@ fn scales_as_the_authors_release_does() {
 }
 
 #[test]
-fn clips_each_interval_before_the_mean_and_counts_it() {
+fn intervals_are_clipped_before_the_mean() {
     let mut far = CLOSED;
     far[0] = 1.0;
     far[3] = -1.0;
@@ -33,7 +33,7 @@ fn clips_each_interval_before_the_mean_and_counts_it() {
 }
 
 #[test]
-fn the_index_rule_takes_the_first_interval_only() {
+fn index_rule_uses_the_first_interval() {
     let encoding = with(Accumulation::Index);
     let step = encoding.encode_step(&[CLOSED, OPEN]).unwrap().values;
     assert_eq!(step[..7], encoding.scale(&CLOSED).unwrap().values);
@@ -41,7 +41,7 @@ fn the_index_rule_takes_the_first_interval_only() {
 }
 
 #[test]
-fn the_sum_rule_adds_up() {
+fn sum_rule_adds_intervals() {
     let step = with(Accumulation::Sum)
         .encode_step(&[CLOSED, OPEN])
         .unwrap();
@@ -60,7 +60,7 @@ fn half_open_counts_as_closed() {
 }
 
 #[test]
-fn refuses_by_name() {
+fn invalid_input_is_rejected_by_name() {
     let encoding = ActionEncoding::default();
     let error = encoding
         .encode_step(&[[0.0; 6]; 2])
@@ -92,7 +92,7 @@ fn refuses_by_name() {
 }
 
 #[test]
-fn the_form_before_there_were_action_spaces_is_read() {
+fn files_older_than_action_spaces_are_read() {
     let text = r#"{"action_dim": 10, "frame_skip": 2, "accumulation": "mean", "translation_scale": 40.0,
                    "translation_clip": 1.74, "rotation_scale": 5.6, "rotation_clip": 1.39}"#;
     let encoding: ActionEncoding = serde_json::from_str(text).unwrap();
@@ -124,9 +124,8 @@ fn rules() -> impl Strategy<Value = Accumulation> {
 }
 
 proptest! {
-    /// Within the clips, a model action and the physical action that it stands for are inverses, in both directions.
     #[test]
-    fn a_model_action_and_its_physical_one_are_inverses(
+    fn encoding_inverts_decoding_within_clips(
         translation in prop::array::uniform3(-0.049_f32..0.049),
         rotation in prop::array::uniform3(-0.24_f32..0.24),
         open in any::<bool>(),

@@ -1,25 +1,24 @@
-//! Actions compared with the change of the state that they lead to.
+//! Compares actions with the state changes that follow them.
 
 use super::Hint;
 use crate::actions::{ActionSpace, Kind};
 
-/// Frames by which the state may be early or late, at most.
+/// Greatest shift between actions and states that is tried \[frames\].
 const SHIFTS: i64 = 3;
-/// Shifts that are compared.
 const SHIFT_COUNT: usize = 2 * SHIFTS as usize + 1;
-/// Fewer pairs say nothing.
-const LEAST: u64 = 8;
+/// Fewer pairs are not evidence.
+const LEAST_PAIRS: u64 = 8;
 
 /// Sums over all episodes that have states.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Agreement {
     pairs: u64,
-    /// Sum of the distances of actions from the next state, and from the change to it \[m\].
+    /// Sums of |action - next state| and of |action - state change| \[m\].
     from_state: f64,
     from_change: f64,
-    /// By axis: sums of action squared, of change squared, and of their products.
+    /// Sums per axis.
     axes: [Products; 3],
-    /// Sums of products of actions and changes that are so many frames later, less [`SHIFTS`].
+    /// Sums of action times state change, by shift from -[`SHIFTS`] on \[frames\].
     shifted: [f64; SHIFT_COUNT],
     gripper: Moments,
 }
@@ -31,7 +30,7 @@ struct Products {
     both: f64,
 }
 
-/// Moments of two quantities.
+/// Running sums for the correlation of two quantities.
 #[derive(Clone, Copy, Debug, Default)]
 struct Moments {
     count: f64,
@@ -119,22 +118,22 @@ impl Agreement {
         }
     }
 
-    /// Whether actions are nearer to the next state than to the change to it.
+    /// Whether actions are nearer to the next state than to the state change.
     pub fn is_absolute(&self) -> bool {
-        self.pairs >= LEAST
+        self.pairs >= LEAST_PAIRS
             && self.from_state < 0.5 * self.from_change
-            // 5 mm on average: a robot near its base's origin, that hardly moves, says nothing.
+            // 5 mm on average: a robot that hardly moves near its base's origin is no evidence.
             && self.from_change > 0.005 * self.pairs as f64
     }
 
-    /// Whether the gripper's state goes against its action.
+    /// Whether the gripper closes when its action opens.
     pub fn is_gripper_opposed(&self) -> bool {
-        self.gripper.count >= LEAST as f64 && self.gripper.correlation() < -0.5
+        self.gripper.count >= LEAST_PAIRS as f64 && self.gripper.correlation() < -0.5
     }
 
-    /// Frames by which changes of the state come after the action, if not at once.
+    /// Frames by which the state follows the actions; `None` if at once.
     pub fn lag(&self) -> Option<i64> {
-        if self.pairs < LEAST {
+        if self.pairs < LEAST_PAIRS {
             return None;
         }
         let total = |part: fn(&Products) -> f64| self.axes.iter().map(part).sum::<f64>();
@@ -142,17 +141,17 @@ impl Agreement {
         let now = self.shifted.get(SHIFTS.unsigned_abs() as usize)?;
         let shifts = self.shifted.iter().zip(-SHIFTS..);
         let (best, shift) = shifts.max_by(|(a, _), (b, _)| a.total_cmp(b))?;
-        // The sums of a motion that goes on in one direction are alike at all shifts.
+        // Steady motion in one direction has similar sums at all shifts.
         (shift != 0 && *best > 0.6 * scale && *best > now.abs() * 1.2).then_some(shift)
     }
 
-    /// Axes along which the state changes by another amount than the action.
+    /// Axes along which state change and action differ in size.
     pub fn scales(&self, space: &ActionSpace) -> Vec<Hint> {
         let translations = space.dimensions().iter();
         let translations = translations.filter(|d| d.kind == Kind::TranslationDelta);
         let axes = translations.zip(&self.axes);
         let hint = |(dimension, axis): (&crate::actions::Dimension, &Products)| {
-            if self.pairs < LEAST || axis.action <= 0.0 || axis.change <= 0.0 {
+            if self.pairs < LEAST_PAIRS || axis.action <= 0.0 || axis.change <= 0.0 {
                 return None;
             }
             let correlation = axis.both / (axis.action * axis.change).sqrt();

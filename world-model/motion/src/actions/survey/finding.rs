@@ -1,46 +1,46 @@
-//! What a survey finds, in words.
+//! The findings of a survey.
 
 use std::fmt;
 
 use super::{Range, Rounded};
 use crate::actions::Kind;
 
-/// Why values are not of their kind.
+/// The likely reason for values that contradict their kind.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Cause {
-    /// They are places, not changes.
+    /// Positions instead of changes.
     Absolute,
     /// Angles are in degrees.
     Degrees,
     /// Lengths are in millimetres.
     Millimetres,
-    /// They are scaled to -1 to 1.
+    /// Values scaled to -1 to 1.
     Normalised,
-    /// The gripper has another range.
+    /// A gripper with another range.
     Gripper {
-        /// The value of a closed gripper, presumably.
+        /// Presumed value of a closed gripper.
         closed: f32,
-        /// The value of an open gripper, presumably.
+        /// Presumed value of an open gripper.
         open: f32,
     },
-    /// The robot cannot move so far in this time.
+    /// Motion too fast for any arm.
     TooFar,
 }
 
 /// Values that contradict their kind.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Contradiction {
-    /// The dimension's name.
+    /// Name of the dimension.
     pub column: String,
-    /// Its unit.
+    /// Unit of the dimension.
     pub unit: String,
-    /// Its kind.
+    /// Kind of the dimension.
     pub kind: Kind,
     /// Rate of the actions \[Hz\].
     pub rate: f64,
-    /// What the data have.
+    /// Range in the data.
     pub measured: Range,
-    /// What the kind can be.
+    /// Range possible for the kind.
     pub expected: Range,
     /// The likely reason.
     pub cause: Cause,
@@ -66,7 +66,7 @@ impl fmt::Display for Contradiction {
             }
             Cause::Absolute => write!(
                 f,
-                "; as {}s at {} Hz they lead out of any arm's reach",
+                "; as {}s at {} Hz, the sum exceeds any arm's reach",
                 self.kind.name(),
                 self.rate_rounded()
             )?,
@@ -79,10 +79,10 @@ impl fmt::Display for Contradiction {
             )?,
         }
         match self.cause {
-            Cause::Absolute => write!(f, ": they look like absolute positions"),
-            Cause::Degrees => write!(f, ": they look like degrees"),
-            Cause::Millimetres => write!(f, ": they look like millimetres"),
-            Cause::Normalised => write!(f, ": they look like values scaled to -1 to 1"),
+            Cause::Absolute => write!(f, ": probably absolute positions"),
+            Cause::Degrees => write!(f, ": probably degrees"),
+            Cause::Millimetres => write!(f, ": probably millimetres"),
+            Cause::Normalised => write!(f, ": probably values scaled to -1 to 1"),
             Cause::Gripper { .. } => Ok(()),
             Cause::TooFar => write!(f, ": no arm moves so fast"),
         }
@@ -95,55 +95,55 @@ impl Contradiction {
     }
 }
 
-/// What looks unusual in a data set, and may be right.
+/// An unusual but possible finding.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Hint {
     /// The gripper never reaches one of its ends.
     GripperRange {
-        /// The dimension's name.
+        /// Name of the dimension.
         column: String,
-        /// What the data have.
+        /// Range in the data.
         measured: Range,
     },
     /// Most episodes begin with a closed gripper.
     GripperInverted {
-        /// The dimension's name.
+        /// Name of the dimension.
         column: String,
         /// Episodes that begin closed.
         begin_closed: usize,
         /// Episodes in which the gripper moves.
         episodes: usize,
-        /// What the data have.
+        /// Range in the data.
         measured: Range,
     },
-    /// The gripper's state goes against its action.
+    /// The gripper closes when its action opens.
     GripperOpposed {
-        /// What the data have.
+        /// Range in the data.
         measured: Range,
     },
-    /// The first action is zero.
+    /// Most episodes begin with a zero action.
     FirstZero {
         /// Episodes with such an action.
         zero: usize,
-        /// Episodes.
+        /// Episodes in all.
         episodes: usize,
     },
-    /// The state follows the actions later, or earlier, than by one frame.
+    /// The state follows the actions later or earlier than by one frame.
     Lag {
-        /// Frames by which it is late; negative if it is early.
+        /// Frames of delay; negative if the state is early.
         frames: i64,
     },
-    /// The state changes by another amount than the action.
+    /// State change and action differ in size.
     Scale {
-        /// The dimension's name.
+        /// Name of the dimension.
         column: String,
-        /// Change of the state in one unit of the action.
+        /// State change per unit of action.
         factor: f64,
     },
 }
 
 impl Hint {
-    /// Whether it says that open and closed may be exchanged.
+    /// Whether open and closed may be exchanged.
     #[must_use]
     pub fn is_inverted(&self) -> bool {
         matches!(
@@ -158,7 +158,7 @@ impl fmt::Display for Hint {
         match self {
             Self::GripperRange { column, measured } => write!(
                 f,
-                "{column}: measured {measured}; it never reaches both closed (0) and open (1)"
+                "{column}: measured {measured}; never reaches both closed (0) and open (1)"
             ),
             Self::GripperInverted {
                 column,
@@ -172,11 +172,11 @@ impl fmt::Display for Hint {
             ),
             Self::GripperOpposed { measured } => write!(
                 f,
-                "gripper: measured {measured}; its state closes if its action opens; in this data set, 0 may mean open"
+                "gripper: measured {measured}; the state closes when the action opens; in this data set, 0 may mean open"
             ),
             Self::FirstZero { zero, episodes } => write!(
                 f,
-                "the first action of {zero} of {episodes} episodes is zero: actions may belong to the frame before"
+                "the first action of {zero} of {episodes} episodes is zero: actions may belong to the previous frame"
             ),
             Self::Lag { frames } if *frames < 0 => write!(
                 f,
@@ -186,7 +186,7 @@ impl fmt::Display for Hint {
             Self::Lag { frames } => write!(f, "the state follows the actions {frames} frames late"),
             Self::Scale { column, factor } => write!(
                 f,
-                "{column}: the state changes by {} of the action: it may be a velocity, or in another unit",
+                "{column}: the state changes by {} of the action, which may be a velocity or in another unit",
                 Rounded(*factor as f32)
             ),
         }

@@ -4,7 +4,7 @@ use super::*;
 
 const NO_STATES: &[[f32; 7]] = &[];
 
-/// A pose that moves about, its gripper closing at half of the time.
+/// A moving pose whose gripper closes halfway.
 fn poses(count: usize) -> Vec<[f32; 7]> {
     let pose = |step: usize| {
         let phase = step as f32;
@@ -22,7 +22,7 @@ fn poses(count: usize) -> Vec<[f32; 7]> {
     (0..count).map(pose).collect()
 }
 
-/// What leads from each pose to the next.
+/// The changes from each pose to the next.
 fn deltas(poses: &[[f32; 7]]) -> Vec<[f32; 7]> {
     let mut deltas: Vec<[f32; 7]> = poses
         .windows(2)
@@ -39,16 +39,16 @@ fn deltas(poses: &[[f32; 7]]) -> Vec<[f32; 7]> {
     deltas
 }
 
-fn surveyed(actions: &[[f32; 7]], states: &[[f32; 7]]) -> ActionSurvey {
+fn survey_of(actions: &[[f32; 7]], states: &[[f32; 7]]) -> ActionSurvey {
     let mut survey = ActionSurvey::new(ActionSpace::bridge(), 5.0);
     survey.add(actions, states);
     survey
 }
 
 #[test]
-fn deltas_of_a_real_motion_contradict_nothing() {
+fn deltas_of_real_motion_have_no_contradictions() {
     let poses = poses(40);
-    let survey = surveyed(&deltas(&poses), &poses);
+    let survey = survey_of(&deltas(&poses), &poses);
     assert_eq!(survey.contradictions(), []);
     assert_eq!(survey.hints(), []);
     let text = survey.to_string();
@@ -60,10 +60,10 @@ fn deltas_of_a_real_motion_contradict_nothing() {
 }
 
 #[test]
-fn absolute_poses_are_recognised_with_and_without_states() {
+fn absolute_poses_are_recognised() {
     let poses = poses(40);
     for states in [NO_STATES, &poses] {
-        let found = surveyed(&poses, states).contradictions();
+        let found = survey_of(&poses, states).contradictions();
         assert_eq!(found[0].cause, Cause::Absolute, "{found:?}");
         let text = found[0].to_string();
         assert!(
@@ -71,7 +71,7 @@ fn absolute_poses_are_recognised_with_and_without_states() {
             "{text}"
         );
     }
-    // Near the origin of the base, sums do not show it, and states do.
+    // Near the base's origin, only states reveal it.
     let near: Vec<[f32; 7]> = poses
         .iter()
         .map(|pose| {
@@ -83,7 +83,7 @@ fn absolute_poses_are_recognised_with_and_without_states() {
             pose
         })
         .collect();
-    let found = surveyed(&near, &near).contradictions();
+    let found = survey_of(&near, &near).contradictions();
     assert!(
         found.is_empty() || found[0].cause == Cause::Absolute,
         "{found:?}"
@@ -91,7 +91,7 @@ fn absolute_poses_are_recognised_with_and_without_states() {
 }
 
 #[test]
-fn gripper_ranges_are_named_with_the_range_that_maps_them() {
+fn unusual_gripper_range_is_named() {
     for (values, closed, open) in [
         (vec![-1.0, 0.0, 1.0], -1.0, 1.0),
         (vec![0.0, 30.0, 60.0], 0.0, 100.0),
@@ -103,7 +103,7 @@ fn gripper_ranges_are_named_with_the_range_that_maps_them() {
             .iter()
             .map(|v| [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, *v])
             .collect();
-        let found = surveyed(&actions, NO_STATES).contradictions();
+        let found = survey_of(&actions, NO_STATES).contradictions();
         assert_eq!(found.len(), 1, "{values:?}");
         assert_eq!(
             found[0].cause,
@@ -125,7 +125,7 @@ fn unusual_grippers_are_hints() {
             .iter()
             .map(|v| [0.001, 0.0, 0.0, 0.0, 0.0, 0.0, *v])
             .collect();
-        let survey = surveyed(&actions, NO_STATES);
+        let survey = survey_of(&actions, NO_STATES);
         assert_eq!(survey.contradictions(), []);
         survey.hints()
     };
@@ -146,7 +146,7 @@ fn unusual_grippers_are_hints() {
 }
 
 #[test]
-fn units_and_jumps_have_their_causes() {
+fn wrong_units_and_jumps_are_recognised() {
     let along = |values: &[f32], index: usize| {
         let rows: Vec<[f32; 7]> = values
             .iter()
@@ -156,7 +156,7 @@ fn units_and_jumps_have_their_causes() {
                 row
             })
             .collect();
-        let found = surveyed(&rows, NO_STATES).contradictions();
+        let found = survey_of(&rows, NO_STATES).contradictions();
         found.first().map(|found| found.cause)
     };
     assert_eq!(along(&[0.6, -0.6, 0.6], 0), Some(Cause::Normalised));
@@ -173,7 +173,7 @@ fn lag_and_scale_are_hints() {
     let mut late = actions.clone();
     late.rotate_right(1);
     late[0] = [0.0; 7];
-    let hints = surveyed(&late, &poses).hints();
+    let hints = survey_of(&late, &poses).hints();
     assert!(hints.contains(&Hint::Lag { frames: -1 }), "{hints:?}");
     assert!(
         hints.contains(&Hint::FirstZero {
@@ -191,7 +191,7 @@ fn lag_and_scale_are_hints() {
             action
         })
         .collect();
-    let hints = surveyed(&fast, &poses).hints();
+    let hints = survey_of(&fast, &poses).hints();
     assert!(
         matches!(&hints[..], [Hint::Scale { column, factor }, ..] if column == "dx" && (factor - 0.2).abs() < 1e-3),
         "{hints:?}"

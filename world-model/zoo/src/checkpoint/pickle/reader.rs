@@ -54,6 +54,7 @@ impl<'a> Reader<'a> {
 
     /// Text up to the end of the line.
     pub(super) fn line(&mut self) -> Result<&'a str, String> {
+        // The position is at most the length: `take` moves it.
         let rest = self.bytes.get(self.position..).unwrap_or_default();
         let end = rest
             .iter()

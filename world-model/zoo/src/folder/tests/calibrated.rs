@@ -19,10 +19,10 @@ fn in_format(folder: &TempDir, dtype: &str) -> DescribedFolder {
 }
 
 fn run(folder: &DescribedFolder) -> [Tensor; 3] {
-    let decoder = folder.decoder().unwrap().unwrap();
+    let decoder = folder.decoder(&Compute::default()).unwrap().unwrap();
     pass(
-        &*folder.encoder().unwrap(),
-        &folder.world_model().unwrap(),
+        &*folder.encoder(&Compute::default()).unwrap(),
+        &folder.world_model(&Compute::default()).unwrap(),
         &*decoder,
     )
 }
@@ -78,7 +78,7 @@ fn a_calibration_is_part_of_what_latents_mean() {
     let folder = folder(&adapted());
     let hashes = || {
         let model = in_format(&folder, "int8");
-        let world_model = model.world_model().unwrap();
+        let world_model = model.world_model(&Compute::default()).unwrap();
         (model.space().unwrap().hash, world_model.hash)
     };
     let (space, model) = hashes();
@@ -121,8 +121,8 @@ fn a_calibration_of_other_weights_is_refused() {
 #[test]
 fn tensors_have_no_eight_bits() {
     let folder = folder(&adapted());
-    let place = Placement::rehearsed().open().unwrap();
-    let error = in_format(&folder, "int8").encoder_on(&place).err().unwrap();
+    let plain = Compute::on_cpu(Kernels::Candle);
+    let error = in_format(&folder, "int8").encoder(&plain).err().unwrap();
     assert!(error.to_string().contains("int8"), "{error}");
 }
 

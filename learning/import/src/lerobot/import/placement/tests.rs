@@ -10,7 +10,7 @@ fn shown(count: usize, fps: f64) -> Vec<f64> {
     (0..count).map(|frame| frame as f64 / fps).collect()
 }
 
-/// Episodes of these lengths in a row, and how far each begins beside its place \[frames\].
+/// Consecutive episodes of these lengths, with offsets of their starts \[frames\].
 fn members(lengths: &[usize], off: impl Fn(usize) -> f64) -> Vec<Member> {
     let mut begin = 0;
     let member = |(index, length): (usize, &usize)| {
@@ -36,9 +36,9 @@ fn placed(times: &[f64], members: &[Member]) -> Vec<Option<Range<usize>>> {
 }
 
 proptest! {
-    /// Times that drift by up to two frames, and videos encoded at another rate, lead to the right frames.
+    /// Times that drift by up to two frames, and videos at another rate, give the correct frames.
     #[test]
-    fn episodes_are_found_by_lengths_although_times_drift(
+    fn episodes_are_found_by_lengths_despite_drift(
         lengths in prop::collection::vec(7usize..30, 1..40),
         drift in 0.0f64..2.0,
         video_fps in prop_oneof![Just(30.0), Just(30_000.0 / 1001.0), Just(29.0)],
@@ -53,9 +53,9 @@ proptest! {
         }
     }
 
-    /// A frame that is missing or surplus somewhere, in a video without a gap in time: nothing is certain.
+    /// With a missing or surplus frame and no gap in time, all places are uncertain.
     #[test]
-    fn a_wrong_number_of_frames_places_nothing(
+    fn wrong_number_of_frames_places_no_episode(
         lengths in prop::collection::vec(7usize..30, 2..20),
         surplus in any::<bool>(),
     ) {
@@ -65,14 +65,14 @@ proptest! {
         prop_assert!(found.iter().all(Option::is_none), "{:?}", found);
     }
 
-    /// The same where the times show the gap: only the episode with the gap is refused.
+    /// If times show the gap, only its episode is rejected.
     #[test]
-    fn a_gap_in_time_refuses_its_episode(
+    fn gap_in_time_rejects_its_episode(
         lengths in prop::collection::vec(7usize..30, 2..20),
         missing in 0.0f64..1.0,
     ) {
         let total: usize = lengths.iter().sum();
-        // Not the first nor the last frame, whose absence no time shows.
+        // Not the first or last frame, whose absence times cannot show.
         let missing = 1 + (missing * (total - 2) as f64) as usize;
         let mut times = shown(total, FPS);
         times.remove(missing);
@@ -94,8 +94,8 @@ proptest! {
 }
 
 #[test]
-fn a_time_elsewhere_refuses_its_episode_only() {
-    // The fourth points beyond the end; the third begins where the second does.
+fn wrong_time_rejects_only_its_episode() {
+    // The fourth starts past the end; the third starts where the second does.
     for (which, off) in [(3, 31_000.0), (2, -12.0)] {
         let members = members(&[12; 6], |index| if index == which { off } else { 0.0 });
         let placement = place(&Times(&shown(72, FPS)), FPS, &members);
@@ -115,7 +115,7 @@ fn a_time_elsewhere_refuses_its_episode_only() {
 }
 
 #[test]
-fn two_episodes_at_one_place_are_both_refused() {
+fn two_episodes_at_one_place_are_rejected() {
     // The video has the frames of one of them.
     let mut members = members(&[12; 4], |_| 0.0);
     members.push(Member {
@@ -135,7 +135,7 @@ fn removed_episodes_leave_gaps_and_order_may_differ() {
         placed(&shown(56, FPS), &members),
         [Some(0..12), Some(32..44), Some(44..56)]
     );
-    // Merged datasets: the second is in front of the first.
+    // As in merged data sets, the second comes before the first.
     let member = |index, length, begin: usize| Member {
         index,
         length,
@@ -149,7 +149,7 @@ fn removed_episodes_leave_gaps_and_order_may_differ() {
 }
 
 #[test]
-fn a_video_of_one_episode_needs_a_frame_for_each_row() {
+fn video_of_one_episode_needs_a_frame_per_row() {
     let members = members(&[300], |_| 0.0);
     let of = |frames| {
         place(&Times(&shown(frames, FPS)), FPS, &members)
@@ -173,7 +173,7 @@ fn a_video_of_one_episode_needs_a_frame_for_each_row() {
 }
 
 #[test]
-fn lengths_beyond_all_bounds_are_refused() {
+fn excessive_lengths_are_rejected() {
     let member = |index| Member {
         index,
         length: usize::MAX / 2,
@@ -186,7 +186,7 @@ fn lengths_beyond_all_bounds_are_refused() {
 }
 
 #[test]
-fn thousands_of_episodes_at_one_place_are_refused() {
+fn thousands_of_episodes_at_one_place_are_rejected() {
     let member = |index| Member {
         index,
         length: 10,

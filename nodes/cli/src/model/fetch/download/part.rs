@@ -1,4 +1,4 @@
-//! The part of an unfinished download that exists.
+//! An unfinished download.
 
 use anyhow::{Context as _, Result};
 use sha2::Sha256;
@@ -7,29 +7,28 @@ use std::io::{ErrorKind, Read as _, Write as _};
 use std::path::{Path, PathBuf};
 use ureq::http::{HeaderMap, header::ETAG};
 
-/// A longer entity tag is not kept: servers send some 70 bytes.
+/// Longer entity tags are ignored: servers send about 70 bytes.
 const MAX_ETAG_BYTES: u64 = 1024;
 
-/// The bytes received so far, in `FILE.part`, and beside them in `FILE.part.etag` the entity tag of what they are a part
-/// of, where the server gave one. Bytes without a tag may be of any version of the file and are not gone on from.
+/// The received bytes, in `FILE.part`, and the entity tag of their file in `FILE.part.etag`, if the server sent one.
+/// Bytes without a tag may be of any version, so they are not resumed.
 pub(super) struct Part {
     path: PathBuf,
     etag: PathBuf,
 }
 
-/// Where a download begins.
+/// The state from which a download resumes.
 #[derive(Default)]
 pub(super) struct Start {
-    /// Hash of the bytes that are there.
+    /// Hash of the received bytes.
     pub hash: Sha256,
-    /// How many they are.
+    /// How many bytes.
     pub have: u64,
-    /// The entity tag of the file that they are of; there is one where there are bytes.
+    /// The entity tag of their file; not empty if there are bytes.
     pub etag: String,
 }
 
 impl Part {
-    /// The part of the file at `path`.
     pub(super) fn of(path: &Path) -> Self {
         let with = |ending: &str| {
             let mut name = path.as_os_str().to_owned();
@@ -42,12 +41,11 @@ impl Part {
         }
     }
 
-    /// The file of the bytes.
     pub(super) fn path(&self) -> &Path {
         &self.path
     }
 
-    /// What can be gone on from.
+    /// The resumable bytes.
     pub(super) fn start(&self) -> Result<Start> {
         let Some(etag) = self.read_etag()?.filter(|etag| is_strong(etag)) else {
             return Ok(Start::default());
@@ -72,13 +70,13 @@ impl Part {
         Ok(String::from_utf8(etag).ok())
     }
 
-    /// Starts over, with a file of this entity tag.
+    /// Restarts with a file of this entity tag.
     pub(super) fn begin(&self, etag: Option<&str>) -> Result<File> {
         let context = || self.path.display().to_string();
         let mut options = OpenOptions::new();
         options.create(true).write(true).truncate(true);
         let file = options.open(&self.path).with_context(context)?;
-        // The old bytes have to be gone before the new tag is there.
+        // the old bytes must be gone before the new tag is written
         file.sync_all().with_context(context)?;
         match etag {
             Some(etag) => File::create(&self.etag)
@@ -89,26 +87,25 @@ impl Part {
         Ok(file)
     }
 
-    /// Goes on behind the bytes that are there.
-    pub(super) fn go_on(&self) -> Result<File> {
+    /// Opens the bytes for appending.
+    pub(super) fn resume(&self) -> Result<File> {
         let file = OpenOptions::new().append(true).open(&self.path);
         file.with_context(|| self.path.display().to_string())
     }
 
-    /// Removes it.
     pub(super) fn discard(&self) -> Result<()> {
         remove(&self.path)?;
         remove(&self.etag)
     }
 
-    /// Makes it the file at `path`, now that it is whole.
+    /// Renames the complete part to `path`.
     pub(super) fn finish(&self, path: &Path) -> Result<()> {
         fs::rename(&self.path, path).with_context(|| path.display().to_string())?;
         remove(&self.etag)
     }
 }
 
-/// The entity tag by which a later request can ask for the rest of the same file.
+/// The entity tag for later range requests.
 pub(super) fn strong_etag(headers: &HeaderMap) -> Option<&str> {
     let etag = headers.get(ETAG)?.to_str().ok()?;
     is_strong(etag).then_some(etag)

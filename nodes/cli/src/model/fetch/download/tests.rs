@@ -11,7 +11,7 @@ fn headers(etag: &str) -> HeaderMap {
 }
 
 #[test]
-fn only_a_sha256_is_taken_for_one() {
+fn only_a_sha256_is_accepted_as_one() {
     let sha = "0123456789abcdef".repeat(4);
     assert_eq!(
         linked_sha256(&headers(&format!("\"{sha}\""))),
@@ -38,7 +38,7 @@ fn files_are_hashed() {
     assert_eq!((hex(&hash).as_str(), length), (expected, 3));
 }
 
-/// A server on loopback that gives its answers one after the other, and every HEAD the same one.
+/// A server on loopback with scripted responses, one after the other; every HEAD gets the same one.
 struct Server {
     url: String,
     /// The headers of the requests for the file, in lower case.
@@ -103,7 +103,7 @@ fn answer(status: &str, headers: &str, body: &str) -> String {
     cut_off(status, headers, body, body.len())
 }
 
-/// An answer of which only the beginning comes.
+/// A truncated response.
 fn cut_off(status: &str, headers: &str, beginning: &str, length: usize) -> String {
     format!(
         "HTTP/1.1 {status}\r\nConnection: close\r\nContent-Length: {length}\r\n{headers}\r\n{beginning}"
@@ -114,7 +114,7 @@ fn sha256(text: &str) -> String {
     hex(&Sha256::new().chain_update(text))
 }
 
-/// A download of `the old file`, cut off after seven bytes, and then another one of `answers`: the file and the headers
+/// Downloads `the old file`, interrupted after seven bytes, and then from `answers`. Returns the file, and the headers
 /// of the requests after the first.
 fn resumed(head: &str, first: &str, answers: &[String]) -> (Result<String>, Vec<String>) {
     let folder = tempfile::tempdir().unwrap();
@@ -139,7 +139,7 @@ const OLD: &str = "ETag: \"old\"\r\n";
 const NEW: &str = "ETag: \"new\"\r\n";
 
 #[test]
-fn an_interrupted_download_goes_on_where_it_was() {
+fn interrupted_download_resumes() {
     let rest = format!("{OLD}Content-Range: bytes 7-11/12\r\n");
     let rest = answer("206 Partial Content", &rest, " file");
     let (file, requests) = resumed("", OLD, &[rest]);
@@ -149,14 +149,14 @@ fn an_interrupted_download_goes_on_where_it_was() {
 }
 
 #[test]
-fn a_file_that_changed_is_taken_from_its_beginning() {
+fn changed_file_is_downloaded_from_its_beginning() {
     let whole = answer("200 OK", NEW, "the new file");
     let (file, _) = resumed("", OLD, &[whole]);
     assert_eq!(file.unwrap(), "the new file");
 }
 
 #[test]
-fn another_part_than_the_one_that_is_missing_is_not_taken() {
+fn unexpected_ranges_are_rejected() {
     let part = |headers: &str| answer("206 Partial Content", headers, " file");
     for unfit in [
         part(&format!("{NEW}Content-Range: bytes 7-11/12\r\n")),
@@ -175,7 +175,7 @@ fn another_part_than_the_one_that_is_missing_is_not_taken() {
 }
 
 #[test]
-fn without_a_strong_entity_tag_nothing_is_gone_on_from() {
+fn download_without_strong_entity_tag_does_not_resume() {
     for first in ["", "ETag: W/\"old\"\r\n"] {
         let (file, requests) = resumed("", first, &[answer("200 OK", first, "the old file")]);
         assert_eq!(file.unwrap(), "the old file");
@@ -184,7 +184,7 @@ fn without_a_strong_entity_tag_nothing_is_gone_on_from() {
 }
 
 #[test]
-fn the_stated_hash_has_the_last_word() {
+fn stated_hash_decides() {
     let head = format!("{LINKED_ETAG}: \"{}\"\r\n", sha256("the old file"));
     let rest = format!("{OLD}Content-Range: bytes 7-11/12\r\n");
     let good = answer("206 Partial Content", &rest, " file");
@@ -195,7 +195,7 @@ fn the_stated_hash_has_the_last_word() {
 }
 
 #[test]
-fn what_is_whole_already_is_only_renamed() {
+fn complete_download_is_only_renamed() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("model");
     let part = Part::of(&path);
@@ -211,7 +211,7 @@ fn what_is_whole_already_is_only_renamed() {
 }
 
 #[test]
-fn a_file_that_differs_is_replaced_only_if_told() {
+fn different_file_is_replaced_only_with_overwrite() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("model");
     fs::write(&path, "mine").unwrap();
@@ -229,11 +229,11 @@ fn a_file_that_differs_is_replaced_only_if_told() {
 }
 
 #[test]
-fn only_the_file_of_the_last_time_is_taken() {
+fn only_the_pinned_file_is_accepted() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("model");
     let pinned = sha256("the old file");
-    // Where the server states no hash, what it sends decides.
+    // if the server states no hash, the received bytes decide
     for head in [
         String::new(),
         format!("{LINKED_ETAG}: \"{}\"\r\n", sha256("the new file")),
@@ -252,7 +252,7 @@ fn only_the_file_of_the_last_time_is_taken() {
 }
 
 #[test]
-fn a_branch_becomes_the_commit_that_it_stands_for() {
+fn branch_is_resolved_to_its_commit() {
     let commit = "0123456789abcdef0123456789abcdef01234567";
     for (stated, expected) in [(commit, Some(commit)), ("../../other", None)] {
         let head = answer("200 OK", &format!("{REPO_COMMIT}: {stated}\r\n"), "");

@@ -192,13 +192,7 @@ fn assessed(world: &EnvModel, messages: &Messages) -> Latents {
         .unwrap();
     let model = EvaluatorModel::new(world.predictor().clone(), world.integration_steps());
     let latents = model.evaluate(&request).unwrap().latents;
-    latents
-        .squeeze(0)
-        .unwrap()
-        .flatten_from(1)
-        .unwrap()
-        .to_vec2()
-        .unwrap()
+    latents.concat()
 }
 
 /// The env's, from a bag of the same frames and actions, with the actions that the predictor assumed.

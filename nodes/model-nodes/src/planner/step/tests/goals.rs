@@ -90,7 +90,7 @@ fn a_mask_leaves_out_what_it_does_not_mark() {
 }
 
 #[test]
-fn without_a_box_a_plan_does_not_wait_for_a_pose_and_knows_it_where_it_came() {
+fn without_a_box_a_plan_does_not_wait_for_a_pose() {
     let mut step = planner_that_begins(Lead::Steps(1));
     step.set_goal(goal(40), Time::default());
     let moving = [0.01, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0];

@@ -1,5 +1,4 @@
-//! Camera, encoder and predictor at a virtual clock, with work of any length: what comes out, and what becomes of every
-//! frame.
+//! Camera, encoder and predictor at a virtual clock, with work of any length: the predictions, and the fate of every frame.
 
 use std::{collections::VecDeque, time::Duration as Span};
 
@@ -20,7 +19,7 @@ const NEEDS: Needs = Needs {
 /// A worker that is busy until some moment, and what it works on.
 type Running<T> = Option<(T, Span)>;
 
-/// What became of everything.
+/// The fates of frames and rollouts.
 #[derive(Debug, Default)]
 struct Ledger {
     frames: usize,
@@ -164,7 +163,7 @@ impl Pipeline {
     }
 }
 
-/// What became of `frames` camera frames.
+/// The fates of `frames` camera frames.
 fn run(encode: Span, rollout: Span, frames: i64) -> Ledger {
     let begin = Instant::now();
     let mut pipeline = Pipeline::new(encode, rollout);
@@ -187,7 +186,7 @@ fn run(encode: Span, rollout: Span, frames: i64) -> Ledger {
 }
 
 #[test]
-fn at_every_speed_predictions_come_steadily_from_the_newest_frames_and_each_frame_counts_once() {
+fn at_every_speed_predictions_come_steadily_from_newest_frames() {
     for encode_tenths in [5, 15, 30, 100] {
         for rollout_tenths in [5, 18, 80] {
             let (encode, rollout) = (FRAME * encode_tenths / 10, FRAME * rollout_tenths / 10);

@@ -1,4 +1,4 @@
-//! What holds where it is joints that move.
+//! Arms that are commanded by joints.
 
 use proptest::prelude::*;
 use wm_motion::actions::{Dimension, Kind};
@@ -64,7 +64,7 @@ fn offer_of(stamp_ms: i64, actions: &[[f32; 3]]) -> ActionChunk {
     chunk
 }
 
-/// An arm that does what it is told, or does not move.
+/// An arm that follows its commands, or does not move.
 struct Arm {
     bench: Bench,
     places: Vec<f64>,

@@ -1,10 +1,10 @@
-//! Chunks that come late.
+//! Late chunks.
 
 use proptest::prelude::*;
 
 use super::*;
 
-/// What an arm did with chunks that came late.
+/// The motion of an arm with late chunks.
 #[derive(Debug, Default)]
 struct Motion {
     /// Forward velocity of each command, 50 ms apart \[m/s\].

@@ -1,4 +1,4 @@
-//! Stamps with a nanosec of a second or more, and orientations that are none.
+//! Stamps with a nanosec of a second or more, and invalid orientations.
 
 use wm_msgs::wm_msgs::{ActionCandidates, CameraState};
 

@@ -1,4 +1,4 @@
-//! Chunks that the model's predictions speak against.
+//! Vetoes by the model's predictions.
 
 use wm_msgs::wm_msgs::CandidateAssessment;
 
