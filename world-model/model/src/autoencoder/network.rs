@@ -248,7 +248,7 @@ impl Network {
             Layer::Conv(conv) => std::slice::from_mut(&mut **conv),
             Layer::Block(convs, _) => convs.as_mut_slice(),
         });
-        convs.map(Conv::without_packed)
+        convs.map(Conv::forget_packed)
     }
 
     /// Number of parameters.
@@ -318,7 +318,7 @@ impl Network {
             }
         };
         let round_conv = |conv: &mut Conv| {
-            let conv = conv.without_packed();
+            conv.forget_packed();
             round(&mut conv.weight);
             conv.bias.iter_mut().for_each(round);
         };

@@ -40,8 +40,8 @@ impl Conv {
         }
     }
 
-    /// The same without packed weights, to change the weights.
-    pub(crate) fn without_packed(&mut self) -> &mut Self {
+    /// Must be called before the weights change.
+    pub(crate) fn forget_packed(&mut self) -> &mut Self {
         self.packed.take();
         self
     }
