@@ -108,7 +108,7 @@ fn init_writes_a_launch_for_the_topics_found() {
     let folder = folder.to_str().expect("UTF-8");
     let (code, _, stderr) = run(domain, &["init", folder, "--seconds", "1"]);
     assert_eq!(code, Some(1), "{stderr}");
-    assert!(stderr.contains("no camera was heard"), "{stderr}");
+    assert!(stderr.contains("no camera was found"), "{stderr}");
 
     let robot = robot(domain);
     let (code, stdout, stderr) = run(domain, &["init", folder, "--seconds", "8"]);

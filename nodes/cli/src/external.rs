@@ -166,13 +166,15 @@ pub(crate) fn exec(program: &str, args: impl IntoIterator<Item = OsString>) -> R
 
 /// The command that puts the program next to this one, by cargo build or cargo install.
 fn way_to(program: &str, beside: &Path) -> String {
+    let name = match program.trim_start_matches("wm-") {
+        "datasets" => "import",
+        name => name,
+    };
     if beside.iter().any(|part| part == "target") {
-        return format!("cargo build --release -p {}", program.replace('-', "_"));
+        return format!("cargo build --release -p wm_{}", name.replace('-', "_"));
     }
-    let name = program.trim_start_matches("wm-");
     let folder = match name {
-        "training" => "world-model",
-        "datasets" => "bags",
+        "training" | "import" => "learning",
         _ => "nodes",
     };
     format!("cargo install --path {folder}/{name}")

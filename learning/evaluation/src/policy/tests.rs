@@ -254,7 +254,7 @@ fn failing_program_ends_the_run_with_its_trial_named() {
 #[test]
 fn unusable_inputs_are_rejected_first() {
     let refused = |arguments: PolicyArgs| format!("{:#}", Setup::new(&arguments).unwrap_err());
-    assert!(refused(command("a 'b")).contains("a quote is not closed"));
+    assert!(refused(command("a 'b")).contains("unclosed quote"));
     let zero = PolicyArgs {
         trials: Some(0),
         ..of(BuiltIn::Still)

@@ -49,7 +49,7 @@ fn nothing_is_no_network() {
     assert!(matches!(error, Error::MissingNetwork { .. }));
     assert_eq!(
         error.to_string(),
-        "FID: not measured: no network for `fid`; networks.yaml may name one"
+        "FID: not measured: no network for `fid`; add one to networks.yaml"
     );
     for role in Role::ALL {
         assert!(role.not_measured().contains(role.name()));

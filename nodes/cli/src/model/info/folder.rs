@@ -127,7 +127,7 @@ mod tests {
         };
         mark("autoencoder").write(folder).unwrap();
         let text = told(folder);
-        assert!(text.contains("transition  not there"), "{text}");
+        assert!(text.contains("transition  missing"), "{text}");
         assert!(text.contains("wm train transition --data BAGS"), "{text}");
         assert!(
             text.contains("its autoencoder is unfinished: step 7 of 90"),
