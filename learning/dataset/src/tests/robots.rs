@@ -326,7 +326,11 @@ fn bags_are_found_and_folders_without_any_named() {
     let names: Vec<_> = outcome.episodes().iter().map(|e| e.name.clone()).collect();
     assert_eq!(names, ["a", "b", "c"]);
     let left = outcome.left_out();
-    for named in ["notes: no bag", "blind: no camera", "empty.mcap is not a bag"] {
+    for named in [
+        "notes: no bag",
+        "blind: no camera",
+        "empty.mcap is not a bag",
+    ] {
         assert!(left.contains(named), "{named}: {left}");
     }
 }

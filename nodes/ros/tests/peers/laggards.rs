@@ -189,24 +189,28 @@ async fn real_ros_2_subscribers_of_both_kinds_hear_a_reliable_topic() {
         }
     }
     stopped.signal(Signal::STOP);
-    // On a busy machine a subscriber prints the last messages late: its count is final when no line follows.
-    let came = |process: &Process| -> u32 {
-        let mut last = None;
-        loop {
-            std::thread::sleep(Duration::from_secs(2));
-            match process.last_line() {
-                Some(line) => last = Some(line.parse().unwrap()),
-                None => return last.expect("a count"),
-            }
-        }
+    let count = |process: &Process| -> Option<u32> {
+        process.last_line().map(|line| line.parse().unwrap())
     };
-    let before = [&reliable, &best_effort].map(came);
+    // Time for messages under way. After a longer pause the publisher would begin anew with another DDS writer.
+    std::thread::sleep(Duration::from_secs(1));
+    let before = [&reliable, &best_effort].map(|process| count(process).expect("a count"));
     let memory = resident();
     for number in 0..COUNT {
         beat.tick().await;
         publisher.publish(message(number, LEN)).unwrap();
     }
-    let after = [&reliable, &best_effort].map(came);
+    // On a busy machine a subscriber prints the last messages late: its count is final when no line follows.
+    let after = [&reliable, &best_effort].map(|process| {
+        let mut last = None;
+        loop {
+            std::thread::sleep(Duration::from_secs(2));
+            match count(process) {
+                Some(count) => last = Some(count),
+                None => return last.expect("a count"),
+            }
+        }
+    });
     let got = [after[0] - before[0], after[1] - before[1]];
     let grown = resident().saturating_sub(memory) as usize / MIB;
     println!(
