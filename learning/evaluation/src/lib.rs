@@ -1,7 +1,7 @@
 //! Measures a world model on recordings by the paper's protocols (section 4.2, appendix C).
 //!
-//! A [`Subject`] is a model with its evaluation data. A suite ([`fidelity`], [`control`], [`representation`],
-//! [`policy`], [`robustness`], [`cost`]) has units (an episode, a window), measures each alone, and makes findings from
+//! A [`Subject`] is a model with its evaluation data. A suite (`fidelity`, `control`, `representation`,
+//! [`policy`], `robustness`, `cost`) has units (an episode, a window), measures each alone, and makes findings from
 //! the results, without the model. So units are spread over threads, processes and machines, stored in [`records`], and
 //! merged ([`run`]).
 //!

@@ -26,17 +26,17 @@ pub struct Settings {
     pub seed: u64,
     /// Resamples of a bootstrap.
     pub resamples: usize,
-    /// See [`FidelitySettings`].
+    /// See `FidelitySettings`.
     pub fidelity: FidelitySettings,
-    /// See [`ControlSettings`].
+    /// See `ControlSettings`.
     pub control: ControlSettings,
-    /// See [`LatentsSettings`].
+    /// See `LatentsSettings`.
     pub latents: LatentsSettings,
-    /// See [`RobustnessSettings`].
+    /// See `RobustnessSettings`.
     pub robustness: RobustnessSettings,
     /// See [`PolicySettings`].
     pub policy: PolicySettings,
-    /// The user's networks, as in [`Perception::description`](crate::Perception::description).
+    /// The user's networks, as in `Perception::description`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub networks: Option<Value>,
 }

@@ -16,7 +16,7 @@ use crate::error::Error;
 /// seeds.
 ///
 /// # Errors
-/// The first error of any episode; see [`Episode::generate`] and [`write_bag`].
+/// The first error of any episode; see [`Episode::generate`] and `write_bag`.
 /// [`Error::Seeds`] if a seed exceeds the largest number.
 pub fn generate_bags(
     out: &Path,

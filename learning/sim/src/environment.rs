@@ -203,7 +203,7 @@ impl Environment {
         self.goal.target.met_by(&self.world)
     }
 
-    /// Whether the instruction is fulfilled now; see [`Task::succeeded`]. Words demand less than the goal: they name no exact
+    /// Whether the instruction is fulfilled now; see `Task::succeeded`. Words demand less than the goal: they name no exact
     /// place.
     pub fn instruction_followed(&self) -> bool {
         self.task.succeeded(&self.world)

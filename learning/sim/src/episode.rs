@@ -60,7 +60,7 @@ impl Episode {
     /// Makes the episode of a seed: the same seed and options give the same episode.
     ///
     /// # Errors
-    /// [`Error::Frames`] if the number of frames is outside [`FRAMES`], [`Error::Share`] if the share of
+    /// [`Error::Frames`] if the number of frames is outside `FRAMES`, [`Error::Share`] if the share of
     /// failures is outside 0 to 1.
     pub fn generate(seed: u64, options: &EpisodeOptions) -> Result<Self, Error> {
         if !FRAMES.contains(&options.frames) {

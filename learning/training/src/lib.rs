@@ -1,7 +1,7 @@
 //! Training of a world model from bags.
 //!
 //! `wm_dataset` prepares recordings and encodes them once. A training ([`autoencoder`], [`encoder`], [`adapter`],
-//! [`transition`], [`idm`], [`probe`]) is a [`run::Task`] with a [`recipe`]; [`run`] steps, saves and resumes it.
+//! [`transition`], [`idm`], [`probe`]) is a [`run::Task`] with a recipe; [`run`] steps, saves and resumes it.
 //! [`model`] trains all parts of a model.
 //!
 //! Models and inference are in `wm_model`; data come from `wm_sim` and `wm_import`.

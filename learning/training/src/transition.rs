@@ -3,7 +3,7 @@
 //! Flow matching on clips of model steps: the first frames are history, the later ones are learned, each at its own
 //! random noise level. By the recipe, they see clean predecessors (teacher forcing), or each other's noisy frames
 //! (diffusion forcing, the paper's). A step's clips are split into small batches whose activations stay in cache; see
-//! [`Workers`].
+//! `Workers`.
 
 mod arguments;
 mod noised_at_once;

@@ -107,7 +107,7 @@ impl Target {
         }
     }
 
-    /// Tolerance of that distance, metres: [`REACH_TOLERANCE_M`] or [`PLACE_TOLERANCE_M`].
+    /// Tolerance of that distance, metres: [`REACH_TOLERANCE_M`] or `PLACE_TOLERANCE_M`.
     pub fn tolerance_m(&self) -> f64 {
         match self {
             Self::Tool { .. } => REACH_TOLERANCE_M,

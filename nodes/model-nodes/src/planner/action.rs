@@ -40,7 +40,7 @@ impl Course {
     /// The course of a goal that is accepted at `now`.
     ///
     /// # Errors
-    /// [`GoalError`] names the invalid value.
+    /// `GoalError` names the invalid value.
     pub fn new(goal: &PlanGoal, now: Instant) -> Result<Self, String> {
         let duration = goal.duration.checked_nanos();
         let duration = duration.map_err(|error| format!("its duration is {error}"))?;

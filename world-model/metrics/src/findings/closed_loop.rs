@@ -60,7 +60,7 @@ impl<A> ClosedLoop<A> {
     /// The findings of `episodes` with all their `plans`; a model step takes `step_ms`.
     ///
     /// # Errors
-    /// [`MetricError::Empty`](wm_metrics::MetricError::Empty) without episodes.
+    /// `MetricError::Empty` without episodes.
     pub fn of(
         about: A,
         step_ms: f64,

@@ -22,7 +22,7 @@ pub(crate) fn transition(config: &DitConfig) -> Result<Cost> {
     )
 }
 
-/// Counts a transition model that was trained here; operations as of [`transition`].
+/// Counts a transition model that was trained here; operations as of `transition`.
 ///
 /// # Errors
 /// If the configuration cannot be built.
