@@ -7,23 +7,23 @@ Builds `learning/training/examples/model_speed.rs`, and for each case writes ran
 folder, then runs ours and PyTorch (eager, and with torch.compile) in turns, round by round, on all threads of each. Of
 all runs it prints the medians, of the rounds' ratios of ours to the faster PyTorch the median and the range (below 1:
 ours is faster), and how far our output and that of eager are from eager's in f32 (relative, Euclidean). `candle` is the
-same network on candle's own CPU operations, with its time divided by ours. `at the peak` is
-the time of eager's multiplications and additions at the measured peak of the processor for the format, if ours computes
-the same ones: no arrangement of them is faster, but convolutions take fewer. Needs cargo, a C++ compiler, and the packages
-of world-model/zoo/fixtures/requirements.txt.
+same network on candle's own CPU operations, with its time divided by ours. `at the peak` is the time of eager's
+multiplications and additions at the measured peak of the processor for the format, if ours computes the same ones: no
+arrangement of them is faster, but convolutions take fewer. Needs cargo, a C++ compiler, and the packages of
+world-model/zoo/fixtures/requirements.txt.
 
-Cases: velocity-dit-s, velocity-dit-l: one velocity of a new frame after nine frames with cached keys and values, on both
-sides. frame-dit-s: a predicted frame, ten Euler steps in a full window of ten, ours with its exact cache, the
+Cases: velocity-dit-s, velocity-dit-l: one velocity of a new frame after nine frames with cached keys and values, on
+both sides. frame-dit-s: a predicted frame, ten Euler steps in a full window of ten, ours with its exact cache, the
 reference's loop without. plan-dit-s: the same for 64 candidates after two frames; the peers compute two of them, and
-their time counts 32 times. vit-l, sd3-encode, sd3-decode, pixel: one picture of 256 x 256. Those of one velocity and vit-l
-also in int8, beside PyTorch's dynamic quantisation. Last, load: time and memory to load a model of 300 M parameters, packing
-its weights (first) and finding them packed (kept).
+their time counts 32 times. vit-l, sd3-encode, sd3-decode, pixel: one picture of 256 x 256. Those of one velocity and
+vit-l also in int8, beside PyTorch's dynamic quantisation. Last, load: time and memory to load a model of 300 M
+parameters, packing its weights (first) and finding them packed (kept).
 
-With --device cuda, all on an NVIDIA GPU: cargo then needs nvcc (tests/setup_cuda installs one), and PyTorch its own CUDA.
-Ours repeats recorded passes (CUDA graphs) of few tokens, unless --no-graphs is given. TensorRT is one more peer if
-torch_tensorrt is installed. One more case is step-dit-l, and load is skipped: one velocity of 64 candidates of DiT-L in
-one batch, without a peer, with the share of the card's peak that its operations are, and the loss of free memory of the
-card. The peak is that of a product of 8192 x 8192 matrices in PyTorch, bf16, in the same run.
+With --device cuda, all on an NVIDIA GPU: cargo then needs nvcc (tests/setup_cuda installs one), and PyTorch its own
+CUDA. Ours repeats recorded passes (CUDA graphs) of few tokens, unless --no-graphs is given. TensorRT is one more peer
+if torch_tensorrt is installed. One more case is step-dit-l, and load is skipped: one velocity of 64 candidates of DiT-L
+in one batch, without a peer, with the share of the card's peak that its operations are, and the loss of free memory of
+the card. The peak is that of a product of 8192 x 8192 matrices in PyTorch, bf16, in the same run.
 """
 
 import argparse
@@ -37,7 +37,6 @@ import statistics
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 import warnings
 
@@ -51,6 +50,7 @@ from transformers import Dinov2Config, Dinov2Model
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "world-model/zoo/fixtures"))
 
+from card_memory import CardMemory  # noqa: E402
 from cases.autoencoder import SD3, to_signed, to_unit  # noqa: E402
 from cases.case import channels_first, channels_last, pictures, randomised, resized, saved  # noqa: E402
 from cases.transition import dit_input  # noqa: E402
@@ -410,28 +410,6 @@ def operations_of(case):
     with FlopCounterMode(display=False) as counter:
         case.step()
     return counter.get_total_flops()
-
-
-class CardMemory:
-    """The greatest loss of free memory of the card since the beginning, in MiB."""
-
-    def __enter__(self):
-        self.least = self.before = torch.cuda.mem_get_info()[0]
-        self.is_done = threading.Event()
-        self.thread = threading.Thread(target=self.watch)
-        self.thread.start()
-        return self
-
-    def watch(self):
-        while not self.is_done.wait(0.01):
-            self.least = min(self.least, torch.cuda.mem_get_info()[0])
-
-    def __exit__(self, *_):
-        self.is_done.set()
-        self.thread.join()
-
-    def most(self):
-        return (self.before - self.least) / 2**20
 
 
 def card_peak():

@@ -105,7 +105,7 @@ mod tests {
         assert_eq!(found.episodes, 5);
         assert_eq!(found.recalls, [0.5, 1.0]);
         assert!((found.balanced() - 0.75).abs() < 1e-12, "{found}");
-        // Of six pairs, only (-1, -0.5) is in the wrong order.
+        // Only one pair of six, (-1, -0.5), is in the wrong order.
         assert!((found.auc - 5.0 / 6.0).abs() < 1e-12, "{found}");
         assert_eq!(found.mismatches, Some(0.5));
         let better = Accuracy { auc: 0.9, ..found };

@@ -167,7 +167,7 @@ pub struct Setup<N: NodeProgram> {
     pub node: Node,
     /// Its parameters.
     pub parameters: Arc<N::Parameters>,
-    /// What it has loaded.
+    /// The result of `load`.
     pub resources: N::Resources,
     /// Its topics, services and actions.
     pub endpoints: N::Endpoints,

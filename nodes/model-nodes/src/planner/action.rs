@@ -140,7 +140,7 @@ impl Course {
 pub struct Heard(PlanFeedback);
 
 impl Heard {
-    /// Of a search with these `terms`; `None` before there is a best candidate.
+    /// The progress of a search with these `terms`; `None` before there is a best candidate.
     pub fn of(progress: &Progress<'_>, terms: &[&str]) -> Option<Self> {
         Some(Self(PlanFeedback {
             iteration: u32::try_from(progress.iteration.saturating_sub(1)).unwrap_or(u32::MAX),

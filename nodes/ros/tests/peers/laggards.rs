@@ -192,7 +192,8 @@ async fn real_ros_2_subscribers_of_both_kinds_hear_a_reliable_topic() {
     let count = |process: &Process| -> Option<u32> {
         process.last_line().map(|line| line.parse().unwrap())
     };
-    // Time for messages under way. After a longer pause the publisher would begin anew with another DDS writer.
+    // Time for messages under way. After a pause of two seconds, live subscribers miss some of the next messages: a known
+    // fault, whose cause is not established.
     std::thread::sleep(Duration::from_secs(1));
     let before = [&reliable, &best_effort].map(|process| count(process).expect("a count"));
     let memory = resident();

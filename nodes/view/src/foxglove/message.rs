@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 const ENCODING: &str = "cdr";
 /// `.msg` text with all types that it uses.
 pub const SCHEMA_ENCODING: &str = "ros2msg";
-/// Tells viewers that this is ROS 2. They take types missing in a definition from it; ours are complete.
+/// Tells viewers that this is ROS 2. They look up types that a definition lacks in ROS 2; our definitions are complete.
 const DISTRIBUTION: &str = "kilted";
 /// The operation of a binary message with data.
 const MESSAGE_DATA: u8 = 1;

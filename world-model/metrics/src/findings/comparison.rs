@@ -40,7 +40,7 @@ pub struct Difference {
     pub baseline: f64,
     /// Value of the model.
     pub value: f64,
-    /// Model minus baseline: of the mean over pairs, or of the figures if they are not means.
+    /// Model minus baseline: the difference of the means over pairs, or of the figures if they are not means.
     pub difference: f64,
     /// 95 % paired bootstrap interval of the difference.
     pub interval: Option<Interval>,

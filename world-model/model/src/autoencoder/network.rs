@@ -4,7 +4,9 @@ use candle_core::{Device, Tensor};
 use rand::Rng;
 use sha2::{Digest, Sha256};
 
-use crate::ops::conv_layers::{Activations, Conv, ConvLayers, GroupNorm, Kernels, Tape, Tensors};
+use crate::ops::conv_layers::{
+    Activations, Conv, ConvKernels, ConvLayers, GroupNorm, Tape, Tensors,
+};
 use crate::ops::{ConvShape, GridSize};
 use crate::weights::{Precision, WeightsBuilder, hash_tensor_header};
 use crate::{Result, Weights};
@@ -190,7 +192,7 @@ impl Network {
     pub(super) fn run(&self, input: Vec<f32>, grid: GridSize) -> Result<Vec<f32>> {
         let Some(mut tensors) = self.tensors.as_ref() else {
             let values = input;
-            let mut output = self.forward(&mut Kernels, Activations { values, grid })?;
+            let mut output = self.forward(&mut ConvKernels, Activations { values, grid })?;
             let mut values = std::mem::take(&mut output.values);
             // Its memory may have served a wider layer.
             values.shrink_to_fit();

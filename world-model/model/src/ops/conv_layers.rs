@@ -1,6 +1,6 @@
 //! The operations that networks are made of, whatever computes them.
 //!
-//! A network is written once, over [`ConvLayers`]. [`Kernels`] computes it on kernels of the CPU, [`Tensors`] by candle's
+//! A network is written once, over [`ConvLayers`]. [`ConvKernels`] computes it on kernels of the CPU, [`Tensors`] by candle's
 //! operations on any device, and [`Tape`] on the same kernels, with gradients by the weights and the input.
 
 mod conv;
@@ -11,7 +11,7 @@ mod tensors;
 pub use conv::Conv;
 pub use tape::{ConvGradients, Tape};
 
-pub(crate) use kernels::{Activations, Kernels};
+pub(crate) use kernels::{Activations, ConvKernels};
 pub(crate) use tensors::Tensors;
 
 use crate::Result;

@@ -13,7 +13,7 @@ thread_local! {
 }
 
 /// The kernels of the CPU. Activations that are dropped make room for later ones of their thread.
-pub(crate) struct Kernels;
+pub(crate) struct ConvKernels;
 
 /// Activations (image, row, column, channel).
 pub(crate) struct Activations {
@@ -31,7 +31,7 @@ impl Drop for Activations {
     }
 }
 
-impl ConvLayers for Kernels {
+impl ConvLayers for ConvKernels {
     type Value = Activations;
 
     fn conv(
