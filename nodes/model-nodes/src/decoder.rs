@@ -4,8 +4,8 @@
 //! time.
 
 mod camera_view;
-mod held;
 mod node;
+mod rollout_buffer;
 mod rollouts;
 mod step;
 

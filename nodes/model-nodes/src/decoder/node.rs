@@ -18,8 +18,8 @@ use wm_zoo::ModelFolder;
 use super::{
     DecoderError, DecoderStep,
     camera_view::CameraView,
-    held::Held,
     jpeg_message, raw_message,
+    rollout_buffer::{RolloutBuffer, WAITING},
     rollouts::{Choice, Rollouts},
 };
 use crate::{
@@ -33,8 +33,6 @@ use wm_wire::transport::{ImagePublisher, Pictures, Transports};
 /// The node.
 pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition::of::<Decoder>();
 
-/// Predictions that may wait: two rollouts of eight, since they come faster than one by one.
-pub(super) const WAITING: usize = 16;
 /// Pictures of the rollout before that may wait when a new one begins: a hiccup is no reason to leave it out.
 const UNFINISHED: usize = WAITING / 4;
 /// Pictures of a rollout, until one has told: the predictor's default horizon.
@@ -107,7 +105,7 @@ struct Decoder {
 struct Decoding {
     work: Work<(Arc<Prediction>, u8), Decoded>,
     rollouts: Rollouts,
-    held: Held<(Arc<Prediction>, u8)>,
+    buffer: RolloutBuffer<(Arc<Prediction>, u8)>,
     /// Pictures of a rollout.
     pictures: u32,
     /// Pictures that were made since the last time was taken, and how long they took together.
@@ -218,7 +216,7 @@ impl NodeProgram for Decoder {
                     (parameters.decode_period * 1e9) as i64,
                     at.resources.estimate.map(|picture| picture * USUAL_HORIZON),
                 ),
-                held: Held::new(),
+                buffer: RolloutBuffer::new(),
                 pictures: USUAL_HORIZON,
                 made: (0, Duration::ZERO),
                 complaints: Complaints::new(diagnostics.clone()),
@@ -250,7 +248,7 @@ impl NodeProgram for Decoder {
         let latency = at.node.diagnostics().latency("decode");
         let mut camera = CameraView::default();
         loop {
-            let due = decoding.held.due();
+            let due = decoding.buffer.due();
             tokio::select! {
                 biased;
                 finished = decoding.work.finished() => {
@@ -307,7 +305,7 @@ impl Decoding {
         match self.rollouts.choose(observed_ns, is_behind, now) {
             Choice::Decode => {
                 let rollout = (observed_ns, is_last(&prediction));
-                let ready = self.held.add((prediction, quality), rollout, now);
+                let ready = self.buffer.add((prediction, quality), rollout, now);
                 self.submit(ready);
             }
             Choice::Skip => {}
@@ -317,8 +315,8 @@ impl Decoding {
     }
 
     fn release(&mut self) {
-        let held = self.held.release();
-        self.submit(held);
+        let predictions = self.buffer.release();
+        self.submit(predictions);
     }
 
     fn submit(&mut self, predictions: Vec<(Arc<Prediction>, u8)>) {

@@ -1,7 +1,9 @@
 //! The env on the wire.
 
-mod active;
+mod answers;
+mod jobs;
 mod policy;
+mod server;
 
 use std::{
     collections::VecDeque,
@@ -31,12 +33,13 @@ use crate::{
     history::Timing,
     work::Work,
 };
-use active::{Active, Awaited, Done, InFlight, Job};
+use jobs::{Job, JobResult, RunningJob};
+use server::{EnvServer, PendingReset};
 use wm_camera::camera_frame::CameraFrame;
 use wm_wire::{latent_message::LatentDtype, transport::ImagePublisher};
 
 /// The node.
-pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition::of::<Active>();
+pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition::of::<EnvServer>();
 
 /// Observations by service that may wait for a client: a chunk of each of some episodes.
 const OBSERVATIONS: usize = 64;
@@ -81,7 +84,7 @@ struct Model {
 }
 
 /// The node, configured.
-type EnvNode = Setup<Active>;
+type EnvNode = Setup<EnvServer>;
 
 impl Model {
     fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Self> {
@@ -134,7 +137,7 @@ impl Model {
     }
 }
 
-impl NodeProgram for Active {
+impl NodeProgram for EnvServer {
     const NAME: &'static str = "env";
     const ABOUT: &'static str =
         "Makes the world model the environment of a policy, in place of camera and robot.";
@@ -165,11 +168,11 @@ impl NodeProgram for Active {
                     request,
                     start,
                     begin,
-                } => Done::Reset(env.reset(&request, &start, begin).map(Box::new)),
+                } => JobResult::Reset(env.reset(&request, &start, begin).map(Box::new)),
                 Job::Step(moves) => {
                     let start = clock.now();
                     let moved = env.step(&moves);
-                    Done::Step {
+                    JobResult::Step {
                         moved,
                         start,
                         end: clock.now(),
@@ -179,12 +182,12 @@ impl NodeProgram for Active {
         });
         Ok(Self {
             work,
-            in_flight: InFlight::Nothing,
+            running: RunningJob::Nothing,
             waiting_resets: VecDeque::new(),
             waiting_steps: VecDeque::new(),
             gathered: Instant::now(),
-            awaited: None,
-            played: None,
+            pending_reset: None,
+            topic_episode: None,
             begun: 0,
             clock: at.node.clock(),
             complaints: Complaints::new(at.node.diagnostics()),
@@ -203,7 +206,7 @@ impl NodeProgram for Active {
     }
 }
 
-impl Active {
+impl EnvServer {
     async fn serve(&mut self, at: &mut EnvNode) -> Result<()> {
         loop {
             if self.go_on(at)? {
@@ -216,7 +219,7 @@ impl Active {
             let endpoints = &mut at.endpoints;
             tokio::select! {
                 biased;
-                finished = self.work.finished() => self.done(finished.context("the env's thread")?, at)?,
+                finished = self.work.finished() => self.finish_job(finished.context("the env's thread")?, at)?,
                 Some(call) = endpoints.resets.recv() => self.take_reset(call)?,
                 call = endpoints.steps.recv() => {
                     let Some(call) = call else { return Ok(()) };
@@ -224,22 +227,22 @@ impl Active {
                 }
                 received = endpoints.actions.recv() => {
                     let Some(received) = received else { return Ok(()) };
-                    let taken = self.played.as_mut().map(|played| played.attached.action(&received.message));
+                    let taken = self.topic_episode.as_mut().map(|episode| episode.attached.action(&received.message));
                     self.note(taken, received.message.header.stamp);
                 }
                 received = endpoints.chunks.recv() => {
                     let Some(received) = received else { return Ok(()) };
-                    let taken = self.played.as_mut().map(|played| played.attached.chunk(&received.message));
+                    let taken = self.topic_episode.as_mut().map(|episode| episode.attached.chunk(&received.message));
                     self.note(taken, received.message.header.stamp);
                 }
                 received = endpoints.successes.recv() => {
                     let Some(received) = received else { return Ok(()) };
-                    if let Some(played) = &mut self.played {
-                        played.outcome = Some(received.message.data);
-                        played.is_over = true;
+                    if let Some(episode) = &mut self.topic_episode {
+                        episode.outcome = Some(received.message.data);
+                        episode.is_over = true;
                     }
                 }
-                frame = next_image(&mut self.awaited) => {
+                frame = next_image(&mut self.pending_reset) => {
                     let Some(frame) = frame else { return Ok(()) };
                     self.image(frame);
                 }
@@ -254,9 +257,9 @@ fn lock(env: &Mutex<Env>) -> MutexGuard<'_, Env> {
     env.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-async fn next_image(awaited: &mut Option<Awaited>) -> Option<CameraFrame> {
-    match awaited {
-        Some(awaited) => awaited
+async fn next_image(pending: &mut Option<PendingReset>) -> Option<CameraFrame> {
+    match pending {
+        Some(pending) => pending
             .images
             .recv()
             .await

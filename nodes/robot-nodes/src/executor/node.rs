@@ -102,8 +102,6 @@ impl NodeProgram for Executor {
     }
 }
 
-/// The status goes out at least this often.
-pub(super) const STATUS_PERIOD: Duration = Duration::from_secs(1);
 /// A caller that the graph does not name.
 const UNKNOWN_NODE: &str = "an unknown node";
 
