@@ -10,4 +10,4 @@ mod rollouts;
 mod step;
 
 pub use node::NODE;
-pub use step::{DecoderError, DecoderStep, jpeg_message, raw_message};
+pub use step::{DecoderError, DecoderStep};

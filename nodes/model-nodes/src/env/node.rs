@@ -21,7 +21,7 @@ use wm_msgs::{
     },
 };
 use wm_ros::{
-    Node, NodeDefinition, NodeProgram, Publisher, Qos, Received, Service, Setup, Subscription,
+    NodeDefinition, Publisher, Qos, Received, Requests, Service, Subscription,
     complaints::Complaints,
 };
 use wm_zoo::ModelFolder;
@@ -29,7 +29,7 @@ use wm_zoo::ModelFolder;
 use super::{Env, EnvModel, Start, StartRoot, parameters::Parameters, start::INSTRUCTION};
 use crate::{
     encoder::EncoderStep,
-    harness::{self, WithModel},
+    harness::{self, ModelNode, ModelSetup},
     history::Timing,
     work::Work,
 };
@@ -39,7 +39,7 @@ use wm_camera::camera_frame::CameraFrame;
 use wm_wire::{latent_message::LatentDtype, transport::ImagePublisher};
 
 /// The node.
-pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition::of::<EnvServer>();
+pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<EnvServer>();
 
 /// Observations by service that may wait for a client: a chunk of each of some episodes.
 const OBSERVATIONS: usize = 64;
@@ -64,12 +64,20 @@ wm_ros::endpoints! {
         instructions: Publisher<Text> = INSTRUCTION, qos(Qos::latched(1));
         /// Predicted pictures of the episodes that are driven through services.
         observations: Publisher<EnvObservation> = "~/observation", qos(Qos::reliable(OBSERVATIONS));
+        /// Requests of clients.
+        requests: Requests<Request>;
+    }
+}
+
+wm_ros::endpoints! {
+    /// Requests of clients.
+    enum Request {
         /// Begins an episode.
-        resets: Service<EnvReset> = "~/reset", made(|node, name, _| node.service_or_refuse(name, |reason| {
+        Reset(Service<EnvReset>) = "~/reset", made(|node, name, _| node.service_or_refuse(name, |reason| {
             EnvResetResponse { message: reason.to_owned(), ..EnvResetResponse::default() }
         }));
         /// Executes actions in an episode.
-        steps: Service<EnvStep> = "~/step", made(|node, name, _| node.service_or_refuse(name, |reason| {
+        Step(Service<EnvStep>) = "~/step", made(|node, name, _| node.service_or_refuse(name, |reason| {
             EnvStepResponse { message: reason.to_owned(), ..EnvStepResponse::default() }
         }));
     }
@@ -84,10 +92,24 @@ struct Model {
 }
 
 /// The node, configured.
-type EnvNode = Setup<EnvServer>;
+type EnvNode = ModelSetup<EnvServer>;
 
-impl Model {
-    fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Self> {
+impl ModelNode for EnvServer {
+    const NAME: &'static str = "env";
+    const ABOUT: &'static str =
+        "Makes the world model the environment of a policy, in place of camera and robot.";
+    type Parameters = Parameters;
+    type Endpoints = Endpoints;
+    type Model = Model;
+
+    fn check(parameters: &Parameters) -> Result<()> {
+        if parameters.episodes > 0 {
+            parameters.own_start()?;
+        }
+        Ok(())
+    }
+
+    fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Model> {
         let encoder = EncoderStep::new(folder.encoder()?, LatentDtype::F32);
         let (predictor, decoder) = (folder.world_model()?, folder.decoder()?);
         let decoder = decoder.with_context(|| {
@@ -128,34 +150,12 @@ impl Model {
             }
         }
         let env = Arc::new(Mutex::new(env));
-        Ok(Self {
+        Ok(Model {
             env,
             timing,
             encoding,
             start_root: StartRoot::new(&parameters.start_root)?,
         })
-    }
-}
-
-impl NodeProgram for EnvServer {
-    const NAME: &'static str = "env";
-    const ABOUT: &'static str =
-        "Makes the world model the environment of a policy, in place of camera and robot.";
-    const IS_MANAGED: bool = true;
-    type Parameters = WithModel<Parameters>;
-    type Endpoints = Endpoints;
-    type Resources = Model;
-    type Error = anyhow::Error;
-
-    fn check(parameters: &Self::Parameters) -> Result<()> {
-        if parameters.episodes > 0 {
-            parameters.own_start()?;
-        }
-        parameters.check_device()
-    }
-
-    async fn load(_: &Node, parameters: &Arc<Self::Parameters>) -> Result<Model> {
-        harness::load(parameters, Model::load).await
     }
 
     fn activate(at: &EnvNode) -> Result<Self> {
@@ -220,11 +220,11 @@ impl EnvServer {
             tokio::select! {
                 biased;
                 finished = self.work.finished() => self.finish_job(finished.context("the env's thread")?, at)?,
-                Some(call) = endpoints.resets.recv() => self.take_reset(call)?,
-                call = endpoints.steps.recv() => {
-                    let Some(call) = call else { return Ok(()) };
-                    self.take_step(call, at.parameters.max_episodes);
-                }
+                request = endpoints.requests.next_request() => match request {
+                    None => return Ok(()),
+                    Some(Request::Reset(call)) => self.take_reset(call)?,
+                    Some(Request::Step(call)) => self.take_step(call, at.parameters.max_episodes),
+                },
                 received = endpoints.actions.recv() => {
                     let Some(received) = received else { return Ok(()) };
                     let taken = self.topic_episode.as_mut().map(|episode| episode.attached.action(&received.message));

@@ -14,10 +14,7 @@ use super::{
     GripperSource, Problem, Speeds, gripper::Gripper, period::Period, poses::Poses,
     stamp::stamp_of, twists::Twists,
 };
-use crate::{
-    displacement::Displacement,
-    executor::{Layout, Velocity},
-};
+use crate::executor::{Layout, Velocity};
 
 /// The source of motions.
 #[derive(Clone, Debug, PartialEq, Eq)]

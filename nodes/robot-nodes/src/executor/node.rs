@@ -1,9 +1,6 @@
 //! The executor on the wire.
 
-use std::{
-    sync::Arc,
-    time::{Duration, Instant},
-};
+use std::{sync::Arc, time::Instant};
 
 use anyhow::Result;
 use tracing::{error, info, warn};
@@ -30,6 +27,7 @@ use super::{
     message,
     outlets::{Endpoints, Inlets, Outlets, Request},
     parameters::Parameters,
+    status::STATUS_PERIOD,
 };
 
 /// The node.
