@@ -4,10 +4,10 @@
 //! time.
 
 mod camera_view;
-mod held;
 mod node;
+mod rollout_buffer;
 mod rollouts;
 mod step;
 
 pub use node::NODE;
-pub use step::{DecoderError, DecoderStep, jpeg_message, raw_message};
+pub use step::{DecoderError, DecoderStep};

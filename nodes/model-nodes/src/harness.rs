@@ -1,11 +1,11 @@
-//! What a node needs to compute with the world model: the parameters `model`, `device` and `cuda_graphs`, and loading the
-//! model off the message loop. Such a node is a managed [`NodeProgram`](wm_ros::NodeProgram):
+//! Nodes that compute with the world model. [`ModelNode`] gives them the parameters `model`, `device` and
+//! `cuda_graphs`, and loads the model off the message loop:
 //!
 //! ```no_run
-//! use std::sync::Arc;
-//! use wm_model_nodes::harness::{self, WithModel};
+//! use wm_model_nodes::harness::{self, ModelNode, ModelSetup};
 //! use wm_msgs::{std_msgs::String as Text, wm_msgs::Latent};
-//! use wm_ros::{Node, NodeDefinition, NodeProgram, Publisher, Qos, Setup, Subscription};
+//! use wm_ros::{NodeDefinition, Publisher, Qos, Subscription};
+//! use wm_zoo::ModelFolder;
 //!
 //! wm_ros::parameters! {
 //!     /// Its parameters.
@@ -29,28 +29,22 @@
 //!     count: usize,
 //! }
 //!
-//! impl NodeProgram for Counter {
+//! impl ModelNode for Counter {
 //!     const NAME: &'static str = "counter";
 //!     const ABOUT: &'static str = "Counts latents.";
-//!     const IS_MANAGED: bool = true;
-//!     type Parameters = WithModel<Parameters>;
+//!     type Parameters = Parameters;
 //!     type Endpoints = Endpoints;
-//!     type Resources = ();
-//!     type Error = anyhow::Error;
+//!     type Model = ();
 //!
-//!     fn check(parameters: &Self::Parameters) -> anyhow::Result<()> {
-//!         parameters.check_device()
+//!     fn load(_: ModelFolder, _: &Parameters) -> anyhow::Result<()> {
+//!         Ok(())
 //!     }
 //!
-//!     async fn load(_: &Node, parameters: &Arc<Self::Parameters>) -> anyhow::Result<()> {
-//!         harness::load(parameters, |_model, _parameters| Ok(())).await
-//!     }
-//!
-//!     fn activate(_: &Setup<Self>) -> anyhow::Result<Self> {
+//!     fn activate(_: &ModelSetup<Self>) -> anyhow::Result<Self> {
 //!         Ok(Self { count: 0 })
 //!     }
 //!
-//!     async fn run(&mut self, at: &mut Setup<Self>) -> anyhow::Result<()> {
+//!     async fn run(&mut self, at: &mut ModelSetup<Self>) -> anyhow::Result<()> {
 //!         while at.endpoints.latents.recv().await.is_some() {
 //!             self.count += 1;
 //!             if self.count % at.parameters.every == 0 {
@@ -63,15 +57,17 @@
 //! }
 //!
 //! /// For the registry, `NODES` in `lib.rs`.
-//! pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition::of::<Counter>();
+//! pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Counter>();
 //! ```
 
 mod follower;
 mod goals;
+mod model_node;
 
 pub(crate) use follower::follows;
-pub use follower::{Event, Follower, Follows, Inputs, Told};
+pub use follower::{Event, Follower, Follows, Inputs, Outcome};
 pub use goals::{GoalInputs, Goals};
+pub use model_node::{ModelNode, ModelProgram, ModelSetup, definition};
 
 use std::{ops::Deref, sync::Arc};
 
@@ -85,11 +81,11 @@ wm_ros::parameters! {
     struct Common {
         /// World model: tiny (embedded), or the path of a model folder.
         model: String = EMBEDDED;
-        /// What computes the model: cpu, or an NVIDIA GPU, cuda (the first one) or cuda:N. A GPU needs a program built with
-        /// the feature cuda.
+        /// What computes the model: cpu, or an NVIDIA GPU, cuda (the first one) or cuda:N. A GPU needs a program built
+        /// with the feature cuda.
         device: String = "cpu";
-        /// Whether a GPU records the launches of an Euler step and repeats them as one (CUDA graphs). Of no effect on the
-        /// CPU, in the encoder and in the decoder.
+        /// Whether a GPU records the launches of an Euler step and repeats them as one (CUDA graphs). Of no effect on
+        /// the CPU, in the encoder and in the decoder.
         cuda_graphs: bool = false;
     }
 }
@@ -124,14 +120,6 @@ impl<P: ParameterSet> ParameterSet for WithModel<P> {
 }
 
 impl<P> WithModel<P> {
-    /// Refuses a `device` that has another form, so that the node ends at once.
-    ///
-    /// # Errors
-    /// Names it.
-    pub fn check_device(&self) -> Result<()> {
-        self.compute().map(drop)
-    }
-
     /// The meaning of `device` and `cuda_graphs`.
     fn compute(&self) -> Result<Compute> {
         let compute: Compute = self.common.device.parse()?;
@@ -140,10 +128,7 @@ impl<P> WithModel<P> {
 }
 
 /// Opens the model on a separate thread, where `load` loads the parts that the node needs.
-///
-/// # Errors
-/// Names the model, and what is missing or wrong.
-pub async fn load<P: Send + Sync + 'static, M: Send + 'static>(
+async fn load<P: Send + Sync + 'static, M: Send + 'static>(
     parameters: &Arc<WithModel<P>>,
     load: fn(ModelFolder, &P) -> Result<M>,
 ) -> Result<M> {

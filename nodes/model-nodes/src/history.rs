@@ -11,6 +11,7 @@
 
 mod ahead;
 mod arrival;
+mod builder;
 mod camera_clock;
 mod context;
 mod error;
@@ -39,6 +40,7 @@ use wm_wire::latent_message::decode_latent;
 pub use crate::{camera::WrongCamera, reception::Reception};
 pub use ahead::Ahead;
 pub use arrival::{Arrival, LateChunk};
+pub use builder::HistoryBuilder;
 pub use camera_clock::CameraStep;
 pub use error::HistoryError;
 pub use frames::{Frame, Observation};

@@ -20,6 +20,6 @@ mod trust;
 pub use error::PredictorError;
 pub use node::NODE;
 pub use rollout::{PredictedStep, RolloutRequest, RunningRollout};
-use step::Seen;
+use step::LatentEffect;
 pub use step::{Outcome, PredictorSettings, PredictorStep};
 pub use trust::{Doubt, Trust, UNLIKE, part_far_out};

@@ -2,8 +2,6 @@
 
 #![allow(clippy::unwrap_used)]
 
-use std::sync::{Arc, Mutex};
-
 use image::{Rgb, RgbImage};
 use wm_camera::{camera_frame::CameraFrame, image_message::encode_image};
 use wm_dataset::{Dataset, Latents, testing::write_moves};
@@ -60,7 +58,7 @@ fn nodes_goals_and_data_give_one_latent() {
         let latent = step(fit).encode(&CameraFrame::Raw(image())).unwrap();
         let encoded = decode_latent(&latent, encoder(fit).space()).unwrap();
 
-        let reader = GoalReader::new(&Arc::new(Mutex::new(step(fit))));
+        let reader = GoalReader::new(step(fit));
         let goal = reader.of_picture(&CameraFrame::Raw(image())).unwrap();
         assert_eq!(*goal.latents[0], *encoded, "{fit}: a goal by its topic");
         let message = Goal {

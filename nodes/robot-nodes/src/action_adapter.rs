@@ -15,9 +15,11 @@ mod gripper;
 mod node;
 mod outlets;
 mod parameters;
+mod period;
 mod poses;
 mod problem;
 mod speeds;
+mod stamp;
 mod step;
 mod twists;
 

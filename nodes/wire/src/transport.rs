@@ -1,12 +1,19 @@
 //! The two transports of an image topic: raw, and compressed on the sibling `<topic>/compressed`.
 
-use wm_msgs::sensor_msgs::{CompressedImage, Image};
+use image::RgbImage;
+use wm_msgs::{
+    sensor_msgs::{CompressedImage, Image},
+    std_msgs::Header,
+};
 use wm_ros::{
     Direction, Endpoint, EndpointSpec, Field, Node, Parameter, Publisher, Qos, Received,
     Subscription,
 };
 
-use wm_camera::camera_frame::CameraFrame;
+use wm_camera::{
+    camera_frame::CameraFrame,
+    image_message::{ImageError, encode_image, encode_jpeg},
+};
 
 /// The transports that a node uses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -61,6 +68,31 @@ pub struct Pictures {
     pub raw: Option<Image>,
     /// sensor_msgs/CompressedImage.
     pub compressed: Option<CompressedImage>,
+}
+
+impl Pictures {
+    /// The messages of a picture for these transports, with this header. The compressed one is a JPEG of this quality,
+    /// 1 to 100.
+    ///
+    /// # Errors
+    /// [`ImageError`]: JPEG does not allow the picture's size.
+    pub fn encode(
+        picture: &RgbImage,
+        header: Header,
+        transports: Transports,
+        quality: u8,
+    ) -> Result<Self, ImageError> {
+        let raw = transports
+            .raw
+            .then(|| encode_image(picture, header.clone()));
+        let compressed = transports
+            .compressed
+            .then(|| encode_jpeg(picture, header, quality));
+        Ok(Self {
+            raw,
+            compressed: compressed.transpose()?,
+        })
+    }
 }
 
 /// Publishers of an image topic and its sibling, as selected by the parameter `image_transport`.

@@ -10,31 +10,28 @@ use wm_camera::camera_info::info_topic;
 use wm_model::Fit;
 use wm_msgs::{sensor_msgs::CameraInfo, std_msgs::String as Text, wm_msgs::Prediction};
 use wm_ros::{
-    Diagnostics, Input, Level, Node, NodeDefinition, NodeProgram, Parameter, Publisher, Qos, Setup,
-    Subscription, complaints::Complaints,
+    Diagnostics, Input, Level, NodeDefinition, Parameter, Publisher, Qos, Subscription,
+    complaints::Complaints,
 };
 use wm_zoo::ModelFolder;
 
 use super::{
     DecoderError, DecoderStep,
     camera_view::CameraView,
-    held::Held,
-    jpeg_message, raw_message,
+    rollout_buffer::{RolloutBuffer, WAITING},
     rollouts::{Choice, Rollouts},
 };
 use crate::{
     cadence::{PACE, SKIPPED, every_nth, measured, rough},
-    harness::{self, WithModel},
+    harness::{self, ModelNode, ModelSetup},
     pool::Pool,
     work::Work,
 };
 use wm_wire::transport::{ImagePublisher, Pictures, Transports};
 
 /// The node.
-pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition::of::<Decoder>();
+pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Decoder>();
 
-/// Predictions that may wait: two rollouts of eight, since they come faster than one by one.
-pub(super) const WAITING: usize = 16;
 /// Pictures of the rollout before that may wait when a new one begins: a hiccup is no reason to leave it out.
 const UNFINISHED: usize = WAITING / 4;
 /// Pictures of a rollout, until one has told: the predictor's default horizon.
@@ -77,8 +74,8 @@ wm_ros::endpoints! {
             let images = node.resolve("/camera/image_raw")?;
             node.subscription(&info_topic(&images), qos)
         });
-        /// The same for pictures of the size of the predicted ones, with each of them. Not published if camera_info does
-        /// not fit the camera's pictures.
+        /// The same for pictures of the size of the predicted ones, with each of them. Not published if camera_info
+        /// does not fit the camera's pictures.
         infos: Publisher<CameraInfo> = "predicted/camera_info", qos(Qos::reliable(WAITING));
         /// How a camera picture becomes one of the predicted pictures' size and aspect: stretch, crop or pad.
         fit: Publisher<Text> = "predicted/fit", qos(Qos::latched(1));
@@ -107,7 +104,7 @@ struct Decoder {
 struct Decoding {
     work: Work<(Arc<Prediction>, u8), Decoded>,
     rollouts: Rollouts,
-    held: Held<(Arc<Prediction>, u8)>,
+    buffer: RolloutBuffer<(Arc<Prediction>, u8)>,
     /// Pictures of a rollout.
     pictures: u32,
     /// Pictures that were made since the last time was taken, and how long they took together.
@@ -127,12 +124,9 @@ fn work(
             let step = step.lock().unwrap_or_else(PoisonError::into_inner);
             let started = Instant::now();
             let pictures = step.decode(&prediction).and_then(|picture| {
-                let raw = transports.raw.then(|| raw_message(&picture, &prediction));
-                let jpeg = transports
-                    .compressed
-                    .then(|| jpeg_message(&picture, &prediction, quality));
-                let compressed = jpeg.transpose()?;
-                Ok((Pictures { raw, compressed }, picture.dimensions()))
+                let header = prediction.header.clone();
+                let pictures = Pictures::encode(&picture, header, transports, quality)?;
+                Ok((pictures, picture.dimensions()))
             });
             (pictures, started.elapsed())
         },
@@ -146,8 +140,14 @@ impl Model {
     }
 }
 
-impl Model {
-    fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Self> {
+impl ModelNode for Decoder {
+    const NAME: &'static str = "decoder";
+    const ABOUT: &'static str = "Decodes predicted latents to pictures.";
+    type Parameters = Parameters;
+    type Endpoints = Endpoints;
+    type Model = Model;
+
+    fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Model> {
         let step = folder.decoder()?.map(DecoderStep::new);
         if let Some(step) = &step
             && parameters.image_transport.raw
@@ -168,7 +168,7 @@ impl Model {
         if let Some(taken) = estimate {
             tracing::info!("decoding a picture takes about {} here", rough(taken));
         }
-        let model = Self {
+        let model = Model {
             name: folder.name(),
             fit: folder.fit()?,
             step: step.map(|step| Arc::new(Mutex::new(step))),
@@ -180,26 +180,8 @@ impl Model {
         }
         Ok(model)
     }
-}
 
-impl NodeProgram for Decoder {
-    const NAME: &'static str = "decoder";
-    const ABOUT: &'static str = "Decodes predicted latents to pictures.";
-    const IS_MANAGED: bool = true;
-    type Parameters = WithModel<Parameters>;
-    type Endpoints = Endpoints;
-    type Resources = Model;
-    type Error = anyhow::Error;
-
-    fn check(parameters: &Self::Parameters) -> Result<()> {
-        parameters.check_device()
-    }
-
-    async fn load(_: &Node, parameters: &Arc<Self::Parameters>) -> Result<Model> {
-        harness::load(parameters, Model::load).await
-    }
-
-    fn activate(at: &Setup<Self>) -> Result<Self> {
+    fn activate(at: &ModelSetup<Self>) -> Result<Self> {
         let (parameters, diagnostics) = (&*at.parameters, at.node.diagnostics());
         let Some(step) = &at.resources.step else {
             return Ok(Self { decoding: None });
@@ -218,7 +200,7 @@ impl NodeProgram for Decoder {
                     (parameters.decode_period * 1e9) as i64,
                     at.resources.estimate.map(|picture| picture * USUAL_HORIZON),
                 ),
-                held: Held::new(),
+                buffer: RolloutBuffer::new(),
                 pictures: USUAL_HORIZON,
                 made: (0, Duration::ZERO),
                 complaints: Complaints::new(diagnostics.clone()),
@@ -227,7 +209,7 @@ impl NodeProgram for Decoder {
         })
     }
 
-    async fn run(&mut self, at: &mut Setup<Self>) -> Result<()> {
+    async fn run(&mut self, at: &mut ModelSetup<Self>) -> Result<()> {
         let Endpoints {
             predictions,
             pictures,
@@ -250,7 +232,7 @@ impl NodeProgram for Decoder {
         let latency = at.node.diagnostics().latency("decode");
         let mut camera = CameraView::default();
         loop {
-            let due = decoding.held.due();
+            let due = decoding.buffer.due();
             tokio::select! {
                 biased;
                 finished = decoding.work.finished() => {
@@ -307,7 +289,7 @@ impl Decoding {
         match self.rollouts.choose(observed_ns, is_behind, now) {
             Choice::Decode => {
                 let rollout = (observed_ns, is_last(&prediction));
-                let ready = self.held.add((prediction, quality), rollout, now);
+                let ready = self.buffer.add((prediction, quality), rollout, now);
                 self.submit(ready);
             }
             Choice::Skip => {}
@@ -317,8 +299,8 @@ impl Decoding {
     }
 
     fn release(&mut self) {
-        let held = self.held.release();
-        self.submit(held);
+        let predictions = self.buffer.release();
+        self.submit(predictions);
     }
 
     fn submit(&mut self, predictions: Vec<(Arc<Prediction>, u8)>) {

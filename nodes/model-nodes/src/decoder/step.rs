@@ -3,13 +3,9 @@
 use image::RgbImage;
 use thiserror::Error;
 use wm_model::Decoder;
-use wm_msgs::{
-    sensor_msgs::{CompressedImage, Image},
-    std_msgs::Header,
-    wm_msgs::Prediction,
-};
+use wm_msgs::wm_msgs::Prediction;
 
-use wm_camera::image_message::{ImageError, encode_image, encode_jpeg};
+use wm_camera::image_message::ImageError;
 use wm_wire::latent_message::{LatentError, decode_latent};
 
 /// Why a prediction gives no picture.
@@ -72,27 +68,6 @@ impl DecoderStep {
         let (height, width) = self.decoder.output_size();
         height * width * 3
     }
-}
-
-/// The raw message of a picture, with the prediction's header.
-pub fn raw_message(picture: &RgbImage, prediction: &Prediction) -> Image {
-    encode_image(picture, header(prediction))
-}
-
-/// The JPEG message of a picture, with the prediction's header.
-///
-/// # Errors
-/// [`DecoderError::Image`].
-pub fn jpeg_message(
-    picture: &RgbImage,
-    prediction: &Prediction,
-    quality: u8,
-) -> Result<CompressedImage, DecoderError> {
-    Ok(encode_jpeg(picture, header(prediction), quality)?)
-}
-
-fn header(prediction: &Prediction) -> Header {
-    prediction.header.clone()
 }
 
 #[cfg(test)]

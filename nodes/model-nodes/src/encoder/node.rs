@@ -16,8 +16,8 @@ use wm_msgs::{
     wm_msgs::{Action, CameraState, Latent},
 };
 use wm_ros::{
-    Clock, Diagnostics, Input, Level, Node, NodeDefinition, NodeProgram, Publisher, Qos, Setup,
-    Subscription, complaints::Complaints, frame_trace,
+    Clock, Diagnostics, Input, Level, NodeDefinition, Publisher, Qos, Subscription,
+    complaints::Complaints, frame_trace,
 };
 use wm_zoo::ModelFolder;
 
@@ -31,7 +31,7 @@ use super::{
 use crate::{
     cadence::{OPEN, PACE, SKIPPED, hertz, measured, rough},
     camera::{Admission, Camera, Source, WrongCamera},
-    harness::{self, WithModel},
+    harness::{self, ModelNode, ModelSetup},
     history::{Reception, epoch_after, seconds, stamp_of_frame, stamp_of_other},
     pool::Pool,
     work::Work,
@@ -43,7 +43,7 @@ use wm_wire::{
 };
 
 /// The node.
-pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition::of::<Encoder>();
+pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Encoder>();
 
 /// A camera that is silent for longer may be replaced by another: as long as it takes to start a driver again.
 const SILENCE: Duration = Duration::from_secs(1);
@@ -69,8 +69,8 @@ wm_ros::parameters! {
         /// Number of observed frames that predictions start from, one model step apart, as on the predictor.
         context_frames: usize = 2, in 1..=64;
         /// A camera counts as frozen if its picture repeats exactly for longer than this, or does not change for longer
-        /// than this after the arm has moved [s]. Then the planner publishes no plan. 0: never, for simulators that render
-        /// without noise.
+        /// than this after the arm has moved [s]. Then the planner publishes no plan. 0: never, for simulators that
+        /// render without noise.
         frozen_after: Duration = 1.0, in 0.0..=3600.0;
     }
 }
@@ -123,7 +123,8 @@ struct Encoder {
     jumps: watch::Receiver<u64>,
     /// The epoch of the frames.
     epoch: u64,
-    /// The epoch that began with the last jump of the clock or change of the camera: frames from before it stay in theirs.
+    /// The epoch that began with the last jump of the clock or change of the camera: frames from before it stay in
+    /// theirs.
     begun: u64,
     sizes: PictureSizes,
     /// The camera that it follows, once a frame has arrived.
@@ -139,8 +140,14 @@ struct Encoder {
     diagnostics: Diagnostics,
 }
 
-impl Model {
-    fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Self> {
+impl ModelNode for Encoder {
+    const NAME: &'static str = "encoder";
+    const ABOUT: &'static str = "Encodes camera frames to latents.";
+    type Parameters = Parameters;
+    type Endpoints = Endpoints;
+    type Model = Model;
+
+    fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Model> {
         let step = EncoderStep::new(folder.encoder()?, parameters.dtype);
         tracing::info!("encoding to latent space {}", step.space());
         let encoding = folder.action_encoding()?;
@@ -160,7 +167,7 @@ impl Model {
             say(&Choice::new(needs, estimate), taken, &needs);
         }
         let sizes = PictureSizes::new(step.framing(), folder.trained_on()?);
-        Ok(Self {
+        Ok(Model {
             sizes,
             step: Arc::new(Mutex::new(step)),
             estimate,
@@ -168,26 +175,8 @@ impl Model {
             actions: encoding.map_or_else(ActionSpace::bridge, |encoding| encoding.space().clone()),
         })
     }
-}
 
-impl NodeProgram for Encoder {
-    const NAME: &'static str = "encoder";
-    const ABOUT: &'static str = "Encodes camera frames to latents.";
-    const IS_MANAGED: bool = true;
-    type Parameters = WithModel<Parameters>;
-    type Endpoints = Endpoints;
-    type Resources = Model;
-    type Error = anyhow::Error;
-
-    fn check(parameters: &Self::Parameters) -> Result<()> {
-        parameters.check_device()
-    }
-
-    async fn load(_: &Node, parameters: &Arc<Self::Parameters>) -> Result<Model> {
-        harness::load(parameters, Model::load).await
-    }
-
-    fn activate(at: &Setup<Self>) -> Result<Self> {
+    fn activate(at: &ModelSetup<Self>) -> Result<Self> {
         let Model {
             step,
             estimate,
@@ -238,7 +227,7 @@ impl NodeProgram for Encoder {
         })
     }
 
-    async fn run(&mut self, at: &mut Setup<Self>) -> Result<()> {
+    async fn run(&mut self, at: &mut ModelSetup<Self>) -> Result<()> {
         let Endpoints {
             images,
             actions,

@@ -1,7 +1,9 @@
 //! The env on the wire.
 
-mod active;
+mod answers;
+mod jobs;
 mod policy;
+mod server;
 
 use std::{
     collections::VecDeque,
@@ -19,7 +21,7 @@ use wm_msgs::{
     },
 };
 use wm_ros::{
-    Node, NodeDefinition, NodeProgram, Publisher, Qos, Received, Service, Setup, Subscription,
+    NodeDefinition, Publisher, Qos, Received, Requests, Service, Subscription,
     complaints::Complaints,
 };
 use wm_zoo::ModelFolder;
@@ -27,16 +29,17 @@ use wm_zoo::ModelFolder;
 use super::{Env, EnvModel, Start, StartRoot, parameters::Parameters, start::INSTRUCTION};
 use crate::{
     encoder::EncoderStep,
-    harness::{self, WithModel},
+    harness::{self, ModelNode, ModelSetup},
     history::Timing,
     work::Work,
 };
-use active::{Active, Awaited, Done, InFlight, Job};
+use jobs::{Job, JobResult, RunningJob};
+use server::{EnvServer, PendingReset};
 use wm_camera::camera_frame::CameraFrame;
 use wm_wire::{latent_message::LatentDtype, transport::ImagePublisher};
 
 /// The node.
-pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition::of::<Active>();
+pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<EnvServer>();
 
 /// Observations by service that may wait for a client: a chunk of each of some episodes.
 const OBSERVATIONS: usize = 64;
@@ -61,12 +64,20 @@ wm_ros::endpoints! {
         instructions: Publisher<Text> = INSTRUCTION, qos(Qos::latched(1));
         /// Predicted pictures of the episodes that are driven through services.
         observations: Publisher<EnvObservation> = "~/observation", qos(Qos::reliable(OBSERVATIONS));
+        /// Requests of clients.
+        requests: Requests<Request>;
+    }
+}
+
+wm_ros::endpoints! {
+    /// Requests of clients.
+    enum Request {
         /// Begins an episode.
-        resets: Service<EnvReset> = "~/reset", made(|node, name, _| node.service_or_refuse(name, |reason| {
+        Reset(Service<EnvReset>) = "~/reset", made(|node, name, _| node.service_or_refuse(name, |reason| {
             EnvResetResponse { message: reason.to_owned(), ..EnvResetResponse::default() }
         }));
         /// Executes actions in an episode.
-        steps: Service<EnvStep> = "~/step", made(|node, name, _| node.service_or_refuse(name, |reason| {
+        Step(Service<EnvStep>) = "~/step", made(|node, name, _| node.service_or_refuse(name, |reason| {
             EnvStepResponse { message: reason.to_owned(), ..EnvStepResponse::default() }
         }));
     }
@@ -81,10 +92,24 @@ struct Model {
 }
 
 /// The node, configured.
-type EnvNode = Setup<Active>;
+type EnvNode = ModelSetup<EnvServer>;
 
-impl Model {
-    fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Self> {
+impl ModelNode for EnvServer {
+    const NAME: &'static str = "env";
+    const ABOUT: &'static str =
+        "Makes the world model the environment of a policy, in place of camera and robot.";
+    type Parameters = Parameters;
+    type Endpoints = Endpoints;
+    type Model = Model;
+
+    fn check(parameters: &Parameters) -> Result<()> {
+        if parameters.episodes > 0 {
+            parameters.own_start()?;
+        }
+        Ok(())
+    }
+
+    fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Model> {
         let encoder = EncoderStep::new(folder.encoder()?, LatentDtype::F32);
         let (predictor, decoder) = (folder.world_model()?, folder.decoder()?);
         let decoder = decoder.with_context(|| {
@@ -125,34 +150,12 @@ impl Model {
             }
         }
         let env = Arc::new(Mutex::new(env));
-        Ok(Self {
+        Ok(Model {
             env,
             timing,
             encoding,
             start_root: StartRoot::new(&parameters.start_root)?,
         })
-    }
-}
-
-impl NodeProgram for Active {
-    const NAME: &'static str = "env";
-    const ABOUT: &'static str =
-        "Makes the world model the environment of a policy, in place of camera and robot.";
-    const IS_MANAGED: bool = true;
-    type Parameters = WithModel<Parameters>;
-    type Endpoints = Endpoints;
-    type Resources = Model;
-    type Error = anyhow::Error;
-
-    fn check(parameters: &Self::Parameters) -> Result<()> {
-        if parameters.episodes > 0 {
-            parameters.own_start()?;
-        }
-        parameters.check_device()
-    }
-
-    async fn load(_: &Node, parameters: &Arc<Self::Parameters>) -> Result<Model> {
-        harness::load(parameters, Model::load).await
     }
 
     fn activate(at: &EnvNode) -> Result<Self> {
@@ -165,11 +168,11 @@ impl NodeProgram for Active {
                     request,
                     start,
                     begin,
-                } => Done::Reset(env.reset(&request, &start, begin).map(Box::new)),
+                } => JobResult::Reset(env.reset(&request, &start, begin).map(Box::new)),
                 Job::Step(moves) => {
                     let start = clock.now();
                     let moved = env.step(&moves);
-                    Done::Step {
+                    JobResult::Step {
                         moved,
                         start,
                         end: clock.now(),
@@ -179,12 +182,12 @@ impl NodeProgram for Active {
         });
         Ok(Self {
             work,
-            in_flight: InFlight::Nothing,
+            running: RunningJob::Nothing,
             waiting_resets: VecDeque::new(),
             waiting_steps: VecDeque::new(),
             gathered: Instant::now(),
-            awaited: None,
-            played: None,
+            pending_reset: None,
+            topic_episode: None,
             begun: 0,
             clock: at.node.clock(),
             complaints: Complaints::new(at.node.diagnostics()),
@@ -203,7 +206,7 @@ impl NodeProgram for Active {
     }
 }
 
-impl Active {
+impl EnvServer {
     async fn serve(&mut self, at: &mut EnvNode) -> Result<()> {
         loop {
             if self.go_on(at)? {
@@ -216,30 +219,30 @@ impl Active {
             let endpoints = &mut at.endpoints;
             tokio::select! {
                 biased;
-                finished = self.work.finished() => self.done(finished.context("the env's thread")?, at)?,
-                Some(call) = endpoints.resets.recv() => self.take_reset(call)?,
-                call = endpoints.steps.recv() => {
-                    let Some(call) = call else { return Ok(()) };
-                    self.take_step(call, at.parameters.max_episodes);
-                }
+                finished = self.work.finished() => self.finish_job(finished.context("the env's thread")?, at)?,
+                request = endpoints.requests.next_request() => match request {
+                    None => return Ok(()),
+                    Some(Request::Reset(call)) => self.take_reset(call)?,
+                    Some(Request::Step(call)) => self.take_step(call, at.parameters.max_episodes),
+                },
                 received = endpoints.actions.recv() => {
                     let Some(received) = received else { return Ok(()) };
-                    let taken = self.played.as_mut().map(|played| played.attached.action(&received.message));
+                    let taken = self.topic_episode.as_mut().map(|episode| episode.attached.action(&received.message));
                     self.note(taken, received.message.header.stamp);
                 }
                 received = endpoints.chunks.recv() => {
                     let Some(received) = received else { return Ok(()) };
-                    let taken = self.played.as_mut().map(|played| played.attached.chunk(&received.message));
+                    let taken = self.topic_episode.as_mut().map(|episode| episode.attached.chunk(&received.message));
                     self.note(taken, received.message.header.stamp);
                 }
                 received = endpoints.successes.recv() => {
                     let Some(received) = received else { return Ok(()) };
-                    if let Some(played) = &mut self.played {
-                        played.outcome = Some(received.message.data);
-                        played.is_over = true;
+                    if let Some(episode) = &mut self.topic_episode {
+                        episode.outcome = Some(received.message.data);
+                        episode.is_over = true;
                     }
                 }
-                frame = next_image(&mut self.awaited) => {
+                frame = next_image(&mut self.pending_reset) => {
                     let Some(frame) = frame else { return Ok(()) };
                     self.image(frame);
                 }
@@ -254,9 +257,9 @@ fn lock(env: &Mutex<Env>) -> MutexGuard<'_, Env> {
     env.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-async fn next_image(awaited: &mut Option<Awaited>) -> Option<CameraFrame> {
-    match awaited {
-        Some(awaited) => awaited
+async fn next_image(pending: &mut Option<PendingReset>) -> Option<CameraFrame> {
+    match pending {
+        Some(pending) => pending
             .images
             .recv()
             .await

@@ -8,16 +8,15 @@ use std::{
 use anyhow::{Context as _, Result};
 use image::RgbImage;
 use tokio::task::JoinError;
-use wm_model::{Decoder, LatentSpace};
-use wm_motion::actions::ActionEncoding;
+use wm_model::Decoder;
 use wm_msgs::{
     builtin_interfaces::Time,
     std_msgs::{Header, String as Text},
     wm_msgs::{ActionCandidates, Assessment, Timing as TimingMessage},
 };
 use wm_ros::{
-    Clock, Diagnostics, Node, NodeDefinition, NodeProgram, Publisher, Qos, Received, Setup,
-    Subscription, complaints::Complaints,
+    Clock, Diagnostics, Node, NodeDefinition, Publisher, Qos, Received, Subscription,
+    complaints::Complaints,
 };
 use wm_zoo::ModelFolder;
 use wm_zoo::success_probe::{Instruction, SuccessClassifier};
@@ -31,20 +30,19 @@ use crate::{
     chunk_merging::Merging,
     encoder::EncoderStep,
     env::INSTRUCTION,
-    harness::{self, Follower, GoalInputs, Goals, Inputs, Told, WithModel},
-    history::{History, HistorySettings, Timing, seconds},
+    harness::{self, Follower, GoalInputs, Goals, Inputs, ModelNode, ModelSetup, Outcome},
+    history::{HistoryBuilder, seconds},
     planner::GoalReader,
     pool::Pool,
     work::Work,
 };
-use wm_camera::image_message::{encode_image, encode_jpeg};
 use wm_wire::{
     latent_message::LatentDtype,
     transport::{ImagePublisher, Pictures, Transports},
 };
 
 /// The node.
-pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition::of::<Evaluator>();
+pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Evaluator>();
 
 wm_ros::parameters! {
     /// The node's parameters.
@@ -97,15 +95,13 @@ wm_ros::endpoints! {
 
 /// What the node loads.
 struct Model {
-    encoder: Arc<Mutex<EncoderStep>>,
+    goals: GoalReader,
     evaluator: Arc<EvaluatorModel>,
     /// None: the model has none, and there are no pictures.
     decoder: Option<Arc<Mutex<Box<dyn Decoder>>>>,
     /// None: the model has none, and there are no probabilities.
     probe: Option<Arc<SuccessClassifier>>,
-    history: HistorySettings,
-    space: LatentSpace,
-    encoding: ActionEncoding,
+    history: HistoryBuilder,
     pool: Pool,
 }
 
@@ -131,52 +127,39 @@ struct Evaluator {
     readings: Option<Work<String, Reading>>,
 }
 
-impl Model {
-    fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Self> {
+impl ModelNode for Evaluator {
+    const NAME: &'static str = "evaluator";
+    const ABOUT: &'static str =
+        "Predicts and scores what each candidate chunk of a policy would do.";
+    type Parameters = Parameters;
+    type Endpoints = Endpoints;
+    type Model = Model;
+
+    fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Model> {
         let (encoder, model) = (folder.encoder()?, folder.world_model()?);
         let (decoder, probe) = (folder.decoder()?, folder.probe()?.map(Arc::new));
-        let history = HistorySettings {
-            timing: Timing::of_camera(parameters.frame_period, &model.encoding),
-            context_frames: parameters.context_frames,
-            merging: parameters.chunk_merging.0,
-        };
-        let (space, encoding) = (model.space.clone(), model.encoding.clone());
-        let (name, place) = (&model.name, model.transition.place());
+        let Parameters {
+            frame_period,
+            context_frames,
+            chunk_merging,
+            ..
+        } = parameters;
+        let history = HistoryBuilder::new(&model, *frame_period, *context_frames, chunk_merging.0);
+        let (name, space, place) = (&model.name, &model.space, model.transition.place());
         tracing::info!("evaluating with {name} in latent space {space} on {place}");
         let evaluator =
             EvaluatorModel::new(model, parameters.integration_steps).with_probe(probe.clone());
-        Ok(Self {
-            encoder: Arc::new(Mutex::new(EncoderStep::new(encoder, LatentDtype::F32))),
+        Ok(Model {
+            goals: GoalReader::new(EncoderStep::new(encoder, LatentDtype::F32)),
             evaluator: Arc::new(evaluator),
             decoder: decoder.map(|decoder| Arc::new(Mutex::new(decoder))),
             probe,
             history,
-            space,
-            encoding,
             pool: Pool::background(Evaluator::NAME, parameters.nice)?,
         })
     }
-}
 
-impl NodeProgram for Evaluator {
-    const NAME: &'static str = "evaluator";
-    const ABOUT: &'static str =
-        "Predicts and scores what each candidate chunk of a policy would do.";
-    const IS_MANAGED: bool = true;
-    type Parameters = WithModel<Parameters>;
-    type Endpoints = Endpoints;
-    type Resources = Model;
-    type Error = anyhow::Error;
-
-    fn check(parameters: &Self::Parameters) -> Result<()> {
-        parameters.check_device()
-    }
-
-    async fn load(_: &Node, parameters: &Arc<Self::Parameters>) -> Result<Model> {
-        harness::load(parameters, Model::load).await
-    }
-
-    fn activate(at: &Setup<Self>) -> Result<Self> {
+    fn activate(at: &ModelSetup<Self>) -> Result<Self> {
         let (node, parameters, model) = (&at.node, &*at.parameters, &at.resources);
         let (evaluator, clock) = (Arc::clone(&model.evaluator), node.clock());
         let evaluations = Work::new(
@@ -199,14 +182,7 @@ impl NodeProgram for Evaluator {
             Work::new(1, move |evaluation: Evaluation, _| {
                 let decoder = decoder.lock().unwrap_or_else(PoisonError::into_inner);
                 let (picture, header) = picture(&**decoder, &evaluation, columns)?;
-                let raw = transports
-                    .raw
-                    .then(|| encode_image(&picture, header.clone()));
-                let jpeg = transports
-                    .compressed
-                    .then(|| encode_jpeg(&picture, header, quality));
-                let compressed = jpeg.transpose()?;
-                Ok(Pictures { raw, compressed })
+                Ok(Pictures::encode(&picture, header, transports, quality)?)
             })
             .on(&model.pool)
         });
@@ -224,8 +200,7 @@ impl NodeProgram for Evaluator {
             // Any 64 bits are a seed.
             seed: parameters.seed as u64,
         };
-        let (space, encoding) = (model.space.clone(), model.encoding.clone());
-        let history = History::new(model.history, space, encoding, node.now());
+        let history = model.history.begin(node.now());
         let mut evaluator = Self {
             follower: Follower::new(node, &at.endpoints.inputs, "start the encoder"),
             step: EvaluatorStep::new(settings, history),
@@ -233,7 +208,7 @@ impl NodeProgram for Evaluator {
             waiting: None,
             complaints: Complaints::new(node.diagnostics()),
             diagnostics: node.diagnostics(),
-            goals: Goals::new(GoalReader::new(&model.encoder), &model.pool),
+            goals: Goals::new(model.goals.clone(), &model.pool),
             evaluations,
             // The range keeps it positive and within a minute.
             cadence: Cadence::new(Duration::from_secs_f64(parameters.frame_period), None),
@@ -244,7 +219,7 @@ impl NodeProgram for Evaluator {
         Ok(evaluator)
     }
 
-    async fn run(&mut self, at: &mut Setup<Self>) -> Result<()> {
+    async fn run(&mut self, at: &mut ModelSetup<Self>) -> Result<()> {
         let Endpoints {
             inputs,
             candidates,
@@ -275,9 +250,9 @@ impl NodeProgram for Evaluator {
                 }
                 event = self.follower.next(inputs) => {
                     let Some(event) = event else { return Ok(()) };
-                    let told = self.follower.tell(event, &mut self.step, &mut self.complaints);
+                    let outcome = self.follower.apply(event, &mut self.step, &mut self.complaints);
                     let has_its_frame = |waiting: &Waiting| !self.step.awaits_frame(&waiting.message);
-                    if matches!(told, Some(Told::Seen(()))) && self.waiting.as_ref().is_some_and(has_its_frame) {
+                    if matches!(outcome, Some(Outcome::Latent(()))) && self.waiting.as_ref().is_some_and(has_its_frame) {
                         self.evaluate_waiting();
                     }
                 }
@@ -329,8 +304,8 @@ impl Evaluator {
             receive,
             ..TimingMessage::default()
         };
-        // Somebody waits for each answer: any message is evaluated while there is nothing else to do, and the newest one
-        // waits. The cadence only tells whether those that it replaces are lost.
+        // Somebody waits for each answer: any message is evaluated while there is nothing else to do, and the newest
+        // one waits. The cadence only tells whether those that it replaces are lost.
         let (stamp_ns, now) = (request.candidates_stamp.to_nanos(), Instant::now());
         self.cadence.arrived(stamp_ns, now, Load::Idle);
         let left_out = self.evaluations.submit((request, timing));

@@ -1,21 +1,19 @@
 //! How a node follows the robot: latents of its camera, its actions, resets, and clock jumps.
 //!
-//! The state keeps a [`History`](crate::history::History) and implements [`Follows`]; [`Follower::next`] waits for an
-//! input, and [`Follower::tell`] hands it to the state, and counts what is wrong with it:
+//! The state keeps a [`History`](crate::history::History) and implements [`Follows`]. [`Follower::next`] waits for an
+//! input.
+//! [`Follower::apply`] applies it to the state, and counts and reports faults:
 //!
 //! ```no_run
 //! use std::convert::Infallible;
-//! use std::sync::Arc;
-//! use wm_model_nodes::harness::{self, Follower, Follows, Inputs, Told, WithModel};
+//! use wm_model_nodes::harness::{self, Follower, Follows, Inputs, ModelNode, ModelSetup, Outcome};
 //! use wm_model_nodes::history::{
-//!     Arrival, ChunkMerging, History, HistoryError, HistorySettings, Reception, Timing, Wait,
+//!     Arrival, ChunkMerging, History, HistoryBuilder, HistoryError, Reception, Wait,
 //! };
 //! use wm_msgs::builtin_interfaces::Time;
 //! use wm_msgs::std_msgs::Float32;
 //! use wm_msgs::wm_msgs::{Action, ActionChunk, Latent};
-//! use wm_ros::{
-//!     Node, NodeDefinition, NodeProgram, Parameter, Publisher, Setup, complaints::Complaints,
-//! };
+//! use wm_ros::{NodeDefinition, Parameter, Publisher, complaints::Complaints};
 //! use wm_zoo::ModelFolder;
 //!
 //! wm_ros::parameters! {
@@ -53,14 +51,14 @@
 //! }
 //!
 //! impl Follows for ChangeStep {
-//!     type Seen = Option<Result<f32, Wait>>;
-//!     type Due = Infallible;
+//!     type OnLatent = Option<Result<f32, Wait>>;
+//!     type OnChunk = Infallible;
 //!
 //!     fn latent(
 //!         &mut self,
 //!         latent: &Latent,
 //!         reception: Reception,
-//!     ) -> Result<(Arrival, Self::Seen), HistoryError> {
+//!     ) -> Result<(Arrival, Self::OnLatent), HistoryError> {
 //!         let arrival = self.history.latent(latent, reception)?;
 //!         Ok((arrival, (!arrival.held_back).then(|| self.change())))
 //!     }
@@ -93,36 +91,21 @@
 //!     complaints: Complaints,
 //! }
 //!
-//! fn load(folder: ModelFolder, _: &Parameters) -> anyhow::Result<wm_model::WorldModel> {
-//!     Ok(folder.world_model()?)
-//! }
-//!
-//! impl NodeProgram for Change {
+//! impl ModelNode for Change {
 //!     const NAME: &'static str = "change";
 //!     const ABOUT: &'static str = "Measures how much latents change in a model step.";
-//!     const IS_MANAGED: bool = true;
-//!     type Parameters = WithModel<Parameters>;
+//!     type Parameters = Parameters;
 //!     type Endpoints = Endpoints;
-//!     type Resources = wm_model::WorldModel;
-//!     type Error = anyhow::Error;
+//!     type Model = HistoryBuilder;
 //!
-//!     fn check(parameters: &Self::Parameters) -> anyhow::Result<()> {
-//!         parameters.check_device()
+//!     fn load(folder: ModelFolder, parameters: &Parameters) -> anyhow::Result<HistoryBuilder> {
+//!         let (context_frames, merging) = (2, ChunkMerging::Latest);
+//!         let model = folder.world_model()?;
+//!         Ok(HistoryBuilder::new(&model, parameters.frame_period, context_frames, merging))
 //!     }
 //!
-//!     async fn load(_: &Node, parameters: &Arc<Self::Parameters>) -> anyhow::Result<Self::Resources> {
-//!         harness::load(parameters, load).await
-//!     }
-//!
-//!     fn activate(at: &Setup<Self>) -> anyhow::Result<Self> {
-//!         let model = &at.resources;
-//!         let settings = HistorySettings {
-//!             timing: Timing::of_camera(at.parameters.frame_period, &model.encoding),
-//!             context_frames: 2,
-//!             merging: ChunkMerging::Latest,
-//!         };
-//!         let (space, encoding) = (model.space.clone(), model.encoding.clone());
-//!         let history = History::new(settings, space, encoding, at.node.now());
+//!     fn activate(at: &ModelSetup<Self>) -> anyhow::Result<Self> {
+//!         let history = at.resources.begin(at.node.now());
 //!         Ok(Self {
 //!             follower: Follower::new(&at.node, &at.endpoints.inputs, "start the encoder"),
 //!             step: ChangeStep { history },
@@ -130,18 +113,17 @@
 //!         })
 //!     }
 //!
-//!     async fn run(&mut self, at: &mut Setup<Self>) -> anyhow::Result<()> {
+//!     async fn run(&mut self, at: &mut ModelSetup<Self>) -> anyhow::Result<()> {
 //!         let Endpoints { inputs, changes } = &mut at.endpoints;
 //!         while let Some(event) = self.follower.next(inputs).await {
-//!             let told = self.follower.tell(event, &mut self.step, &mut self.complaints);
-//!             match told {
-//!                 Some(Told::Seen(Some(Ok(change)))) => {
+//!             match self.follower.apply(event, &mut self.step, &mut self.complaints) {
+//!                 Some(Outcome::Latent(Some(Ok(change)))) => {
 //!                     self.complaints.working("measuring");
 //!                     let is_change = f64::from(change) >= at.parameters.threshold.get();
 //!                     let data = if is_change { change } else { 0.0 };
 //!                     changes.publish(&Float32 { data })?;
 //!                 }
-//!                 Some(Told::Seen(Some(Err(wait)))) => {
+//!                 Some(Outcome::Latent(Some(Err(wait)))) => {
 //!                     self.complaints.waiting(wait.kind(), wait.is_usual(), &wait);
 //!                 }
 //!                 _ => {}
@@ -152,7 +134,7 @@
 //! }
 //!
 //! /// For the registry, `NODES` in `lib.rs`.
-//! pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition::of::<Change>();
+//! pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Change>();
 //! ```
 
 use std::sync::Arc;
@@ -187,13 +169,13 @@ wm_ros::endpoints! {
 
 /// The state of a node that follows the robot.
 pub trait Follows {
-    /// What a latent leads to; `()` where the node asks its state itself.
-    type Seen;
-    /// What a chunk that answers the newest frame triggers.
-    type Due;
+    /// The effect of a latent; `()` if the node queries its state itself.
+    type OnLatent;
+    /// The effect of a chunk that answers the newest frame.
+    type OnChunk;
 
-    /// Takes a latent, and returns what it leads to. If [`Arrival::held_back`] is set, the newest frame is still the one
-    /// before.
+    /// Takes a latent, and returns its effect. If [`Arrival::held_back`] is set, the newest frame is still the previous
+    /// one.
     ///
     /// # Errors
     /// Why it is dropped.
@@ -201,7 +183,7 @@ pub trait Follows {
         &mut self,
         latent: &Latent,
         reception: Reception,
-    ) -> Result<(Arrival, Self::Seen), HistoryError>;
+    ) -> Result<(Arrival, Self::OnLatent), HistoryError>;
 
     /// Takes an action, at `now` by the node's clock.
     ///
@@ -209,7 +191,7 @@ pub trait Follows {
     /// Why it is dropped.
     fn action(&mut self, action: &Action, now: Time) -> Result<Arrival, HistoryError>;
 
-    /// Takes a policy's chunk of actions, at `now` by the node's clock, and returns what that triggers.
+    /// Takes a policy's chunk of actions, at `now` by the node's clock, and returns its effect.
     ///
     /// # Errors
     /// Why it is dropped.
@@ -217,21 +199,22 @@ pub trait Follows {
         &mut self,
         chunk: &ActionChunk,
         now: Time,
-    ) -> Result<(Arrival, Option<Self::Due>), HistoryError>;
+    ) -> Result<(Arrival, Option<Self::OnChunk>), HistoryError>;
 
-    /// Forgets what was observed, takes the seed where there is one, and says what it did.
+    /// Forgets all observations, takes the seed if there is one, and returns a text about that for the log and the
+    /// caller.
     fn reset(&mut self, seed: Option<u64>, now: Time) -> String;
 
-    /// Forgets what lies ahead of `now`, and returns whether there was anything.
+    /// Forgets everything stamped after `now`, and returns whether there was anything.
     fn clock_jumped(&mut self, now: Time) -> bool;
 }
 
-/// What is left to the node itself.
-pub enum Told<F: Follows> {
-    /// What a latent has led to.
-    Seen(F::Seen),
-    /// What a chunk has triggered.
-    Due(F::Due),
+/// The effect of an input, which the node itself has to handle.
+pub enum Outcome<F: Follows> {
+    /// The effect of a latent.
+    Latent(F::OnLatent),
+    /// The effect of a chunk.
+    Chunk(F::OnChunk),
 }
 
 /// An input.
@@ -255,7 +238,7 @@ pub struct Follower {
 }
 
 impl Follower {
-    /// From now on, reports missing latents on `/diagnostics`, with `advice`.
+    /// Follows from now on, and reports missing latents on `/diagnostics` with this `advice`.
     pub fn new(node: &Node, inputs: &Inputs, advice: &'static str) -> Self {
         let expected = Input::new("latents", [inputs.latents.topic()], advice);
         node.diagnostics().expect_input(expected);
@@ -267,7 +250,7 @@ impl Follower {
 
     /// The next input; `None` at the shutdown. Cancel safe.
     pub async fn next(&mut self, inputs: &mut Inputs) -> Option<Event> {
-        // Actions and chunks before latents: those of a moment and its frame may all be there.
+        // Actions and chunks first: if those of a moment wait together with its frame, the frame needs them.
         tokio::select! {
             biased;
             Some(call) = inputs.resets.recv() => Some(Event::Reset(call)),
@@ -278,36 +261,35 @@ impl Follower {
         }
     }
 
-    /// Hands an input to the node's state, counts and reports what is wrong with it, and returns what it leads to.
-    pub fn tell<F: Follows>(
+    /// Applies an input to the node's state, counts and reports its faults, and returns its effect.
+    pub fn apply<F: Follows>(
         &self,
         event: Event,
         state: &mut F,
         complaints: &mut Complaints,
-    ) -> Option<Told<F>> {
+    ) -> Option<Outcome<F>> {
         let now = self.clock.now();
         match event {
             Event::Latent(received) => {
                 let reception = Reception::of(&received, &self.clock);
                 match state.latent(&received.message, reception) {
-                    Ok((arrival, seen)) => {
+                    Ok((arrival, effect)) => {
                         note(complaints, Ok(arrival));
-                        return Some(Told::Seen(seen));
+                        return Some(Outcome::Latent(effect));
                     }
                     Err(error) => note(complaints, Err(error)),
                 }
             }
             Event::Action(received) => {
                 let latest = Reception::of(&received, &self.clock).latest();
-                let taken = state.action(&received.message, latest);
-                note(complaints, taken);
+                note(complaints, state.action(&received.message, latest));
             }
             Event::Chunk(received) => {
                 let latest = Reception::of(&received, &self.clock).latest();
                 match state.chunk(&received.message, latest) {
-                    Ok((arrival, due)) => {
+                    Ok((arrival, effect)) => {
                         note(complaints, Ok(arrival));
-                        return due.map(Told::Due);
+                        return effect.map(Outcome::Chunk);
                     }
                     Err(error) => note(complaints, Err(error)),
                 }
@@ -329,18 +311,25 @@ impl Follower {
     }
 }
 
-/// Implements [`Follows`] for a state by its own methods. `$seen` and `$due` split what its `latent` and `chunk` return.
+/// Implements [`Follows`] for a state by its own methods. `$split_latent` and `$split_chunk` split the results of its
+/// `latent` and `chunk` into arrival and effect.
 macro_rules! follows {
-    ($step:ty, $seen:ty, |$latent:ident| $split_latent:expr, $due:ty, |$chunk:ident| $split_chunk:expr) => {
+    (
+        $step:ty,
+        $on_latent:ty,
+        |$latent:ident| $split_latent:expr,
+        $on_chunk:ty,
+        |$chunk:ident| $split_chunk:expr
+    ) => {
         impl $crate::harness::Follows for $step {
-            type Seen = $seen;
-            type Due = $due;
+            type OnLatent = $on_latent;
+            type OnChunk = $on_chunk;
 
             fn latent(
                 &mut self,
                 latent: &Latent,
                 reception: Reception,
-            ) -> Result<(Arrival, $seen), HistoryError> {
+            ) -> Result<(Arrival, $on_latent), HistoryError> {
                 let $latent = self.latent(latent, reception)?;
                 Ok($split_latent)
             }
@@ -353,7 +342,7 @@ macro_rules! follows {
                 &mut self,
                 chunk: &ActionChunk,
                 now: Time,
-            ) -> Result<(Arrival, Option<$due>), HistoryError> {
+            ) -> Result<(Arrival, Option<$on_chunk>), HistoryError> {
                 let $chunk = self.chunk(chunk, now)?;
                 Ok($split_chunk)
             }

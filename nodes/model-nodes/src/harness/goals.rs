@@ -1,4 +1,4 @@
-//! Goals, read beside the message loop.
+//! Goals, encoded off the message loop.
 
 use anyhow::{Context as _, Result};
 use wm_camera::camera_frame::CameraFrame;
@@ -18,35 +18,35 @@ wm_ros::endpoints! {
     pub struct GoalInputs {
         /// The goal image, volatile or latched.
         images: ImageSubscription = "goal/image", made(ImageSubscription::catching_up);
-        /// Goals of other kinds: several images or latents, a region, words. The newest message of both topics counts; of
-        /// two with one stamp, this one.
+        /// Goals of other kinds: several images or latents, a region, words. The newest message of both topics counts;
+        /// of two with one stamp, this one.
         messages: Subscription<GoalMessage> = "goal", qos(Qos::reliable(2)), made(Node::subscription_catching_up);
     }
 }
 
-/// What a goal is made of.
-enum Told {
+/// A goal as it was received.
+enum Source {
     Picture(CameraFrame),
     Message(GoalMessage),
 }
 
-/// Makes goals of messages. The newest is enough: one may wait.
+/// Makes goals of messages. Only the newest counts, so one may wait.
 pub struct Goals {
-    work: Work<Told, Result<Goal, GoalError>>,
-    /// Stamp of the newest goal that was no image.
-    told: Option<Time>,
+    work: Work<Source, Result<Goal, GoalError>>,
+    /// Stamp of the newest goal of the topic `goal`.
+    message_stamp: Option<Time>,
 }
 
 impl Goals {
-    /// Goals by this reader, computed on these threads.
+    /// Goals that `reader` makes on the threads of `pool`.
     pub fn new(reader: GoalReader, pool: &Pool) -> Self {
-        let read = move |told: Told, _: &_| match told {
-            Told::Picture(frame) => reader.of_picture(&frame),
-            Told::Message(message) => reader.of_message(&message),
+        let read = move |source: Source, _: &_| match source {
+            Source::Picture(frame) => reader.of_picture(&frame),
+            Source::Message(message) => reader.of_message(&message),
         };
         Self {
             work: Work::new(1, read).on(pool),
-            told: None,
+            message_stamp: None,
         }
     }
 
@@ -60,7 +60,7 @@ impl Goals {
         complaints: &mut Complaints,
     ) -> Result<Option<Goal>> {
         loop {
-            let told = tokio::select! {
+            let source = tokio::select! {
                 biased;
                 finished = self.work.finished() => match finished.context("the goal's thread")? {
                     Ok(goal) => {
@@ -74,19 +74,19 @@ impl Goals {
                 },
                 received = inputs.images.recv() => {
                     let Some(Received { message, .. }) = received else { return Ok(None) };
-                    if self.told.is_some_and(|told| told == message.header().stamp) {
-                        // The same goal, of which the other topic tells more.
+                    if self.message_stamp == Some(message.header().stamp) {
+                        // The same goal; the message has more of it.
                         continue;
                     }
-                    Told::Picture(message)
+                    Source::Picture(message)
                 }
                 received = inputs.messages.recv() => {
                     let Some(Received { message, .. }) = received else { return Ok(None) };
-                    self.told = Some(message.header.stamp).filter(|stamp| *stamp != Time::default());
-                    Told::Message(message)
+                    self.message_stamp = Some(message.header.stamp).filter(|stamp| *stamp != Time::default());
+                    Source::Message(message)
                 }
             };
-            if self.work.submit(told).is_some() {
+            if self.work.submit(source).is_some() {
                 complaints.left_out(
                     "superseded_goal",
                     &"a newer goal arrived before this one was encoded",

@@ -3,7 +3,7 @@
 use thiserror::Error;
 use wm_motion::actions::ActionError;
 use wm_msgs::InvalidNanoseconds;
-use wm_wire::latent_message::LatentError;
+use wm_wire::{latent_message::LatentError, stamp::FutureStamp};
 
 use super::seconds_of;
 use crate::camera::WrongCamera;
@@ -27,19 +27,9 @@ pub enum HistoryError {
         /// Its nanoseconds.
         nanosec: u32,
     },
-    /// A frame stamped in the future.
-    #[error(
-        "{what} is stamped {ahead_s:.2} s ahead of this node's clock, at most {most_s:.1} s are accepted: synchronise the \
-         clocks of the machines, or set use_sim_time on all nodes of a replay"
-    )]
-    Future {
-        /// `frame`, `action` or `action chunk`.
-        what: &'static str,
-        /// How far it is ahead \[s\].
-        ahead_s: f64,
-        /// How far it may be ahead \[s\].
-        most_s: f64,
-    },
+    /// A frame, an action or a chunk stamped in the future.
+    #[error(transparent)]
+    Future(#[from] FutureStamp),
     /// An action of the present, for frames of another clock.
     #[error(
         "{what} dropped: the camera's stamps are {behind_s:.1} s behind this node's clock, and those of the actions are \
@@ -115,7 +105,7 @@ impl HistoryError {
     pub fn reason(&self) -> &'static str {
         match self {
             Self::Latent(error) => error.reason(),
-            Self::Stamp { .. } | Self::Future { .. } => "bad_stamp",
+            Self::Stamp { .. } | Self::Future(_) => "bad_stamp",
             Self::Duplicate { .. } => "duplicate",
             Self::OutOfOrder { .. } => "out_of_order",
             Self::WrongCamera(_) => WrongCamera::REASON,

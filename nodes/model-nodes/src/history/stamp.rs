@@ -2,7 +2,7 @@
 
 use wm_msgs::{builtin_interfaces::Time, wm_msgs::ActionChunk};
 
-use wm_wire::stamp::AHEAD_NS;
+use wm_wire::stamp::{AHEAD_NS, FutureStamp};
 
 use super::{HistoryError, Reception};
 
@@ -42,12 +42,8 @@ pub(super) fn stamp_of(
     let stamp_ns = stamp_of_other(what, stamp)?;
     let now_ns = now.to_nanos();
     // A node that waits for /clock has no time yet.
-    if now_ns > 0 && stamp_ns > now_ns.saturating_add(most_ns) {
-        return Err(HistoryError::Future {
-            what,
-            ahead_s: (stamp_ns - now_ns) as f64 / 1e9,
-            most_s: most_ns as f64 / 1e9,
-        });
+    if now_ns > 0 {
+        FutureStamp::refuse(what, stamp_ns, now_ns, most_ns)?;
     }
     Ok(stamp_ns)
 }

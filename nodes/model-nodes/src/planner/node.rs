@@ -7,8 +7,6 @@ use std::{
 
 use anyhow::{Context as _, Result};
 use tokio::sync::mpsc;
-use wm_camera::image_message::{encode_image, encode_jpeg};
-use wm_motion::actions::ActionEncoding;
 use wm_msgs::{
     builtin_interfaces::{Duration as RosDuration, Time},
     geometry_msgs::PoseStamped,
@@ -16,10 +14,10 @@ use wm_msgs::{
     wm_msgs::{Goal as GoalMessage, Plan, action::Plan as PlanAction},
 };
 use wm_ros::{
-    ActionServer, Diagnostics, GoalId, GoalRequest, Level, Node, NodeDefinition, NodeProgram,
-    Publisher, Qos, Setup, Subscription, complaints::Complaints,
+    ActionServer, Diagnostics, GoalId, GoalRequest, Level, NodeDefinition, Publisher, Qos,
+    Subscription, complaints::Complaints,
 };
-use wm_zoo::{ModelFolder, success_probe::SuccessClassifier};
+use wm_zoo::ModelFolder;
 
 use super::{
     ActionRun, Course, End, Goal, GoalError, GoalReader, Heard, PlanRequest, PlanWait, Planned,
@@ -29,8 +27,8 @@ use super::{
 use crate::{
     cadence::{Cadence, SKIPPED, rough},
     encoder::EncoderStep,
-    harness::{self, Follower, GoalInputs, Goals, Inputs, Told, WithModel},
-    history::{FROZEN_CAMERA, History, HistorySettings, Timing, Wait, seconds},
+    harness::{self, Follower, GoalInputs, Goals, Inputs, ModelNode, ModelSetup, Outcome},
+    history::{FROZEN_CAMERA, HistoryBuilder, Wait, seconds},
     pool::Pool,
     work::{Stop, Work},
 };
@@ -40,7 +38,7 @@ use wm_wire::{
 };
 
 /// The node.
-pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition::of::<Planner>();
+pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Planner>();
 
 /// Of the picture of what a plan leads to.
 const JPEG_QUALITY: u8 = 90;
@@ -67,13 +65,9 @@ wm_ros::endpoints! {
 
 /// What the node loads.
 struct Model {
-    encoder: Arc<Mutex<EncoderStep>>,
+    goals: GoalReader,
     planner: Arc<PlannerModel>,
-    /// None: the model has none, or words do not count.
-    probe: Option<Arc<SuccessClassifier>>,
-    history: HistorySettings,
-    space: wm_model::LatentSpace,
-    encoding: ActionEncoding,
+    history: HistoryBuilder,
     pool: Pool,
 }
 
@@ -110,17 +104,25 @@ struct Planner {
     diagnostics: Diagnostics,
 }
 
-impl Model {
-    fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Self> {
+impl ModelNode for Planner {
+    const NAME: &'static str = "planner";
+    const ABOUT: &'static str = "Plans actions that lead to a goal.";
+    type Parameters = Parameters;
+    type Endpoints = Endpoints;
+    type Model = Model;
+
+    fn check(parameters: &Parameters) -> Result<()> {
+        parameters.workspace().map(drop)
+    }
+
+    fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Model> {
         let (encoder, model) = (folder.encoder()?, folder.world_model()?);
-        let history = HistorySettings {
-            timing: Timing::of_camera(parameters.frame_period, &model.encoding),
-            context_frames: parameters.context_frames.min(64),
-            merging: parameters.chunk_merging.0,
-        };
-        let (space, encoding) = (model.space.clone(), model.encoding.clone());
-        let (name, place) = (model.name.clone(), model.transition.place());
-        let setup = parameters.setup(history.timing.step_ns() as f64 / 1e9)?;
+        let (frame_period, merging) = (parameters.frame_period, parameters.chunk_merging.0);
+        let context_frames = parameters.context_frames.min(64);
+        let history = HistoryBuilder::new(&model, frame_period, context_frames, merging);
+        let (name, space) = (model.name.clone(), model.space.clone());
+        let place = model.transition.place();
+        let setup = parameters.setup(history.timing().step_ns() as f64 / 1e9)?;
         let probe = match setup.success > 0.0 {
             true => folder.probe()?.map(Arc::new),
             false => None,
@@ -138,38 +140,15 @@ impl Model {
         let planner = PlannerModel::new(parts, setup)?;
         let choice = planner.choice();
         tracing::info!("planning with {name} by {choice} in latent space {space} on {place}");
-        let encoder = EncoderStep::new(encoder, LatentDtype::F32);
-        Ok(Self {
-            encoder: Arc::new(Mutex::new(encoder)),
+        Ok(Model {
+            goals: GoalReader::new(EncoderStep::new(encoder, LatentDtype::F32)).with_probe(probe),
             planner: Arc::new(planner),
-            probe,
             history,
-            space,
-            encoding,
             pool: Pool::background(Planner::NAME, parameters.nice)?,
         })
     }
-}
 
-impl NodeProgram for Planner {
-    const NAME: &'static str = "planner";
-    const ABOUT: &'static str = "Plans actions that lead to a goal.";
-    const IS_MANAGED: bool = true;
-    type Parameters = WithModel<Parameters>;
-    type Endpoints = Endpoints;
-    type Resources = Model;
-    type Error = anyhow::Error;
-
-    fn check(parameters: &Self::Parameters) -> Result<()> {
-        parameters.workspace()?;
-        parameters.check_device()
-    }
-
-    async fn load(_: &Node, parameters: &Arc<Self::Parameters>) -> Result<Model> {
-        harness::load(parameters, Model::load).await
-    }
-
-    fn activate(at: &Setup<Self>) -> Result<Self> {
+    fn activate(at: &ModelSetup<Self>) -> Result<Self> {
         let (node, model) = (&at.node, &at.resources);
         let (deadline, planner) = (at.parameters.deadline, Arc::clone(&model.planner));
         let transports = at.parameters.image_transport;
@@ -201,20 +180,17 @@ impl NodeProgram for Planner {
             }
         })
         .on(&model.pool);
-        let (space, encoding) = (model.space.clone(), model.encoding.clone());
-        let history = History::new(model.history, space, encoding, node.now());
+        let history = model.history.begin(node.now());
         // The range keeps it within an hour.
         let period = Duration::from_secs_f64(at.parameters.plan_period);
-        let reader = GoalReader::new(&model.encoder).with_probe(model.probe.clone());
-        let of_actions = reader.clone();
-        let read = move |(id, message): (GoalId, GoalMessage), _: &Stop| {
-            (id, of_actions.of_message(&message))
-        };
+        let reader = model.goals.clone();
+        let read =
+            move |(id, message): (GoalId, GoalMessage), _: &Stop| (id, reader.of_message(&message));
         Ok(Self {
             planner: Arc::clone(&model.planner),
             follower: Follower::new(node, &at.endpoints.inputs, "start the encoder"),
             step: PlannerStep::new(at.parameters.settings(), history),
-            goals: Goals::new(reader, &model.pool),
+            goals: Goals::new(model.goals.clone(), &model.pool),
             read: Work::new(1, read).on(&model.pool),
             action: None,
             heard,
@@ -228,7 +204,7 @@ impl NodeProgram for Planner {
         })
     }
 
-    async fn run(&mut self, at: &mut Setup<Self>) -> Result<()> {
+    async fn run(&mut self, at: &mut ModelSetup<Self>) -> Result<()> {
         let Endpoints {
             inputs,
             goals,
@@ -279,7 +255,8 @@ impl NodeProgram for Planner {
                 }
                 event = self.follower.next(inputs) => {
                     let Some(event) = event else { return Ok(()) };
-                    if let Some(Told::Seen(())) = self.follower.tell(event, &mut self.step, &mut self.complaints) {
+                    let outcome = self.follower.apply(event, &mut self.step, &mut self.complaints);
+                    if let Some(Outcome::Latent(())) = outcome {
                         self.plan(outcomes);
                     }
                 }
@@ -301,15 +278,8 @@ fn pictures(planned: &Planned, transports: Transports) -> Option<Pictures> {
             .saturating_add(message.period.to_nanos());
         header.stamp = Time::from_nanos(end_ns);
     }
-    let raw = transports
-        .raw
-        .then(|| encode_image(outcome, header.clone()));
-    let jpeg = transports
-        .compressed
-        .then(|| encode_jpeg(outcome, header, JPEG_QUALITY));
-    // A picture that the decoder made has a size that JPEG takes.
-    let compressed = jpeg.and_then(Result::ok);
-    Some(Pictures { raw, compressed })
+    // JPEG fails only for pictures of more than 65535 pixels in a row, which no decoder makes.
+    Pictures::encode(outcome, header, transports, JPEG_QUALITY).ok()
 }
 
 impl Planner {

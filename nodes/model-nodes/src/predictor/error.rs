@@ -23,15 +23,3 @@ pub enum PredictorError {
     #[error(transparent)]
     Model(#[from] wm_model::Error),
 }
-
-impl PredictorError {
-    /// One word for the drop counters.
-    pub fn reason(&self) -> &'static str {
-        match self {
-            Self::Latent(error) => error.reason(),
-            Self::History(error) => error.reason(),
-            Self::Action(_) => "malformed_action",
-            Self::Model(_) => "model",
-        }
-    }
-}

@@ -14,13 +14,13 @@ use wm_msgs::{
     wm_msgs::{Prediction, PredictionError},
 };
 use wm_ros::{
-    Clock, Deadline, Diagnostics, Input, Level, Node, NodeDefinition, NodeProgram, Parameter,
-    Publisher, Qos, Setup, complaints::Complaints, frame_trace,
+    Clock, Deadline, Diagnostics, Input, Level, NodeDefinition, Parameter, Publisher, Qos,
+    complaints::Complaints, frame_trace,
 };
 use wm_zoo::ModelFolder;
 
 use super::{
-    Doubt, PredictorSettings, PredictorStep, RolloutRequest, RunningRollout, Seen,
+    Doubt, LatentEffect, PredictorSettings, PredictorStep, RolloutRequest, RunningRollout,
     ahead::Preparation,
     plots::Plots,
     summary::{Motion, Summary},
@@ -29,8 +29,8 @@ use super::{
 use crate::{
     cadence::{Cadence, OPEN, PACE, SKIPPED, every_nth, hertz, rough},
     chunk_merging::Merging,
-    harness::{self, Follower, Inputs, Told, WithModel},
-    history::{History, HistorySettings, Timing, seconds},
+    harness::{self, Follower, Inputs, ModelNode, ModelSetup, Outcome},
+    history::{HistoryBuilder, seconds},
     paced_work::{Offered, PacedWork},
     pool::Pool,
     work::Stop,
@@ -38,7 +38,7 @@ use crate::{
 use wm_wire::latent_message::LatentDtype;
 
 /// The node.
-pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition::of::<Predictor>();
+pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Predictor>();
 
 /// Advice for missing inputs and for rollouts that take too long.
 const NO_ENCODER: &str = "start the encoder";
@@ -81,8 +81,8 @@ wm_ros::endpoints! {
         errors: Publisher<PredictionError> = "prediction_error", qos(Qos::reliable(16));
         /// Single numbers, for plots.
         plots: Plots;
-        /// Each rollout in one line of words and numbers, to read: its steps, the error ratios, what the arm is assumed to do,
-        /// the trust and the latency.
+        /// Each rollout in one line of words and numbers, to read: its steps, the error ratios, what the arm is assumed
+        /// to do, the trust and the latency.
         summaries: Publisher<Text> = "summary", qos(Qos::reliable(16));
     }
 }
@@ -104,7 +104,8 @@ struct Shared {
 /// What the node loads.
 struct Model {
     model: Arc<WorldModel>,
-    /// How long a predicted frame took when it was tried out.
+    history: HistoryBuilder,
+    /// The time of a predicted frame in the trial; `None` if the trial failed.
     estimate: Option<Duration>,
 }
 
@@ -131,8 +132,14 @@ struct Predictor {
     complaints: Complaints,
 }
 
-impl Model {
-    fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Self> {
+impl ModelNode for Predictor {
+    const NAME: &'static str = "predictor";
+    const ABOUT: &'static str = "Predicts the next latents for the actions that the robot takes.";
+    type Parameters = Parameters;
+    type Endpoints = Endpoints;
+    type Model = Model;
+
+    fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Model> {
         let model = folder.world_model()?;
         tracing::info!(
             "predicting with {} in latent space {} on {}",
@@ -154,31 +161,21 @@ impl Model {
                 horizon,
             );
         }
-        Ok(Self {
+        let Parameters {
+            frame_period,
+            context_frames,
+            chunk_merging,
+            ..
+        } = parameters;
+        let history = HistoryBuilder::new(&model, *frame_period, *context_frames, chunk_merging.0);
+        Ok(Model {
             model: Arc::new(model),
+            history,
             estimate,
         })
     }
-}
 
-impl NodeProgram for Predictor {
-    const NAME: &'static str = "predictor";
-    const ABOUT: &'static str = "Predicts the next latents for the actions that the robot takes.";
-    const IS_MANAGED: bool = true;
-    type Parameters = WithModel<Parameters>;
-    type Endpoints = Endpoints;
-    type Resources = Model;
-    type Error = anyhow::Error;
-
-    fn check(parameters: &Self::Parameters) -> Result<()> {
-        parameters.check_device()
-    }
-
-    async fn load(_: &Node, parameters: &Arc<Self::Parameters>) -> Result<Model> {
-        harness::load(parameters, Model::load).await
-    }
-
-    fn activate(at: &Setup<Self>) -> Result<Self> {
+    fn activate(at: &ModelSetup<Self>) -> Result<Self> {
         let (node, parameters, model) = (&at.node, &*at.parameters, &at.resources.model);
         let horizon = horizon(parameters);
         let settings = PredictorSettings {
@@ -188,13 +185,7 @@ impl NodeProgram for Predictor {
             seed: parameters.seed as u64,
             dtype: LatentDtype::F16,
         };
-        let history = HistorySettings {
-            timing: Timing::of_camera(parameters.frame_period, &model.encoding),
-            context_frames: parameters.context_frames,
-            merging: parameters.chunk_merging.0,
-        };
-        let (space, encoding) = (model.space.clone(), model.encoding.clone());
-        let history = History::new(history, space, encoding, node.now());
+        let history = at.resources.history.begin(node.now());
         let step = PredictorStep::new(settings, history);
         let shared = Shared {
             step: Arc::new(Mutex::new(step)),
@@ -238,7 +229,7 @@ impl NodeProgram for Predictor {
         })
     }
 
-    async fn run(&mut self, at: &mut Setup<Self>) -> Result<()> {
+    async fn run(&mut self, at: &mut ModelSetup<Self>) -> Result<()> {
         let inputs = &mut at.endpoints.inputs;
         loop {
             tokio::select! {
@@ -257,7 +248,7 @@ impl NodeProgram for Predictor {
                 }
                 event = self.follower.next(inputs) => {
                     let Some(event) = event else { return Ok(()) };
-                    let told = {
+                    let outcome = {
                         let mut step = self.shared.step();
                         let horizon = horizon(&at.parameters);
                         let integration_steps = integration_steps(&self.shared.model, &at.parameters);
@@ -268,11 +259,11 @@ impl NodeProgram for Predictor {
                             self.work.cadence.scale(size as f64 / self.size.max(1) as f64);
                             self.size = size;
                         }
-                        self.follower.tell(event, &mut *step, &mut self.complaints)
+                        self.follower.apply(event, &mut *step, &mut self.complaints)
                     };
-                    match told {
-                        Some(Told::Seen(seen)) => self.seen(seen)?,
-                        Some(Told::Due(request)) => {
+                    match outcome {
+                        Some(Outcome::Latent(effect)) => self.observed(effect)?,
+                        Some(Outcome::Chunk(request)) => {
                             let job = self.job(request);
                             let offered = self.work.offer_again(job);
                             self.offered(offered);
@@ -286,8 +277,8 @@ impl NodeProgram for Predictor {
 }
 
 impl Predictor {
-    /// What a latent has led to: errors of predictions of its moment, and a rollout, or what that waits for.
-    fn seen(&mut self, (errors, rollout): Seen) -> Result<()> {
+    /// Publishes the errors of predictions of a latent's moment, and starts a rollout or reports why it waits.
+    fn observed(&mut self, (errors, rollout): LatentEffect) -> Result<()> {
         let (doubt, trust, unscored) = {
             let step = self.shared.step();
             (step.doubt(), step.trust().into(), step.unscored())

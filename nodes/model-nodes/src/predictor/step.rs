@@ -42,7 +42,7 @@ pub struct Outcome {
 }
 
 /// The results of a latent: the errors of the predictions of its time, and a rollout or the reason for waiting.
-pub(super) type Seen = (Vec<PredictionError>, Option<Result<RolloutRequest, Wait>>);
+pub(super) type LatentEffect = (Vec<PredictionError>, Option<Result<RolloutRequest, Wait>>);
 
 /// The predictor node's state: messages in, rollout requests and prediction errors out.
 #[derive(Clone, Debug)]
@@ -57,7 +57,7 @@ pub struct PredictorStep {
 
 follows!(
     PredictorStep,
-    Seen,
+    LatentEffect,
     |outcome| (outcome.arrival, (outcome.errors, outcome.rollout)),
     RolloutRequest,
     |outcome| (outcome.arrival, outcome.rollout.and_then(Result::ok))
@@ -120,8 +120,8 @@ impl PredictorStep {
         self.history.action(action, now)
     }
 
-    /// Takes a chunk of coming actions. If it answers the newest frame, that frame's rollout is due again, because a policy may
-    /// be slower than the encoder.
+    /// Takes a chunk of coming actions. If it answers the newest frame, that frame's rollout is due again, because a
+    /// policy may be slower than the encoder.
     ///
     /// # Errors
     /// [`HistoryError`]: it is dropped, and the previous one stays.

@@ -4,7 +4,10 @@ use std::collections::VecDeque;
 
 use wm_msgs::sensor_msgs::JointState;
 
-use super::{Problem, poses::JUMP_NS, step::stamp_of};
+use super::{
+    Problem,
+    stamp::{JUMP_NS, stamp_of},
+};
 
 /// Openings that are kept: those of a second or more.
 const KEPT: usize = 512;

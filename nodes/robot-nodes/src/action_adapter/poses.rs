@@ -3,11 +3,8 @@
 use nalgebra::Isometry3;
 use wm_wire::frames::pose::between;
 
-use super::{Problem, speeds::Speeds, step::Period};
+use super::{Problem, period::Period, speeds::Speeds, stamp::JUMP_NS};
 use crate::displacement::Displacement;
-
-/// Stamps that go back by less are of messages that overtook each other; by more, the clock was set \[ns\].
-pub(super) const JUMP_NS: i64 = 100_000_000;
 
 /// Number of poses in a row that confirm a leap.
 const STAYS: u32 = 3;

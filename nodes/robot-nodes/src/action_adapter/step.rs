@@ -4,18 +4,17 @@ use std::time::Duration;
 
 use nalgebra::Isometry3;
 use wm_msgs::{
-    builtin_interfaces::Time,
     geometry_msgs::{PoseStamped, TwistStamped},
     sensor_msgs::JointState,
     tf2_msgs::TFMessage,
 };
 use wm_wire::frames::{Frames, LookupError, bare, pose};
 
-use super::{GripperSource, Problem, Speeds, gripper::Gripper, poses::Poses, twists::Twists};
-use crate::{
-    displacement::Displacement,
-    executor::{Layout, Velocity},
+use super::{
+    GripperSource, Problem, Speeds, gripper::Gripper, period::Period, poses::Poses,
+    stamp::stamp_of, twists::Twists,
 };
+use crate::executor::{Layout, Velocity};
 
 /// The source of motions.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -59,25 +58,6 @@ pub struct Done {
     pub stamp_ns: i64,
     /// Its values.
     pub values: Vec<f32>,
-}
-
-/// A period that is over.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Period {
-    pub(super) start_ns: i64,
-    pub(super) displacement: Displacement,
-}
-
-/// The time of a message; its reception if it has no stamp.
-pub(super) fn stamp_of(what: &'static str, stamp: Time, received_ns: i64) -> Result<i64, Problem> {
-    let Time { sec, nanosec } = stamp;
-    if sec < 0 || nanosec >= 1_000_000_000 {
-        return Err(Problem::Stamp { what, sec, nanosec });
-    }
-    Ok(match stamp.to_nanos() {
-        0 => received_ns,
-        stamp_ns => stamp_ns,
-    })
 }
 
 fn finite(what: &'static str, values: &[f64]) -> Result<(), Problem> {

@@ -1,6 +1,6 @@
 //! Displacements of each period, from velocities.
 
-use super::{Problem, poses::JUMP_NS, step::Period};
+use super::{Problem, period::Period, stamp::JUMP_NS};
 use crate::{displacement::Displacement, executor::Velocity};
 
 /// The current velocity, and the displacement of the period before it.

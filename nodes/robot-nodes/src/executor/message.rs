@@ -11,7 +11,7 @@ use wm_msgs::{
 
 use wm_wire::marker::{Style, edges};
 
-use super::{Command, State, Status, Velocity, node::STATUS_PERIOD};
+use super::{Command, State, Status, Velocity, status::STATUS_PERIOD};
 
 /// vx, vy, vz, wx, wy, wz.
 const AXES: u32 = 6;

@@ -1,9 +1,6 @@
 //! The executor on the wire.
 
-use std::{
-    sync::Arc,
-    time::{Duration, Instant},
-};
+use std::{sync::Arc, time::Instant};
 
 use anyhow::Result;
 use tracing::{error, info, warn};
@@ -30,6 +27,7 @@ use super::{
     message,
     outlets::{Endpoints, Inlets, Outlets, Request},
     parameters::Parameters,
+    status::STATUS_PERIOD,
 };
 
 /// The node.
@@ -102,8 +100,6 @@ impl NodeProgram for Executor {
     }
 }
 
-/// The status goes out at least this often.
-pub(super) const STATUS_PERIOD: Duration = Duration::from_secs(1);
 /// A caller that the graph does not name.
 const UNKNOWN_NODE: &str = "an unknown node";
 

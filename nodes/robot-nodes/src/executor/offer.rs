@@ -1,7 +1,7 @@
 //! Chunks and plans that are offered for execution.
 
 use wm_msgs::wm_msgs::{Action, ActionChunk, Plan};
-use wm_wire::stamp::AHEAD_NS;
+use wm_wire::stamp::{AHEAD_NS, FutureStamp};
 
 use super::{Moment, Refusal, refusal::stamp_of};
 
@@ -113,19 +113,14 @@ impl Offer {
     /// [`Refusal::Future`].
     pub(super) fn expect_captured(&self, now: Moment) -> Result<(), Refusal> {
         let now_ns = now.stamp_ns.saturating_add(now.late_ns);
-        match self.capture_ns {
-            Some(capture_ns) if capture_ns > now_ns.saturating_add(AHEAD_NS) => {
-                Err(Refusal::Future {
-                    what: match self.source {
-                        Source::Chunk => "timing.capture",
-                        Source::Plan => "the plan's frame",
-                    },
-                    ahead_s: capture_ns.saturating_sub(now_ns) as f64 / 1e9,
-                    most_s: AHEAD_NS as f64 / 1e9,
-                })
-            }
-            _ => Ok(()),
-        }
+        let Some(capture_ns) = self.capture_ns else {
+            return Ok(());
+        };
+        let what = match self.source {
+            Source::Chunk => "timing.capture",
+            Source::Plan => "the plan's frame",
+        };
+        Ok(FutureStamp::refuse(what, capture_ns, now_ns, AHEAD_NS)?)
     }
 
     /// When its last action ends \[ns\].

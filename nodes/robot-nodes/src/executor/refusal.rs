@@ -3,6 +3,7 @@
 use thiserror::Error;
 use wm_motion::{actions::ActionError, motion::MAX_CHUNK};
 use wm_msgs::builtin_interfaces::{Duration, Time};
+use wm_wire::stamp::FutureStamp;
 
 use super::{Hold, Veto};
 
@@ -125,18 +126,8 @@ pub enum Refusal {
         nanosec: u32,
     },
     /// It was made from a frame stamped in the future.
-    #[error(
-        "{what} is stamped {ahead_s:.2} s ahead of this node's clock, at most {most_s:.1} s are accepted: synchronise the \
-         clocks of the machines, or set use_sim_time on all nodes of a replay"
-    )]
-    Future {
-        /// `timing.capture`, or the plan's frame.
-        what: &'static str,
-        /// How far it is ahead \[s\].
-        ahead_s: f64,
-        /// How far it may be ahead \[s\].
-        most_s: f64,
-    },
+    #[error(transparent)]
+    Future(#[from] FutureStamp),
     /// It was made from a frame before the end of the last freeze.
     #[error(
         "it was made from a frame {before_s:.2} s older than the first one after the camera's freeze"
@@ -252,7 +243,7 @@ impl Refusal {
             Self::Period { .. } => "period",
             Self::Frame { .. } => "wrong_frame",
             Self::Epoch { .. } => "old_epoch",
-            Self::Stamp { .. } | Self::Future { .. } => "bad_stamp",
+            Self::Stamp { .. } | Self::Future(_) => "bad_stamp",
             Self::FrozenFrame { .. } => "frozen_frame",
             Self::Stale { .. } => "stale",
             Self::Late { .. } | Self::Behind { .. } => "late",

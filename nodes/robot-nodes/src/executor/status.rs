@@ -1,5 +1,10 @@
 //! The executor's status.
 
+use std::time::Duration;
+
+/// Longest time from one published status to the next.
+pub(super) const STATUS_PERIOD: Duration = Duration::from_secs(1);
+
 /// The executor's state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum State {

@@ -1,7 +1,7 @@
-//! The definition that a bag stores for a topic: one that the bytes of its messages fit.
+//! The definition that a bag stores for a topic: the bytes of its messages fit it.
 //!
-//! DDS sends bytes and the name of their type. The publisher's definition may differ from this suite's, and from the one
-//! that is installed here. Readers decode a bag by the definition that it stores.
+//! DDS sends bytes and the name of their type. The publisher's definition may differ from this suite's, and from the
+//! installed one. Readers decode a bag by the definition that it stores.
 
 use anyhow::Result;
 use std::collections::BTreeMap;
@@ -10,14 +10,14 @@ use tracing::warn;
 use wm_bag::{BagError, BagWriter, QosProfile, Schema, definitions};
 use wm_msgs::{ConvertError, Layout};
 
-/// A definition with the layout of its messages, if that is known.
+/// A definition, with the layout of its messages if that is known.
 struct Candidate {
     schema: Schema,
     layout: Option<Layout>,
 }
 
 impl Candidate {
-    /// Whether these bytes are a message of it, as far as that can be checked.
+    /// Whether these bytes fit the layout; true if the layout is unknown.
     fn fits(&self, data: &[u8]) -> bool {
         match self.layout.as_ref().map(|layout| layout.check(data)) {
             None | Some(Ok(()) | Err(ConvertError::Representation(_))) => true,
@@ -28,13 +28,13 @@ impl Candidate {
 
 /// The channel of a topic in the bag.
 enum Channel {
-    /// None yet: no message has come.
+    /// Not created yet, because no message was received. The definitions are candidates.
     Announced(Vec<Candidate>),
-    /// With this definition.
+    /// Created with this definition.
     Defined(Candidate),
-    /// Without a definition.
+    /// Created without a definition.
     Undefined,
-    /// None, because the bag refuses its name or type.
+    /// Not created, because the bag refuses the topic's name or type.
     Refused,
 }
 
@@ -42,7 +42,7 @@ struct Topic {
     type_name: String,
     qos: QosProfile,
     channel: Channel,
-    /// Messages that the definition does not fit.
+    /// Messages that do not fit the definition.
     foreign: u64,
 }
 
@@ -53,7 +53,7 @@ pub(super) struct Definitions {
 }
 
 impl Definitions {
-    /// A topic is recorded from now on.
+    /// Adds a topic with its candidate definitions.
     pub fn announce(
         &mut self,
         name: Arc<str>,
@@ -75,8 +75,8 @@ impl Definitions {
         self.topics.entry(name).or_insert(topic);
     }
 
-    /// Writes a message, with the first definition that fits it. One of an announced topic whose definition it does not fit
-    /// is written without any.
+    /// Writes a message. Its topic gets the first definition that its first message fits. A later message that does not fit
+    /// is written without a definition.
     pub fn write(
         &mut self,
         writer: &mut BagWriter,
@@ -124,7 +124,7 @@ impl Definitions {
         Ok(())
     }
 
-    /// Adds the topics without a message, each with its first definition.
+    /// Adds the topics without a message to the bag, each with its first definition.
     pub fn add_silent(&mut self, writer: &mut BagWriter) -> Result<()> {
         for (name, topic) in &mut self.topics {
             if let Channel::Announced(candidates) = &mut topic.channel {
@@ -149,7 +149,7 @@ impl Topic {
         let qos_yaml = self.qos.to_yaml();
         self.channel = match writer.add_topic_raw(name, &self.type_name, schema, &qos_yaml) {
             Ok(()) => definition.map_or(Channel::Undefined, Channel::Defined),
-            // Its messages are counted as lost.
+            // The topic's messages count as lost.
             Err(
                 error @ (BagError::TopicName(_)
                 | BagError::TypeName(_)
@@ -186,7 +186,7 @@ mod tests {
         definitions.add_silent(&mut writer).unwrap();
         writer.finish().unwrap();
         let reader = BagReader::open(&bag).unwrap();
-        // Read before the folder is gone.
+        // Read now: the folder is removed when this function returns.
         assert_eq!(
             reader.messages().filter(Result::is_ok).count(),
             messages.len()
@@ -202,7 +202,7 @@ mod tests {
         cdr::to_bytes(&action).unwrap()
     }
 
-    /// An action of a definition with a field before the values.
+    /// An action by a definition with one more field.
     fn foreign() -> Vec<u8> {
         [
             &[0, 1, 0, 0][..],

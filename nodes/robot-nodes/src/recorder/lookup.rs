@@ -1,5 +1,5 @@
-//! The definition of a type that neither this suite nor an installed ROS package has: a live publisher describes it, by its
-//! service `~/get_type_description` (REP 2016) and the hash of the type that it announces.
+//! Definitions of types that are unknown to this suite and to the installed ROS packages. A live publisher describes
+//! its type by the service `~/get_type_description` (REP 2016), for the type hash that it announces.
 
 use std::{collections::BTreeSet, fmt::Write as _, sync::Arc, time::Duration};
 use tokio::{
@@ -10,19 +10,19 @@ use wm_bag::Schema;
 use wm_msgs::{IndividualType, TypeDescription};
 use wm_ros::{Node, TopicInfo};
 
-/// The text for a type without a definition.
+/// Log text for a type without a definition.
 pub(super) const UNDEFINED: &str =
     "is not on AMENT_PREFIX_PATH: it is recorded without its definition";
-/// For all publishers of a topic together.
+/// Longest wait for all publishers of a topic.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// For one node.
-const OF_NODE: Duration = Duration::from_secs(2);
-/// Between two looks for nodes whose services are not discovered yet.
+/// Longest wait for one node.
+const NODE_PATIENCE: Duration = Duration::from_secs(2);
+/// Time between two attempts, while the services of nodes are not discovered yet.
 const PAUSE: Duration = Duration::from_millis(200);
-/// Topics whose definitions are requested at a time; the others wait.
+/// Most topics that are looked up at the same time.
 const AT_A_TIME: usize = 8;
 
-/// Name of a type without a definition, and what to say of it.
+/// Name of a type without a definition, and the reason.
 pub(super) type Undefined = (String, String);
 
 /// The lookups of a recording.
@@ -32,18 +32,18 @@ pub(super) struct Lookups {
     undefined: mpsc::UnboundedSender<Undefined>,
 }
 
-/// How the definition of one topic's type is found.
+/// The lookup of the definition of one topic's type.
 pub(super) struct Lookup {
     node: Node,
     permits: Arc<Semaphore>,
     undefined: mpsc::UnboundedSender<Undefined>,
     type_name: String,
-    /// GUID prefix of the participant, and hash of the type.
+    /// GUID prefix of each publisher's participant, and its type hash.
     publishers: BTreeSet<([u8; 12], String)>,
 }
 
 impl Lookups {
-    /// None yet; the types that remain without a definition come out of the receiver.
+    /// Lookups for `node`. The receiver gets the types without a definition.
     pub fn new(node: &Node) -> (Self, mpsc::UnboundedReceiver<Undefined>) {
         let (undefined, types) = mpsc::unbounded_channel();
         let lookups = Self {
@@ -68,20 +68,20 @@ impl Lookups {
 }
 
 impl Lookup {
-    /// The definitions that publishers give, within [`PATIENCE`]; none is reported.
+    /// The definitions of the publishers, requested for at most [`PATIENCE`]. Reports the type if there is none.
     pub async fn candidates(self) -> Vec<Schema> {
-        let reason = match timeout(PATIENCE, self.found()).await {
+        let reason = match timeout(PATIENCE, self.request_all()).await {
             Ok(Ok(found)) => return found,
             Ok(Err(reason)) => reason,
             Err(_) => format!("no publisher describes it within {} s", PATIENCE.as_secs()),
         };
         let what = format!("{UNDEFINED} ({reason})");
-        // Who does not listen any more needs no word.
+        // The receiver is gone after the recording.
         self.undefined.send((self.type_name, what)).ok();
         Vec::new()
     }
 
-    async fn found(&self) -> Result<Vec<Schema>, String> {
+    async fn request_all(&self) -> Result<Vec<Schema>, String> {
         let permit = self.permits.acquire().await;
         let _permit = permit.map_err(|error| error.to_string())?;
         let mut refused = BTreeSet::new();
@@ -94,7 +94,7 @@ impl Lookup {
                     if described.contains(hash) || refused.contains(&node) {
                         continue;
                     }
-                    match self.of_node(&node, hash).await {
+                    match self.request(&node, hash).await {
                         Some(Ok(schema)) => {
                             described.insert(hash);
                             found.push(schema);
@@ -115,10 +115,10 @@ impl Lookup {
         }
     }
 
-    /// The definition that a node gives; `None` without an answer.
-    async fn of_node(&self, node: &str, hash: &str) -> Option<Result<Schema, String>> {
+    /// Requests the definition from a node; `None` if it does not answer.
+    async fn request(&self, node: &str, hash: &str) -> Option<Result<Schema, String>> {
         let description = self.node.type_description(node, &self.type_name, hash);
-        let description = timeout(OF_NODE, description).await.ok()?;
+        let description = timeout(NODE_PATIENCE, description).await.ok()?;
         Some(match description {
             Ok(Ok(description)) => schema(&description),
             Ok(Err(reason)) => Err(reason),
@@ -130,7 +130,7 @@ impl Lookup {
 /// The definition as `.msg` text: without comments, constants and default values, which a description lacks.
 ///
 /// # Errors
-/// In words: a name or a type that `.msg` text cannot have.
+/// The reason: a name or a type that `.msg` text cannot have.
 pub(super) fn schema(description: &TypeDescription) -> Result<Schema, String> {
     let described = &description.described;
     let parts: Vec<(&str, String)> = description
@@ -139,7 +139,7 @@ pub(super) fn schema(description: &TypeDescription) -> Result<Schema, String> {
         .map(|part| (part.name.as_str(), text(part)))
         .collect();
     let own = text(described);
-    // The names come from a peer: only what reads as the same type is a definition of it.
+    // A peer chose the names: the text is valid only if it reads as the same type.
     let given = parts.iter().map(|(name, text)| (*name, text.as_str()));
     let read = TypeDescription::message(&described.name, &own, given);
     let read = read.map_err(|error| error.to_string())?;

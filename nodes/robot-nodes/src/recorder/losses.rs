@@ -1,4 +1,4 @@
-//! Messages that are missing from the bag.
+//! Counts of messages that are missing from the bag.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -7,35 +7,35 @@ use std::sync::{
     atomic::{AtomicU64, Ordering},
 };
 
-/// Messages of a topic that were lost, by the place where it happened.
+/// Lost messages of a topic, by cause.
 #[derive(Debug, Default)]
 pub struct Loss {
-    /// Found no room: in the subscription, whose oldest was dropped, or on the way to the disk.
+    /// Dropped from the full queue of the subscription or of the bag.
     queues: AtomicU64,
-    /// Came in a form that is no message's.
+    /// Undecodable samples.
     undecodable: AtomicU64,
-    /// Never came, as shown by gaps in their publishers' sequence numbers; best effort ones too. What was sent before
-    /// the first that came, or after the last, leaves no gap.
+    /// Gaps in the publishers' sequence numbers, also of best effort publishers. Losses before the first received
+    /// message and after the last leave no gap.
     missing: AtomicU64,
 }
 
 impl Loss {
-    /// Counts messages that found no room.
+    /// Counts messages dropped from a full queue.
     pub fn count_queues(&self, messages: u64) {
         self.queues.fetch_add(messages, Ordering::Relaxed);
     }
 
-    /// Counts messages in no known form.
+    /// Counts undecodable samples.
     pub fn count_undecodable(&self, messages: u64) {
         self.undecodable.fetch_add(messages, Ordering::Relaxed);
     }
 
-    /// Counts messages that never came.
+    /// Counts missing sequence numbers.
     pub fn count_missing(&self, messages: u64) {
         self.missing.fetch_add(messages, Ordering::Relaxed);
     }
 
-    /// All of them.
+    /// The sum over all causes.
     #[must_use]
     pub fn total(&self) -> u64 {
         [&self.queues, &self.undecodable, &self.missing]
@@ -72,7 +72,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_cause_is_told_of_by_itself() {
+    fn loss_text_names_each_cause() {
         let loss = Loss::default();
         assert_eq!((loss.total(), loss.to_string()), (0, String::new()));
         loss.count_queues(2);

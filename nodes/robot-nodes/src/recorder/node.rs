@@ -1,8 +1,8 @@
 //! The recorder on the wire.
 
-mod book;
 mod forward;
-mod news;
+mod session;
+mod topic_log;
 
 use super::{
     lookup::{Lookups, UNDEFINED},
@@ -16,9 +16,8 @@ use crate::{
     keyboard::{Key, Keys},
 };
 use anyhow::Result;
-use book::Book;
 use forward::{Announcement, Forward};
-use news::News;
+use session::Session;
 use std::collections::BTreeMap;
 use std::process::ExitCode;
 use std::sync::{
@@ -27,6 +26,7 @@ use std::sync::{
 };
 use tokio::sync::watch;
 use tokio::task::JoinSet;
+use topic_log::TopicLog;
 use tracing::info;
 use wm_bag::{QosProfile, Schema, definitions};
 use wm_msgs::{
@@ -44,7 +44,7 @@ use wm_ros::{
 /// The node.
 pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition::of::<Recorder>();
 
-/// More topics than this are not recorded: each has a queue.
+/// Most topics in a bag: each has a queue in memory.
 const MOST_TOPICS: usize = 2000;
 
 wm_ros::endpoints! {
@@ -67,10 +67,10 @@ wm_ros::endpoints! {
     }
 }
 
-/// The node. It records until a signal.
+/// Records until a signal.
 #[derive(Default)]
 struct Recorder {
-    book: Book,
+    session: Session,
     is_paused: Arc<AtomicBool>,
 }
 
@@ -94,7 +94,7 @@ impl NodeProgram for Recorder {
 
     async fn run(&mut self, at: &mut Setup<Self>) -> Result<()> {
         let options = &at.resources;
-        self.book.begin_first(options).await?;
+        self.session.begin_first(options).await?;
         let mut keys = Keys::new(options.has_keyboard);
         if keys.are_read() {
             info!("space pauses and resumes");
@@ -105,9 +105,9 @@ impl NodeProgram for Recorder {
         }
         let requests = &mut at.endpoints;
         while let Some(stop) = self.record(&at.node, options, requests, &mut keys).await? {
-            self.book.end()?;
-            self.book.written().await;
-            self.book.close()?;
+            self.session.end()?;
+            self.session.wait_until_written().await;
+            self.session.close()?;
             answer(stop, &Empty::default());
             if !self.wait_for_record(options, requests, &mut keys).await {
                 break;
@@ -116,19 +116,19 @@ impl NodeProgram for Recorder {
         Ok(())
     }
 
-    /// `DataLost` if messages are missing from the bag: those dropped from a full queue, those that could not be decoded, and
-    /// those that are missing in their publishers' sequence numbers.
+    /// Returns `DataLost` if messages are missing from the bag: dropped from a full queue, undecodable, or missing in
+    /// their publishers' sequence numbers.
     fn finish(mut self, ended: Result<()>) -> Result<ExitCode> {
-        // The bag is closed in any case, so that the recorded messages can be read.
-        self.book.end()?;
-        self.book.close()?;
+        // The bag is closed even after an error, so that the recorded messages can be read.
+        self.session.end()?;
+        self.session.close()?;
         ended?;
-        Ok(Ending::lost_if(self.book.is_lossy).into())
+        Ok(Ending::lost_if(self.session.is_lossy).into())
     }
 }
 
 impl Recorder {
-    /// Waits between two bags; false at the shutdown.
+    /// Waits between two bags for a call of `~/record`; returns false at the shutdown.
     async fn wait_for_record(
         &mut self,
         options: &Options,
@@ -146,11 +146,11 @@ impl Recorder {
             match request {
                 None => return false,
                 Some(Request::Record(call)) => {
-                    let begun = self.book.begin_further(options, &call.request.uri).await;
+                    let begun = self.session.begin_further(options, &call.request.uri).await;
                     let error = begun.as_ref().err();
                     let response = RecordResponse {
                         return_code: error.is_some().into(),
-                        // Empty without an error.
+                        // Empty on success, as in rosbag2.
                         error_string: error.map(shortened).unwrap_or_default(),
                     };
                     answer(call, &response);
@@ -161,12 +161,12 @@ impl Recorder {
                 Some(Request::Stop(call)) => answer(call, &Empty::default()),
                 Some(Request::Snapshot(call)) => answer(call, &Success { success: false }),
                 Some(Request::SplitBagfile(call)) => answer(call, &Empty::default()),
-                Some(other) => self.obey(other),
+                Some(other) => self.handle(other),
             }
         }
     }
 
-    /// Records until the shutdown, or until the returned call. Counts losses in the book.
+    /// Records until the shutdown, or until a call of `~/stop`, which it returns. Counts losses in the bag's session.
     async fn record(
         &mut self,
         node: &Node,
@@ -174,31 +174,31 @@ impl Recorder {
         requests: &mut Requests<Request>,
         keys: &mut Keys,
     ) -> Result<Option<Call<Stop>>> {
-        let Some(queue) = self.book.queue() else {
+        let Some(queue) = self.session.queue() else {
             return Ok(None);
         };
         let prefixes = definitions::prefixes();
         let shutdown = node.shutdown();
-        let (over, _) = watch::channel(false);
+        let (end, _) = watch::channel(false);
         let mut types: BTreeMap<String, String> = BTreeMap::new();
-        let mut news = News::new(node.diagnostics());
+        let mut topic_log = TopicLog::new(node.diagnostics());
         let (lookups, mut undefined) = Lookups::new(node);
         let mut topics = JoinSet::new();
         let mut changes = node.graph_changes();
         let clock = node.clock();
-        // A simulated clock stands at 0 until the first message on /clock: earlier messages would have no time.
+        // A simulated clock is at 0 until the first message on /clock: earlier messages would have no time.
         let mut has_time = !clock.is_simulated();
         let stop = loop {
-            let wanted = |topic: &TopicInfo| has_time && options.selection.wants(topic);
-            for topic in node.topics().into_iter().filter(wanted) {
+            let is_selected = |topic: &TopicInfo| has_time && options.selection.wants(topic);
+            for topic in node.topics().into_iter().filter(is_selected) {
                 match types.get(&topic.name) {
                     Some(known) if *known == topic.type_name => continue,
                     Some(known) => {
-                        news.skipped(&topic, &format_args!("it is recorded as {known}"));
+                        topic_log.skipped(&topic, &format_args!("it is recorded as {known}"));
                         continue;
                     }
                     None if types.len() >= MOST_TOPICS => {
-                        news.skipped(
+                        topic_log.skipped(
                             &topic,
                             &format_args!("{MOST_TOPICS} topics are already recorded"),
                         );
@@ -212,7 +212,7 @@ impl Recorder {
                     Ok(subscription) => subscription,
                     // DDS allows more names than ROS.
                     Err(reason) => {
-                        news.skipped(&topic, &reason);
+                        topic_log.skipped(&topic, &reason);
                         continue;
                     }
                 };
@@ -222,7 +222,7 @@ impl Recorder {
                     false => None,
                 };
                 if lookup.is_none() {
-                    report_definition(&topic.type_name, &candidates, &mut news);
+                    report_definition(&topic.type_name, &candidates, &mut topic_log);
                 }
                 let announcement = Announcement {
                     topic: Arc::clone(&name),
@@ -231,9 +231,9 @@ impl Recorder {
                     qos: profile(topic.publishers.first()),
                 };
                 types.insert(topic.name.clone(), topic.type_name.clone());
-                news.recorded(&topic.name);
+                topic_log.recorded(&topic.name);
                 let loss = Arc::new(Loss::default());
-                self.book.losses.insert(name.clone(), Arc::clone(&loss));
+                self.session.losses.insert(name.clone(), Arc::clone(&loss));
                 let forward = Forward {
                     topic: name,
                     queue: queue.clone(),
@@ -241,10 +241,10 @@ impl Recorder {
                     loss,
                     diagnostics: node.diagnostics(),
                 };
-                let over = over.subscribe();
-                topics.spawn(forward.run(announcement, lookup, subscription, over));
+                let end = end.subscribe();
+                topics.spawn(forward.run(announcement, lookup, subscription, end));
             }
-            news.tell();
+            topic_log.flush();
             tokio::select! {
                 Ok(()) = changes.changed() => {}
                 () = clock.sleep_until(Time { sec: 0, nanosec: 1 }), if !has_time => has_time = true,
@@ -252,7 +252,7 @@ impl Recorder {
                 Some(ended) = topics.join_next() => {
                     ended??;
                 }
-                Some((type_name, what)) = undefined.recv() => news.undefined(&type_name, &what),
+                Some((type_name, reason)) = undefined.recv() => topic_log.undefined(&type_name, &reason),
                 key = keys.next() => self.press(key),
                 Some(request) = requests.next_request() => match request {
                     Request::Stop(call) => break Some(call),
@@ -270,20 +270,20 @@ impl Recorder {
                         queue.offer(Entry::Split)?;
                         answer(call, &Empty::default());
                     }
-                    other => self.obey(other),
+                    other => self.handle(other),
                 },
             }
         };
-        // Each ends after its last message.
-        over.send_replace(true);
+        // Each task ends after its topic's last message.
+        end.send_replace(true);
         while let Some(ended) = topics.join_next().await {
             ended??;
         }
         Ok(stop)
     }
 
-    /// Obeys a request that is the same with and without an open bag.
-    fn obey(&self, request: Request) {
+    /// Handles the requests that do not depend on an open bag.
+    fn handle(&self, request: Request) {
         match request {
             Request::Pause(call) => {
                 self.set_paused(true);
@@ -297,7 +297,7 @@ impl Recorder {
                 let paused = self.is_paused.load(Ordering::Relaxed);
                 answer(call, &IsPausedResponse { paused });
             }
-            // `record` and `wait_for_record` have handled these.
+            // `record` and `wait_for_record` handle these.
             Request::SplitBagfile(_)
             | Request::Record(_)
             | Request::Stop(_)
@@ -317,13 +317,13 @@ impl Recorder {
     }
 }
 
-/// An error for an answer, which has to fit into a datagram.
+/// The text of an error in an answer, which has to fit into a datagram.
 fn shortened(error: &anyhow::Error) -> String {
     const LONGEST: usize = 400;
     format!("{error:#}").chars().take(LONGEST).collect()
 }
 
-/// Subscribes to a topic. The inner error says why ROS does not allow it.
+/// Subscribes to a topic. The inner error is the reason why ROS does not allow its name.
 fn subscribe(
     node: &Node,
     topic: &TopicInfo,
@@ -342,18 +342,18 @@ fn subscribe(
     }
 }
 
-/// Reports a type without a definition, or without a hash.
-fn report_definition(type_name: &str, candidates: &[Schema], news: &mut News) {
+/// Reports a type without a definition or without a hash.
+fn report_definition(type_name: &str, candidates: &[Schema], topic_log: &mut TopicLog) {
     match candidates.first().map(|schema| schema.type_hash(type_name)) {
-        None => news.undefined(type_name, UNDEFINED),
+        None => topic_log.undefined(type_name, UNDEFINED),
         Some(Err(error)) => {
-            news.undefined(type_name, &format!("is recorded without its hash: {error}"));
+            topic_log.undefined(type_name, &format!("is recorded without its hash: {error}"));
         }
         Some(Ok(_)) => {}
     }
 }
 
-/// The publisher's QoS as the bag keeps it.
+/// The publisher's QoS in the bag's format.
 fn profile(offered: Option<&Qos>) -> QosProfile {
     let Some(qos) = offered else {
         return QosProfile::reliable();
@@ -367,7 +367,7 @@ fn profile(offered: Option<&Qos>) -> QosProfile {
             Durability::Volatile => wm_bag::Durability::Volatile,
             Durability::TransientLocal => wm_bag::Durability::TransientLocal,
         },
-        // 0 stands for the default; no depth is beyond 32 bits.
+        // 0 means the default. Queues of more than 32 bits do not exist.
         depth: u32::try_from(qos.depth).unwrap_or(0),
     }
 }

@@ -1,4 +1,4 @@
-//! What is recorded and how it is written, from the node's parameters.
+//! The recorder's parameters, checked.
 
 use super::{
     place::{Existing, Place},
@@ -13,7 +13,7 @@ use std::time::Duration;
 use wm_bag::{Compression, StoragePreset, TopicFilter, WriterOptions};
 use wm_ros::{Node, Qos};
 
-/// The longest that a file of a bag may be told to be, in seconds: a hundred years, so that times do not overflow.
+/// Longest duration of a file \[s\]: a hundred years, so that times do not overflow.
 const LONGEST_S: i64 = 100 * 365 * 24 * 3600;
 
 wm_ros::parameters! {
@@ -74,25 +74,25 @@ wm_ros::parameters! {
 /// The checked parameters.
 #[derive(Clone)]
 pub(super) struct Options {
-    /// Where bags are made.
+    /// Rules for the folders of bags.
     pub place: Place,
     pub selection: Selection,
-    /// Quality of service of topics that is not to be their publishers'.
+    /// QoS of topics that differs from that of their publishers.
     pub qos_overrides: BTreeMap<String, Qos>,
     pub writer: WriterOptions,
-    /// Bytes of messages that may wait for the disk.
+    /// Most bytes of messages that wait for the disk.
     pub cache_bytes: usize,
-    /// Whether messages are held back until a snapshot is asked for.
+    /// Whether messages wait in memory for a call of `~/snapshot`.
     pub is_snapshot: bool,
     pub is_starting_paused: bool,
-    /// Whether the keys of its terminal control it.
+    /// Whether the keys of the terminal pause and resume it.
     pub has_keyboard: bool,
     /// Added to the nice value of the thread that compresses and writes.
     pub nice: i32,
 }
 
 impl Options {
-    /// The options by these parameters.
+    /// Checks the parameters.
     ///
     /// # Errors
     /// Names the invalid parameter.

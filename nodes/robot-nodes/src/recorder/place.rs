@@ -1,4 +1,4 @@
-//! Where bags are made.
+//! Rules for the folders of bags.
 //!
 //! The user chooses the path of the first bag, and what happens to an existing bag there. Every later bag is requested
 //! by a peer and gets a new folder below the root, never through a symbolic link.
@@ -9,32 +9,32 @@ use std::time::SystemTime;
 use tracing::{info, warn};
 use wm_bag::{free_name, set_aside};
 
-/// What happens to what is at the first bag's path already.
+/// What happens to an existing bag at the first bag's path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Existing {
-    /// It stays, and recording does not begin.
+    /// The recorder refuses to start.
     Refused,
-    /// It gets a name with its time.
+    /// It is renamed: its name gets its time.
     Renamed,
-    /// It is removed, once the new bag holds a message.
+    /// It is removed once the new bag holds a message.
     Replaced,
 }
 
-/// Where bags are made.
+/// The rules for the folders of bags.
 #[derive(Clone, Debug)]
 pub(super) struct Place {
     /// Folder of the first bag.
     output: PathBuf,
-    /// Folder below which the others are.
+    /// All further bags are below this folder.
     root: PathBuf,
     existing: Existing,
 }
 
-/// The longest `uri` that a file system takes.
+/// Longest path that Linux allows \[byte\].
 const LONGEST_URI: usize = 4096;
 
 impl Place {
-    /// The first bag at `output`, the others below `root`, which is else the folder that `output` is in.
+    /// Rules for a first bag at `output` and further bags below `root`, by default the folder that contains `output`.
     ///
     /// # Errors
     /// `output` does not end in a name.
@@ -43,27 +43,26 @@ impl Place {
             output.file_name().is_some(),
             "parameter \"output\" is {output:?}: expected the name of a folder"
         );
-        let parent = output.parent().unwrap_or(Path::new(""));
+        let parent = output.parent();
         // A bare name is in the working directory.
-        let parent = [parent, Path::new(".")]
-            .into_iter()
-            .find(|parent| !parent.as_os_str().is_empty());
-        let root = root.or(parent.map(Path::to_owned));
+        let parent = parent.filter(|parent| !parent.as_os_str().is_empty());
+        let parent = parent.unwrap_or(Path::new("."));
         Ok(Self {
-            root: root.unwrap_or_default(),
+            root: root.unwrap_or_else(|| parent.to_owned()),
             output,
             existing,
         })
     }
 
-    /// Makes room for the first bag; its folder, and what is to be removed once that holds a message.
+    /// Renames the existing bag at the path of the first one. Returns the folder of the first bag, and the old bag to
+    /// remove once the new one holds a message.
     ///
     /// # Errors
-    /// Something is there that is not to be replaced, or cannot be moved.
+    /// The folder holds anything but a bag, or cannot be renamed.
     pub fn first(&self) -> Result<(PathBuf, Option<OldBag>)> {
         let output = &self.output;
         if self.existing == Existing::Refused {
-            // The writer refuses what is not empty.
+            // The writer refuses a folder that is not empty.
             return Ok((output.clone(), None));
         }
         let is_replaced = self.existing == Existing::Replaced && output.exists();
@@ -84,12 +83,12 @@ impl Place {
         Ok((output.clone(), old))
     }
 
-    /// The folder of a bag that a peer asks for by `uri`: a path below the root, relative to it or whole; empty: the
-    /// first bag's name with the time.
+    /// The folder of a further bag, which a peer requests by `uri`: a path below the root, absolute or relative to it.
+    /// If it is empty, the folder has the first bag's name with the time.
     ///
     /// # Errors
-    /// It leads out of the root or through a symbolic link, or something is there.
-    pub fn asked_for(&self, uri: &str) -> Result<PathBuf> {
+    /// The path leads out of the root or through a symbolic link, or already exists.
+    pub fn further(&self, uri: &str) -> Result<PathBuf> {
         if uri.is_empty() {
             let beside = match self.output.file_name() {
                 Some(name) => self.root.join(name),
@@ -137,14 +136,14 @@ impl Place {
     }
 }
 
-/// A bag that has made room for another.
+/// A renamed bag, which is removed once the new one holds a message.
 #[derive(Debug)]
 pub(super) struct OldBag {
     folder: PathBuf,
 }
 
 impl OldBag {
-    /// Removes it where the new bag holds `messages`. That it cannot be removed is only told.
+    /// Removes it if the new bag holds `messages`. A failure is only logged.
     pub fn give_way(self, messages: u64) {
         let folder = self.folder.display();
         if messages == 0 {
@@ -166,7 +165,7 @@ impl OldBag {
 /// The files of the bag in `folder`.
 ///
 /// # Errors
-/// It is no folder, holds anything but a bag, or cannot be read.
+/// The path is no folder, holds anything but a bag, or cannot be read.
 fn bag_files(folder: &Path) -> Result<Vec<PathBuf>> {
     let entries = std::fs::read_dir(folder).and_then(|entries| {
         let paths = entries.map(|entry| entry.map(|entry| entry.path()));
@@ -199,7 +198,7 @@ mod tests {
         Place::new(folder.join("bag"), None, existing).unwrap()
     }
 
-    /// A folder with a file of a bag in it.
+    /// Makes a folder with a file of a bag.
     fn recorded(folder: &Path) {
         fs::create_dir_all(folder).unwrap();
         fs::write(folder.join("a.mcap"), "recorded").unwrap();
@@ -219,10 +218,10 @@ mod tests {
         std::os::unix::fs::symlink(&outside, root.join("link")).unwrap();
         std::os::unix::fs::symlink(outside.join("new"), root.join("dangling")).unwrap();
         fs::write(root.join("file"), "x").unwrap();
-        // Whatever the user said of the first bag.
+        // The rule for the first bag does not matter.
         for existing in [Existing::Refused, Existing::Renamed, Existing::Replaced] {
             let place = place(&root, existing);
-            let refusal = |uri: &str| place.asked_for(uri).unwrap_err().to_string();
+            let refusal = |uri: &str| place.further(uri).unwrap_err().to_string();
             let whole = |path: PathBuf| path.to_str().unwrap().to_owned();
             for uri in [
                 "../outside",
@@ -246,16 +245,16 @@ mod tests {
             assert!(refusal("a\nb").contains("control"));
             assert!(refusal(&"x".repeat(5000)).contains("4096"));
 
-            assert_eq!(place.asked_for("new").unwrap(), root.join("new"));
+            assert_eq!(place.further("new").unwrap(), root.join("new"));
             let nested = root.join("new/deeper");
-            assert_eq!(place.asked_for("new/deeper").unwrap(), nested);
-            assert_eq!(place.asked_for(nested.to_str().unwrap()).unwrap(), nested);
-            let named = place.asked_for("").unwrap();
+            assert_eq!(place.further("new/deeper").unwrap(), nested);
+            assert_eq!(place.further(nested.to_str().unwrap()).unwrap(), nested);
+            let named = place.further("").unwrap();
             assert!(named.starts_with(&root) && !named.exists(), "{named:?}");
             let name = named.file_name().unwrap().to_str().unwrap();
             assert!(name.starts_with("bag_2"), "{name}");
             fs::create_dir(&named).unwrap();
-            assert_ne!(place.asked_for("").unwrap(), named, "the same second");
+            assert_ne!(place.further("").unwrap(), named, "the same second");
         }
         assert!(is_kept(&root.join("bag")) && is_kept(&outside));
         assert_eq!(fs::read_dir(&outside).unwrap().count(), 1);
@@ -264,10 +263,10 @@ mod tests {
     #[test]
     fn a_bare_name_is_in_the_working_directory() {
         let place = Place::new("bag".into(), None, Existing::Refused).unwrap();
-        assert_eq!(place.asked_for("new").unwrap(), Path::new("./new"));
+        assert_eq!(place.further("new").unwrap(), Path::new("./new"));
         let here = std::env::current_dir().unwrap().join("new");
         assert_eq!(
-            place.asked_for(here.to_str().unwrap()).unwrap(),
+            place.further(here.to_str().unwrap()).unwrap(),
             Path::new("./new")
         );
         assert!(Place::new("..".into(), None, Existing::Refused).is_err());
@@ -285,7 +284,7 @@ mod tests {
         let renaming = place(scratch.path(), Existing::Renamed);
         assert!(renaming.first().unwrap().1.is_none(), "there is none yet");
         recorded(&output);
-        // What is no bag is renamed, too.
+        // A folder without a bag is renamed too.
         fs::write(output.join("thesis.txt"), "x").unwrap();
         assert!(renaming.first().unwrap().1.is_none());
         let kept = others();

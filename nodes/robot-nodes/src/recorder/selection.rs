@@ -1,29 +1,29 @@
-//! Which topics are recorded, and with which quality of service.
+//! The selection of topics, and the QoS of their subscriptions.
 
 use wm_bag::TopicFilter;
 use wm_ros::{Durability, Qos, Reliability, TopicInfo};
 
-/// Messages of a topic that may wait in its subscription. Those of a camera take about 200 KB each.
+/// Queue length of a subscription. A camera's messages take about 200 KB each.
 const DEPTH: usize = 64;
 
 /// The topics to record.
 #[derive(Clone, Debug, Default)]
 pub struct Selection {
-    /// By name; all that are not hidden, where it names none and `types` is empty.
+    /// Selection by name. If it is empty and `types` too, all topics that are not hidden.
     pub topics: TopicFilter,
-    /// Types whose topics are recorded beside those, as `package/msg/Type`.
+    /// Types whose topics are recorded as well, as `package/msg/Type`.
     pub types: Vec<String>,
     /// Types whose topics are not recorded.
     pub exclude_types: Vec<String>,
 }
 
 impl Selection {
-    /// Whether this topic is recorded now: wanted, and there is a publisher.
+    /// Whether this topic is selected, and has a publisher.
     #[must_use]
     pub fn wants(&self, topic: &TopicInfo) -> bool {
         let filter = &self.topics;
         let is_named = filter.named().contains(&topic.name);
-        // a hidden topic has a part that begins with an underscore; it is recorded where it is named
+        // A hidden topic has a part that begins with an underscore. It is recorded only by its name.
         let is_hidden = topic.name.split('/').any(|part| part.starts_with('_'));
         let is_of_type = self.types.contains(&topic.type_name) && !filter.excludes(&topic.name);
         let is_all = self.types.is_empty() || !filter.is_all();
@@ -34,7 +34,7 @@ impl Selection {
     }
 }
 
-/// The strongest quality of service that all publishers of a topic offer, so that a subscription matches each.
+/// The strongest QoS that all publishers of a topic offer, so that a subscription matches each of them.
 #[must_use]
 pub fn common_qos(publishers: &[Qos]) -> Qos {
     let all_reliable = publishers

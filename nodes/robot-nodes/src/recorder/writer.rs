@@ -18,58 +18,58 @@ use wm_bag::{
     known_qos,
 };
 
-/// Bytes of messages that may wait for the disk, unless told otherwise: forty raw 1080p pictures.
+/// Default of `max_cache_size` \[byte\]: forty raw 1080p pictures.
 pub(super) const CACHE_BYTES: usize = 256 << 20;
 
-/// A chunk is closed after this much time at the latest: what a killed recorder may lose.
+/// Longest duration of a chunk: a killed recorder loses at most one chunk.
 pub(super) const CHUNK_TIME: Duration = Duration::from_secs(1);
 
-/// Finished chunks are on the disk after this much time at the latest: with the open chunk, what a power cut may lose.
+/// Longest time until a finished chunk is on the disk. A power cut loses at most this and the open chunk.
 pub(super) const SYNC_INTERVAL: Duration = Duration::from_secs(5);
 
-/// An entry for the bag's thread.
+/// An entry of the bag's queue.
 pub(super) enum Entry {
-    /// A topic that is recorded from now on.
+    /// A topic; it precedes its messages.
     Topic {
         name: Arc<str>,
         type_name: String,
-        /// The definitions that may be its publisher's.
+        /// Possible definitions of the publisher.
         candidates: Vec<Schema>,
         qos: QosProfile,
     },
-    /// A message of it.
+    /// A message of a topic.
     Message {
         topic: Arc<str>,
         log_time_ns: u64,
         data: Bytes,
     },
-    /// So many messages of it did not get here.
+    /// Number of lost messages of a topic.
     Lost { topic: Arc<str>, messages: u64 },
-    /// The bag's next file begins here.
+    /// Start of the bag's next file.
     Split,
 }
 
-/// The bag's thread.
+/// An open bag with the thread that writes it.
 pub(super) struct Recording {
-    /// None once it is to end.
+    /// `None` after [`end`](Self::end).
     queue: Option<Queue>,
     thread: JoinHandle<Result<BagSummary>>,
-    /// Closes when the thread has written everything.
+    /// Closes when the thread has written all entries.
     written: oneshot::Receiver<()>,
 }
 
-/// Messages that wait for a snapshot.
+/// Messages that wait for a call of `~/snapshot`.
 #[derive(Default)]
 struct SnapshotBuffer {
     messages: VecDeque<Entry>,
     bytes: usize,
     latched_topics: HashSet<Arc<str>>,
-    /// Latched messages that have left the queue and are still valid.
+    /// Valid latched messages that have left the buffer.
     latched: LatchedMessages<Bytes>,
 }
 
 impl SnapshotBuffer {
-    /// Keeps a latched message that leaves the queue.
+    /// Keeps a latched message that leaves the buffer.
     fn keep(&mut self, entry: &Entry) {
         if let Entry::Message { topic, data, .. } = entry
             && self.latched_topics.contains(topic)
@@ -78,7 +78,7 @@ impl SnapshotBuffer {
         }
     }
 
-    /// The messages that wait, after the latched ones that were valid when the first of them came.
+    /// Empties the buffer. The latched messages that were valid at its first message come first.
     fn take(&mut self) -> Vec<Entry> {
         let first_ns = self.messages.front().and_then(|entry| match entry {
             Entry::Message { log_time_ns, .. } => Some(*log_time_ns),
@@ -102,46 +102,46 @@ impl SnapshotBuffer {
     }
 }
 
-/// The way to the bag's thread.
+/// The queue of the bag's thread.
 #[derive(Clone)]
 pub(super) struct Queue {
-    // Bounded by the bytes that wait, which the channel does not know.
+    // Bounded by bytes, which the channel cannot count.
     queue: mpsc::Sender<Entry>,
-    /// Bytes of the messages that wait.
+    /// Bytes of the messages in the queue.
     waiting: Arc<AtomicUsize>,
-    /// Most bytes that may wait; a message that is larger by itself may wait alone.
+    /// Most bytes in the queue. A larger message is accepted by an empty queue.
     limit: usize,
-    /// In snapshot mode: the latest messages, of at most `limit` bytes, which go to the disk when they are asked for.
-    held: Option<Arc<Mutex<SnapshotBuffer>>>,
+    /// In snapshot mode: the latest messages, of at most `limit` bytes.
+    snapshot: Option<Arc<Mutex<SnapshotBuffer>>>,
     failure: Arc<Mutex<Option<String>>>,
 }
 
 impl Queue {
-    /// Hands a message over; false where there is no room for it. Topics and counts, which are few, always find room.
-    /// In snapshot mode a message always does: the oldest make room.
+    /// Adds an entry; returns false if the queue is full. Topics and counts are few and always accepted. In snapshot
+    /// mode, messages are always accepted, and the oldest are dropped.
     ///
     /// # Errors
-    /// Where the bag can no longer be written (a full disk).
+    /// The bag can no longer be written (a full disk).
     pub fn offer(&self, entry: Entry) -> Result<bool> {
         let bytes = entry.bytes();
-        if let (Entry::Message { .. }, Some(held)) = (&entry, &self.held) {
-            let mut held = held.lock().unwrap_or_else(PoisonError::into_inner);
-            held.bytes += bytes;
-            held.messages.push_back(entry);
-            while held.bytes > self.limit
-                && held.messages.len() > 1
-                && let Some(oldest) = held.messages.pop_front()
+        if let (Entry::Message { .. }, Some(snapshot)) = (&entry, &self.snapshot) {
+            let mut snapshot = snapshot.lock().unwrap_or_else(PoisonError::into_inner);
+            snapshot.bytes += bytes;
+            snapshot.messages.push_back(entry);
+            while snapshot.bytes > self.limit
+                && snapshot.messages.len() > 1
+                && let Some(oldest) = snapshot.messages.pop_front()
             {
-                held.bytes -= oldest.bytes();
-                held.keep(&oldest);
+                snapshot.bytes -= oldest.bytes();
+                snapshot.keep(&oldest);
             }
             return Ok(true);
         }
-        if let (Entry::Topic { name, qos, .. }, Some(held)) = (&entry, &self.held)
+        if let (Entry::Topic { name, qos, .. }, Some(snapshot)) = (&entry, &self.snapshot)
             && (qos.durability == Durability::TransientLocal || known_qos(name).is_some())
         {
-            let mut held = held.lock().unwrap_or_else(PoisonError::into_inner);
-            held.latched_topics.insert(Arc::clone(name));
+            let mut snapshot = snapshot.lock().unwrap_or_else(PoisonError::into_inner);
+            snapshot.latched_topics.insert(Arc::clone(name));
         }
         let waiting = self.waiting.fetch_add(bytes, Ordering::Relaxed);
         if bytes > 0 && waiting > 0 && waiting.saturating_add(bytes) > self.limit {
@@ -152,19 +152,22 @@ impl Queue {
         Ok(true)
     }
 
-    /// Hands over what is held; false where nothing is held back, or what was before is not on the disk yet: so that
-    /// there are never more than two such buffers.
+    /// Moves the snapshot buffer to the queue. Returns false without snapshot mode, and while the previous snapshot is
+    /// not on the disk, so that at most two buffers are in memory.
     ///
     /// # Errors
-    /// Where the bag can no longer be written.
+    /// The bag can no longer be written.
     pub fn take_snapshot(&self) -> Result<bool> {
-        let Some(held) = &self.held else {
+        let Some(snapshot) = &self.snapshot else {
             return Ok(false);
         };
         if self.waiting.load(Ordering::Relaxed) > 0 {
             return Ok(false);
         }
-        let taken = held.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let taken = snapshot
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .take();
         let bytes = taken.iter().map(Entry::bytes).sum();
         self.waiting.fetch_add(bytes, Ordering::Relaxed);
         for entry in taken {
@@ -185,7 +188,7 @@ impl Queue {
 impl Entry {
     fn bytes(&self) -> usize {
         match self {
-            // What it costs to keep a message, however short.
+            // Memory of a message, however short.
             Self::Message { data, .. } => size_of::<Self>() + data.len(),
             Self::Topic { .. } | Self::Lost { .. } | Self::Split => 0,
         }
@@ -193,11 +196,11 @@ impl Entry {
 }
 
 impl Recording {
-    /// Creates the bag. At most `cache_bytes` of messages wait for the disk, and in snapshot mode as many for being
-    /// asked for. The thread that writes is `nice` steps below this one.
+    /// Creates the bag and its thread, whose priority is `nice` steps lower. At most `cache_bytes` of messages wait for
+    /// the disk, and in snapshot mode as many for a snapshot.
     ///
     /// # Errors
-    /// Where the folder cannot be made, or holds something already.
+    /// The folder cannot be created, or is not empty.
     pub fn create(
         folder: &Path,
         options: WriterOptions,
@@ -211,7 +214,7 @@ impl Recording {
             queue,
             waiting: Arc::default(),
             limit: cache_bytes,
-            held: is_snapshot.then(Arc::default),
+            snapshot: is_snapshot.then(Arc::default),
             failure: Arc::default(),
         };
         let (writing, written) = oneshot::channel();
@@ -219,7 +222,7 @@ impl Recording {
         let thread = std::thread::Builder::new()
             .name("bag".to_owned())
             .spawn(move || {
-                // Linux has a priority for each thread, where POSIX has one for the process.
+                // Linux has a priority for each thread; POSIX has one for the process.
                 if let Err(error) = rustix::process::nice(nice) {
                     tracing::warn!(
                         "cannot lower the priority; recording at the usual priority: {error}"
@@ -240,26 +243,26 @@ impl Recording {
         })
     }
 
-    /// The way to the thread; none once it is to end.
+    /// The queue; `None` after [`end`](Self::end).
     pub fn queue(&self) -> Option<Queue> {
         self.queue.clone()
     }
 
-    /// Lets the thread close the bag once every [`Queue`] is gone, and end.
+    /// Drops its own queue. The thread closes the bag when all queues are dropped.
     pub fn end(&mut self) {
         self.queue = None;
     }
 
     /// Waits until the bag is closed, after [`end`](Self::end). Cancel safe.
-    pub async fn written(&mut self) {
-        // it is closed, never sent to
+    pub async fn wait_until_written(&mut self) {
+        // The sender is dropped without a message.
         (&mut self.written).await.ok();
     }
 
-    /// Closes the bag once every [`Queue`] is gone. Blocks until then.
+    /// Blocks until all queues are dropped and the bag is closed.
     ///
     /// # Errors
-    /// Where it could not be written.
+    /// The bag could not be written.
     pub fn finish(mut self) -> Result<BagSummary> {
         self.end();
         match self.thread.join() {
@@ -276,7 +279,7 @@ fn write(
 ) -> Result<BagSummary> {
     let mut definitions = Definitions::default();
     loop {
-        // a chunk closes by the time of its messages; when none comes, it closes here
+        // New messages close a chunk by their time. Without messages, this timeout closes it.
         let entry = match entries.recv_timeout(CHUNK_TIME) {
             Ok(entry) => entry,
             Err(mpsc::RecvTimeoutError::Timeout) => {
@@ -366,7 +369,7 @@ mod tests {
             queue,
             waiting: Arc::default(),
             limit: 256 << 10,
-            held: None,
+            snapshot: None,
             failure: Arc::default(),
         };
         let message = |bytes: usize| Entry::Message {
@@ -434,12 +437,12 @@ mod tests {
         offer(103);
         drop(queue);
         recording.end();
-        recording.written().await;
+        recording.wait_until_written().await;
         let summary = recording.finish().unwrap();
         assert_eq!(summary.files.len(), 2);
         let reader = BagReader::open(&bag).unwrap();
         let times: Vec<u64> = reader.messages().map(|m| m.unwrap().log_time_ns).collect();
-        // six of 10 KiB fit into 64 KiB; the one after the last snapshot was not asked for
+        // 64 KiB hold six messages of 10 KiB. The one after the last snapshot is not written.
         assert_eq!(times, [95, 96, 97, 98, 99, 100, 101, 102]);
     }
 

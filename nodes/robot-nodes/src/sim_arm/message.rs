@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use anyhow::Result;
 use image::RgbImage;
-use wm_camera::image_message::{encode_image, encode_jpeg};
+use wm_camera::image_message::encode_image;
 use wm_msgs::{
     builtin_interfaces::Time,
     geometry_msgs::{PoseArray, PoseStamped},
@@ -49,15 +49,8 @@ pub(super) fn pictures(
     stamp_ns: i64,
     transports: Transports,
 ) -> Result<Pictures> {
-    let header = || header(stamp_ns, view.frame_id());
-    let raw = transports.raw.then(|| encode_image(picture, header()));
-    let compressed = transports
-        .compressed
-        .then(|| encode_jpeg(picture, header(), JPEG_QUALITY));
-    Ok(Pictures {
-        raw,
-        compressed: compressed.transpose()?,
-    })
+    let header = header(stamp_ns, view.frame_id());
+    Ok(Pictures::encode(picture, header, transports, JPEG_QUALITY)?)
 }
 
 pub(super) fn goal(pictures: &[RgbImage], stamp_ns: i64) -> Goal {

@@ -2,11 +2,14 @@
 
 use candle_core::Tensor;
 use wm_model::LatentSpace;
-use wm_msgs::builtin_interfaces::Time;
+use wm_msgs::{builtin_interfaces::Time, std_msgs::Header};
 
 use super::*;
 use wm_camera::image_message::{decode_compressed, decode_image};
-use wm_wire::latent_message::{LatentDtype, encode_latent};
+use wm_wire::{
+    latent_message::{LatentDtype, encode_latent},
+    transport::{Pictures, Transports},
+};
 
 /// Each latent place is one pixel.
 struct Pixels(LatentSpace);
@@ -60,10 +63,12 @@ fn a_picture_has_the_stamp_of_its_prediction() {
     );
     assert_eq!(step.raw_bytes(), picture.as_raw().len());
 
-    let raw = raw_message(&picture, &prediction);
+    let header = prediction.header.clone();
+    let pictures = Pictures::encode(&picture, header, Transports::BOTH, 90).unwrap();
+    let raw = pictures.raw.unwrap();
     assert_eq!((&raw.header, raw.step), (&prediction.header, 9));
     assert_eq!(decode_image(&raw).unwrap(), picture);
-    let jpeg = jpeg_message(&picture, &prediction, 90).unwrap();
+    let jpeg = pictures.compressed.unwrap();
     assert_eq!(
         (&jpeg.header, jpeg.format.as_str()),
         (&prediction.header, "jpeg")

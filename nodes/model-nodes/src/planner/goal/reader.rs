@@ -21,14 +21,14 @@ pub struct GoalReader {
 
 impl GoalReader {
     /// A reader of pictures and latents of the encoder's space.
-    pub fn new(encoder: &Arc<Mutex<EncoderStep>>) -> Self {
+    pub fn new(encoder: EncoderStep) -> Self {
         Self {
-            encoder: Arc::clone(encoder),
+            encoder: Arc::new(Mutex::new(encoder)),
             probe: None,
         }
     }
 
-    /// The same, which reads words too, where there is a `probe`.
+    /// The same reader, which also reads words if there is a `probe`.
     #[must_use]
     pub fn with_probe(self, probe: Option<Arc<SuccessClassifier>>) -> Self {
         Self { probe, ..self }
@@ -205,7 +205,7 @@ mod tests {
 
     fn reader_of(fit: Fit) -> GoalReader {
         let encoder = EncoderStep::new(Box::new(Quarters(space(), fit)), LatentDtype::F32);
-        GoalReader::new(&Arc::new(Mutex::new(encoder)))
+        GoalReader::new(encoder)
     }
 
     fn header() -> Header {

@@ -6,11 +6,13 @@ use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 use wm_motion::actions::ActionSpace;
 use wm_msgs::{
+    builtin_interfaces::Time,
     geometry_msgs::{self, Transform, TransformStamped},
     std_msgs::Header,
 };
 
 use super::*;
+use crate::displacement::Displacement;
 use wm_sim::message::pose as pose_message;
 
 const MS: i64 = 1_000_000;

@@ -1,4 +1,4 @@
-//! The way of a topic's messages from its subscription to the bag's thread.
+//! A topic's messages from its subscription to the bag's queue.
 
 use anyhow::Result;
 use bytes::Bytes;
@@ -16,14 +16,14 @@ use crate::recorder::{
     writer::{Entry, Queue},
 };
 
-/// Messages that may wait for the definition of their type \[byte\].
-const MOST_HELD: usize = 64 << 20;
+/// Most bytes of messages that wait for the definition of their type.
+const MOST_WAITING: usize = 64 << 20;
 
-/// What the bag is to know of a topic ahead of its messages.
+/// A topic, for the bag; it precedes the topic's messages.
 pub(super) struct Announcement {
     pub topic: Arc<str>,
     pub type_name: String,
-    /// The definitions that may be its publisher's.
+    /// Possible definitions of the publisher.
     pub candidates: Vec<Schema>,
     pub qos: QosProfile,
 }
@@ -39,7 +39,7 @@ impl From<Announcement> for Entry {
     }
 }
 
-/// Takes a topic's messages to the bag's thread.
+/// Forwards a topic's messages to the bag's queue.
 pub(super) struct Forward {
     pub topic: Arc<str>,
     pub queue: Queue,
@@ -49,16 +49,15 @@ pub(super) struct Forward {
 }
 
 impl Forward {
-    /// Until the shutdown, or until it is over. With a `lookup`, messages wait until the definition of their type is found,
-    /// or cannot be.
+    /// Forwards until the shutdown, or until `end` is true. With a `lookup`, messages first wait for its result.
     pub async fn run(
         self,
         mut announcement: Announcement,
         lookup: Option<Lookup>,
         mut subscription: RawSubscription,
-        mut over: watch::Receiver<bool>,
+        mut end: watch::Receiver<bool>,
     ) -> Result<()> {
-        let mut held = Vec::new();
+        let mut waiting = Vec::new();
         if let Some(lookup) = lookup {
             let mut bytes = 0;
             let candidates = lookup.candidates();
@@ -67,24 +66,24 @@ impl Forward {
                 tokio::select! {
                     biased;
                     candidates = &mut candidates => break candidates,
-                    _ = over.wait_for(|over| *over) => break Vec::new(),
-                    Some(received) = subscription.recv(), if bytes < MOST_HELD => {
+                    _ = end.wait_for(|is_over| *is_over) => break Vec::new(),
+                    Some(received) = subscription.recv(), if bytes < MOST_WAITING => {
                         bytes += received.message.len();
-                        held.push(received);
+                        waiting.push(received);
                     }
                 }
             };
         }
         self.queue.offer(announcement.into())?;
-        for received in held {
+        for received in waiting {
             self.offer(received)?;
         }
-        // after that, what still waits
+        // After the end, the messages that still wait are forwarded too.
         loop {
             let received = tokio::select! {
                 biased;
                 received = subscription.recv() => received,
-                _ = over.wait_for(|over| *over) => None,
+                _ = end.wait_for(|is_over| *is_over) => None,
             };
             let Some(received) = received.or_else(|| subscription.try_recv()) else {
                 break;
@@ -98,13 +97,13 @@ impl Forward {
     }
 
     fn offer(&self, received: Received<Bytes>) -> Result<()> {
-        // no loss: it was asked for
+        // Messages during a pause are no loss.
         if self.is_paused.load(Ordering::Relaxed) {
             return Ok(());
         }
         let entry = Entry::Message {
             topic: Arc::clone(&self.topic),
-            // A clock before 1970 has no such number.
+            // The bag's format has no times before 1970.
             log_time_ns: u64::try_from(received.received.to_nanos()).unwrap_or(0),
             data: received.message,
         };

@@ -1,4 +1,4 @@
-//! The bag that is being recorded, and the messages that were lost.
+//! The bags of a recorder, one after the other, and their lost messages.
 
 use crate::recorder::{
     losses::Losses,
@@ -11,22 +11,23 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use tracing::info;
 
-/// At most one open bag, and whether any has lost something.
+/// The open bag, if there is one, and the losses of all bags so far.
 #[derive(Default)]
-pub(super) struct Book {
+pub(super) struct Session {
     recording: Option<Recording>,
-    /// The bag that the first one replaces.
+    /// The existing bag that is removed when the first new one is complete.
     replaced: Option<OldBag>,
-    /// Of the open bag.
+    /// Losses of the open bag.
     pub losses: Losses,
+    /// Whether any bag has lost messages.
     pub is_lossy: bool,
 }
 
-impl Book {
-    /// Begins the first bag, where the user said.
+impl Session {
+    /// Opens the first bag in the folder of the parameter `output`.
     ///
     /// # Errors
-    /// It cannot be made, or something already exists there.
+    /// The bag cannot be created, or the folder already exists.
     pub async fn begin_first(&mut self, options: &Options) -> Result<()> {
         let place = options.place.clone();
         let (folder, replaced) = tokio::task::spawn_blocking(move || place.first()).await??;
@@ -34,12 +35,12 @@ impl Book {
         self.begin(options, folder).await
     }
 
-    /// Begins the bag that a peer requests, which is always a new one.
+    /// Opens the bag that a peer requests by its `uri`. It never replaces an existing one.
     ///
     /// # Errors
-    /// It cannot be made, is not to be made there, or something already exists there.
+    /// The bag cannot be created, is not allowed there, or already exists.
     pub async fn begin_further(&mut self, options: &Options, uri: &str) -> Result<()> {
-        let folder = options.place.asked_for(uri)?;
+        let folder = options.place.further(uri)?;
         self.begin(options, folder).await
     }
 
@@ -60,12 +61,12 @@ impl Book {
         Ok(())
     }
 
-    /// The way to the open bag.
+    /// The queue of the open bag; `None` without one.
     pub fn queue(&self) -> Option<Queue> {
         self.recording.as_ref().and_then(Recording::queue)
     }
 
-    /// Says in the bag what it lost, and lets it be closed.
+    /// Records the losses in the bag, and ends its thread once all queues are closed.
     ///
     /// # Errors
     /// The bag can no longer be written.
@@ -85,13 +86,14 @@ impl Book {
     }
 
     /// Waits until the bag is closed, after [`end`](Self::end).
-    pub async fn written(&mut self) {
+    pub async fn wait_until_written(&mut self) {
         if let Some(recording) = &mut self.recording {
-            recording.written().await;
+            recording.wait_until_written().await;
         }
     }
 
-    /// Says on standard output what was recorded and lost. Blocks until the bag is closed.
+    /// Closes the bag, and prints the number of recorded and lost messages to standard output. Blocks until the bag is
+    /// closed.
     ///
     /// # Errors
     /// The bag could not be written.

@@ -5,14 +5,13 @@ use std::{
     time::Duration,
 };
 
-use anyhow::Result;
+use anyhow::{Context as _, Result};
 use tokio::time::Instant;
 use wm_msgs::{
     builtin_interfaces::Time,
     std_msgs::String as Text,
     wm_msgs::{
-        EnvObservation, EnvReset, EnvResetRequest, EnvResetResponse, EnvStep, EnvStepRequest,
-        EnvStepResponse, Timing as TimingMessage,
+        EnvObservation, EnvReset, EnvResetRequest, EnvResetResponse, EnvStep, EnvStepResponse,
     },
 };
 use wm_ros::{Call, Clock, Diagnostics, Qos};
@@ -20,15 +19,22 @@ use wm_ros::{Call, Clock, Diagnostics, Qos};
 use super::{
     super::{Attached, EnvError, Move, Moved, Observation, Start, parameters::Parameters},
     EnvNode,
-    policy::{has_policy, missing, publish},
+    answers::{response, shortened},
+    jobs::{Job, JobResult, Resetter, RunningJob, Stepper, as_move},
+    policy::{action_topics, has_policy, missing, publish},
 };
-use crate::work::Work;
+use crate::{
+    history::{HistoryError, seconds},
+    work::Work,
+};
 use wm_camera::camera_frame::CameraFrame;
 use wm_ros::complaints::Complaints;
 use wm_wire::transport::{ImageSubscription, Transports};
 
 /// An observation without an answer is sent again after this time: it may be lost, or the policy may have restarted.
-pub(super) const RESEND: Duration = Duration::from_secs(1);
+const RESEND: Duration = Duration::from_secs(1);
+/// How long a policy may take before the env warns.
+const PATIENCE: Duration = Duration::from_secs(5);
 /// How often the graph is checked for a policy.
 const LOOK: Duration = Duration::from_millis(100);
 
@@ -37,45 +43,8 @@ const MOST_WAITING: usize = 64;
 /// Calls that arrive together are computed together: how long the first of them waits for the others. Far below a step.
 const GATHER: Duration = Duration::from_millis(5);
 
-/// A job of the env's thread.
-pub(super) enum Job {
-    Reset {
-        request: EnvResetRequest,
-        start: Start,
-        begin: Time,
-    },
-    Step(Vec<Move>),
-}
-
-/// The result of a job, and its time.
-pub(super) enum Done {
-    Reset(Result<Box<(EnvResetResponse, Observation)>, EnvError>),
-    Step {
-        moved: Vec<Result<Moved, EnvError>>,
-        start: Time,
-        end: Time,
-    },
-}
-
-/// The client that waits for an answer; the topics count as one.
-pub(super) enum Resetter {
-    Service(Box<Call<EnvReset>>),
-    Topics,
-}
-
-pub(super) enum Stepper {
-    Service { call: Call<EnvStep>, received: Time },
-    Topics,
-}
-
-pub(super) enum InFlight {
-    Nothing,
-    Reset(Resetter),
-    Steps(Vec<Stepper>),
-}
-
 /// A reset that waits for the image that it starts from.
-pub(super) struct Awaited {
+pub(super) struct PendingReset {
     pub(super) images: ImageSubscription,
     pub(super) topic: String,
     pub(super) request: EnvResetRequest,
@@ -84,7 +53,7 @@ pub(super) struct Awaited {
 }
 
 /// The episode that is played through topics.
-pub(super) struct Played {
+pub(super) struct TopicEpisode {
     pub(super) attached: Attached,
     pub(super) observation: Observation,
     /// When the next step may be made.
@@ -97,15 +66,15 @@ pub(super) struct Played {
     pub(super) is_over: bool,
 }
 
-pub(super) struct Active {
-    pub(super) work: Work<Job, Done>,
-    pub(super) in_flight: InFlight,
+pub(super) struct EnvServer {
+    pub(super) work: Work<Job, JobResult>,
+    pub(super) running: RunningJob,
     pub(super) waiting_resets: VecDeque<(EnvResetRequest, Resetter)>,
     pub(super) waiting_steps: VecDeque<(Call<EnvStep>, Time)>,
     /// When calls that wait are computed.
     pub(super) gathered: Instant,
-    pub(super) awaited: Option<Awaited>,
-    pub(super) played: Option<Played>,
+    pub(super) pending_reset: Option<PendingReset>,
+    pub(super) topic_episode: Option<TopicEpisode>,
     /// Episodes by topics that have begun.
     pub(super) begun: u64,
     pub(super) clock: Clock,
@@ -113,24 +82,24 @@ pub(super) struct Active {
     pub(super) diagnostics: Diagnostics,
 }
 
-impl Active {
+impl EnvServer {
     /// Starts what is possible; returns whether all episodes of the env are done.
     pub(super) fn go_on(&mut self, node: &EnvNode) -> Result<bool> {
         let now = Instant::now();
         if self
-            .awaited
+            .pending_reset
             .as_ref()
-            .is_some_and(|awaited| awaited.until <= now)
-            && let Some(awaited) = self.awaited.take()
+            .is_some_and(|pending_reset| pending_reset.until <= now)
+            && let Some(pending_reset) = self.pending_reset.take()
         {
             let error = EnvError::Silent {
-                topic: awaited.topic,
+                topic: pending_reset.topic,
                 seconds: node.parameters.start_timeout.as_secs_f64(),
             };
-            self.refuse_reset(awaited.resetter, &error)?;
+            self.refuse_reset(pending_reset.resetter, &error)?;
         }
         let is_by_topics = node.parameters.episodes > 0;
-        if is_by_topics && self.played.is_none() && !self.is_resetting_topics() {
+        if is_by_topics && self.topic_episode.is_none() && !self.is_resetting_topics() {
             if self.begun == node.parameters.episodes {
                 return Ok(true);
             }
@@ -147,7 +116,7 @@ impl Active {
             }
         }
         self.remind(now, node)?;
-        if !matches!(self.in_flight, InFlight::Nothing) {
+        if !matches!(self.running, RunningJob::Nothing) {
             return Ok(false);
         }
         if let Some((request, resetter)) = self.waiting_resets.pop_front() {
@@ -160,31 +129,32 @@ impl Active {
 
     fn is_resetting_topics(&self) -> bool {
         let is_topics = |resetter: &Resetter| matches!(resetter, Resetter::Topics);
-        let in_flight = matches!(&self.in_flight, InFlight::Reset(resetter) if is_topics(resetter));
-        in_flight
+        let is_running =
+            matches!(&self.running, RunningJob::Reset(resetter) if is_topics(resetter));
+        is_running
             || self
                 .waiting_resets
                 .iter()
                 .any(|(_, resetter)| is_topics(resetter))
             || self
-                .awaited
+                .pending_reset
                 .as_ref()
-                .is_some_and(|awaited| is_topics(&awaited.resetter))
+                .is_some_and(|pending_reset| is_topics(&pending_reset.resetter))
     }
 
     /// When the next step is due without input.
     pub(super) fn wake(&self, parameters: &Parameters) -> Instant {
         let now = Instant::now();
         let mut wake = now + RESEND;
-        if let Some(awaited) = &self.awaited {
-            wake = wake.min(awaited.until);
+        if let Some(pending_reset) = &self.pending_reset {
+            wake = wake.min(pending_reset.until);
         }
-        if matches!(self.in_flight, InFlight::Nothing) && !self.waiting_steps.is_empty() {
+        if matches!(self.running, RunningJob::Nothing) && !self.waiting_steps.is_empty() {
             wake = wake.min(self.gathered);
         }
-        match &self.played {
+        match &self.topic_episode {
             // A step that is due waits for the policy, not for the time.
-            Some(played) if played.due > now => wake.min(played.due),
+            Some(episode) if episode.due > now => wake.min(episode.due),
             Some(_) => wake,
             None if self.begun < parameters.episodes => wake.min(now + LOOK),
             None => wake,
@@ -229,7 +199,7 @@ impl Active {
         match node.parameters.start(&request, &node.resources.start_root) {
             Err(error) => self.refuse_reset(resetter, &error),
             Ok(Start::Topic(topic)) => {
-                if self.awaited.is_some() {
+                if self.pending_reset.is_some() {
                     let error = EnvError::Silent {
                         topic,
                         seconds: 0.0,
@@ -243,7 +213,7 @@ impl Active {
                     Qos::sensor_data(),
                 ) {
                     Ok(images) => {
-                        self.awaited = Some(Awaited {
+                        self.pending_reset = Some(PendingReset {
                             images,
                             topic,
                             request,
@@ -264,7 +234,7 @@ impl Active {
 
     fn begin(&mut self, request: EnvResetRequest, start: Start, resetter: Resetter) {
         let begin = self.clock.now();
-        self.in_flight = InFlight::Reset(resetter);
+        self.running = RunningJob::Reset(resetter);
         self.submit(Job::Reset {
             request,
             start,
@@ -273,12 +243,12 @@ impl Active {
     }
 
     pub(super) fn image(&mut self, frame: CameraFrame) {
-        if let Some(Awaited {
+        if let Some(PendingReset {
             request, resetter, ..
-        }) = self.awaited.take()
+        }) = self.pending_reset.take()
         {
             // While another job runs, it waits for a newer image.
-            if matches!(self.in_flight, InFlight::Nothing) {
+            if matches!(self.running, RunningJob::Nothing) {
                 self.begin(request, Start::Frame(Box::new(frame)), resetter);
             } else {
                 self.waiting_resets.push_front((request, resetter));
@@ -306,22 +276,22 @@ impl Active {
     fn step(&mut self, now: Instant, node: &EnvNode) {
         let mut moves = Vec::new();
         let mut steppers = Vec::new();
-        let played = self
-            .played
+        let episode = self
+            .topic_episode
             .as_ref()
-            .filter(|played| played.is_over || played.due <= now);
-        if let Some(played) = played {
-            let next = if played.is_over {
+            .filter(|episode| episode.is_over || episode.due <= now);
+        if let Some(episode) = episode {
+            let next = if episode.is_over {
                 Some(Vec::new())
             } else {
-                played.attached.next(node.parameters.hold)
+                episode.attached.next(node.parameters.hold)
             };
             if let Some(actions) = next {
                 moves.push(Move {
-                    episode_id: played.attached.episode_id().to_owned(),
+                    episode_id: episode.attached.episode_id().to_owned(),
                     actions,
-                    close: played.is_over,
-                    outcome: played.outcome,
+                    close: episode.is_over,
+                    outcome: episode.outcome,
                 });
                 steppers.push(Stepper::Topics);
             }
@@ -330,7 +300,7 @@ impl Active {
             self.gather(&mut moves, &mut steppers, node);
         }
         if !moves.is_empty() {
-            self.in_flight = InFlight::Steps(steppers);
+            self.running = RunningJob::Steps(steppers);
             self.submit(Job::Step(moves));
         }
     }
@@ -338,9 +308,9 @@ impl Active {
     /// Adds the calls that wait, of each episode the first.
     fn gather(&mut self, moves: &mut Vec<Move>, steppers: &mut Vec<Stepper>, node: &EnvNode) {
         let own = self
-            .played
+            .topic_episode
             .as_ref()
-            .map(|played| played.attached.episode_id().to_owned());
+            .map(|episode| episode.attached.episode_id().to_owned());
         let mut taken = BTreeSet::new();
         let mut later = VecDeque::new();
         for (call, received) in std::mem::take(&mut self.waiting_steps) {
@@ -362,16 +332,16 @@ impl Active {
     }
 
     fn submit(&mut self, job: Job) {
-        // Nothing runs and nothing waits: `in_flight` says so.
+        // Nothing runs and nothing waits: `running` says so.
         if self.work.submit(job).is_some() {
             tracing::error!("a job of the env was dropped");
         }
     }
 
-    pub(super) fn done(&mut self, done: Done, node: &EnvNode) -> Result<()> {
-        let in_flight = std::mem::replace(&mut self.in_flight, InFlight::Nothing);
-        match (done, in_flight) {
-            (Done::Reset(begun), InFlight::Reset(resetter)) => match begun {
+    pub(super) fn finish_job(&mut self, result: JobResult, node: &EnvNode) -> Result<()> {
+        let running = std::mem::replace(&mut self.running, RunningJob::Nothing);
+        match (result, running) {
+            (JobResult::Reset(begun), RunningJob::Reset(resetter)) => match begun {
                 Ok(begun) => self.announce(*begun, resetter, node),
                 Err(error) => {
                     let error = match &resetter {
@@ -383,7 +353,7 @@ impl Active {
                     self.refuse_reset(resetter, &error)
                 }
             },
-            (Done::Step { moved, start, end }, InFlight::Steps(steppers)) => {
+            (JobResult::Step { moved, start, end }, RunningJob::Steps(steppers)) => {
                 let taken_ns = end.to_nanos().saturating_sub(start.to_nanos());
                 let taken = Duration::from_nanos(u64::try_from(taken_ns).unwrap_or(0));
                 self.diagnostics.latency("step").record(taken);
@@ -435,7 +405,7 @@ impl Active {
                 publish(&observation, node)?;
                 let (now, stamp) = (Instant::now(), observation.jpeg.header.stamp);
                 let merging = node.parameters.merging.0;
-                self.played = Some(Played {
+                self.topic_episode = Some(TopicEpisode {
                     attached: Attached::new(
                         response.episode_id,
                         node.resources.encoding.clone(),
@@ -453,6 +423,87 @@ impl Active {
                 });
                 Ok(())
             }
+        }
+    }
+
+    /// Sends an unanswered observation again, and warns.
+    fn remind(&mut self, now: Instant, node: &EnvNode) -> Result<()> {
+        if let Some(episode) = &mut self.topic_episode
+            && !episode.is_over
+            && now.duration_since(episode.published) >= RESEND
+            && matches!(self.running, RunningJob::Nothing)
+        {
+            episode.published = now;
+            let observation = episode.observation.clone();
+            let is_long = now.duration_since(episode.shown) >= PATIENCE;
+            publish(&observation, node)?;
+            if is_long {
+                let stamp = seconds(observation.jpeg.header.stamp);
+                let topics = action_topics(node);
+                self.complaints.waiting(
+                    "actions",
+                    false,
+                    &format!("no actions on {topics} for the image of {stamp}"),
+                );
+            }
+        }
+        Ok(())
+    }
+
+    /// Handles a step or the end of the episode.
+    fn stepped(&mut self, moved: Result<Moved, EnvError>, node: &EnvNode) -> Result<()> {
+        let moved = moved.context("the episode played through topics")?;
+        let Some(mut episode) = self.topic_episode.take() else {
+            return Ok(());
+        };
+        if episode.is_over && moved.observations.is_empty() {
+            let name = episode.attached.episode_id();
+            match &moved.bag {
+                Some(bag) => tracing::info!(
+                    "episode {name} ends after {} steps: {}",
+                    moved.steps,
+                    bag.display()
+                ),
+                None => tracing::info!("episode {name} ends after {} steps", moved.steps),
+            }
+            return Ok(());
+        }
+        for observation in moved.observations {
+            episode.attached.observed(observation.jpeg.header.stamp);
+            publish(&observation, node)?;
+            episode.observation = observation;
+        }
+        let now = Instant::now();
+        self.complaints
+            .working("an episode is played through topics");
+        episode.published = now;
+        episode.shown = now;
+        episode.due = (episode.due + node.parameters.period()).max(now);
+        episode.is_over |= moved.truncated;
+        self.topic_episode = Some(episode);
+        Ok(())
+    }
+
+    /// Reports the fate of an action or a chunk of this stamp; `None`: there is no episode for it.
+    pub(super) fn note(&mut self, taken: Option<Result<bool, HistoryError>>, stamp: Time) {
+        let shown = self.topic_episode.as_ref();
+        let shown = shown.map(|episode| seconds(episode.observation.jpeg.header.stamp));
+        match taken {
+            Some(Ok(true)) => {}
+            Some(Ok(false)) => self.complaints.left_out(
+                "untimely_action",
+                &format_args!(
+                    "the action of {} does not answer the current image: stamp it with the stamp of the image that it \
+                     answers; the newest image is that of {}",
+                    seconds(stamp),
+                    shown.as_deref().unwrap_or("none")
+                ),
+            ),
+            Some(Err(error)) => self.complaints.left_out("malformed_action", &error),
+            None => self.complaints.left_out(
+                "no_episode",
+                &"an action arrived while no episode is played through topics",
+            ),
         }
     }
 
@@ -480,53 +531,4 @@ fn show(episode_id: &str, moved: &Moved, node: &EnvNode) -> Result<()> {
         })?;
     }
     Ok(())
-}
-
-fn as_move(request: &EnvStepRequest) -> Move {
-    Move {
-        episode_id: request.episode_id.clone(),
-        actions: request.actions.clone(),
-        close: request.close,
-        outcome: match request.outcome {
-            EnvStepRequest::SUCCESS => Some(true),
-            EnvStepRequest::FAILURE => Some(false),
-            _ => None,
-        },
-    }
-}
-
-fn response(
-    moved: Result<Moved, EnvError>,
-    (receive, start, end): (Time, Time, Time),
-) -> EnvStepResponse {
-    match moved {
-        Ok(moved) => EnvStepResponse {
-            success: true,
-            message: String::new(),
-            stamp: moved.stamp,
-            steps: moved.steps,
-            truncated: moved.truncated,
-            bag: moved
-                .bag
-                .map(|bag| bag.display().to_string())
-                .unwrap_or_default(),
-            timing: TimingMessage {
-                capture: moved.capture,
-                receive,
-                start,
-                end,
-            },
-        },
-        Err(error) => EnvStepResponse {
-            message: shortened(&error),
-            ..EnvStepResponse::default()
-        },
-    }
-}
-
-/// The text of an error in an answer. The middleware sends an answer in one datagram or not at all: RustDDS 0.15.1 writes
-/// fragments of a sample with a related sample identity that no peer can read. Images therefore are sent by a topic.
-fn shortened(error: &dyn std::fmt::Display) -> String {
-    const LONGEST: usize = 400;
-    error.to_string().chars().take(LONGEST).collect()
 }

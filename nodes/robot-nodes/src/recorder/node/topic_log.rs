@@ -1,31 +1,31 @@
-//! What a recorder logs about topics: once for each topic, and in few lines however many topics there are. `/rosout`
-//! keeps only a limited number of lines, and the names come from others.
+//! Log lines about topics: one report for each topic, and few lines for many topics. `/rosout` keeps a limited number
+//! of lines, and other machines choose the names.
 
 use std::collections::BTreeSet;
 use std::fmt::Display;
 use tracing::{debug, info, warn};
 use wm_ros::{Diagnostics, TopicInfo};
 
-/// Names that a line of the log holds.
+/// Most names in a log line.
 const NAMES: usize = 10;
-/// Topics that are not recorded, and types without a definition, that are reported one by one.
+/// Most warnings about skipped topics, and about types without a definition.
 const WARNINGS: usize = 20;
-/// Topics that are remembered as not recorded. Beyond them the count stands still.
+/// Most skipped topics that are counted.
 const MOST_SKIPPED: usize = 10_000;
-/// Characters of a name that are shown.
+/// Most characters of a name in a log line.
 const LONGEST_NAME: usize = 256;
 
-/// What was said, and what is to be said next.
-pub(super) struct News {
+/// The reported topics, and those to report next.
+pub(super) struct TopicLog {
     diagnostics: Diagnostics,
-    /// Topics since the last line.
+    /// Topics since the last log line.
     recorded: Vec<String>,
-    /// Name and type of what is not recorded.
+    /// Names and types of the skipped topics.
     skipped: BTreeSet<(String, String)>,
     undefined: BTreeSet<String>,
 }
 
-impl News {
+impl TopicLog {
     pub fn new(diagnostics: Diagnostics) -> Self {
         Self {
             diagnostics,
@@ -35,13 +35,13 @@ impl News {
         }
     }
 
-    /// A topic is recorded from now on.
+    /// Notes that a topic is recorded; [`flush`](Self::flush) reports it.
     pub fn recorded(&mut self, name: &str) {
         debug!("recording {name}");
         self.recorded.push(name.to_owned());
     }
 
-    /// A topic is not recorded. It may be told again at each look at the graph.
+    /// Reports once that a topic is not recorded.
     pub fn skipped(&mut self, topic: &TopicInfo, reason: &dyn Display) {
         if self.skipped.len() >= MOST_SKIPPED
             || !self
@@ -53,7 +53,7 @@ impl News {
         let total = self.skipped.len();
         self.diagnostics.set_value("topics skipped [total]", total);
         if total <= WARNINGS {
-            let (name, type_name) = (shown(&topic.name), shown(&topic.type_name));
+            let (name, type_name) = (printable(&topic.name), printable(&topic.type_name));
             warn!("{name} ({type_name}) is not recorded: {reason}");
         }
         if total == WARNINGS {
@@ -61,18 +61,18 @@ impl News {
         }
     }
 
-    /// Something about the definition of a type.
-    pub fn undefined(&mut self, type_name: &str, what: &str) {
+    /// Reports once a fault of the definition of a type.
+    pub fn undefined(&mut self, type_name: &str, reason: &str) {
         if self.undefined.len() < WARNINGS && self.undefined.insert(type_name.to_owned()) {
-            warn!("{} {what}", shown(type_name));
+            warn!("{} {reason}", printable(type_name));
             if self.undefined.len() == WARNINGS {
                 warn!("further warnings of this kind are not logged");
             }
         }
     }
 
-    /// Says which topics are recorded since it last said so.
-    pub fn tell(&mut self) {
+    /// Logs the topics that are recorded since the last call.
+    pub fn flush(&mut self) {
         let recorded = std::mem::take(&mut self.recorded);
         let more = recorded.len().saturating_sub(NAMES);
         let names: Vec<&str> = recorded.iter().take(NAMES).map(String::as_str).collect();
@@ -85,7 +85,7 @@ impl News {
     }
 }
 
-/// A name that somebody else chose, fit for a terminal.
-fn shown(name: &str) -> String {
+/// The printable form of a name from another machine.
+fn printable(name: &str) -> String {
     name.escape_debug().take(LONGEST_NAME).collect()
 }
