@@ -198,7 +198,7 @@ impl Row {
 }
 
 /// Builds a model without weights and adds up what it asked for: `operations` of every tensor.
-fn count<M>(
+pub(crate) fn count<M>(
     load: impl FnOnce(&Loader<'_>) -> Result<M>,
     operations: impl Fn(&Requested) -> usize,
 ) -> Result<Cost> {
@@ -211,7 +211,7 @@ fn count<M>(
 }
 
 /// Operations of a layer with this weight at `places` places; vectors (biases, norms, scales) cost nothing.
-fn applied(weight: &Requested, places: usize) -> usize {
+pub(crate) fn applied(weight: &Requested, places: usize) -> usize {
     match weight.shape.len() {
         0 | 1 => 0,
         _ => 2 * weight.count() * places,

@@ -51,7 +51,7 @@ mod views;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 use sha2::{Digest as _, Sha256};
 use wm_model::WorldModel;
@@ -70,13 +70,13 @@ pub use random::write_random_weights;
 pub use summary::{PartSummary, Stepping, Summary};
 
 use crate::calibration::{Calibration, Origin, RangeRecorder};
-use crate::kinds::{DitConfig, load_transition};
+use crate::kinds::{Canonical, DitConfig, EncoderConfig, load_transition};
 use crate::loader::Requested;
 use crate::success_probe::SuccessClassifier;
 use crate::svae::{Svae, SvaeConfig};
 use crate::{Error, Result, TransitionTensors};
 use decoder::{DecoderConfig, FolderDecoder};
-use encoder::{EncoderConfig, FolderEncoder, canonical};
+use encoder::FolderEncoder;
 use fit::{check_decoder, check_transition, latent};
 use open::{
     open_adapter, open_decoder, open_encoder, open_transition, statistics, transition_part,
@@ -116,7 +116,7 @@ pub struct DescribedFolder {
     /// Its path, as it was opened.
     name: String,
     description: Description,
-    encoder: Opened<EncoderConfig>,
+    encoder: Opened<Arc<dyn EncoderConfig>>,
     adapter: Option<Opened<SvaeConfig>>,
     normalisation: Normalisation,
     pictures: Option<Pictures>,
@@ -449,7 +449,7 @@ impl DescribedFolder {
         })?;
         let mut hash = Sha256::new();
         let settings = (config, encoding, &space, self.description.dtype);
-        hash.update(format!("{}\n", canonical(&settings)?));
+        hash.update(format!("{}\n", settings.canonical()?));
         transition.source.hash(&transition.tensors, &mut hash)?;
         self.hash_ranges(&transition.source, &mut hash);
         Ok(WorldModel {

@@ -21,6 +21,7 @@
 //! An `image` is (N,H,W,3) in 0..1, a `latent` (N,h,w,D). Everything is f32 but `input_ids`, which are integers.
 
 mod dit;
+mod encoder;
 mod inputs;
 mod loaded;
 mod published;
@@ -36,90 +37,74 @@ use wm_model::Compute;
 
 pub use dit::{DitConfig, Head};
 pub(crate) use dit::{build as build_dit, build_transition, load_transition};
+pub(crate) use encoder::{Apply, Canonical, EncoderConfig, apply, downsampled};
 pub use loaded::Loaded;
 pub use rollout::{RolloutOptions, rollout};
 
 use crate::checkpoint::Average;
+use crate::vae::{CosmosConfig, SdVaeConfig, VaVaeConfig};
+use crate::vit::{SiglipVisionConfig, VjepaConfig, WebDinoConfig};
 use crate::{Checkpoint, Error, Result};
 use inputs::is_finite;
 
 /// Tensors by name.
 pub type Tensors = BTreeMap<String, Tensor>;
 
-/// A kind of model, as the command line names it; the [module](self) says what each takes and gives.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-#[expect(missing_docs, reason = "the module has a table of them")]
-pub enum Kind {
-    Dit,
-    WebDino,
-    Siglip2,
-    Siglip2Text,
-    Vjepa21,
-    Sd3Vae,
-    Sd3VaeDecoder,
-    VaVae,
-    VaVaeDecoder,
-    CosmosCi16x16,
-    CosmosCi16x16Decoder,
-    Svae,
-    Pixel,
-    Idm,
-    SuccessProbe,
-    LinearProbe,
-    TemporalProbe,
-    ProgressProbe,
-    EfficientNetLite0,
+/// Defines [`Kind`]. A line has a kind, its name on the command line and, if it is an encoder, its
+/// [`EncoderConfig`](encoder::EncoderConfig).
+macro_rules! kinds {
+    ($($kind:ident = $name:literal $(, encoder $config:ty)?;)*) => {
+        /// A kind of model, as the command line names it; the [module](self) says what each takes and gives.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+        #[expect(missing_docs, reason = "the module has a table of them")]
+        pub enum Kind {
+            $($kind,)*
+        }
+
+        impl Kind {
+            /// All kinds.
+            pub const ALL: &'static [Self] = &[$(Self::$kind,)*];
+
+            /// Its name on the command line.
+            pub fn name(self) -> &'static str {
+                match self {
+                    $(Self::$kind => $name,)*
+                }
+            }
+
+            fn encoder_parser(self) -> Option<encoder::EncoderParser> {
+                match self {
+                    $($(Self::$kind => Some(encoder::parser::<$config>),)?)*
+                    _ => None,
+                }
+            }
+        }
+    };
+}
+
+kinds! {
+    Dit = "dit";
+    WebDino = "web-dino", encoder WebDinoConfig;
+    Siglip2 = "siglip2", encoder SiglipVisionConfig;
+    Siglip2Text = "siglip2-text";
+    Vjepa21 = "vjepa2.1", encoder VjepaConfig;
+    Sd3Vae = "sd3-vae", encoder SdVaeConfig;
+    Sd3VaeDecoder = "sd3-vae-decoder";
+    VaVae = "va-vae", encoder VaVaeConfig;
+    VaVaeDecoder = "va-vae-decoder";
+    CosmosCi16x16 = "cosmos-ci16x16", encoder CosmosConfig;
+    CosmosCi16x16Decoder = "cosmos-ci16x16-decoder";
+    Svae = "svae";
+    Pixel = "pixel";
+    Idm = "idm";
+    SuccessProbe = "success-probe";
+    LinearProbe = "linear-probe";
+    TemporalProbe = "temporal-probe";
+    ProgressProbe = "progress-probe";
+    EfficientNetLite0 = "efficientnet-lite0";
 }
 
 impl Kind {
-    /// All kinds.
-    pub const ALL: [Self; 19] = [
-        Self::Dit,
-        Self::WebDino,
-        Self::Siglip2,
-        Self::Siglip2Text,
-        Self::Vjepa21,
-        Self::Sd3Vae,
-        Self::Sd3VaeDecoder,
-        Self::VaVae,
-        Self::VaVaeDecoder,
-        Self::CosmosCi16x16,
-        Self::CosmosCi16x16Decoder,
-        Self::Svae,
-        Self::Pixel,
-        Self::Idm,
-        Self::SuccessProbe,
-        Self::LinearProbe,
-        Self::TemporalProbe,
-        Self::ProgressProbe,
-        Self::EfficientNetLite0,
-    ];
-
-    /// Its name on the command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Dit => "dit",
-            Self::WebDino => "web-dino",
-            Self::Siglip2 => "siglip2",
-            Self::Siglip2Text => "siglip2-text",
-            Self::Vjepa21 => "vjepa2.1",
-            Self::Sd3Vae => "sd3-vae",
-            Self::Sd3VaeDecoder => "sd3-vae-decoder",
-            Self::VaVae => "va-vae",
-            Self::VaVaeDecoder => "va-vae-decoder",
-            Self::CosmosCi16x16 => "cosmos-ci16x16",
-            Self::CosmosCi16x16Decoder => "cosmos-ci16x16-decoder",
-            Self::Svae => "svae",
-            Self::Pixel => "pixel",
-            Self::Idm => "idm",
-            Self::SuccessProbe => "success-probe",
-            Self::LinearProbe => "linear-probe",
-            Self::TemporalProbe => "temporal-probe",
-            Self::ProgressProbe => "progress-probe",
-            Self::EfficientNetLite0 => "efficientnet-lite0",
-        }
-    }
-
     /// The tensors of this kind of model in `checkpoint`, without what its authors wrapped around them.
     pub fn weights(self, checkpoint: &Checkpoint, average: Average) -> Checkpoint {
         // Whose checkpoint holds several networks, each under its own name.
@@ -147,9 +132,10 @@ impl FromStr for Kind {
     type Err = Error;
 
     fn from_str(name: &str) -> Result<Self> {
-        let found = Self::ALL.into_iter().find(|kind| kind.name() == name);
-        found.ok_or_else(|| {
-            let names = Self::ALL.map(Self::name).join(", ");
+        let found = Self::ALL.iter().find(|kind| kind.name() == name);
+        found.copied().ok_or_else(|| {
+            let names: Vec<&str> = Self::ALL.iter().map(|kind| kind.name()).collect();
+            let names = names.join(", ");
             wm_model::Error::config("kind", format!("`{name}`, expected one of {names}")).into()
         })
     }

@@ -258,7 +258,12 @@ fn every_kind_has_a_fixture_and_every_fixture_a_kind() {
     let fixtures = fixtures();
     let with_fixture: BTreeSet<&str> = fixtures.iter().map(Fixture::kind).collect();
     let kinds: BTreeSet<&str> = Kind::ALL.iter().map(|kind| kind.name()).collect();
-    assert_eq!(with_fixture, kinds);
+    let missing: Vec<_> = kinds.difference(&with_fixture).collect();
+    let unknown: Vec<_> = with_fixture.difference(&kinds).collect();
+    assert!(
+        missing.is_empty() && unknown.is_empty(),
+        "tests/fixtures lacks {missing:?} (fixtures/generate.py makes them), has unknown {unknown:?}"
+    );
     assert!(
         fixtures
             .iter()

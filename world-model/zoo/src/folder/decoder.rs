@@ -4,10 +4,9 @@ use candle_core::{DType, Device, Tensor};
 use wm_model::LatentSpace;
 use wm_model::autoencoder::Normalisation;
 
-use super::encoder::{Apply, apply};
 use super::views;
 use crate::cost::{self, Cost};
-use crate::kinds::{Kind, parse};
+use crate::kinds::{Apply, Kind, apply, parse};
 use crate::svae::Svae;
 use crate::vae::{
     CosmosConfig, CosmosDecoder, PixelDecoder, PixelDecoderConfig, SdVaeConfig, SdVaeDecoder,

@@ -36,8 +36,8 @@ pub struct Description {
     /// Number format of all weights: `bf16` halves their memory, `int8` quarters that of the matrices.
     #[serde(default)]
     pub dtype: NumberFormat,
-    /// Pictures to latents: `web-dino`, `siglip2`, `vjepa2.1`, `sd3-vae`, `va-vae` or `cosmos-ci16x16`; or, with a decoder
-    /// of the same kind, `autoencoder` or `taef2`.
+    /// Pictures to latents: a [kind](crate::kinds) that gives `latent` for `image`; or, with a decoder of the same kind,
+    /// `autoencoder` or `taef2`.
     pub encoder: Part,
     /// The S-VAE that takes the encoder's features to a compact latent.
     #[serde(default)]

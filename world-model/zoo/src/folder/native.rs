@@ -5,9 +5,9 @@ use sha2::{Digest as _, Sha256};
 use wm_model::autoencoder::Normalisation;
 use wm_model::{Compute, LatentSpace, NumberFormat};
 
-use super::encoder::canonical;
 use super::source::{KnownInputs, Source};
 use super::{DescribedFolder, Opened, load_adapter, views};
+use crate::kinds::Canonical;
 use crate::sizes::shape_error;
 use crate::svae::{Svae, SvaeConfig};
 use crate::{Error, Result};
@@ -111,14 +111,14 @@ impl DescribedFolder {
         let [height, width, channels] = latent;
         let description = &self.description;
         let settings = (latent, description.image, self.views, format);
-        hash.update(format!("{}\n", canonical(&settings)?));
+        hash.update(format!("{}\n", settings.canonical()?));
         if !description.fit.is_stretch() {
             hash.update(format!("{}\n", description.fit));
         }
         hash.update(format!("{}\n", self.encoder.config.canonical()?));
         self.encoder.source.hash(&self.encoder.tensors, &mut hash)?;
         if let Some(adapter) = adapter {
-            hash.update(format!("{}\n", canonical(&adapter.config)?));
+            hash.update(format!("{}\n", adapter.config.canonical()?));
             adapter.source.hash(&adapter.tensors, &mut hash)?;
         }
         normalisation.add_to(&mut hash);

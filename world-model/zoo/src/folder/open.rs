@@ -1,6 +1,7 @@
 //! The parts of a folder: their files, held against what the description says of them.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use wm_model::LatentSpace;
 use wm_model::autoencoder::{MEAN, Normalisation, STD};
@@ -10,19 +11,18 @@ use wm_motion::actions::ActionEncoding;
 
 use super::decoder::DecoderConfig;
 use super::description::{Description, Part, Statistics, TransitionPart};
-use super::encoder::EncoderConfig;
 use super::source::Source;
 use super::{Dynamics, Opened, Pictures};
-use crate::kinds::{DitConfig, Kind, build_transition, parse};
+use crate::kinds::{DitConfig, EncoderConfig, Kind, build_transition, parse};
 use crate::svae::{Svae, SvaeConfig};
 use crate::{Checkpoint, Result};
 
 pub(super) fn open_encoder(
     description: &Description,
     folder: &Path,
-) -> Result<Opened<EncoderConfig>> {
+) -> Result<Opened<Arc<dyn EncoderConfig>>> {
     let source = Source::open("encoder", &description.encoder, folder)?;
-    let config = EncoderConfig::parse(source.kind, &source.config)?;
+    let config = source.kind.encoder(&source.config)?;
     let tensors = source.survey(|loader| config.load(loader))?;
     Ok(Opened {
         source,

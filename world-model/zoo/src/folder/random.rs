@@ -19,7 +19,6 @@ use crate::vit::SiglipText;
 use crate::{Error, Loader, Result};
 
 use super::decoder::DecoderConfig;
-use super::encoder::EncoderConfig;
 
 /// Makes a folder that holds a `model.json` alone into a model: writes every file that the description names and that is
 /// not there, but for a tokenizer, and gives those written. Weights are random, such that activations neither vanish nor overflow, and the
@@ -101,8 +100,8 @@ fn channels(description: &Description, folder: &Path) -> Result<usize> {
         return Ok(parse::<SvaeConfig>(&adapter.config.text(folder)?)?.latent);
     }
     let encoder = &description.encoder;
-    let config = EncoderConfig::parse(encoder.kind.parse()?, &encoder.config.text(folder)?)?;
-    let [_, _, channels] = config.features(description.image)?;
+    let (kind, config): (Kind, String) = (encoder.kind.parse()?, encoder.config.text(folder)?);
+    let [_, _, channels] = kind.encoder(&config)?.features(description.image)?;
     Ok(channels)
 }
 
@@ -134,7 +133,7 @@ fn requested(part: &Part, folder: &Path) -> Result<(Kind, Vec<Requested>)> {
         Kind::Siglip2Text => drop(SiglipText::load(&parse(&config)?, &loader)?),
         _ => match DecoderConfig::parse(kind, &config) {
             Ok(config) => drop(config.load(&loader)?),
-            Err(_) => drop(EncoderConfig::parse(kind, &config)?.load(&loader)?),
+            Err(_) => drop(kind.encoder(&config)?.load(&loader)?),
         },
     }
     Ok((kind, loader.requested()))

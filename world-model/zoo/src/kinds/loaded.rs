@@ -12,11 +12,8 @@ use crate::idm::Idm;
 use crate::pooled_probe::{LinearProbe, ProgressProbe, TemporalProbe};
 use crate::success_probe::SuccessProbe;
 use crate::svae::Svae;
-use crate::vae::{
-    CosmosDecoder, CosmosEncoder, PixelDecoder, SdVaeDecoder, SdVaeEncoder, VaVaeDecoder,
-    VaVaeEncoder,
-};
-use crate::vit::{SiglipText, SiglipVision, Vjepa, WebDino};
+use crate::vae::{CosmosDecoder, PixelDecoder, SdVaeDecoder, VaVaeDecoder};
+use crate::vit::SiglipText;
 use crate::{Checkpoint, Loader, Result};
 
 /// First of EfficientNet-Lite0's blocks that is given.
@@ -49,7 +46,7 @@ impl Loaded {
             config,
             loader: Loader::new(&checkpoint, compute)?,
         };
-        let run = match kind {
+        let run: Run = match kind {
             Kind::Dit => {
                 let config: DitConfig = parse(config)?;
                 let model = config.load(&checkpoint, compute)?;
@@ -59,8 +56,6 @@ impl Loaded {
                     Ok(owned(vec![("velocity", velocity)]))
                 })
             }
-            Kind::WebDino => encoder(source.load(WebDino::load)?, WebDino::encode),
-            Kind::Siglip2 => encoder(source.load(SiglipVision::load)?, SiglipVision::encode),
             Kind::Siglip2Text => {
                 let model = source.load(SiglipText::load)?;
                 Box::new(move |inputs: &Inputs<'_>| {
@@ -69,14 +64,8 @@ impl Loaded {
                     Ok(owned(vec![("features", features)]))
                 })
             }
-            Kind::Vjepa21 => encoder(source.load(Vjepa::load)?, Vjepa::encode),
-            Kind::Sd3Vae => encoder(source.load(SdVaeEncoder::load)?, SdVaeEncoder::encode),
             Kind::Sd3VaeDecoder => decoder(source.load(SdVaeDecoder::load)?, SdVaeDecoder::decode),
-            Kind::VaVae => encoder(source.load(VaVaeEncoder::load)?, VaVaeEncoder::encode),
             Kind::VaVaeDecoder => decoder(source.load(VaVaeDecoder::load)?, VaVaeDecoder::decode),
-            Kind::CosmosCi16x16 => {
-                encoder(source.load(CosmosEncoder::load)?, CosmosEncoder::encode)
-            }
             Kind::CosmosCi16x16Decoder => {
                 decoder(source.load(CosmosDecoder::load)?, CosmosDecoder::decode)
             }
@@ -132,6 +121,14 @@ impl Loaded {
                 })
             }
             Kind::EfficientNetLite0 => efficientnet_lite0(&source)?,
+            kind => {
+                let network = kind.encoder(config)?.load(&source.loader)?;
+                source.loader.finish()?;
+                Box::new(move |inputs: &Inputs<'_>| {
+                    let latent = network(&inputs.float("image")?)?;
+                    Ok(owned(vec![("latent", latent)]))
+                })
+            }
         };
         Ok(Self {
             kind,
@@ -151,13 +148,6 @@ impl Loaded {
             &self.device,
         ))?)
     }
-}
-
-fn encoder<M: Send + Sync + 'static>(model: M, encode: fn(&M, &Tensor) -> Result<Tensor>) -> Run {
-    Box::new(move |inputs| {
-        let latent = encode(&model, &inputs.float("image")?)?;
-        Ok(owned(vec![("latent", latent)]))
-    })
 }
 
 fn decoder<M: Send + Sync + 'static>(model: M, decode: fn(&M, &Tensor) -> Result<Tensor>) -> Run {

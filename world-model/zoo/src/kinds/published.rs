@@ -21,15 +21,7 @@ impl Kind {
             Self::Sd3Vae | Self::Sd3VaeDecoder => json!(SdVaeConfig::sd3()),
             Self::VaVae | Self::VaVaeDecoder => json!(VaVaeConfig::f16d32()),
             Self::CosmosCi16x16 | Self::CosmosCi16x16Decoder => json!(CosmosConfig::ci16x16()),
-            Self::Dit
-            | Self::Svae
-            | Self::Pixel
-            | Self::Idm
-            | Self::SuccessProbe
-            | Self::LinearProbe
-            | Self::TemporalProbe
-            | Self::ProgressProbe
-            | Self::EfficientNetLite0 => return None,
+            _ => return None,
         })
     }
 }

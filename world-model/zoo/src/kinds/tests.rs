@@ -47,7 +47,7 @@ fn most(a: &Tensor, b: &Tensor) -> f32 {
 #[test]
 fn names_are_read_back() {
     for kind in Kind::ALL {
-        assert_eq!(kind.to_string().parse::<Kind>().unwrap(), kind);
+        assert_eq!(kind.to_string().parse::<Kind>().unwrap(), *kind);
     }
     let message = "vae".parse::<Kind>().unwrap_err().to_string();
     assert!(

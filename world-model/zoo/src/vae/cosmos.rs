@@ -15,6 +15,8 @@ use super::haar;
 use super::naming::Naming;
 use super::seam::{check_grid, config_error, to_signed, to_unit, widths};
 use super::tower::{DownTower, Plan, UpTower};
+use crate::cost::{self, Cost};
+use crate::kinds::{Apply, EncoderConfig, apply, downsampled};
 use crate::layers::Conv2d;
 use crate::sizes::check_sizes;
 use crate::{Loader, Result};
@@ -113,6 +115,23 @@ impl CosmosConfig {
     /// Channels of the Haar patches.
     fn patch_channels(&self) -> usize {
         RGB * self.patch * self.patch
+    }
+}
+
+impl EncoderConfig for CosmosConfig {
+    fn load(&self, loader: &Loader<'_>) -> Result<Apply> {
+        Ok(apply(
+            CosmosEncoder::load(self, loader)?,
+            CosmosEncoder::encode,
+        ))
+    }
+
+    fn features(&self, image: [usize; 2]) -> Result<[usize; 3]> {
+        downsampled(image, self.compression, self.latent)
+    }
+
+    fn cost(&self) -> Result<Cost> {
+        cost::cosmos_encoder(self)
     }
 }
 

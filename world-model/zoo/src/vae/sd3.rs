@@ -23,6 +23,8 @@ use super::blocks::{Family, conv};
 use super::naming::Naming;
 use super::seam::{check_grid, config_error, to_signed, to_unit};
 use super::tower::{DownTower, Plan, UpTower};
+use crate::cost::{self, Cost};
+use crate::kinds::{Apply, EncoderConfig, apply, downsampled};
 use crate::layers::Conv2d;
 use crate::sizes::check_sizes;
 use crate::{Loader, Result};
@@ -182,6 +184,23 @@ impl SdVaeConfig {
             halvings: levels.saturating_sub(1),
             middle_attention: self.mid_block_add_attention,
         })
+    }
+}
+
+impl EncoderConfig for SdVaeConfig {
+    fn load(&self, loader: &Loader<'_>) -> Result<Apply> {
+        Ok(apply(
+            SdVaeEncoder::load(self, loader)?,
+            SdVaeEncoder::encode,
+        ))
+    }
+
+    fn features(&self, image: [usize; 2]) -> Result<[usize; 3]> {
+        downsampled(image, self.downsampling()?, self.latent_channels)
+    }
+
+    fn cost(&self) -> Result<Cost> {
+        cost::sd3_encoder(self)
     }
 }
 

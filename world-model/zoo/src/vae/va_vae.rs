@@ -14,6 +14,8 @@ use super::blocks::{Family, conv};
 use super::naming::Naming;
 use super::seam::{check_grid, to_signed, to_unit, widths};
 use super::tower::{DownTower, Plan, UpTower};
+use crate::cost::{self, Cost};
+use crate::kinds::{Apply, EncoderConfig, apply, downsampled};
 use crate::layers::Conv2d;
 use crate::sizes::check_sizes;
 use crate::{Loader, Result};
@@ -101,6 +103,23 @@ impl VaVaeConfig {
             halvings: levels.saturating_sub(1),
             middle_attention: true,
         })
+    }
+}
+
+impl EncoderConfig for VaVaeConfig {
+    fn load(&self, loader: &Loader<'_>) -> Result<Apply> {
+        Ok(apply(
+            VaVaeEncoder::load(self, loader)?,
+            VaVaeEncoder::encode,
+        ))
+    }
+
+    fn features(&self, image: [usize; 2]) -> Result<[usize; 3]> {
+        downsampled(image, self.downsampling()?, self.latent)
+    }
+
+    fn cost(&self) -> Result<Cost> {
+        cost::va_vae_encoder(self)
     }
 }
 

@@ -16,6 +16,8 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use super::preprocess::{Normalisation, resize_bicubic};
 use super::{Block, Mlp, PatchEmbedding, Projections, SelfAttention};
 use crate::Result;
+use crate::cost::{self, Cost};
+use crate::kinds::{Apply, EncoderConfig, apply};
 use crate::layers::Activation;
 use crate::loader::Loader;
 use crate::sizes::{check_counts, check_multiple, check_sizes};
@@ -138,6 +140,23 @@ impl SiglipVisionConfig {
             activation: self.hidden_act,
             eps: self.layer_norm_eps,
         }
+    }
+}
+
+impl EncoderConfig for SiglipVisionConfig {
+    fn load(&self, loader: &Loader<'_>) -> Result<Apply> {
+        Ok(apply(
+            SiglipVision::load(self, loader)?,
+            SiglipVision::encode,
+        ))
+    }
+
+    fn features(&self, _: [usize; 2]) -> Result<[usize; 3]> {
+        Ok([self.grid(), self.grid(), self.hidden_size])
+    }
+
+    fn cost(&self) -> Result<Cost> {
+        cost::siglip2(self)
     }
 }
 

@@ -22,6 +22,8 @@ use serde::{Deserialize, Serialize};
 use super::preprocess::{Normalisation, resize_bicubic};
 use super::{Block, BlockNames, PatchEmbedding, Rotary};
 use crate::Result;
+use crate::cost::{self, Cost};
+use crate::kinds::{Apply, EncoderConfig, apply};
 use crate::layers::LayerNorm;
 use crate::loader::Loader;
 use crate::sizes::{check_counts, check_multiple, check_sizes};
@@ -124,6 +126,20 @@ impl VjepaConfig {
             1.0
         };
         (step, step)
+    }
+}
+
+impl EncoderConfig for VjepaConfig {
+    fn load(&self, loader: &Loader<'_>) -> Result<Apply> {
+        Ok(apply(Vjepa::load(self, loader)?, Vjepa::encode))
+    }
+
+    fn features(&self, _: [usize; 2]) -> Result<[usize; 3]> {
+        Ok([self.grid(), self.grid(), self.hidden])
+    }
+
+    fn cost(&self) -> Result<Cost> {
+        cost::vjepa(self)
     }
 }
 

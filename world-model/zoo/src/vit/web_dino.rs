@@ -15,6 +15,8 @@ use serde::{Deserialize, Serialize};
 use super::preprocess::{Normalisation, resize_bicubic};
 use super::{Block, Mlp, PatchEmbedding, Projections, SelfAttention};
 use crate::Result;
+use crate::cost::{self, Cost};
+use crate::kinds::{Apply, EncoderConfig, apply};
 use crate::layers::{Activation, LayerNorm};
 use crate::loader::Loader;
 use crate::sizes::{check_counts, check_multiple, check_sizes};
@@ -118,6 +120,20 @@ impl WebDinoConfig {
             ("image_size", self.image_size),
             ("patch_size", self.patch_size),
         )
+    }
+}
+
+impl EncoderConfig for WebDinoConfig {
+    fn load(&self, loader: &Loader<'_>) -> Result<Apply> {
+        Ok(apply(WebDino::load(self, loader)?, WebDino::encode))
+    }
+
+    fn features(&self, _: [usize; 2]) -> Result<[usize; 3]> {
+        Ok([self.grid(), self.grid(), self.hidden_size])
+    }
+
+    fn cost(&self) -> Result<Cost> {
+        cost::web_dino(self)
     }
 }
 
