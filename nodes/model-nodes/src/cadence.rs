@@ -33,8 +33,8 @@ pub(crate) const OPEN: &str = "the first runs will tell which frames are used";
 /// The longest of the last runs times this must fit before the node works more often.
 const MARGIN: f64 = 1.1;
 
-/// A machine that starts loads other models too, and is slower than later: a time measured then counts only if it takes this
-/// many periods.
+/// A machine that starts loads other models too, and is slower than later: a time measured then counts only if it takes
+/// this many periods.
 const BELIEVED_PERIODS: u32 = 2;
 
 /// The state of a node when an input arrives.
@@ -188,6 +188,7 @@ fn believed(estimate: Option<Duration>, period: Duration) -> u32 {
 /// Whole periods of the work, at least one.
 pub fn periods(taken: Duration, period: Duration) -> u32 {
     let periods = taken.as_nanos().div_ceil(period.as_nanos().max(1));
+    // It saturates.
     u32::try_from(periods).unwrap_or(u32::MAX).max(1)
 }
 

@@ -77,7 +77,7 @@ use wm_ros::{Error, Node, ParameterSet, ParameterSpec};
 use wm_zoo::ModelFolder;
 
 wm_ros::parameters! {
-    /// The parameters that every node of this kind has.
+    /// The parameters of every node of this kind.
     struct Common {
         /// World model: tiny (embedded), or the path of a model folder.
         model: String = EMBEDDED;
@@ -120,7 +120,7 @@ impl<P: ParameterSet> ParameterSet for WithModel<P> {
 }
 
 impl<P> WithModel<P> {
-    /// The meaning of `device` and `cuda_graphs`.
+    /// Parses `device` and `cuda_graphs`.
     fn compute(&self) -> Result<Compute> {
         let compute: Compute = self.common.device.parse()?;
         Ok(compute.recording(self.common.cuda_graphs))

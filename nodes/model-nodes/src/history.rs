@@ -1,9 +1,9 @@
 //! Observations and actions, aligned in time: the view of the present that predictor, planner, evaluator and env share.
 //!
-//! Latents, actions and chunks each carry a stamp; the transition model counts in model steps of several camera frames. A
-//! [`History`] keeps the last few of each. From them it makes a [`Moment`] (the context of the newest frame) and the actions
-//! of the steps after it ([`History::future`]), by stamps alone. It uses no clock and no topic: the same messages give the
-//! same moments.
+//! Latents, actions and chunks each carry a stamp; the transition model counts in model steps of several camera frames.
+//! A [`History`] keeps the last few of each. From them it makes a [`Moment`] (the context of the newest frame) and the
+//! actions of the steps after it ([`History::future`]), by stamps alone. It uses no clock and no topic: the same
+//! messages give the same moments.
 //!
 //! A history belongs to one camera, one latent space and one *epoch*. A new epoch begins, and all frames are dropped, when
 //! time jumps (a bag loops, a simulation restarts) or on request. A jump takes two frames in a row with such stamps. A gap
@@ -380,8 +380,8 @@ impl History {
         })
     }
 
-    /// Handles a jump of the node's clock back to `now`; returns whether a new epoch began. Inputs that already have stamps of
-    /// the new time stay.
+    /// Handles a jump of the node's clock back to `now`; returns whether a new epoch began. Inputs that already have
+    /// stamps of the new time stay.
     pub fn clock_jumped(&mut self, now: Time) -> bool {
         let now_ns = now.to_nanos();
         let newest = self.frames.newest().map(|frame| frame.stamp_ns);
@@ -431,8 +431,8 @@ impl History {
         }
     }
 
-    /// Whether a frame's stamp shows a jump of time. Frames that are far apart because as much time has passed, like those of a
-    /// slow encoder, show none.
+    /// Whether a frame's stamp shows a jump of time. Frames that are far apart because as much time has passed, like
+    /// those of a slow encoder, show none.
     fn is_jump(&self, frame: &Frame, newest_ns: i64) -> bool {
         let gap_ns = frame.stamp_ns.saturating_sub(newest_ns);
         let passed_ns = match self.frames.newest() {
@@ -459,6 +459,7 @@ impl History {
             .reception
             .at
             .saturating_duration_since(from.reception.at);
+        // 64 bits of nanoseconds hold 292 years.
         let passed_ns = i64::try_from(passed.as_nanos()).unwrap_or(i64::MAX);
         let gap_ns = now.stamp_ns.saturating_sub(from.stamp_ns);
         let by_ns = gap_ns.saturating_sub(passed_ns);
@@ -546,6 +547,7 @@ impl History {
 
 /// The number of a new epoch: from the clock, so that it exceeds those before a restart, and always greater than `last`.
 pub(crate) fn epoch_after(last: u64, now: Time) -> u64 {
+    // A clock before 1970 is not set: the epochs count from the last one.
     let by_clock = u64::try_from(now.to_nanos()).unwrap_or(0);
     by_clock.max(last.saturating_add(1))
 }

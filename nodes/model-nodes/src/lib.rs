@@ -21,6 +21,8 @@ pub mod pool;
 pub mod predictor;
 mod processors;
 mod reception;
+#[cfg(test)]
+mod test_world;
 mod time_slice;
 pub mod work;
 

@@ -9,6 +9,7 @@ pub(crate) struct Processors(Vec<usize>);
 impl Processors {
     /// The processors of the calling thread; `None` if the system does not report them.
     pub fn of_process() -> Self {
+        // An empty set: the system reports none.
         let allowed = sched_getaffinity(None).unwrap_or_default();
         let numbers = 0..CpuSet::MAX_CPU;
         Self(numbers.filter(|number| allowed.is_set(*number)).collect())

@@ -11,7 +11,7 @@ use std::{collections::BTreeMap, time::Duration};
 
 use image::{Rgb, RgbImage};
 use model::write_model;
-use running::{PATIENCE, Running};
+use running::{PATIENCE, with_nodes};
 use tokio::time::{Instant, Interval};
 use wm_camera::image_message::{encode_image, encode_jpeg};
 use wm_msgs::{
@@ -227,32 +227,15 @@ fn faulty_cameras_are_named_and_not_planned_from() {
     let planner =
         "-p population:=12 -p iterations:=2 -p elites:=4 -p horizon:=2 -p plan_period:=0.2";
     let nodes = [
-        Running::start(
-            context(),
-            "encoder",
-            &model,
-            wm_model_nodes::encoder::NODE.body,
+        (&wm_model_nodes::encoder::NODE, model.clone()),
+        (
+            &wm_model_nodes::predictor::NODE,
+            format!("{model} -p horizon:=2"),
         ),
-        Running::start(
-            context(),
-            "predictor",
-            &format!("{model} -p horizon:=2"),
-            wm_model_nodes::predictor::NODE.body,
-        ),
-        Running::start(
-            context(),
-            "planner",
-            &format!("{model} {planner}"),
-            wm_model_nodes::planner::NODE.body,
-        ),
+        (&wm_model_nodes::planner::NODE, format!("{model} {planner}")),
     ];
-    let here = context();
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .unwrap();
-    runtime.block_on(async {
-        let mut world = World::new(&here).await;
+    with_nodes(context, &nodes, async |here| {
+        let mut world = World::new(here).await;
         let goal = encode_jpeg(&picture(5, 0), Header::default(), 95).unwrap();
         world.goals.publish(&goal).unwrap();
         world.plans_come(Camera::default()).await;
@@ -261,11 +244,6 @@ fn faulty_cameras_are_named_and_not_planned_from() {
         ahead(&mut world).await;
         stepped(&mut world).await;
     });
-    drop(runtime);
-    here.close();
-    for node in nodes {
-        node.stop().unwrap();
-    }
 }
 
 /// The same picture but for its noise, with fresh stamps, while the arm moves.

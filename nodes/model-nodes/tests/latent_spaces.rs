@@ -12,10 +12,11 @@ use std::{
     time::Duration,
 };
 
-use running::{PATIENCE, Running, context, soon};
+use running::{PATIENCE, context, soon, with_nodes};
 use serde_json::{Value, json};
 use wm_camera::image_message::decode_compressed;
 use wm_model::{LatentSpace, trained_folder::TrainedFolder};
+use wm_model_nodes::{decoder, encoder, planner, predictor};
 use wm_msgs::{
     builtin_interfaces::Time,
     diagnostic_msgs::DiagnosticArray,
@@ -23,7 +24,8 @@ use wm_msgs::{
     std_msgs::Header,
     wm_msgs::{Latent, Plan, Prediction},
 };
-use wm_ros::{Node, NodeArgs, Qos, Subscription};
+use wm_robot_nodes::player;
+use wm_ros::{Node, NodeArgs, NodeDefinition, Qos, Subscription};
 use wm_wire::latent_message::{LATENT_QOS, LatentDtype, decode_latent, encode_latent};
 use wm_zoo::{ModelFolder, folder};
 
@@ -122,137 +124,95 @@ impl Listener {
     }
 }
 
-/// The nodes of `model`, a planner of the embedded default beside them, and the bundled bag at a quarter of its rate.
-fn start(domain: u16, model: &Path) -> Vec<Running> {
+/// The nodes of `model`, another planner with the embedded model, and the bundled bag at a quarter of its rate.
+fn nodes(model: &Path) -> [(&'static NodeDefinition<anyhow::Error>, String); 6] {
     let model = format!("-p model:={}", model.display());
     let bag = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../bags/tabletop");
-    let node = |name, parameters: &str| (context(domain), name, parameters.to_owned());
-    let (encoder, predictor) = (
-        node("encoder", &model),
-        node("predictor", &format!("{model} -p horizon:={HORIZON}")),
-    );
-    let decoder = node("decoder", &format!("{model} -p decode_period:=0.0"));
     let cem = "-p population:=4 -p iterations:=1 -p elites:=2";
-    let planner = node("planner", &format!("{model} {cem}"));
-    let stranger = node("planner", &format!("{cem} -r __node:=stranger"));
-    let player = node(
-        "player",
-        &format!(
-            "-p bag:={} -p rate:=0.25 -p loop:=true -p goal:=true -p \
+    [
+        (&encoder::NODE, model.clone()),
+        (&predictor::NODE, format!("{model} -p horizon:={HORIZON}")),
+        (&decoder::NODE, format!("{model} -p decode_period:=0.0")),
+        (&planner::NODE, format!("{model} {cem}")),
+        (&planner::NODE, format!("{cem} -r __node:=stranger")),
+        (
+            &player::NODE,
+            format!(
+                "-p bag:={} -p rate:=0.25 -p loop:=true -p goal:=true -p \
              wait_for:=[/wm/latent,/wm/predicted,/wm/plan] -p wait_timeout:=30.0",
-            bag.display()
+                bag.display()
+            ),
         ),
-    );
-    vec![
-        Running::start(
-            encoder.0,
-            encoder.1,
-            &encoder.2,
-            wm_model_nodes::encoder::NODE.body,
-        ),
-        Running::start(
-            predictor.0,
-            predictor.1,
-            &predictor.2,
-            wm_model_nodes::predictor::NODE.body,
-        ),
-        Running::start(
-            decoder.0,
-            decoder.1,
-            &decoder.2,
-            wm_model_nodes::decoder::NODE.body,
-        ),
-        Running::start(
-            planner.0,
-            planner.1,
-            &planner.2,
-            wm_model_nodes::planner::NODE.body,
-        ),
-        Running::start(
-            stranger.0,
-            stranger.1,
-            &stranger.2,
-            wm_model_nodes::planner::NODE.body,
-        ),
-        Running::start(player.0, player.1, &player.2, async |node| {
-            (wm_robot_nodes::player::NODE.body)(node).await
-        }),
     ]
 }
 
-fn nodes_run(model: &Value, channels: u32) {
+fn check_nodes(model: &Value, channels: u32) {
     let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let folder = tempfile::tempdir().unwrap();
     let space = write(folder.path(), model);
     assert_eq!(space.shape(), (16, 16, channels as usize));
     let has_decoder = !model["decoder"].is_null();
     let domain = 40 + (std::process::id() % 30) as u16;
-    let here = context(domain);
-    let nodes = start(domain, folder.path());
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .unwrap();
-    runtime.block_on(async {
-        let mut listener = Listener::new(&here);
-        let latent = soon("a latent", &mut listener.latents).await;
-        assert_eq!(latent.data.len(), 16 * 16 * channels as usize * 2);
-        decode_latent(&latent, &space).expect("the encoder's latent is of the folder's space");
+    with_nodes(
+        || context(domain),
+        &nodes(folder.path()),
+        async |here| {
+            let mut listener = Listener::new(here);
+            let latent = soon("a latent", &mut listener.latents).await;
+            assert_eq!(latent.data.len(), 16 * 16 * channels as usize * 2);
+            decode_latent(&latent, &space).expect("the encoder's latent is of the folder's space");
 
-        let prediction = soon("a prediction", &mut listener.predictions).await;
-        let of = &prediction.latent;
-        assert_eq!((of.height, of.width, of.channels), (16, 16, channels));
-        assert_eq!(prediction.horizon, HORIZON);
-        let values = decode_latent(of, &space).expect("the prediction is of the same space");
-        assert!(values.iter().any(|value| *value != 0.0));
+            let prediction = soon("a prediction", &mut listener.predictions).await;
+            let of = &prediction.latent;
+            assert_eq!((of.height, of.width, of.channels), (16, 16, channels));
+            assert_eq!(prediction.horizon, HORIZON);
+            let values = decode_latent(of, &space).expect("the prediction is of the same space");
+            assert!(values.iter().any(|value| *value != 0.0));
 
-        if has_decoder {
-            let jpeg = soon("a predicted picture", &mut listener.jpegs).await;
-            let picture = decode_compressed(&jpeg).unwrap();
-            assert_eq!(picture.dimensions(), (128, 128));
-        } else {
-            let idle = |message: &str| message.contains("idle") && message.contains("no decoder");
-            listener.diagnosed("wm/decoder", idle).await;
-        }
-        let plan = soon("a plan", &mut listener.plans).await;
-        assert!(plan.cost.is_finite());
+            if has_decoder {
+                let jpeg = soon("a predicted picture", &mut listener.jpegs).await;
+                let picture = decode_compressed(&jpeg).unwrap();
+                assert_eq!(picture.dimensions(), (128, 128));
+            } else {
+                let idle =
+                    |message: &str| message.contains("idle") && message.contains("no decoder");
+                listener.diagnosed("wm/decoder", idle).await;
+            }
+            let plan = soon("a plan", &mut listener.plans).await;
+            assert!(plan.cost.is_finite());
 
-        // A planner of another model counts every latent that it refuses, and names both spaces.
-        let is_refused = |message: &str| message.contains("wrong_space");
-        listener.diagnosed("wm/stranger", is_refused).await;
-        let tiny = TrainedFolder::Embedded
-            .autoencoder()
-            .unwrap()
-            .space()
-            .clone();
-        let refusal = decode_latent(&latent, &tiny).unwrap_err().to_string();
-        assert!(
-            refusal.contains(&space.name) && refusal.contains(&tiny.name),
-            "{refusal}"
-        );
-    });
-    drop(runtime);
-    for node in nodes {
-        node.stop().unwrap();
-    }
-    here.close();
+            // A planner of another model counts every latent that it refuses, and names both spaces.
+            let is_refused = |message: &str| message.contains("wrong_space");
+            listener.diagnosed("wm/stranger", is_refused).await;
+            let tiny = TrainedFolder::Embedded
+                .autoencoder()
+                .unwrap()
+                .space()
+                .clone();
+            let refusal = decode_latent(&latent, &tiny).unwrap_err().to_string();
+            assert!(
+                refusal.contains(&space.name) && refusal.contains(&tiny.name),
+                "{refusal}"
+            );
+        },
+    );
 }
 
 #[test]
 fn native_semantic_latents_run_through_the_nodes() {
-    nodes_run(&native(), 1024);
+    check_nodes(&native(), 1024);
 }
 
 #[test]
 fn adapted_latents_run_through_the_nodes() {
-    nodes_run(&adapted(), 96);
+    check_nodes(&adapted(), 96);
 }
 
 #[test]
 fn a_model_without_decoder_leaves_the_decoder_idle() {
     let mut model = adapted();
     model["decoder"] = Value::Null;
-    nodes_run(&model, 96);
+    check_nodes(&model, 96);
 }
 
 fn native_space() -> LatentSpace {

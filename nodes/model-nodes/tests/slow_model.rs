@@ -10,7 +10,7 @@ use std::{collections::BTreeSet, time::Duration};
 
 use image::{Rgb, RgbImage};
 use model::write_model;
-use running::{PATIENCE, Running, soon};
+use running::{PATIENCE, soon, with_nodes};
 use wm_camera::image_message::encode_image;
 use wm_msgs::{
     builtin_interfaces::Time,
@@ -88,7 +88,7 @@ impl World {
 }
 
 #[test]
-fn a_predictor_slower_than_the_camera_leaves_out_frames_by_choice_and_goes_on() {
+fn predictor_slower_than_the_camera_skips_frames() {
     let folder = tempfile::tempdir().unwrap();
     write_model(folder.path());
     // Apart from other runs of this test, and from the other tests.
@@ -99,27 +99,15 @@ fn a_predictor_slower_than_the_camera_leaves_out_frames_by_choice_and_goes_on() 
         PERIOD.as_secs_f64()
     );
     let nodes = [
-        Running::start(
-            context(),
-            "encoder",
-            &model,
-            wm_model_nodes::encoder::NODE.body,
-        ),
-        Running::start(
-            context(),
-            "predictor",
-            &format!("{model} -p horizon:=64 -p integration_steps:=20"),
-            wm_model_nodes::predictor::NODE.body,
+        (&wm_model_nodes::encoder::NODE, model.clone()),
+        (
+            &wm_model_nodes::predictor::NODE,
+            format!("{model} -p horizon:=64 -p integration_steps:=20"),
         ),
     ];
-    let here = context();
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .unwrap();
-    let world = runtime.block_on(async {
+    with_nodes(context, &nodes, async |here| {
         let args = NodeArgs::parse(Vec::<String>::new()).unwrap();
-        let node = Node::new(&here, "world", wm_ros::NAMESPACE, &args).unwrap();
+        let node = Node::new(here, "world", wm_ros::NAMESPACE, &args).unwrap();
         let many = Qos::best_effort(1000);
         let mut world = World {
             camera: node
@@ -137,24 +125,17 @@ fn a_predictor_slower_than_the_camera_leaves_out_frames_by_choice_and_goes_on() 
         let watched = tokio::time::timeout(PATIENCE, world.watch()).await;
         assert!(
             watched.is_ok(),
-            "{} observations predicted from, {} left out by choice",
+            "{} observations predicted from, {} skipped by choice",
             world.observed.len(),
             world.skipped
         );
-        world
+        // n is known from the start, or after a few rollouts.
+        assert!(
+            world.overload < world.skipped,
+            "{} lost, {} skipped by choice",
+            world.overload,
+            world.skipped
+        );
+        assert!(world.pace.starts_with("every ") && world.pace != "every frame");
     });
-    // n is known from the start, or after a few rollouts.
-    assert!(
-        world.overload < world.skipped,
-        "{} lost, {} left out by choice",
-        world.overload,
-        world.skipped
-    );
-    assert!(world.pace.starts_with("every ") && world.pace != "every frame");
-    drop(world);
-    drop(runtime);
-    here.close();
-    for node in nodes {
-        node.stop().unwrap();
-    }
 }

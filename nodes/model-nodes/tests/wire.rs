@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use image::{Rgb, RgbImage};
 use model::write_model;
-use running::{PATIENCE, Running, soon};
+use running::{PATIENCE, soon, with_nodes};
 use wm_camera::image_message::{decode_compressed, decode_image, encode_image, encode_jpeg};
 use wm_msgs::{
     builtin_interfaces::{Duration as RosDuration, Time},
@@ -239,40 +239,27 @@ fn four_nodes_predict_plan_and_survive_bad_input() {
     let space = write_model(folder.path());
     let model = format!("-p model:={}", folder.path().display());
     let nodes = [
-        Running::start(
-            context(),
-            "encoder",
-            &format!("{model} -p dtype:=f32"),
-            wm_model_nodes::encoder::NODE.body,
+        (
+            &wm_model_nodes::encoder::NODE,
+            format!("{model} -p dtype:=f32"),
         ),
-        Running::start(
-            context(),
-            "predictor",
-            &format!("{model} -p horizon:={HORIZON} -p seed:=11"),
-            wm_model_nodes::predictor::NODE.body,
+        (
+            &wm_model_nodes::predictor::NODE,
+            format!("{model} -p horizon:={HORIZON} -p seed:=11"),
         ),
-        Running::start(
-            context(),
-            "decoder",
-            &format!("{model} -p decode_period:=0.0"),
-            wm_model_nodes::decoder::NODE.body,
+        (
+            &wm_model_nodes::decoder::NODE,
+            format!("{model} -p decode_period:=0.0"),
         ),
-        Running::start(
-            context(),
-            "planner",
-            &format!(
+        (
+            &wm_model_nodes::planner::NODE,
+            format!(
                 "{model} -p population:=12 -p iterations:=2 -p elites:=4 -p horizon:=2 -p plan_period:=0.4"
             ),
-            wm_model_nodes::planner::NODE.body,
         ),
     ];
-    let here = context();
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .unwrap();
-    runtime.block_on(async {
-        let mut world = World::new(&here).await;
+    with_nodes(context, &nodes, async |here| {
+        let mut world = World::new(here).await;
         goal_before_any_frame(&mut world).await;
         let next = world.warm_up().await;
         let next = public_topics_carry_what_they_should(&mut world, &space, next).await;
@@ -281,11 +268,6 @@ fn four_nodes_predict_plan_and_survive_bad_input() {
         another_aspect_begins_an_epoch(&mut world).await;
         late_joiner_gets_the_fit(&world).await;
     });
-    drop(runtime);
-    here.close();
-    for node in nodes {
-        node.stop().unwrap();
-    }
 }
 
 async fn goal_before_any_frame(world: &mut World) {

@@ -1,4 +1,4 @@
-//! Tracks which batch is where, without network and clock.
+//! Tracks the batches of a population, without network and clock.
 
 use std::{
     collections::VecDeque,
@@ -7,11 +7,11 @@ use std::{
 
 use wm_planner::{Costs, Turn, WorkerCounts};
 
-/// How many times as long as the search itself a worker may take for a batch before the search costs it too.
+/// A worker may take this many times as long for a batch as the search itself. Then the search costs the batch too.
 const HEDGE: u32 = 2;
-/// How many times as long until the worker is excluded for a while.
+/// A worker that takes this many times as long as the search is excluded for a while.
 const LOST: u32 = 8;
-/// The shortest wait before a worker is excluded: networks have hiccups.
+/// The shortest wait before a worker is excluded, for delays of the network.
 const LEAST_PATIENCE: Duration = Duration::from_secs(1);
 /// The wait for a worker while the search's own duration is unknown.
 const FIRST_PATIENCE: Duration = Duration::from_secs(10);
@@ -20,11 +20,11 @@ const FIRST_PATIENCE: Duration = Duration::from_secs(10);
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Job {
     round: u64,
-    /// Of the batch.
+    /// Index of the batch.
     pub(crate) index: usize,
 }
 
-/// Why an unanswered batch was reclaimed.
+/// The reason why an unanswered batch is reclaimed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum ReturnReason {
     TimedOut,
@@ -48,7 +48,7 @@ enum Place {
     Open,
     /// Assigned to a worker at this time.
     Out(Instant),
-    /// The search costs it or has costed it; a worker's answer is late.
+    /// The search costs it, or has costed it. A worker's answer is late.
     Here,
     /// Costed by a worker.
     Answered,
@@ -62,7 +62,7 @@ pub(crate) struct Dispatch {
     answers: VecDeque<(usize, Costs)>,
     /// Since when the search has been costing a batch.
     busy_since: Option<Instant>,
-    /// How long its last one took.
+    /// The duration of the last batch of the search.
     own: Option<Duration>,
     pub(crate) counts: WorkerCounts,
 }
@@ -111,6 +111,7 @@ impl Dispatch {
         let Some((since, index)) = oldest.min() else {
             return Next::Over;
         };
+        // Before the first batch of the search, there is no estimate: the search costs this batch at once.
         let due = since + self.own.unwrap_or_default() * HEDGE;
         match due.checked_duration_since(now) {
             Some(left) if !left.is_zero() => Next::Wait(left),
@@ -149,7 +150,7 @@ impl Dispatch {
         match why {
             ReturnReason::TimedOut => self.counts.timed_out += 1,
             ReturnReason::Failed => self.counts.failed += 1,
-            // the departed worker itself is counted
+            // The counter of departed workers contains this one.
             ReturnReason::Gone => {}
         }
         if let Some(place @ Place::Out(_)) = self.place(job) {
@@ -212,7 +213,7 @@ mod tests {
         let job = dispatch.take(start).unwrap();
         assert_eq!(dispatch.next(start), here(0));
         assert_eq!(dispatch.patience(), FIRST_PATIENCE);
-        // waits about as long as costing it here would take
+        // The wait is about the duration of the batch here.
         assert_eq!(dispatch.next(start + OWN), Next::Wait(OWN));
         assert_eq!(dispatch.patience(), LEAST_PATIENCE);
         assert_eq!(dispatch.next(start + 2 * OWN), here(1));

@@ -7,10 +7,10 @@ use wm_planner::{PlanError, fingerprint};
 
 use crate::message::quoted;
 
-/// What two processes must have in common to compute the same costs, bit for bit.
+/// Two processes with equal identities compute the same costs, bit for bit.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Identity {
-    /// Of this crate.
+    /// Version of this crate.
     pub version: String,
     /// [`WorldModel::hash`].
     pub model_hash: String,
@@ -20,7 +20,7 @@ pub struct Identity {
     pub fingerprint: [u8; 32],
 }
 
-/// How two processes differ.
+/// The difference between two processes.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[non_exhaustive]
 #[expect(missing_docs, reason = "the messages explain variants and fields")]
@@ -31,7 +31,7 @@ pub enum IdentityError {
     Model { expected: String, found: String },
     #[error("it computes with {found}, expected {expected}: rounding would differ")]
     Kernels { expected: String, found: String },
-    /// Another build, or a processor that differs otherwise.
+    /// Another build, or another difference of the processors.
     #[error("its result of the trial differs: its rounding differs")]
     Fingerprint,
 }
@@ -53,7 +53,7 @@ impl Identity {
     /// Checks that `other` computes the same costs.
     ///
     /// # Errors
-    /// How it differs.
+    /// The difference.
     pub fn require(&self, other: &Self) -> Result<(), IdentityError> {
         let pair = |expected: &str, found: &str| (expected.to_owned(), quoted(found));
         if other.version != self.version {

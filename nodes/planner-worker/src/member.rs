@@ -24,7 +24,7 @@ const INTRODUCTION: Duration = Duration::from_secs(10);
 /// Zenoh's own limit for queries; each query has a shorter one.
 const LIMIT: Duration = Duration::from_secs(3600);
 
-/// Why a worker has not answered.
+/// The reason why a worker has not replied.
 #[derive(Debug, Error)]
 enum AskError {
     #[error("Zenoh: {0}")]
@@ -45,7 +45,7 @@ impl From<zenoh::Error> for AskError {
     }
 }
 
-/// Counts one more while it lives.
+/// Increments a counter while it lives.
 struct ActiveCount<'t> {
     table: &'t Table,
     figure: fn(&mut WorkerCounts) -> &mut usize,
@@ -67,7 +67,7 @@ impl Drop for ActiveCount<'_> {
     }
 }
 
-/// Lets the worker of a key cost batches, if its identity equals the planner's, until it is aborted.
+/// Sends batches to the worker of a key, if its identity equals the planner's, until the task is aborted.
 pub(crate) async fn run(table: Arc<Table>, session: Session, key: String, identity: Arc<Identity>) {
     let mut rest = LEAST_REST;
     let mut member = loop {
@@ -117,8 +117,8 @@ pub(crate) async fn run(table: Arc<Table>, session: Session, key: String, identi
 
 struct Member {
     querier: Querier<'static>,
-    /// The last function that it received.
-    told: Option<FunctionId>,
+    /// The last function that the worker received.
+    known_function: Option<FunctionId>,
 }
 
 impl Member {
@@ -139,7 +139,7 @@ impl Member {
         drop(listener);
         let member = Self {
             querier,
-            told: None,
+            known_function: None,
         };
         match member.query(&Request::Identity).await? {
             Answer::Identity(identity) => Ok((member, identity)),
@@ -162,23 +162,23 @@ impl Member {
 
     async fn ask(&mut self, lease: &Lease) -> Result<Costs, AskError> {
         let (batch, function) = (lease.batch(), &lease.round.function);
-        let mut is_defined_there = self.told == Some(function.id);
+        let mut is_defined_there = self.known_function == Some(function.id);
         loop {
             let definition = (!is_defined_there).then(|| ByteBuf::from(function.bytes.clone()));
             let is_defined = definition.is_some();
             let request = Request::Costs {
                 function: function.id,
                 definition,
-                // a batch is far below 2^32
+                // A batch has far fewer than 2^32 candidates.
                 candidates: batch.len() as u32,
                 values: batch.concat(),
             };
             match self.query(&request).await? {
                 Answer::Costs(values) => {
-                    self.told = Some(function.id);
+                    self.known_function = Some(function.id);
                     return Ok(costs(&values, batch.len(), function.terms)?);
                 }
-                // it has dropped the function, or was restarted
+                // The worker has dropped the function, or was restarted.
                 Answer::UnknownFunction if !is_defined => is_defined_there = false,
                 Answer::Refused(reason) => return Err(AskError::Refused(quoted(&reason))),
                 _ => return Err(AskError::Unasked),

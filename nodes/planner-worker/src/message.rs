@@ -15,7 +15,7 @@ use crate::Identity;
 const LONGEST: usize = 64 << 20;
 /// The most candidates per request: far more than fit into memory with large latents.
 const MOST_CANDIDATES: usize = 4096;
-/// The most characters of others' text in logs.
+/// The most characters of a peer's text in logs.
 const LONGEST_QUOTE: usize = 200;
 
 /// SHA-256 of a cost function's message.
@@ -40,7 +40,7 @@ pub(crate) enum Request {
         function: FunctionId,
         /// The function itself, if the worker does not know it yet.
         definition: Option<ByteBuf>,
-        /// How many candidates.
+        /// Number of candidates.
         candidates: u32,
         /// Their values, one candidate after the other: steps x searched values each.
         values: Vec<f32>,
@@ -56,11 +56,11 @@ pub(crate) enum Answer {
     Costs(Vec<f32>),
     /// The request must define the function.
     UnknownFunction,
-    /// Why it does not reply.
+    /// The reason why the request is refused.
     Refused(String),
 }
 
-/// Why a message is invalid.
+/// The reason why a message is invalid.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub(crate) enum MessageError {
@@ -96,7 +96,7 @@ pub(crate) enum MessageError {
     },
 }
 
-/// Text from others for a log: escaped and shortened.
+/// A peer's text for a log: escaped and shortened.
 pub(crate) fn quoted(text: &str) -> String {
     let start = text.chars().take(LONGEST_QUOTE);
     start.flat_map(char::escape_debug).collect()
@@ -114,7 +114,7 @@ pub(crate) fn encode<M: Serialize>(message: &M) -> Result<Vec<u8>, MessageError>
     Ok(bytes)
 }
 
-/// Decodes a message from others.
+/// Decodes a message of a peer.
 ///
 /// # Errors
 /// [`MessageError`] names the fault.
@@ -125,7 +125,7 @@ pub(crate) fn decode<M: DeserializeOwned>(bytes: &[u8]) -> Result<M, MessageErro
     Ok(cdr::from_bytes(bytes)?)
 }
 
-/// A cost function as sent.
+/// An encoded cost function.
 pub(crate) struct EncodedFunction {
     pub(crate) id: FunctionId,
     pub(crate) bytes: Vec<u8>,
@@ -167,7 +167,7 @@ pub(crate) fn candidates(
     values: &[f32],
     each: usize,
 ) -> Result<Vec<Vec<f32>>, MessageError> {
-    // saturating: counts above MOST_CANDIDATES are refused
+    // It saturates: counts above MOST_CANDIDATES are refused.
     let count = usize::try_from(candidates).unwrap_or(usize::MAX);
     let is_sound = (1..=MOST_CANDIDATES).contains(&count)
         && each > 0

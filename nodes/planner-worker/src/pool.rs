@@ -33,11 +33,11 @@ use crate::{
     message::EncodedFunction,
 };
 
-/// The most workers; limits what strangers can make this process open.
+/// The most workers: a limit on the resources that unknown peers can take.
 const MOST_WORKERS: usize = 256;
 /// Messages are small and few.
 const THREADS: usize = 1;
-/// How long threads may take to end.
+/// Longest wait for the end of threads.
 const GRACE: Duration = Duration::from_millis(200);
 
 /// The workers for a planner with this model at Zenoh endpoints, with Zenoh's configuration file if given.
@@ -51,7 +51,7 @@ pub fn connect(
 ) -> Result<Arc<dyn WorkerPool>> {
     let network = NetworkArguments {
         config: config.map(Path::to_path_buf),
-        // it forwards nothing
+        // This session forwards nothing.
         mode: Some(Mode::Peer),
         connect: endpoints.to_vec(),
         ..NetworkArguments::default()
@@ -63,7 +63,7 @@ pub fn connect(
 /// The planner workers on a Zenoh network.
 pub struct PlannerWorkers {
     table: Arc<Table>,
-    /// `None` once closed.
+    /// `None` after the end.
     connection: Option<Connection>,
 }
 
@@ -116,7 +116,7 @@ impl Table {
         }
     }
 
-    /// no invariant that a panic could break
+    /// A panic of another thread breaks no invariant of the table.
     fn lock(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -135,7 +135,7 @@ impl Table {
             if let Some(lease) = self.try_take() {
                 return lease;
             }
-            // the sender lives as long as this table
+            // The sender lives as long as this table.
             let _ = open.changed().await;
         }
     }
@@ -208,7 +208,7 @@ impl PlannerWorkers {
         let config = network.resolve()?;
         let table = Arc::new(Table::new());
         let found = Arc::clone(&table);
-        // some Zenoh calls block on a runtime, which fails within another; the caller may have one
+        // Some Zenoh calls block on a runtime, which fails in the caller's runtime.
         let connection = apart(move || {
             let runtime = Builder::new_multi_thread()
                 .worker_threads(THREADS)
@@ -257,7 +257,7 @@ impl PlannerWorkers {
     }
 }
 
-/// Follows a worker's token.
+/// Handles a change of a worker's liveliness token.
 fn follow(
     table: &Arc<Table>,
     session: &Session,
@@ -290,7 +290,7 @@ fn follow(
     table.changed.notify_all();
 }
 
-/// Runs on a separate thread.
+/// Runs the network on a separate thread.
 fn apart<T: Send>(work: impl FnOnce() -> Result<T> + Send) -> Result<T> {
     std::thread::scope(|scope| {
         let joined = scope.spawn(work).join();
@@ -342,7 +342,7 @@ impl WorkerPool for PlannerWorkers {
             }
             state.is_lent = true;
         }
-        // dropping it returns the workers
+        // Dropping the loan returns the workers.
         let mut lent = WorkerLoan {
             table: Arc::clone(&self.table),
             function: None,
@@ -372,7 +372,7 @@ impl WorkerPool for PlannerWorkers {
     }
 }
 
-/// The workers on loan to a plan.
+/// The loan of the workers to a plan.
 struct WorkerLoan {
     table: Arc<Table>,
     function: Option<Arc<EncodedFunction>>,

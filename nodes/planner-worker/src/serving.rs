@@ -80,12 +80,13 @@ pub fn serve(model: &WorldModel, network: &NetworkArguments) -> Result<ServiceCo
                 },
             };
             let request = query.payload().map(|payload| payload.to_bytes());
+            // A query without a payload is an invalid request, which is refused.
             let answer = block_in_place(|| worker.answer(&request.unwrap_or_default()));
             match &answer {
                 Answer::Costs(_) => served.answered += 1,
                 Answer::Refused(reason) => {
                     served.refused += 1;
-                    // repeated invalid requests do not fill the log
+                    // Repeated invalid requests do not fill the log.
                     match served.refused {
                         1 => tracing::warn!("refused: {reason}; further ones are only counted"),
                         _ => tracing::debug!("refused: {reason}"),
@@ -97,7 +98,7 @@ pub fn serve(model: &WorldModel, network: &NetworkArguments) -> Result<ServiceCo
                 tracing::warn!("an answer cannot be sent: {error}");
             }
         }
-        // planners learn at once that the worker leaves
+        // Closing the session removes the liveliness token, so planners notice at once.
         token.undeclare().await.map_err(failed)?;
         queryable.undeclare().await.map_err(failed)?;
         session.close().await.map_err(failed)?;

@@ -21,7 +21,7 @@ const KEPT: usize = 8;
 pub(crate) struct Worker<'m> {
     model: &'m LoadedTransition,
     identity: Identity,
-    /// The most recently used one is the last.
+    /// In the order of their last use, the latest last.
     functions: VecDeque<CachedFunction<'m>>,
 }
 
@@ -33,7 +33,7 @@ struct CachedFunction<'m> {
     evaluator: Evaluator<'m>,
 }
 
-/// Why a request is refused.
+/// The reason why a request is refused.
 #[derive(Debug, Error)]
 enum Refusal {
     #[error(transparent)]
@@ -177,18 +177,18 @@ pub(crate) mod tests {
             worker.answer(&request(&encoded, false)),
             Answer::UnknownFunction
         );
-        let Answer::Costs(told) = worker.answer(&request(&encoded, true)) else {
+        let Answer::Costs(costs) = worker.answer(&request(&encoded, true)) else {
             panic!("no costs")
         };
         assert_eq!(
             worker.answer(&request(&encoded, false)),
-            Answer::Costs(told.clone())
+            Answer::Costs(costs.clone())
         );
         let candidates: Vec<Vec<f32>> = (0..2)
             .map(|c| (0..6).map(|i| ((6 * c + i) as f32).sin()).collect())
             .collect();
         let own = function.with(&MODEL).unwrap().costs(&candidates).unwrap();
-        assert_eq!(told, own.terms.concat());
+        assert_eq!(costs, own.terms.concat());
     }
 
     #[test]
@@ -200,7 +200,7 @@ pub(crate) mod tests {
         for encoded in &functions[..KEPT] {
             worker.answer(&request(encoded, true));
         }
-        // the first is used once more, so the second is dropped
+        // The first function is used again, so the second one is dropped.
         worker.answer(&request(&functions[0], false));
         worker.answer(&request(&functions[KEPT], true));
         let is_known = |worker: &mut Worker<'_>, index: usize| {

@@ -4,9 +4,9 @@
 
 mod running;
 
-use std::{collections::BTreeMap, time::Duration};
+use std::collections::BTreeMap;
 
-use running::{context, node, start};
+use running::{node, refusal, with_nodes};
 use wm_msgs::{
     geometry_msgs::{PoseStamped, TwistStamped},
     std_msgs::Float64,
@@ -15,41 +15,22 @@ use wm_msgs::{
 use wm_robot_nodes::{action_adapter, sim_arm};
 use wm_ros::{Context, Publisher, Qos, Subscription};
 
-/// Far above anything that happens here; it only ends a test that hangs.
-const PATIENCE: Duration = Duration::from_secs(120);
-
 #[tokio::test(flavor = "current_thread")]
 async fn its_actions_are_those_of_the_arm_by_poses_and_by_frames() {
-    for (test, words) in [
+    for (test, source) in [
         (0, "-p source:=pose -p gripper:=topic"),
         (
             1,
             "-p source:=tf -p tool_frame:=tool -p gripper:=joint -p gripper_joint:=left_finger -p gripper_open:=0.04",
         ),
     ] {
-        let (arm_side, adapter_side, here) = (context(test), context(test), context(test));
-        let words = format!(
-            "--ros-args -r action:=adapted -p use_sim_time:=true -p base_frame:=base_link {words}"
-        );
-        let adapter = start(
-            &adapter_side,
-            "action_adapter",
-            &words,
-            action_adapter::NODE.body,
-        );
+        let adapter =
+            format!("-r action:=adapted -p use_sim_time:=true -p base_frame:=base_link {source}");
         // Stamps of exactly 0.2 s, which a node's clock does not give.
-        let words =
-            "--ros-args -p task:=reach -p seed:=3 -p image_transport:=raw -p real_time_factor:=2.0";
-        let arm = start(&arm_side, "sim_arm", words, sim_arm::NODE.body);
-        tokio::time::timeout(PATIENCE, compared(&here))
-            .await
-            .unwrap_or_else(|_| panic!("{words}: a message that should come does not"));
-        for (context, thread) in [(arm_side, arm), (adapter_side, adapter)] {
-            context.shutdown().trigger();
-            thread.join().unwrap().unwrap();
-            context.close();
-        }
-        here.close();
+        let arm = "-p task:=reach -p seed:=3 -p image_transport:=raw -p real_time_factor:=2.0";
+        // The adapter first, so that it misses no step of the arm.
+        let nodes: [(_, &str); 2] = [(&action_adapter::NODE, &adapter), (&sim_arm::NODE, arm)];
+        with_nodes(test, &nodes, compared).await;
     }
 }
 
@@ -117,16 +98,7 @@ fn parameters_that_contradict_each_other_are_named() {
         ),
         ("-p action_space:=/nowhere.json", "/nowhere.json"),
     ] {
-        let context = context(2);
-        let words = format!("--ros-args {parameters}");
-        let thread = start(
-            &context,
-            "action_adapter",
-            &words,
-            action_adapter::NODE.body,
-        );
-        let error = format!("{:#}", thread.join().unwrap().unwrap_err());
-        context.close();
+        let error = refusal(2, &action_adapter::NODE, parameters);
         assert!(error.contains(named), "{error}");
     }
 }

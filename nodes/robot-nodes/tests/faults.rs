@@ -1,5 +1,5 @@
-//! The executor over real DDS on loopback, when its clock, the camera or the emergency stop fails. Nothing here sleeps: time
-//! passes with the commands that come.
+//! The executor over real DDS on loopback, when its clock, the camera or the emergency stop fails. Nothing here sleeps:
+//! time passes with the commands that come.
 
 #![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
 
@@ -7,7 +7,7 @@ mod running;
 
 use std::time::{Duration, Instant};
 
-use running::{context, node, start, with};
+use running::{PATIENCE, context, node, with_nodes};
 use wm_msgs::{
     builtin_interfaces::{Duration as RosDuration, Time},
     geometry_msgs::TwistStamped,
@@ -17,31 +17,17 @@ use wm_msgs::{
     wm_msgs::{Action, ActionChunk, CameraState, ExecutorStatus},
 };
 use wm_robot_nodes::executor;
-use wm_ros::{Client, Node, Publisher, Qos, Subscription};
+use wm_ros::{Client, Context, Node, Publisher, Qos, Subscription};
 
-/// Far above anything that happens here; it only ends a test that hangs.
-const PATIENCE: Duration = Duration::from_secs(120);
 /// When simulated clocks begin \[ns\].
 const BEGIN_NS: i64 = 1_700_000_000_000_000_000;
 
 /// The executor, and the world around it, while `scenario` runs.
 async fn run(test: u16, parameters: &str, words: &str, scenario: impl AsyncFnOnce(World)) {
-    let (executor_side, here) = (context(test), context(test));
-    let words_of_executor = with(parameters);
-    let thread = start(
-        &executor_side,
-        "executor",
-        &words_of_executor,
-        executor::NODE.body,
-    );
-    let world = World::new(node(&here, "world", words)).await;
-    tokio::time::timeout(PATIENCE, scenario(world))
-        .await
-        .expect("a message that should come does not");
-    executor_side.shutdown().trigger();
-    thread.join().unwrap().unwrap();
-    executor_side.close();
-    here.close();
+    let scenario = async |here: &Context| {
+        scenario(World::new(node(here, "world", words)).await).await;
+    };
+    with_nodes(test, &[(&executor::NODE, parameters)], scenario).await;
 }
 
 /// The policy, the person and the arm.
@@ -197,7 +183,7 @@ async fn a_clock_that_stops_stops_the_arm_within_max_age() {
 async fn a_max_age_too_short_to_stop_in_is_refused() {
     let here = context(7);
     let executor = |words: &str| {
-        let node = node(&here, "executor", &with(words));
+        let node = node(&here, "executor", &format!("--ros-args {words}"));
         tokio::time::timeout(PATIENCE, (executor::NODE.body)(node))
     };
     let refused = executor("-p use_sim_time:=true -p max_age:=0.29").await;

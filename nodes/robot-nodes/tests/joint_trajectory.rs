@@ -6,7 +6,7 @@ mod running;
 
 use std::{sync::LazyLock, time::Duration};
 
-use running::{context, node, start, with};
+use running::{node, refusal, with_nodes};
 use wm_msgs::{
     builtin_interfaces::Duration as RosDuration,
     sensor_msgs::JointState,
@@ -15,9 +15,6 @@ use wm_msgs::{
 };
 use wm_robot_nodes::executor;
 use wm_ros::{Context, Publisher, Qos, Subscription};
-
-/// Far above anything that happens here; it only ends a test that hangs.
-const PATIENCE: Duration = Duration::from_secs(60);
 
 /// A file of an action space of two joints, written once.
 static JOINT_SPACE: LazyLock<&str> = LazyLock::new(|| {
@@ -36,24 +33,11 @@ static JOINT_SPACE: LazyLock<&str> = LazyLock::new(|| {
 
 #[tokio::test(flavor = "current_thread")]
 async fn actions_become_trajectories_from_where_the_joints_are() {
-    let (running, here) = (context(0), context(0));
     let parameters = format!(
         "-p command_type:=joint_trajectory -p arm_on_start:=true -p joint_names:=[left,right] -p action_space:={}",
         *JOINT_SPACE
     );
-    let thread = start(
-        &running,
-        "executor",
-        &with(&parameters),
-        executor::NODE.body,
-    );
-    tokio::time::timeout(PATIENCE, executed(&here))
-        .await
-        .expect("a message that should come does not");
-    running.shutdown().trigger();
-    thread.join().unwrap().unwrap();
-    running.close();
-    here.close();
+    with_nodes(0, &[(&executor::NODE, &parameters)], executed).await;
 }
 
 async fn executed(here: &Context) {
@@ -126,13 +110,7 @@ fn parameters_that_contradict_each_other_are_named() {
         ),
         (&of_joints("max_joint_acceleration:=[2.0]"), "stop_within"),
     ] {
-        let context = context(1);
-        let error = start(&context, "executor", &with(parameters), executor::NODE.body)
-            .join()
-            .unwrap()
-            .unwrap_err();
-        context.close();
-        let error = format!("{error:#}");
+        let error = refusal(1, &executor::NODE, parameters);
         assert!(error.contains(named), "{error}");
     }
 }

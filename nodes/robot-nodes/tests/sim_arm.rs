@@ -5,9 +5,7 @@
 
 mod running;
 
-use std::time::Duration;
-
-use running::{context, node, start};
+use running::{node, refusal, with_nodes};
 use wm_msgs::{
     builtin_interfaces::Duration as RosDuration,
     geometry_msgs::{PoseArray, PoseStamped, Twist, TwistStamped, Vector3},
@@ -23,26 +21,15 @@ use wm_robot_nodes::{executor, sim_arm};
 use wm_ros::{Client, Context, Publisher, Qos, Subscription};
 use wm_sim::{GoalKind, Target, Variety};
 
-/// Far above anything that happens here; it only ends a test that hangs.
-const PATIENCE: Duration = Duration::from_secs(120);
 const SEED: u64 = 3;
 
 #[tokio::test(flavor = "current_thread")]
-async fn twists_bring_the_tool_to_the_goal_and_a_reset_back_to_the_start() {
-    let running = context(0);
-    let words = format!("--ros-args -p task:=reach -p seed:={SEED} -p image_transport:=both");
-    let thread = start(&running, "sim_arm", &words, sim_arm::NODE.body);
-    let here = context(0);
-    tokio::time::timeout(PATIENCE, scenario(&here))
-        .await
-        .expect("a message that should come does not");
-    running.shutdown().trigger();
-    thread.join().unwrap().unwrap();
-    running.close();
-    here.close();
+async fn twists_reach_the_goal_and_a_reset_restores_the_start() {
+    let parameters = format!("-p task:=reach -p seed:={SEED} -p image_transport:=both");
+    with_nodes(0, &[(&sim_arm::NODE, &parameters)], reach_and_reset).await;
 }
 
-async fn scenario(here: &Context) {
+async fn reach_and_reset(here: &Context) {
     let table = wm_sim::Environment::new(GoalKind::Reach, SEED, &Variety::default()).unwrap();
     let Target::Tool { position } = table.goal().target else {
         panic!("a reach is of the tool");
@@ -146,24 +133,13 @@ async fn scenario(here: &Context) {
 #[tokio::test(flavor = "current_thread")]
 async fn what_the_executor_sends_moves_it_without_remapping() {
     for command in ["twist", "velocity", "action"] {
-        let (arm_side, executor_side, here) = (context(1), context(1), context(1));
-        let words = format!("--ros-args -p seed:={SEED} -p image_transport:=raw");
-        let arm = start(&arm_side, "sim_arm", &words, sim_arm::NODE.body);
-        let words = format!(
-            "--ros-args -p command_type:={command} -p base_frame:=base_link -p begin:=reception"
-        );
-        let executor = start(&executor_side, "executor", &words, executor::NODE.body);
-        let moved = tokio::time::timeout(PATIENCE, executed(&here, command))
-            .await
-            .unwrap_or_else(|_| panic!("{command}: a message that should come does not"));
+        let arm = format!("-p seed:={SEED} -p image_transport:=raw");
+        let executor =
+            format!("-p command_type:={command} -p base_frame:=base_link -p begin:=reception");
+        let nodes: [(_, &str); 2] = [(&sim_arm::NODE, &arm), (&executor::NODE, &executor)];
+        let moved = with_nodes(1, &nodes, async |here| executed(here, command).await).await;
         // 0.06 m, but for ticks that are late on a busy machine.
         assert!((0.01..0.09).contains(&moved), "{command}: {moved}");
-        for (context, thread) in [(arm_side, arm), (executor_side, executor)] {
-            context.shutdown().trigger();
-            thread.join().unwrap().unwrap();
-            context.close();
-        }
-        here.close();
     }
 }
 
@@ -221,25 +197,16 @@ async fn executed(here: &Context, command: &str) -> f64 {
     }
 }
 
-/// What a person or another node wants to know of an arm: how its cameras see, where things are, and what it is made of.
+/// The messages for persons and other nodes: cameras, poses of the arm and the objects, and the URDF.
 #[tokio::test(flavor = "current_thread")]
-async fn it_tells_what_its_cameras_see_and_where_things_are() {
-    let running = context(2);
-    let words = format!(
-        "--ros-args -p task:=push -p seed:={SEED} -p front_camera:=true -p image_transport:=raw -p real_time_factor:=4.0"
+async fn arm_publishes_cameras_poses_and_objects() {
+    let parameters = format!(
+        "-p task:=push -p seed:={SEED} -p front_camera:=true -p image_transport:=raw -p real_time_factor:=4.0"
     );
-    let thread = start(&running, "sim_arm", &words, sim_arm::NODE.body);
-    let here = context(2);
-    tokio::time::timeout(PATIENCE, told(&here))
-        .await
-        .expect("a message that should come does not");
-    running.shutdown().trigger();
-    thread.join().unwrap().unwrap();
-    running.close();
-    here.close();
+    with_nodes(2, &[(&sim_arm::NODE, &parameters)], observe).await;
 }
 
-async fn told(here: &Context) {
+async fn observe(here: &Context) {
     let table = wm_sim::Environment::new(GoalKind::Push, SEED, &Variety::default()).unwrap();
     let node = node(here, "observer", "");
     let (latched, depth) = (Qos::latched(1), Qos::reliable(100));
@@ -347,24 +314,15 @@ async fn told(here: &Context) {
 /// A policy that answers each picture with an action is waited for, and the steps are those of a simulator that is
 /// called, however long it takes.
 #[tokio::test(flavor = "current_thread")]
-async fn as_fast_as_it_is_answered_it_does_what_the_environment_does() {
-    let running = context(3);
-    let words = format!(
-        "--ros-args -p task:=reach -p seed:={SEED} -p image_transport:=raw -p real_time_factor:=0.0 -p noise:=0.0 -p \
+async fn steps_per_command_equal_those_of_the_environment() {
+    let parameters = format!(
+        "-p task:=reach -p seed:={SEED} -p image_transport:=raw -p real_time_factor:=0.0 -p noise:=0.0 -p \
          command_timeout:=60.0"
     );
-    let thread = start(&running, "sim_arm", &words, sim_arm::NODE.body);
-    let here = context(3);
-    tokio::time::timeout(PATIENCE, answered(&here))
-        .await
-        .expect("a message that should come does not");
-    running.shutdown().trigger();
-    thread.join().unwrap().unwrap();
-    running.close();
-    here.close();
+    with_nodes(3, &[(&sim_arm::NODE, &parameters)], drive_step_by_step).await;
 }
 
-async fn answered(here: &Context) {
+async fn drive_step_by_step(here: &Context) {
     let mut table = wm_sim::Environment::new(GoalKind::Reach, SEED, &Variety::default()).unwrap();
     let node = node(here, "policy", "");
     let mut images: Subscription<Image> = node
@@ -405,38 +363,25 @@ async fn answered(here: &Context) {
 }
 
 #[test]
-fn it_does_not_make_the_time_that_it_follows() {
-    let running = context(4);
-    let words = "--ros-args -p use_sim_time:=true -p real_time_factor:=0.0";
-    let thread = start(&running, "sim_arm", words, sim_arm::NODE.body);
-    let error = thread.join().unwrap().unwrap_err().to_string();
+fn made_time_excludes_use_sim_time() {
+    let parameters = "-p use_sim_time:=true -p real_time_factor:=0.0";
+    let error = refusal(4, &sim_arm::NODE, parameters);
     assert!(error.contains("use_sim_time"), "{error}");
-    running.close();
 }
 
 /// By the arm's own clock, the executor does exactly what a chunk says, however fast time goes.
 #[tokio::test(flavor = "current_thread")]
 async fn the_executor_keeps_to_the_time_that_the_arm_makes() {
-    let (arm_side, executor_side, here) = (context(4), context(4), context(4));
-    let words = format!(
-        "--ros-args -p seed:={SEED} -p image_transport:=raw -p real_time_factor:=0.0 -p command_timeout:=1.0"
+    let arm = format!(
+        "-p seed:={SEED} -p image_transport:=raw -p real_time_factor:=0.0 -p command_timeout:=1.0"
     );
-    let arm = start(&arm_side, "sim_arm", &words, sim_arm::NODE.body);
-    let words = "--ros-args -p use_sim_time:=true -p command_clock:=ros -p rate:=5.0 -p stop_within:=0.4 -p \
+    let executor = "-p use_sim_time:=true -p command_clock:=ros -p rate:=5.0 -p stop_within:=0.4 -p \
                  base_frame:=base_link -p begin:=reception -p arm_on_start:=true";
-    let executor = start(&executor_side, "executor", words, executor::NODE.body);
-    tokio::time::timeout(PATIENCE, kept(&here))
-        .await
-        .expect("a message that should come does not");
-    for (context, thread) in [(arm_side, arm), (executor_side, executor)] {
-        context.shutdown().trigger();
-        thread.join().unwrap().unwrap();
-        context.close();
-    }
-    here.close();
+    let nodes: [(_, &str); 2] = [(&sim_arm::NODE, &arm), (&executor::NODE, executor)];
+    with_nodes(4, &nodes, drive_by_made_time).await;
 }
 
-async fn kept(here: &Context) {
+async fn drive_by_made_time(here: &Context) {
     let node = node(here, "policy", "--ros-args -p use_sim_time:=true");
     let chunks: Publisher<ActionChunk> = node.publisher("action_chunk", Qos::reliable(10)).unwrap();
     let mut actions: Subscription<Action> =
@@ -482,6 +427,7 @@ async fn kept(here: &Context) {
             break;
         }
     }
-    // Of the first ones, time may have been over when they came; and on a busy machine a step may go on by the last command.
+    // Of the first ones, time may have been over when they came; and on a busy machine a step may go on by the last
+    // command.
     assert!((3..=12).contains(&moved), "{moved}");
 }

@@ -5,10 +5,11 @@
 
 mod running;
 
-use std::{thread::JoinHandle, time::Duration};
+use std::time::Duration;
 
-use running::{context, node, start, with};
+use running::{context, in_time, node, refusal, start, with_nodes};
 use wm_msgs::{
+    Message,
     builtin_interfaces::{Duration as RosDuration, Time},
     geometry_msgs::{PoseStamped, TwistStamped},
     std_msgs::{Bool, Float64, Float64MultiArray, Header},
@@ -17,30 +18,6 @@ use wm_msgs::{
 };
 use wm_robot_nodes::executor;
 use wm_ros::{Client, Context, Node, Publisher, Qos, Subscription};
-
-/// Far above anything that happens here; it only ends a test that hangs.
-const PATIENCE: Duration = Duration::from_secs(60);
-
-/// The node at work.
-struct Running {
-    context: Context,
-    thread: JoinHandle<anyhow::Result<()>>,
-}
-
-impl Running {
-    fn start(test: u16, parameters: &str) -> Self {
-        let context = context(test);
-        let thread = start(&context, "executor", &with(parameters), executor::NODE.body);
-        Self { context, thread }
-    }
-
-    fn stop(self) -> anyhow::Result<()> {
-        self.context.shutdown().trigger();
-        let result = self.thread.join().unwrap();
-        self.context.close();
-        result
-    }
-}
 
 /// The policy, the person and the arm.
 struct World {
@@ -93,6 +70,13 @@ impl World {
         self.arm.call(&SetBoolRequest { data }).await.unwrap()
     }
 
+    /// Subscribes to a topic of the executor, and waits for its publisher.
+    async fn subscribe<M: Message>(&self, topic: &str) -> Subscription<M> {
+        let subscription = self.node.subscription(topic, Qos::reliable(100)).unwrap();
+        subscription.wait_for_publishers(1).await;
+        subscription
+    }
+
     /// Waits for a status.
     async fn status(&mut self, is_it: impl Fn(&ExecutorStatus) -> bool) -> ExecutorStatus {
         loop {
@@ -104,37 +88,16 @@ impl World {
     }
 }
 
-#[track_caller]
-fn in_time<T>(scenario: impl Future<Output = T>) -> impl Future<Output = T> {
-    let caller = std::panic::Location::caller();
-    async move {
-        let ended = tokio::time::timeout(PATIENCE, scenario).await;
-        ended.unwrap_or_else(|_| panic!("{caller}: a message that should come does not"))
-    }
-}
-
 #[tokio::test(flavor = "current_thread")]
-async fn chunks_become_twists_once_it_is_armed_and_silence_becomes_zero() {
-    let test = 0;
-    let running = Running::start(test, "-p base_frame:=base_link");
-    let here = context(test);
-    in_time(async {
-        let mut world = World::new(&here).await;
-        let mut twists: Subscription<TwistStamped> = world
-            .node
-            .subscription("command/twist", Qos::reliable(100))
-            .unwrap();
-        let mut previews: Subscription<TwistStamped> = world
-            .node
-            .subscription("executor/command_preview", Qos::reliable(100))
-            .unwrap();
-        let mut gripper: Subscription<Float64> = world
-            .node
-            .subscription("command/gripper", Qos::reliable(100))
-            .unwrap();
-        twists.wait_for_publishers(1).await;
-        previews.wait_for_publishers(1).await;
-        gripper.wait_for_publishers(1).await;
+async fn armed_executor_turns_chunks_into_twists_then_zero() {
+    let parameters = "-p base_frame:=base_link";
+    let scenario = async |here: &Context| {
+        let mut world = World::new(here).await;
+        let mut twists = world.subscribe::<TwistStamped>("command/twist").await;
+        let mut previews = world
+            .subscribe::<TwistStamped>("executor/command_preview")
+            .await;
+        let mut gripper = world.subscribe::<Float64>("command/gripper").await;
 
         world.go("base_link");
         while previews.recv().await.unwrap().message.twist.linear.x < 0.09 {}
@@ -167,25 +130,17 @@ async fn chunks_become_twists_once_it_is_armed_and_silence_becomes_zero() {
         let idle = |status: &ExecutorStatus| status.state == ExecutorStatus::IDLE;
         let status = world.status(idle).await;
         assert!(status.reason.contains("none followed"), "{}", status.reason);
-    })
-    .await;
-    running.stop().unwrap();
-    here.close();
+    };
+    with_nodes(0, &[(&executor::NODE, parameters)], scenario).await;
 }
 
 /// As where std_srvs is not at hand, and the arm is a simulated one.
 #[tokio::test(flavor = "current_thread")]
 async fn armed_from_the_start_it_executes_without_a_call() {
-    let test = 4;
-    let running = Running::start(test, "-p arm_on_start:=true");
-    let here = context(test);
-    in_time(async {
-        let mut world = World::new(&here).await;
-        let mut twists: Subscription<TwistStamped> = world
-            .node
-            .subscription("command/twist", Qos::reliable(100))
-            .unwrap();
-        twists.wait_for_publishers(1).await;
+    let parameters = "-p arm_on_start:=true";
+    let scenario = async |here: &Context| {
+        let mut world = World::new(here).await;
+        let mut twists = world.subscribe::<TwistStamped>("command/twist").await;
         let idle = |status: &ExecutorStatus| status.state == ExecutorStatus::IDLE;
         world.status(idle).await;
         world.go("base_link");
@@ -206,29 +161,19 @@ async fn armed_from_the_start_it_executes_without_a_call() {
         world
             .status(|status| status.state == ExecutorStatus::DRY_RUN)
             .await;
-    })
-    .await;
-    running.stop().unwrap();
-    here.close();
+    };
+    with_nodes(4, &[(&executor::NODE, parameters)], scenario).await;
 }
 
 #[tokio::test(flavor = "current_thread")]
 async fn an_emergency_stop_ends_a_motion_and_latches() {
-    let test = 1;
-    let running = Running::start(test, "-p command_type:=velocity -p publish_action:=true");
-    let here = context(test);
-    in_time(async {
-        let mut world = World::new(&here).await;
-        let mut velocities: Subscription<Float64MultiArray> = world
-            .node
-            .subscription("command/velocity", Qos::reliable(100))
-            .unwrap();
-        let mut actions: Subscription<Action> = world
-            .node
-            .subscription("action", Qos::reliable(100))
-            .unwrap();
-        velocities.wait_for_publishers(1).await;
-        actions.wait_for_publishers(1).await;
+    let parameters = "-p command_type:=velocity -p publish_action:=true";
+    let scenario = async |here: &Context| {
+        let mut world = World::new(here).await;
+        let mut velocities = world
+            .subscribe::<Float64MultiArray>("command/velocity")
+            .await;
+        let mut actions = world.subscribe::<Action>("action").await;
         assert!(world.set_armed(true).await.success);
         world.go("base_link");
         while velocities.recv().await.unwrap().message.data[0] < 0.09 {}
@@ -262,47 +207,38 @@ async fn an_emergency_stop_ends_a_motion_and_latches() {
             }
         }
         assert!(world.set_armed(true).await.success);
-    })
-    .await;
-    running.stop().unwrap();
-    here.close();
+    };
+    with_nodes(1, &[(&executor::NODE, parameters)], scenario).await;
 }
 
 #[tokio::test(flavor = "current_thread")]
 async fn a_node_that_ends_stops_the_arm_first() {
     let test = 2;
-    let running = Running::start(test, "-p command_type:=action");
+    let running = context(test);
+    let thread = start(&running, &executor::NODE, "-p command_type:=action");
     let here = context(test);
     let mut motions = in_time(async {
         let world = World::new(&here).await;
-        let mut motions: Subscription<Action> = world
-            .node
-            .subscription("command/action", Qos::reliable(100))
-            .unwrap();
-        motions.wait_for_publishers(1).await;
+        let mut motions = world.subscribe::<Action>("command/action").await;
         assert!(world.set_armed(true).await.success);
         world.go("base_link");
         while motions.recv().await.unwrap().message.values[0] < 0.0045 {}
         motions
     })
     .await;
-    let ended = tokio::task::spawn_blocking(|| running.stop());
+    running.shutdown().trigger();
     in_time(async { while motions.recv().await.unwrap().message.values[0] != 0.0 {} }).await;
-    ended.await.unwrap().unwrap();
+    thread.join().unwrap().unwrap();
+    running.close();
     here.close();
 }
 
 #[tokio::test(flavor = "current_thread")]
 async fn it_moves_while_the_deadman_is_held_and_the_pose_is_known() {
-    let test = 3;
-    let running = Running::start(
-        test,
-        "-p base_frame:=base_link -p require_deadman:=true -p source:=plan -p workspace_min:=[-1.0,-1.0,-1.0] \
-         -p workspace_max:=[1.0,1.0,1.0]",
-    );
-    let here = context(test);
-    in_time(async {
-        let node = node(&here, "world", "");
+    let parameters = "-p base_frame:=base_link -p require_deadman:=true -p source:=plan -p workspace_min:=[-1.0,-1.0,-1.0] \
+         -p workspace_max:=[1.0,1.0,1.0]";
+    let scenario = async |here: &Context| {
+        let node = node(here, "world", "");
         let plans: Publisher<Plan> = node.publisher("plan", Qos::reliable(10)).unwrap();
         let deadman: Publisher<Bool> = node.publisher("deadman", Qos::reliable(10)).unwrap();
         let poses: Publisher<PoseStamped> = node.publisher("ee_pose", Qos::reliable(10)).unwrap();
@@ -351,10 +287,8 @@ async fn it_moves_while_the_deadman_is_held_and_the_pose_is_known() {
                 break;
             }
         }
-    })
-    .await;
-    running.stop().unwrap();
-    here.close();
+    };
+    with_nodes(3, &[(&executor::NODE, parameters)], scenario).await;
 }
 
 #[test]
@@ -375,10 +309,7 @@ fn parameters_that_contradict_each_other_are_named() {
             "expected one of them",
         ),
     ] {
-        let running = Running::start(4, parameters);
-        let result = running.thread.join().unwrap();
-        running.context.close();
-        let error = format!("{:#}", result.unwrap_err());
+        let error = refusal(4, &executor::NODE, parameters);
         assert!(error.contains(named), "{error}");
     }
 }

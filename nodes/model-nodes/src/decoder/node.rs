@@ -1,4 +1,4 @@
-//! The decoder on the wire.
+//! The decoder's ROS interface.
 
 use std::{
     sync::{Arc, Mutex, PoisonError},
@@ -32,16 +32,16 @@ use wm_wire::transport::{ImagePublisher, Pictures, Transports};
 /// The node.
 pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Decoder>();
 
-/// Pictures of the rollout before that may wait when a new one begins: a hiccup is no reason to leave it out.
+/// If more pictures of the previous rollout wait when a new one begins, the new one is skipped.
 const UNFINISHED: usize = WAITING / 4;
-/// Pictures of a rollout, until one has told: the predictor's default horizon.
+/// Pictures of a rollout before the first prediction: the predictor's default horizon.
 const USUAL_HORIZON: u32 = 8;
 const OVERLOAD: &str = "decoding is slower than the predictions arrive; decode fewer steps (steps) or rollouts (decode_period)";
-/// What raises the rate.
+/// Advice for a higher rate.
 const FASTER: &str = "for more: fewer steps, a smaller model, or a faster processor";
 const NO_PREDICTOR: &str =
     "start the predictor; it predicts once latents and an action have arrived";
-/// What a stock ROS 2 machine receives without a larger buffer \[byte\].
+/// Longest message that ROS 2 receives with the default buffers of Linux \[byte\].
 const SAFE_BYTES: usize = 98_000;
 
 wm_ros::parameters! {
@@ -82,22 +82,22 @@ wm_ros::endpoints! {
     }
 }
 
-/// What the node loads.
+/// The loaded parts of the model.
 struct Model {
     name: String,
     fit: Fit,
-    /// `None` where the model has no decoder.
+    /// `None` if the model has no decoder.
     step: Option<Arc<Mutex<DecoderStep>>>,
-    /// How long a picture took when one was tried out.
+    /// The time of a picture in the trial; `None` if the trial failed.
     estimate: Option<Duration>,
     pool: Pool,
 }
 
-/// The pictures of a prediction with their size, or why there are none, and how long it took.
+/// The pictures of a prediction with their size, or the error, and how long decoding took.
 type Decoded = (Result<(Pictures, (u32, u32)), DecoderError>, Duration);
 
 struct Decoder {
-    /// `None` where the model has no decoder.
+    /// `None` if the model has no decoder.
     decoding: Option<Decoding>,
 }
 
@@ -105,9 +105,9 @@ struct Decoding {
     work: Work<(Arc<Prediction>, u8), Decoded>,
     rollouts: Rollouts,
     buffer: RolloutBuffer<(Arc<Prediction>, u8)>,
-    /// Pictures of a rollout.
+    /// Number of pictures of a rollout.
     pictures: u32,
-    /// Pictures that were made since the last time was taken, and how long they took together.
+    /// Pictures since the last measurement, and the sum of their times.
     made: (u32, Duration),
     complaints: Complaints,
     diagnostics: Diagnostics,
@@ -162,7 +162,7 @@ impl ModelNode for Decoder {
         let pool = Pool::background(Decoder::NAME, parameters.nice)?;
         let estimate = step.as_ref().and_then(|step| {
             pool.run(|| measured(|| step.try_out()))
-                .inspect_err(|error| tracing::warn!("decoding was tried out, and failed: {error}"))
+                .inspect_err(|error| tracing::warn!("trial decoding failed: {error}"))
                 .ok()
         });
         if let Some(taken) = estimate {
@@ -219,7 +219,7 @@ impl ModelNode for Decoder {
         } = &mut at.endpoints;
         let fit = at.resources.fit;
         let Some(decoding) = &mut self.decoding else {
-            // after the lifecycle has said that the node runs
+            // In `run`, because the lifecycle sets its own status after `activate`.
             at.node
                 .diagnostics()
                 .set_status(Level::Warn, at.resources.idle());
@@ -269,7 +269,7 @@ impl ModelNode for Decoder {
     }
 }
 
-/// Never, where nothing is due.
+/// Waits until `due`, or forever without one.
 async fn until(due: Option<Instant>) {
     match due {
         Some(due) => tokio::time::sleep_until(due.into()).await,
@@ -277,7 +277,7 @@ async fn until(due: Option<Instant>) {
     }
 }
 
-/// Whether it is the last step of its rollout.
+/// Whether this is the last step of its rollout.
 fn is_last(prediction: &Prediction) -> bool {
     prediction.step >= prediction.horizon
 }
@@ -311,8 +311,8 @@ impl Decoding {
         }
     }
 
-    /// Takes note of how long a picture took, and says if that changes which rollouts are decoded. A rollout's pictures
-    /// are judged together: alone, they are too many and too short.
+    /// Notes the time of a picture, and reports a change of the selection of rollouts. The pictures of a rollout are
+    /// measured together, because single ones are too short.
     fn took(&mut self, picture: Duration) {
         self.made.0 += 1;
         self.made.1 += picture;
@@ -338,7 +338,7 @@ impl Decoding {
     }
 }
 
-/// Pictures of a rollout of which `steps` are decoded; of none named, all.
+/// Number of pictures of a rollout if `steps` are decoded; empty: all.
 fn pictures_of(horizon: u32, steps: &[i64]) -> u32 {
     if steps.is_empty() {
         return horizon;

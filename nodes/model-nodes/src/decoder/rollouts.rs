@@ -36,7 +36,7 @@ pub(super) enum Choice {
 }
 
 impl Rollouts {
-    /// Rollouts `period_ns` apart, whose pictures took `estimate` together when one was tried out.
+    /// Rollouts at least `period_ns` apart. The pictures of one took `estimate` in the trial.
     pub(super) fn every(period_ns: i64, estimate: Option<Duration>) -> Self {
         let period = Duration::from_nanos(period_ns.unsigned_abs()).max(SHORTEST);
         Self {
@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_decoded_in_a_period_is_left_out_by_choice_and_whole() {
+    fn slow_decoder_skips_whole_rollouts() {
         use Choice::{Decode, Pace};
         let period = Duration::from_millis(400);
         let mut rollouts = Rollouts::every(2 * FRAME, Some(period * 5 / 2));

@@ -50,8 +50,8 @@ pub enum Mode {
 }
 
 impl Mode {
-    /// The first mode in which encoding keeps up, if it takes `taken` per frame and frames arrive `gap` apart. `pace` is real
-    /// time per time of the stamps; a bag may be played slower or faster.
+    /// The first mode in which encoding keeps up, if it takes `taken` per frame and frames arrive `gap` apart. `pace`
+    /// is real time per time of the stamps; a bag may be played slower or faster.
     fn fitting(taken: Duration, gap: Duration, pace: f64, needs: &Needs) -> Self {
         if taken <= gap {
             return Self::All;
@@ -281,6 +281,7 @@ impl Choice {
 
 /// The parameter's range keeps periods within a minute.
 fn nanos(period: Duration) -> i64 {
+    // 64 bits of nanoseconds hold 292 years.
     i64::try_from(period.as_nanos()).unwrap_or(i64::MAX)
 }
 

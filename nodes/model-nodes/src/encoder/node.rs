@@ -1,4 +1,4 @@
-//! The encoder on the wire.
+//! The encoder's ROS interface.
 
 use std::{
     sync::{Arc, Mutex, PoisonError},
@@ -45,11 +45,11 @@ use wm_wire::{
 /// The node.
 pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Encoder>();
 
-/// A camera that is silent for longer may be replaced by another: as long as it takes to start a driver again.
+/// A camera that is silent for longer may be replaced by another. A restart of its driver takes about as long.
 const SILENCE: Duration = Duration::from_secs(1);
-/// A camera that is silent for longer after the start is looked for by other transports.
+/// Without a frame for this long after the start, the node looks for the camera on other transports.
 const MISSING: Duration = Duration::from_secs(5);
-/// What raises the rate.
+/// Advice for a higher rate.
 const FASTER: &str = "for more: a smaller encoder, or a faster processor";
 /// Advice for a missing camera.
 const NO_CAMERA: &str = "start the camera's driver, or name its topic: camera:=TOPIC for wm launch, -r /camera/image_raw:=TOPIC for the node";
@@ -100,13 +100,13 @@ struct Job {
     is_frozen: bool,
 }
 
-/// An encoded frame or the reason of a failure, whether it came raw, how long it took, and when it came.
+/// The latent or the error of a frame, whether the frame was raw, how long encoding took, and when the frame was received.
 type Encoded = (Result<Latent, EncoderError>, bool, Duration, Instant);
 
-/// What the node loads.
+/// The loaded parts of the model.
 struct Model {
     step: Arc<Mutex<EncoderStep>>,
-    /// How long a frame took when it was tried out.
+    /// The time of a frame in the trial; `None` if the trial failed.
     estimate: Option<Duration>,
     needs: Needs,
     actions: ActionSpace,
@@ -116,18 +116,17 @@ struct Model {
 struct Encoder {
     decoding: Decoding,
     work: Work<Job, Encoded>,
-    /// Which frames are encoded.
+    /// Selects the frames to encode.
     choice: Choice,
     needs: Needs,
     clock: Clock,
     jumps: watch::Receiver<u64>,
     /// The epoch of the frames.
     epoch: u64,
-    /// The epoch that began with the last jump of the clock or change of the camera: frames from before it stay in
-    /// theirs.
+    /// The epoch that began with the last jump of the clock or change of the camera. Earlier frames keep their epoch.
     begun: u64,
     sizes: PictureSizes,
-    /// The camera that it follows, once a frame has arrived.
+    /// The camera that the node follows; `None` before the first frame.
     camera: Option<Camera>,
     repeats: Repeats,
     repetition: Repetition,
@@ -154,7 +153,7 @@ impl ModelNode for Encoder {
         let needs = Needs {
             // The range keeps it positive and within a minute.
             frame_period: Duration::from_secs_f64(parameters.frame_period),
-            // Without a transition model nothing is predicted.
+            // Without a transition model, nothing is predicted and the skip has no effect.
             frame_skip: encoding
                 .as_ref()
                 .map_or(1, |encoding| encoding.frame_skip()),
@@ -164,7 +163,7 @@ impl ModelNode for Encoder {
             .inspect_err(|error| tracing::warn!("trial encoding failed: {error}"))
             .ok();
         if let Some(taken) = estimate {
-            say(&Choice::new(needs, estimate), taken, &needs);
+            log_selection(&Choice::new(needs, estimate), taken, &needs);
         }
         let sizes = PictureSizes::new(step.framing(), folder.trained_on()?);
         Ok(Model {
@@ -286,7 +285,7 @@ impl Encoder {
         Ok(())
     }
 
-    /// Counts a frame that cannot be used. The next ones may be good by the other transport.
+    /// Counts an unusable frame. The other transport of the camera may still be good.
     fn unusable(&mut self, is_raw: bool, error: &EncoderError) {
         self.repeats.distrust(is_raw);
         self.complaints.left_out("bad_image", error);
@@ -306,7 +305,7 @@ impl Encoder {
         }
     }
 
-    /// Compares the size of a picture with the one before and with the training's.
+    /// Compares the size of a picture with the previous one and with the training's.
     fn size(&mut self, size: PictureSize) {
         let change = self.sizes.take(size);
         let mismatch = self.sizes.mismatch();
@@ -324,7 +323,7 @@ impl Encoder {
             SizeChange::Size { from } => {
                 tracing::info!("the camera's pictures changed from {from} to {size} pixels");
             }
-            // Frames of another part of the scene are no past of these.
+            // Earlier frames show another part of the scene, so they are no context of later ones.
             SizeChange::Aspect { from } => {
                 self.epoch = epoch_after(self.epoch, self.clock.now());
                 tracing::warn!(
@@ -365,12 +364,12 @@ impl Encoder {
         }
     }
 
-    /// Chooses whether a frame is encoded, and has it decoded in any case.
+    /// Selects whether a frame is encoded. It is decoded in any case, for the state of the camera.
     fn choose(&mut self, frame: CameraFrame, reception: &Reception) {
         let stamp = frame.header().stamp;
         let stamp_ns = stamp.to_nanos();
         let repeat = self.repetition.frame(stamp_ns, frame.fingerprint());
-        // The model steps by the pictures that the camera takes, not by their copies.
+        // A model step counts the pictures of the camera, not their copies.
         let fate = match repeat.is_surplus() {
             true => Fate::Skip,
             false => {
@@ -403,7 +402,7 @@ impl Encoder {
         );
     }
 
-    /// Publishes the state of the camera by a decoded frame, and has the frame encoded if it was chosen.
+    /// Publishes the state of the camera by a decoded frame, and encodes the frame if it was selected.
     fn decoded(&mut self, decoded: DecodedFrame, states: &Publisher<CameraState>) -> Result<()> {
         let DecodedFrame {
             mut header,
@@ -436,7 +435,7 @@ impl Encoder {
         self.report(&sight);
         let is_frozen = sight.frozen.is_some();
         if self.is_frozen && !is_frozen {
-            // Frames of the stop do not show their time: no context may begin with one.
+            // Frames from the stop show an earlier time, so no context may contain them.
             tracing::info!("the camera's picture changes again");
             self.epoch = epoch_after(self.epoch, self.clock.now());
         }
@@ -446,7 +445,7 @@ impl Encoder {
             header: header.clone(),
             change,
             unchanged: Span::from_nanos(sight.unchanged_ns),
-            // Rates of a camera.
+            // 0: not measured yet. A rate of a camera fits into 32 bits.
             rate: sight.rate.unwrap_or_default() as f32,
             distinct_rate: sight.distinct_rate.unwrap_or_default() as f32,
             frozen: is_frozen,
@@ -506,14 +505,14 @@ impl Encoder {
         self.is_repeating = sight.is_repeating;
     }
 
-    /// Takes note of how long a frame took, and says if that changes which frames are encoded.
+    /// Notes the time of a frame, and reports a change of the selection of frames.
     fn took(&mut self, taken: Duration) {
         self.choice.took(taken);
         let Some(taken) = self.choice.change() else {
             return;
         };
         self.work.set_capacity(self.choice.room());
-        say(&self.choice, taken, &self.needs);
+        log_selection(&self.choice, taken, &self.needs);
         let words = self.choice.mode().in_words(&self.needs);
         self.diagnostics.set_value(PACE, words);
     }
@@ -537,7 +536,7 @@ impl Encoder {
         Ok(())
     }
 
-    /// The next frame is of another time or another camera.
+    /// Starts a new epoch: the next frame is from another time or another camera.
     fn restart(&mut self) {
         self.epoch = epoch_after(self.epoch, self.clock.now());
         self.begun = self.epoch;
@@ -547,8 +546,8 @@ impl Encoder {
     }
 }
 
-/// Says which frames are encoded here.
-fn say(choice: &Choice, taken: Duration, needs: &Needs) {
+/// Logs which frames are encoded.
+fn log_selection(choice: &Choice, taken: Duration, needs: &Needs) {
     let mode = choice.mode();
     let (taken, rate, words) = (
         rough(taken),

@@ -172,6 +172,7 @@ impl PictureSizes {
         let last = self.last.map_or("none".to_owned(), |size| size.to_string());
         let trained_on = self.trained_on.map(|size| format!("; trained on {size}"));
         let fit = self.framing.fit;
+        // Empty if the training size is unknown.
         format!("{last}, fit {fit}{}", trained_on.unwrap_or_default())
     }
 }

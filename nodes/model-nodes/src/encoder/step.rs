@@ -88,6 +88,7 @@ impl EncoderStep {
     /// Those of the encoder.
     pub fn try_out(&self) -> Result<(), EncoderError> {
         let (height, width) = self.encoder.input_size();
+        // A side beyond 32 bits fits no picture.
         let side = |side: usize| u32::try_from(side).unwrap_or(u32::MAX);
         let grey = RgbImage::from_pixel(side(width), side(height), image::Rgb([128; 3]));
         self.encode_values(&grey).map(|_| ())

@@ -93,6 +93,7 @@ pub(crate) struct Stillness {
 impl Stillness {
     /// For an arm with actions of `space`. A `frozen_after` of zero: nothing counts as frozen.
     pub fn new(frozen_after: Duration, space: ActionSpace) -> Self {
+        // 64 bits of nanoseconds hold 292 years.
         let frozen_after_ns = i64::try_from(frozen_after.as_nanos()).unwrap_or(i64::MAX);
         Self {
             frozen_after_ns: Some(frozen_after_ns).filter(|after_ns| *after_ns > 0),
@@ -131,8 +132,8 @@ impl Stillness {
         });
     }
 
-    /// Takes a frame of the stamp `stamp_ns`, and how it compares with the last ones. `picture`: `None` if the frame was not
-    /// decoded.
+    /// Takes a frame of the stamp `stamp_ns`, and how it compares with the last ones. `picture`: `None` if the frame
+    /// was not decoded.
     pub fn frame(&mut self, stamp_ns: i64, repeat: &Repeat, picture: Option<&Grid>) -> Sight {
         let is_back = |newest_ns: i64| stamp_ns < newest_ns.saturating_sub(JUMP_NS);
         if self.newest_ns.is_some_and(is_back) {

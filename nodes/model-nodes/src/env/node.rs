@@ -1,4 +1,4 @@
-//! The env on the wire.
+//! The env's ROS interface.
 
 mod answers;
 mod jobs;
@@ -41,14 +41,14 @@ use wm_wire::{latent_message::LatentDtype, transport::ImagePublisher};
 /// The node.
 pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<EnvServer>();
 
-/// Observations by service that may wait for a client: a chunk of each of some episodes.
+/// Queue length of the observations by service: a chunk for each of a few episodes.
 const OBSERVATIONS: usize = 64;
-/// How long the last observation may take to reach the policy.
+/// Longest wait for the acknowledgement of the last observation.
 const FAREWELL: Duration = Duration::from_millis(500);
-/// What a stock ROS 2 machine receives without a larger buffer \[byte\].
+/// Longest message that ROS 2 receives with the default buffers of Linux \[byte\].
 const SAFE_BYTES: usize = 98_000;
 
-// Reliable matches who asks for best effort too, and a policy must not miss a frame.
+// Reliable publishers also match best effort subscriptions, and a policy must not miss a frame.
 wm_ros::endpoints! {
     /// Topics and services.
     struct Endpoints {
@@ -83,7 +83,7 @@ wm_ros::endpoints! {
     }
 }
 
-/// What the node loads.
+/// The loaded parts of the model.
 struct Model {
     env: Arc<Mutex<Env>>,
     timing: Timing,
@@ -91,7 +91,7 @@ struct Model {
     start_root: StartRoot,
 }
 
-/// The node, configured.
+/// The configured node.
 type EnvNode = ModelSetup<EnvServer>;
 
 impl ModelNode for EnvServer {
@@ -143,7 +143,7 @@ impl ModelNode for EnvServer {
         let encoding = world.predictor().encoding.clone();
         let env = Env::new(world, parameters.settings(), timing);
         if parameters.episodes > 0 {
-            // That episodes by topics can begin is said now, not when the first policy comes.
+            // A start that cannot work is an error now, not when the first policy connects.
             let start = parameters.own_start()?;
             if !matches!(start, Start::Topic(_)) {
                 env.check(&start)?;
@@ -185,7 +185,7 @@ impl ModelNode for EnvServer {
             running: RunningJob::Nothing,
             waiting_resets: VecDeque::new(),
             waiting_steps: VecDeque::new(),
-            gathered: Instant::now(),
+            gather_until: Instant::now(),
             pending_reset: None,
             topic_episode: None,
             begun: 0,
@@ -209,7 +209,7 @@ impl ModelNode for EnvServer {
 impl EnvServer {
     async fn serve(&mut self, at: &mut EnvNode) -> Result<()> {
         loop {
-            if self.go_on(at)? {
+            if self.start_next(at)? {
                 if let Some(jpegs) = at.endpoints.pictures.compressed() {
                     jpegs.wait_for_acknowledgments(FAREWELL).await?;
                 }
@@ -252,7 +252,7 @@ impl EnvServer {
     }
 }
 
-/// The env's state stays whole if a thread panics between two moves.
+/// The env's state stays valid if a thread panics between two moves.
 fn lock(env: &Mutex<Env>) -> MutexGuard<'_, Env> {
     env.lock().unwrap_or_else(PoisonError::into_inner)
 }

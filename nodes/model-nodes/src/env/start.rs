@@ -199,6 +199,7 @@ fn open_bag(
     // Offsets are checked to be finite and positive; a cast saturates.
     let wanted_ns = reader.start_ns().saturating_add((offset_s * NANOS) as u64);
     let history_ns = timing.step_ns().saturating_mul(context_frames as i64);
+    // A step is positive.
     let from_ns = wanted_ns.saturating_sub(u64::try_from(history_ns).unwrap_or(0));
     let settings = HistorySettings {
         timing,

@@ -97,6 +97,7 @@ struct Session {
 
 impl Session {
     fn steps(&self) -> u32 {
+        // The steps of an episode are limited far below 2^32.
         u32::try_from(self.episode.steps()).unwrap_or(u32::MAX)
     }
 }
@@ -181,7 +182,7 @@ impl Env {
             request.instruction.clone()
         };
         let episode = Episode::new(frames, actions, self.world.window(), request.seed);
-        let newest = episode.newest().cloned().unwrap_or_default();
+        let newest = episode.newest().cloned().ok_or(EnvError::NoStart)?;
         let begin_ns = begin.to_nanos();
         let observation = self.observation(&newest, begin_ns, &frame_id)?;
         if let Some(earlier) = self.sessions.remove(&name) {
@@ -251,6 +252,7 @@ impl Env {
             .flatten()
             .map(|running| running.todo.len())
             .max();
+        // Without a valid move there is no round.
         for round in 0..rounds.unwrap_or(0) {
             self.round(round, moves, &mut running);
         }
@@ -411,6 +413,7 @@ impl Env {
                 model: model.name.clone(),
                 model_hash: model.hash.clone(),
                 seed: session.episode.seed(),
+                // At most 1000, by the parameter.
                 integration_steps: u32::try_from(self.world.integration_steps())
                     .unwrap_or(u32::MAX),
                 received_stamp: Time::from_nanos(from_ns),
@@ -497,6 +500,7 @@ impl Env {
     fn free_name(&self) -> String {
         let names = (self.begun..).map(|number| format!("episode_{number:06}"));
         let mut free = names.filter(|name| !self.sessions.contains_key(name));
+        // The numbers do not end: far fewer episodes are open.
         free.next().unwrap_or_default()
     }
 

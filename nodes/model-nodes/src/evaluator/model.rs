@@ -114,6 +114,7 @@ impl EvaluatorModel {
             candidates_stamp: request.candidates_stamp,
             best: best(&candidates),
             candidates,
+            // At most 64, by the parameter.
             horizon: u32::try_from(horizon).unwrap_or(u32::MAX),
             step_period: moment.step_period(),
             model: self.model.name.clone(),

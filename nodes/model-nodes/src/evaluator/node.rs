@@ -1,4 +1,4 @@
-//! The evaluator on the wire.
+//! The evaluator's ROS interface.
 
 use std::{
     sync::{Arc, Mutex, PoisonError},
@@ -93,21 +93,21 @@ wm_ros::endpoints! {
     }
 }
 
-/// What the node loads.
+/// The loaded parts of the model.
 struct Model {
     goals: GoalReader,
     evaluator: Arc<EvaluatorModel>,
-    /// None: the model has none, and there are no pictures.
+    /// `None` if the model has no decoder. Then no pictures are published.
     decoder: Option<Arc<Mutex<Box<dyn Decoder>>>>,
-    /// None: the model has none, and there are no probabilities.
+    /// `None` if the model has no success probe. Then probabilities are NaN.
     probe: Option<Arc<SuccessClassifier>>,
     history: HistoryBuilder,
     pool: Pool,
 }
 
-/// An evaluation with the times that its message tells.
+/// An evaluation, the times in its message, and its duration.
 type Evaluated = (Result<Evaluation, EvaluatorError>, TimingMessage, Duration);
-/// An instruction, and what reading it gave.
+/// An instruction, and its encoding.
 type Reading = (String, wm_zoo::Result<Instruction>);
 
 struct Evaluator {
@@ -118,12 +118,12 @@ struct Evaluator {
     complaints: Complaints,
     diagnostics: Diagnostics,
     goals: Goals,
-    /// Of each the newest is enough: one may wait.
+    /// Evaluates candidates. Only the newest message counts, so one may wait.
     evaluations: Work<(EvaluationRequest, TimingMessage), Evaluated>,
-    /// Whether candidates come faster than they can be evaluated.
+    /// Measures whether candidates arrive faster than they are evaluated.
     cadence: Cadence,
     pictures: Option<Work<Evaluation, Result<Pictures>>>,
-    /// None where there is no probe that they are read for.
+    /// Encodes instructions; `None` without a success probe.
     readings: Option<Work<String, Reading>>,
 }
 
@@ -215,7 +215,7 @@ impl ModelNode for Evaluator {
             pictures,
             readings,
         };
-        evaluator.say_probability();
+        evaluator.report_probability();
         Ok(evaluator)
     }
 
@@ -229,7 +229,7 @@ impl ModelNode for Evaluator {
             pictures,
         } = &mut at.endpoints;
         loop {
-            // The robot before candidates: what is of the same moment may all be there.
+            // Candidates last: if messages of the same moment wait together, candidates need the others.
             tokio::select! {
                 biased;
                 finished = self.evaluations.finished() => {
@@ -246,7 +246,7 @@ impl ModelNode for Evaluator {
                 }
                 received = instructions.recv() => {
                     let Some(Received { message, .. }) = received else { return Ok(()) };
-                    self.told(&message);
+                    self.instruction(&message);
                 }
                 event = self.follower.next(inputs) => {
                     let Some(event) = event else { return Ok(()) };
@@ -274,7 +274,8 @@ impl ModelNode for Evaluator {
 impl Evaluator {
     fn wait(&mut self, message: ActionCandidates, receive: Time) {
         let period_ns = self.step.timing().frame_period_ns;
-        let period = Duration::from_nanos(u64::try_from(period_ns).unwrap_or(0));
+        // A period is positive.
+        let period = Duration::from_nanos(period_ns.unsigned_abs());
         self.waiting = Some(Waiting {
             message,
             receive,
@@ -304,8 +305,8 @@ impl Evaluator {
             receive,
             ..TimingMessage::default()
         };
-        // Somebody waits for each answer: any message is evaluated while there is nothing else to do, and the newest
-        // one waits. The cadence only tells whether those that it replaces are lost.
+        // An idle evaluator evaluates every message, because a policy waits for it. During an evaluation, the newest
+        // message waits. The cadence only decides whether replaced messages count as skipped or as dropped.
         let (stamp_ns, now) = (request.candidates_stamp.to_nanos(), Instant::now());
         self.cadence.arrived(stamp_ns, now, Load::Idle);
         let left_out = self.evaluations.submit((request, timing));
@@ -348,7 +349,7 @@ impl Evaluator {
         Ok(())
     }
 
-    /// Takes note of how long an evaluation took, and says if that is longer than candidates are apart.
+    /// Notes the duration of an evaluation, and reports if it becomes longer than the time between candidates.
     fn took(&mut self, taken: Duration) {
         self.cadence.took(taken);
         let Some((taken, gap)) = self.cadence.change() else {
@@ -366,7 +367,7 @@ impl Evaluator {
         }
     }
 
-    fn told(&mut self, message: &Text) {
+    fn instruction(&mut self, message: &Text) {
         let Some(readings) = &mut self.readings else {
             return;
         };
@@ -379,7 +380,7 @@ impl Evaluator {
                 &"a newer instruction arrived before this one was encoded",
             );
         }
-        self.say_probability();
+        self.report_probability();
     }
 
     fn read(&mut self, (text, read): Reading) {
@@ -387,11 +388,11 @@ impl Evaluator {
             self.complaints.left_out("bad_instruction", error);
         }
         self.step.task_mut().read(text, read);
-        self.say_probability();
+        self.report_probability();
     }
 
-    /// Says on the node's status what success probabilities are of, or why they are NaN.
-    fn say_probability(&mut self) {
+    /// Reports on `/diagnostics` the instruction of the success probabilities, or why they are NaN.
+    fn report_probability(&mut self) {
         const KEY: &str = "success probability";
         if self.readings.is_some() {
             self.diagnostics.set_value(KEY, self.step.task_mut());
@@ -402,15 +403,15 @@ impl Evaluator {
     }
 }
 
-/// Candidates whose frame is on its way.
+/// Candidates that wait for their frame.
 struct Waiting {
     message: ActionCandidates,
     receive: Time,
-    /// After this they are evaluated from the newest frame.
+    /// After this moment, they are evaluated from the newest frame.
     until: Instant,
 }
 
-/// Never, where nothing waits.
+/// Waits until the candidates are due, or forever without any.
 async fn overdue(waiting: &Option<Waiting>) {
     match waiting {
         Some(waiting) => tokio::time::sleep_until(waiting.until.into()).await,
@@ -418,7 +419,7 @@ async fn overdue(waiting: &Option<Waiting>) {
     }
 }
 
-/// The result of the running job; never, where there is nothing to run.
+/// The result of the running job; pending without a `work`.
 async fn finished<T: Send + 'static, R: Send + 'static>(
     work: &mut Option<Work<T, R>>,
 ) -> Result<R, JoinError> {
@@ -428,7 +429,7 @@ async fn finished<T: Send + 'static, R: Send + 'static>(
     }
 }
 
-/// The candidates' pictures in one, and its header: the stamp of the observed frame, as the assessment has it.
+/// All pictures of the candidates in one, and its header: that of the assessment, with the stamp of the observed frame.
 fn picture(
     decoder: &dyn Decoder,
     evaluation: &Evaluation,

@@ -214,8 +214,8 @@ impl EvaluatorStep {
         self.history.timing()
     }
 
-    /// Whether candidates answer a frame that has not arrived yet, because the policy is faster than the encoder. Candidates
-    /// that begin later than the next model step do not wait.
+    /// Whether candidates answer a frame that has not arrived yet, because the policy is faster than the encoder.
+    /// Candidates that begin later than the next model step do not wait.
     pub fn awaits_frame(&self, message: &ActionCandidates) -> bool {
         let timing = self.history.timing();
         let begins = message.chunks.iter().map(|chunk| chunk.header.stamp);
@@ -273,6 +273,7 @@ impl EvaluatorStep {
             }
             // A stamp that is slightly early belongs to the step.
             let steps = left_ns.saturating_add(timing.tolerance_ns) / timing.step_ns().max(1);
+            // More steps than memory holds are no limit.
             horizon = horizon.min(usize::try_from(steps.max(1)).unwrap_or(usize::MAX));
             histories.push(history);
         }

@@ -20,6 +20,7 @@ pub fn tile(rows: &[Vec<RgbImage>], best: Option<usize>) -> RgbImage {
         .flatten()
         .next()
         .map_or((1, 1), RgbImage::dimensions);
+    // Without rows, the picture is one empty column.
     let columns = rows.iter().map(Vec::len).max().unwrap_or(0).max(1);
     // Candidates and columns are a handful each, pictures at most a few hundred pixels wide.
     let mut all = RgbImage::new(width * columns as u32, height * rows.len().max(1) as u32);

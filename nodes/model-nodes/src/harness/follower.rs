@@ -1,8 +1,7 @@
-//! How a node follows the robot: latents of its camera, its actions, resets, and clock jumps.
+//! The inputs of a node that follows the robot: latents, actions, chunks, resets and clock jumps.
 //!
 //! The state keeps a [`History`](crate::history::History) and implements [`Follows`]. [`Follower::next`] waits for an
-//! input.
-//! [`Follower::apply`] applies it to the state, and counts and reports faults:
+//! input. [`Follower::apply`] applies it to the state, and counts and reports faults:
 //!
 //! ```no_run
 //! use std::convert::Infallible;
@@ -29,9 +28,9 @@
 //! wm_ros::endpoints! {
 //!     /// Its topics and services.
 //!     struct Endpoints {
-//!         /// What follows the robot.
+//!         /// Inputs about the robot.
 //!         inputs: Inputs;
-//!         /// How much the newest latent differs from the one a model step before.
+//!         /// The difference between the newest latent and that of one model step earlier.
 //!         changes: Publisher<Float32> = "change";
 //!     }
 //! }
@@ -178,7 +177,7 @@ pub trait Follows {
     /// one.
     ///
     /// # Errors
-    /// Why it is dropped.
+    /// The reason why it is dropped.
     fn latent(
         &mut self,
         latent: &Latent,
@@ -188,13 +187,13 @@ pub trait Follows {
     /// Takes an action, at `now` by the node's clock.
     ///
     /// # Errors
-    /// Why it is dropped.
+    /// The reason why it is dropped.
     fn action(&mut self, action: &Action, now: Time) -> Result<Arrival, HistoryError>;
 
     /// Takes a policy's chunk of actions, at `now` by the node's clock, and returns its effect.
     ///
     /// # Errors
-    /// Why it is dropped.
+    /// The reason why it is dropped.
     fn chunk(
         &mut self,
         chunk: &ActionChunk,

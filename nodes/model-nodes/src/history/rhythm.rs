@@ -33,12 +33,14 @@ impl Rhythm {
         self.gaps_ns.push_back(gap_ns);
         match is_usual {
             true => 0,
+            // A gap of less than a period misses no frame.
             false => u64::try_from(periods - 1).unwrap_or(0),
         }
     }
 
     /// The longest of the last gaps \[ns\].
     pub fn longest_ns(&self) -> i64 {
+        // 0 before the second frame.
         self.gaps_ns.iter().max().copied().unwrap_or(0)
     }
 
@@ -57,7 +59,8 @@ impl Rhythm {
     }
 }
 
-/// The time between the arrivals of two frames \[ns\]: by the node's clock, or by the monotonic clock if a bag is played fast.
+/// The time between the arrivals of two frames \[ns\]: by the node's clock, or by the monotonic clock if a bag is
+/// played fast.
 pub(super) fn passed_ns(before: &Reception, now: &Reception) -> i64 {
     let nanos = |time: Duration| i64::try_from(time.as_nanos()).unwrap_or(i64::MAX);
     let real_ns = nanos(now.at.saturating_duration_since(before.at) * FASTEST_PLAYBACK);

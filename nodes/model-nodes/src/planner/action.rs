@@ -102,16 +102,17 @@ impl Course {
     }
 
     /// The feedback during a search.
-    pub fn feedback(&self, heard: Heard) -> PlanFeedback {
+    pub fn feedback(&self, progress: SearchProgress) -> PlanFeedback {
         PlanFeedback {
             plan: self.plans,
             distance: self.last.distance,
-            ..heard.0
+            ..progress.0
         }
     }
 
     /// The feedback after a search.
     pub fn summary(&self, plan: &Plan) -> PlanFeedback {
+        // Counts of a search, far below 2^32.
         let iterations = u32::try_from(plan.iteration_costs.len()).unwrap_or(u32::MAX);
         PlanFeedback {
             plan: self.plans,
@@ -137,12 +138,13 @@ impl Course {
 
 /// The progress of a search.
 #[derive(Clone, Debug)]
-pub struct Heard(PlanFeedback);
+pub struct SearchProgress(PlanFeedback);
 
-impl Heard {
+impl SearchProgress {
     /// The progress of a search with these `terms`; `None` before there is a best candidate.
     pub fn of(progress: &Progress<'_>, terms: &[&str]) -> Option<Self> {
         Some(Self(PlanFeedback {
+            // Counts of a search, far below 2^32.
             iteration: u32::try_from(progress.iteration.saturating_sub(1)).unwrap_or(u32::MAX),
             best_cost: progress.best?,
             terms: terms.iter().map(|&term| term.to_owned()).collect(),
@@ -176,11 +178,11 @@ impl ActionRun {
         self.goal.id()
     }
 
-    /// Sends feedback to the client.
+    /// Publishes feedback for the client.
     ///
     /// # Errors
     /// The middleware failed.
-    pub fn tell(&self, feedback: &PlanFeedback) -> Result<()> {
+    pub fn publish_feedback(&self, feedback: &PlanFeedback) -> Result<()> {
         Ok(self.goal.publish_feedback(feedback)?)
     }
 
@@ -297,7 +299,7 @@ mod tests {
             terms: &[0.5],
             deviation: 0.0,
         };
-        let heard = Heard::of(&progress, &["goal"]).unwrap();
+        let heard = SearchProgress::of(&progress, &["goal"]).unwrap();
         let feedback = course.feedback(heard);
         assert_eq!(
             (feedback.plan, feedback.iteration, feedback.distance),
@@ -307,7 +309,7 @@ mod tests {
             best: None,
             ..progress
         };
-        assert!(Heard::of(&none, &[]).is_none());
+        assert!(SearchProgress::of(&none, &[]).is_none());
         let summary = course.summary(&plan(0.2));
         assert_eq!(
             (summary.plan, summary.iteration, summary.best_cost),

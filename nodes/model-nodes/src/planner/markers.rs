@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn the_way_begins_where_the_end_effector_is_and_adds_up_its_motions() {
+    fn path_starts_at_the_end_effector_and_adds_up_motions() {
         let values: [&[f32]; 2] = [
             &[0.5, 0.0, -0.25, 0.1, 0.1, 0.1, 1.0],
             &[0.0, 0.25, 0.0, 0.0, 0.0, 0.0, 1.0],

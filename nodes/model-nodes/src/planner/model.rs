@@ -300,6 +300,7 @@ impl PlannerModel {
             let step_ns = request.moment.timing.step_ns();
             let indices = goals_by_time(&goal.times_ns, begin_ns, step_ns, horizon);
             let waypoint = Waypoint {
+                // The first goal, if no step of the horizon has one.
                 index: indices.first().copied().unwrap_or_default(),
                 steps: 0.0,
             };
@@ -391,6 +392,7 @@ impl PlannerModel {
             goal_stamp: request.goal.stamp,
             time_taken: Duration::default(),
             deadline_cut: found.deadline_cut,
+            // Far below 2^32.
             candidates: u32::try_from(found.candidates).unwrap_or(u32::MAX),
             ..Plan::default()
         }

@@ -1,4 +1,4 @@
-//! The planner on the wire.
+//! The planner's ROS interface.
 
 use std::{
     sync::{Arc, Mutex},
@@ -20,8 +20,8 @@ use wm_ros::{
 use wm_zoo::ModelFolder;
 
 use super::{
-    ActionRun, Course, End, Goal, GoalError, GoalReader, Heard, PlanRequest, PlanWait, Planned,
-    PlannerError, PlannerModel, PlannerParts, PlannerStep, markers::markers,
+    ActionRun, Course, End, Goal, GoalError, GoalReader, PlanRequest, PlanWait, Planned,
+    PlannerError, PlannerModel, PlannerParts, PlannerStep, SearchProgress, markers::markers,
     parameters::Parameters, workers,
 };
 use crate::{
@@ -40,7 +40,7 @@ use wm_wire::{
 /// The node.
 pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Planner>();
 
-/// Of the picture of what a plan leads to.
+/// JPEG quality of the predicted picture of a plan.
 const JPEG_QUALITY: u8 = 90;
 
 wm_ros::endpoints! {
@@ -63,7 +63,7 @@ wm_ros::endpoints! {
     }
 }
 
-/// What the node loads.
+/// The loaded parts of the model.
 struct Model {
     goals: GoalReader,
     planner: Arc<PlannerModel>,
@@ -71,7 +71,7 @@ struct Model {
     pool: Pool,
 }
 
-/// What came of a search, and how long it took.
+/// The result of a search, and its duration.
 struct Finished {
     request: PlanRequest,
     planned: Result<Planned, PlannerError>,
@@ -79,26 +79,26 @@ struct Finished {
     taken: Duration,
 }
 
-/// Feedback that waits to be sent at most.
-const MOST_HEARD: usize = 64;
+/// Most feedback messages that wait.
+const MOST_FEEDBACK: usize = 64;
 
 struct Planner {
     planner: Arc<PlannerModel>,
     follower: Follower,
     step: PlannerStep,
     goals: Goals,
-    /// Goals of actions, while they are read.
+    /// Reads the goals of actions.
     read: Work<(GoalId, GoalMessage), (GoalId, Result<Goal, GoalError>)>,
     action: Option<ActionRun>,
-    /// How searches go, for the action.
-    heard: mpsc::Receiver<Heard>,
+    /// The progress of searches, for the feedback of the action.
+    progress: mpsc::Receiver<SearchProgress>,
     searches: Work<PlanRequest, Finished>,
     is_searching: bool,
-    /// Whether a plan became due while another one was searched for.
+    /// Whether a plan became due during a search.
     is_behind: bool,
-    /// The least time between two plans; zero: they are made as often as can be.
+    /// Least time between two plans; zero: no limit.
     period: Duration,
-    /// Whether searches take longer than that.
+    /// Measures whether searches take longer than the period.
     cadence: Cadence,
     complaints: Complaints,
     diagnostics: Diagnostics,
@@ -152,18 +152,18 @@ impl ModelNode for Planner {
         let (node, model) = (&at.node, &at.resources);
         let (deadline, planner) = (at.parameters.deadline, Arc::clone(&model.planner));
         let transports = at.parameters.image_transport;
-        let (tell, heard) = mpsc::channel(MOST_HEARD);
+        let (sender, receiver) = mpsc::channel(MOST_FEEDBACK);
         let searches = Work::new(1, move |request: PlanRequest, stop: &Stop| {
             let started = Instant::now();
             let is_late = || !deadline.is_zero() && started.elapsed() >= deadline;
-            let mut told = None;
+            let mut sent = None;
             let planned = planner.plan(&request, &mut |progress, terms| {
-                let heard = Heard::of(progress, terms).filter(|_| request.is_followed);
-                if let Some(heard) = heard
-                    && told.replace(heard.iteration()) != Some(heard.iteration())
+                let progress = SearchProgress::of(progress, terms);
+                if let Some(progress) = progress.filter(|_| request.is_followed)
+                    && sent.replace(progress.iteration()) != Some(progress.iteration())
                 {
-                    // Feedback that nobody has read for long is out of date.
-                    let _ = tell.try_send(heard);
+                    // If the queue is full, this feedback is dropped: only new feedback matters.
+                    sender.try_send(progress).ok();
                 }
                 stop.is_asked() || is_late()
             });
@@ -193,7 +193,7 @@ impl ModelNode for Planner {
             goals: Goals::new(model.goals.clone(), &model.pool),
             read: Work::new(1, read).on(&model.pool),
             action: None,
-            heard,
+            progress: receiver,
             searches,
             is_searching: false,
             is_behind: false,
@@ -223,15 +223,15 @@ impl ModelNode for Planner {
                     self.plan(outcomes);
                 }
                 end = ActionRun::over(self.action.as_ref()) => self.end(end)?,
-                Some(heard) = self.heard.recv() => {
+                Some(progress) = self.progress.recv() => {
                     if let Some(run) = &self.action {
-                        run.tell(&run.course.feedback(heard))?;
+                        run.publish_feedback(&run.course.feedback(progress))?;
                     }
                 }
                 Some(request) = actions.recv() => self.request(request)?,
                 read = self.read.finished() => {
                     let (id, goal) = read.context("the goal's thread")?;
-                    // Another one may have ended before it was read.
+                    // The action may have ended before its goal was read.
                     if self.action.as_ref().is_some_and(|run| run.id() == id) {
                         match goal {
                             Ok(goal) => {
@@ -265,7 +265,7 @@ impl ModelNode for Planner {
     }
 }
 
-/// The pictures of what a plan leads to, where there is one.
+/// The predicted pictures at the end of a plan, if it has an outcome.
 fn pictures(planned: &Planned, transports: Transports) -> Option<Pictures> {
     let outcome = planned.outcome.as_ref()?;
     let message = &planned.message;
@@ -283,10 +283,10 @@ fn pictures(planned: &Planned, transports: Transports) -> Option<Pictures> {
 }
 
 impl Planner {
-    /// Starts a search where one is due, or says what it waits for.
+    /// Starts a search if one is due, or reports what it waits for.
     fn plan(&mut self, outcomes: &ImagePublisher) {
         if self.is_searching {
-            // The next search starts from the newest frame when this one is over.
+            // The next search starts at the end of this one, from the newest frame.
             self.is_behind |= !self.period.is_zero() && self.step.is_due();
             return;
         }
@@ -295,9 +295,9 @@ impl Planner {
                 request.is_shown = outcomes.subscribers() > 0;
                 request.is_followed = self.action.is_some();
                 self.complaints.working("planning");
-                self.count_left_out(&request);
+                self.count_missed_plans(&request);
                 self.is_searching = true;
-                // None waits, so that none is given back.
+                // No search waits, so the queue drops none.
                 let _ = self.searches.submit(request);
             }
             Err(PlanWait::Recent) => self.complaints.working("planning"),
@@ -331,24 +331,25 @@ impl Planner {
         }
     }
 
-    /// Counts the plans that were due while the last one was searched for: by choice where searches take that long.
-    fn count_left_out(&mut self, request: &PlanRequest) {
+    /// Counts the plans that were due during the last search: skipped by choice if searches usually take longer than the
+    /// period, otherwise dropped.
+    fn count_missed_plans(&mut self, request: &PlanRequest) {
         if !std::mem::take(&mut self.is_behind) {
             return;
         }
         let step_s = request.moment.timing.step_ns() as f32 / 1e9;
         let periods = request.passed_steps * step_s / self.period.as_secs_f32();
         // A handful; a cast saturates.
-        let left_out = (periods.round() as u64).saturating_sub(1);
+        let missed = (periods.round() as u64).saturating_sub(1);
         if self.cadence.nth() > 1 {
-            self.diagnostics.count_skipped(SKIPPED, left_out);
-        } else if left_out > 0 {
+            self.diagnostics.count_skipped(SKIPPED, missed);
+        } else if missed > 0 {
             let text = "planning takes longer than before or than plan_period";
-            self.complaints.left_out_many("overload", left_out, &text);
+            self.complaints.left_out_many("overload", missed, &text);
         }
     }
 
-    /// Takes note of how long a search took, and says if that changes how often plans come.
+    /// Notes the duration of a search, and reports a change of the time between plans.
     fn took(&mut self, taken: Duration) {
         if self.period.is_zero() {
             return;
@@ -402,7 +403,7 @@ impl Planner {
             return Ok(());
         }
         let plan = Plan {
-            // A search takes seconds: far below what 64 bits of nanoseconds hold.
+            // A search takes seconds; 64 bits of nanoseconds hold 292 years.
             time_taken: RosDuration::from_nanos(taken.as_nanos() as i64),
             ..planned.message
         };
@@ -419,14 +420,14 @@ impl Planner {
             shapes.publish(&made)?;
         }
         let Some(run) = run else { return Ok(()) };
-        run.tell(&run.course.summary(&plan))?;
+        run.publish_feedback(&run.course.summary(&plan))?;
         match run.course.planned(&plan) {
             Some(end) => self.end(end),
             None => Ok(()),
         }
     }
 
-    /// Takes the goal of an action; one that is under way gives way to it.
+    /// Takes the goal of an action. It replaces a running one.
     fn request(&mut self, request: GoalRequest<PlanAction>) -> Result<()> {
         let course = match Course::new(&request.goal, Instant::now()) {
             Ok(course) => course,
@@ -438,13 +439,13 @@ impl Planner {
             }
         };
         self.end(End::Aborted("a newer goal came".to_owned()))?;
-        // Nothing is planned for the goal before while this one is read.
+        // No search for the previous goal starts while this goal is read.
         self.step.clear_goal();
         let unread = (request.id(), request.goal.goal.clone());
         match request.accept() {
             Ok(goal) => {
                 self.action = Some(ActionRun::new(goal, course));
-                // One that is given back belongs to an action that has ended.
+                // A dropped goal belongs to an action that has ended.
                 let _ = self.read.submit(unread);
             }
             Err(error) => self.complaints.left_out("bad_goal", &error),
@@ -452,7 +453,7 @@ impl Planner {
         Ok(())
     }
 
-    /// Ends the action, if there is one, and forgets its goal: nothing more is planned for it.
+    /// Ends the running action, if there is one, and drops its goal.
     fn end(&mut self, end: End) -> Result<()> {
         if let Some(run) = self.action.take() {
             tracing::info!("an action has ended: {end:?}");

@@ -1,4 +1,4 @@
-//! The predictor on the wire.
+//! The predictor's ROS interface.
 
 use std::{
     collections::BTreeMap,
@@ -46,9 +46,9 @@ const NO_ACTIONS: &str =
     "start the arm's driver, or remap /wm/action to its topic; until then the last action is held";
 const SLOW: &str = "observations are dropped; reduce the parameter horizon or integration_steps, or give the predictor \
                     more processor time";
-/// From one report of a doubt to the next.
+/// Time from one report of a doubt to the next.
 const REMINDER: Duration = Duration::from_secs(2);
-/// What raises the rate.
+/// Advice for a higher rate.
 const FASTER: &str =
     "for more: a smaller horizon, fewer integration_steps, a smaller model, or a faster processor";
 
@@ -87,7 +87,7 @@ wm_ros::endpoints! {
     }
 }
 
-/// What the rollout's thread shares with the message loop.
+/// State that the rollout's thread shares with the message loop.
 #[derive(Clone)]
 struct Shared {
     step: Arc<Mutex<PredictorStep>>,
@@ -101,7 +101,7 @@ struct Shared {
     clock: Clock,
 }
 
-/// What the node loads.
+/// The loaded parts of the model.
 struct Model {
     model: Arc<WorldModel>,
     history: HistoryBuilder,
@@ -113,7 +113,7 @@ struct Model {
 struct Job {
     request: RolloutRequest,
     received: Instant,
-    /// Until the next one begins.
+    /// Time until the next rollout begins.
     limit: Duration,
 }
 
@@ -121,13 +121,13 @@ struct Predictor {
     follower: Follower,
     shared: Shared,
     work: PacedWork<Job, Result<()>>,
-    /// Euler steps of a rollout: what its time is proportional to.
+    /// Euler steps of a rollout. Its duration is proportional to them.
     size: usize,
-    /// Predictions given up that have been counted.
+    /// Unscored predictions that the counters already contain.
     unscored: u64,
     /// Whether the log has warned against trusting the predictions.
     is_doubtful: bool,
-    /// When the doubt is reported again: a slow encoder's latents are further apart than a report is valid.
+    /// Repeats the report of a doubt, because a slow encoder's latents are further apart than a report is valid.
     reminder: Interval,
     complaints: Complaints,
 }
@@ -149,12 +149,12 @@ impl ModelNode for Predictor {
         );
         let steps = integration_steps(&model, parameters);
         let estimate = time_of_step(&model, parameters.context_frames, steps)
-            .inspect_err(|error| tracing::warn!("predicting was tried out, and failed: {error}"))
+            .inspect_err(|error| tracing::warn!("trial prediction failed: {error}"))
             .ok();
         if let Some(taken) = estimate {
             let horizon = horizon(parameters);
             let taken = rollout_time(taken, horizon);
-            say(
+            log_pace(
                 &Cadence::new(frame_period(parameters), Some(taken)),
                 taken,
                 frame_period(parameters),
@@ -238,12 +238,12 @@ impl ModelNode for Predictor {
                     if let Err(error) = finished.context("the rollout's thread")? {
                         self.complaints.left_out("rollout", &format_args!("{error:#}"));
                     }
-                    self.say_pace(&at.parameters);
+                    self.report_pace(&at.parameters);
                 }
                 _ = self.reminder.tick() => {
                     let doubt = self.shared.step().doubt();
                     if matches!(doubt, Some(Doubt::Frozen | Doubt::CameraClock(_))) {
-                        self.say_doubt(doubt);
+                        self.report_doubt(doubt);
                     }
                 }
                 event = self.follower.next(inputs) => {
@@ -255,7 +255,7 @@ impl ModelNode for Predictor {
                         step.set(horizon, integration_steps);
                         let size = horizon * integration_steps;
                         if size != self.size {
-                            // Counts of a handful.
+                            // At most 64 times 1000: exact in f64.
                             self.work.cadence.scale(size as f64 / self.size.max(1) as f64);
                             self.size = size;
                         }
@@ -291,7 +291,7 @@ impl Predictor {
             );
             self.unscored = unscored;
         }
-        self.say_doubt(doubt);
+        self.report_doubt(doubt);
         match rollout {
             None => {}
             Some(Ok(request)) => {
@@ -302,7 +302,7 @@ impl Predictor {
             }
             Some(Err(wait)) => self.complaints.waiting(wait.kind(), wait.is_usual(), &wait),
         }
-        // The rollout does not wait for them.
+        // After the rollout is started, so that it does not wait for them.
         for error in &errors {
             self.shared.scored(error)?;
         }
@@ -335,19 +335,19 @@ impl Predictor {
         }
     }
 
-    /// Says how often rollouts begin, if that has changed.
-    fn say_pace(&mut self, parameters: &Parameters) {
+    /// Reports a change of the time between rollouts.
+    fn report_pace(&mut self, parameters: &Parameters) {
         let cadence = &mut self.work.cadence;
         let Some((taken, gap)) = cadence.change() else {
             return;
         };
-        say(cadence, taken, gap, horizon(parameters));
+        log_pace(cadence, taken, gap, horizon(parameters));
         let nth = every_nth(cadence.nth(), "frame");
         self.shared.diagnostics.set_value(PACE, nth);
     }
 
-    /// On `/diagnostics` for as long as it lasts, and in the log when it begins.
-    fn say_doubt(&mut self, doubt: Option<Doubt>) {
+    /// Reports a doubt on `/diagnostics` while it lasts, and in the log when it begins.
+    fn report_doubt(&mut self, doubt: Option<Doubt>) {
         if let Some(doubt) = doubt {
             let text = doubt.to_string();
             if !self.is_doubtful {
@@ -384,8 +384,8 @@ impl Shared {
         Ok(self.summaries.publish(&Text { data })?)
     }
 
-    /// Computes one rollout and sends each step when it is ready; stops where time has jumped or the node is no longer
-    /// active. Gives how long it took, if it was made whole.
+    /// Computes a rollout, and publishes each step at once. It stops if time jumps or the node becomes inactive.
+    /// Returns the time of a complete rollout.
     fn roll_out(&self, job: Job, stop: &Stop) -> Result<Option<Duration>> {
         let Job {
             request,
@@ -407,7 +407,7 @@ impl Shared {
             horizon: 0,
             step_s: request.moment.timing.step_ns() as f64 / 1e9,
             ratios: BTreeMap::new(),
-            // The last of them is beyond the horizon.
+            // `future` has one action more than the horizon.
             motion: Motion::of(request.future.get(..request.horizon).unwrap_or(&[]), space),
             doubt: None,
             latency_s: None,
@@ -453,7 +453,7 @@ impl Shared {
         if let Some(ahead) = ahead.filter(|_| !stop.is_asked()) {
             self.preparation.prepare(&self.model, &ahead)?;
         }
-        // With what was computed for the next one, which is as much less then.
+        // This includes the preparation of the next rollout, which is shorter by it.
         Ok(Some(started.elapsed()))
     }
 }
@@ -476,14 +476,14 @@ fn integration_steps(model: &WorldModel, parameters: &Parameters) -> usize {
     }
 }
 
-/// The time of a rollout of which a predicted frame takes `step`.
+/// The time of a rollout if a predicted frame takes `step`.
 fn rollout_time(step: Duration, horizon: usize) -> Duration {
     // At most 64.
     step * horizon as u32
 }
 
-/// Says how often rollouts begin here, where frames to predict from come `gap` apart.
-fn say(cadence: &Cadence, taken: Duration, gap: Duration, horizon: usize) {
+/// Logs how often rollouts begin, if frames arrive `gap` apart.
+fn log_pace(cadence: &Cadence, taken: Duration, gap: Duration, horizon: usize) {
     let (nth, frames) = (cadence.nth(), every_nth(cadence.nth(), "frame"));
     let (taken, rate) = (rough(taken), hertz(gap));
     let text = format!("one prediction of {horizon} steps takes about {taken} here; at {rate}");

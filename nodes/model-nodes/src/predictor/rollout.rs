@@ -154,5 +154,6 @@ impl Iterator for RunningRollout<'_> {
 
 /// Counts of a message; horizons and step counts are bounded far below.
 fn count(value: usize) -> u32 {
+    // Horizons and Euler steps, far below 2^32.
     u32::try_from(value).unwrap_or(u32::MAX)
 }

@@ -19,12 +19,12 @@ use wm_planner_worker::{Identity, PlannerWorkers};
 use wm_ros::zenoh::{Mode, NetworkArguments};
 use wm_zoo::ModelFolder;
 
-/// Far longer than anything on one host; only ends a hanging test.
+/// Far longer than any step of a test: it only ends a test that hangs.
 pub const PATIENCE: Duration = Duration::from_secs(60);
 
 const MODEL: &str = "tiny";
 
-/// The embedded default.
+/// The embedded model.
 pub fn model() -> &'static WorldModel {
     static LOADED: LazyLock<WorldModel> =
         LazyLock::new(|| ModelFolder::open(MODEL).unwrap().world_model().unwrap());
@@ -41,7 +41,7 @@ pub struct Process {
 pub struct Place(String);
 
 impl Place {
-    /// Starts another one there.
+    /// Starts another worker at this endpoint.
     pub fn worker(self) -> Process {
         worker_at(self.0)
     }
@@ -58,7 +58,7 @@ pub fn worker() -> Process {
 fn worker_at(endpoint: String) -> Process {
     let child = Command::new(env!("CARGO_BIN_EXE_wm-planner-worker"))
         .args(["--model", MODEL, "--listen", &endpoint])
-        // few threads, so that workers do not compete on machines with few cores
+        // Few threads, so that workers do not compete on machines with few cores.
         .env("RAYON_NUM_THREADS", "1")
         .stdin(Stdio::null())
         .process_group(0)
@@ -72,14 +72,14 @@ impl Process {
         rustix::process::kill_process(Pid::from_child(&self.child), signal).unwrap();
     }
 
-    /// Kills it, as a power loss would; returns its endpoint.
+    /// Kills the process, as a power loss would; returns its endpoint.
     pub fn kill(mut self) -> Place {
         self.child.kill().unwrap();
         self.child.wait().unwrap();
         Place(self.endpoint.clone())
     }
 
-    /// Waits for its end.
+    /// Waits for the end of the process.
     pub fn finish(mut self) -> ExitStatus {
         let start = Instant::now();
         loop {

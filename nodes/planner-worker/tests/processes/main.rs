@@ -20,7 +20,7 @@ fn two() -> ([Process; 2], PlannerWorkers) {
     ([first, second], pool)
 }
 
-/// Plans, alone and with the workers, until they have contributed.
+/// Plans alone and with the workers, until the workers have contributed.
 fn until_answered(pool: &PlannerWorkers, scene: &Scene) {
     let before = pool.counts().answered;
     for seed in 0.. {
@@ -58,7 +58,7 @@ fn planning_continues_without_a_dead_worker() {
     });
     assert_eq!((counts.gone, counts.taking_part), (1, 1), "{counts:?}");
 
-    // the other one continues until it is ended
+    // The other worker continues until its end.
     assert_eq!(
         scene.plan(2, Some(&pool), &mut || {}),
         scene.plan(2, None, &mut || {})
@@ -74,7 +74,7 @@ fn planning_continues_without_a_dead_worker() {
         scene.plan(2, None, &mut || {})
     );
 
-    // a worker that replaces another is found automatically
+    // The planner finds a worker that replaces another.
     let _third = place.unwrap().worker();
     let counts = pool.wait_until(PATIENCE, |counts| counts.taking_part == 1);
     assert_eq!(counts.taking_part, 1, "{counts:?}");
@@ -86,7 +86,7 @@ fn slow_worker_is_excluded_until_it_answers() {
     let ([slow, _other], pool) = two();
     let scene = Scene::new();
     let alone = scene.plan(1, None, &mut || {});
-    // the duration of a batch here is now known
+    // The duration of a batch of the search is known now.
     assert_eq!(scene.plan(1, Some(&pool), &mut || {}), alone);
     slow.signal(Signal::STOP);
     assert_eq!(scene.plan(1, Some(&pool), &mut || {}), alone);

@@ -1,4 +1,4 @@
-//! The adapter on the wire.
+//! The adapter's ROS interface.
 
 use std::{sync::Arc, time::Duration};
 
@@ -23,13 +23,13 @@ use crate::optional::next;
 /// The node.
 pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition::of::<Adapter>();
 
-/// From one check whether the source is silent to the next.
+/// Time from one check for a silent source to the next.
 const LOOK: Duration = Duration::from_millis(50);
 
 struct Adapter {
     step: AdapterStep,
     base_frame: String,
-    /// Whether transforms are missing, which then is what it waits for.
+    /// Whether transforms are missing: the node then waits for them.
     is_lost: bool,
     outlets: Outlets,
     complaints: Complaints,
@@ -162,7 +162,7 @@ impl Adapter {
         }
     }
 
-    /// Publishes the actions of the periods that are over.
+    /// Publishes the actions of the completed periods.
     fn publish(&mut self) -> Result<()> {
         for done in self.step.take_done() {
             match done {

@@ -98,6 +98,7 @@ pub struct AdapterStep {
 impl AdapterStep {
     /// An adapter without messages.
     pub fn new(settings: Settings) -> Self {
+        // 64 bits of nanoseconds hold 292 years.
         let nanos = |duration: Duration| i64::try_from(duration.as_nanos()).unwrap_or(i64::MAX);
         let (period_ns, timeout_ns) = (nanos(settings.period).max(1), nanos(settings.timeout));
         let poses = |what| Poses::new(what, period_ns, timeout_ns, settings.speeds);
@@ -284,6 +285,7 @@ impl AdapterStep {
     }
 
     fn action(&self, period: &Period) -> Result<Done, Problem> {
+        // 64 bits of nanoseconds hold 292 years.
         let period_ns = i64::try_from(self.period.as_nanos()).unwrap_or(i64::MAX);
         let gripper = match self.layout.has_gripper() {
             true => {

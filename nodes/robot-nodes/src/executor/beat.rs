@@ -40,6 +40,7 @@ impl Beat {
         let source = match is_clock {
             true => Source::Clock {
                 jumps: clock.jumps(),
+                // 64 bits of nanoseconds hold 292 years.
                 period_ns: i64::try_from(period.as_nanos()).unwrap_or(i64::MAX),
                 // A simulated clock stands at zero until its first message.
                 next_ns: 1,
@@ -92,8 +93,8 @@ impl Beat {
         }
     }
 
-    /// Waits for the next beat, for the clock to jump back, or for a period of real time. Missed beats are skipped. False: no
-    /// command is due, and only the watchdog of the clock needs the present.
+    /// Waits for the next beat, for the clock to jump back, or for a period of real time. Missed beats are skipped.
+    /// False: no command is due, and only the watchdog of the clock needs the present.
     pub(super) async fn tick(&mut self) -> bool {
         match &mut self.source {
             Source::Real(interval) => {

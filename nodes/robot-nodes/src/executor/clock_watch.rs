@@ -26,8 +26,8 @@ impl ClockWatch {
         }
     }
 
-    /// How long a clock may stand still, at most `longest`, so that the arm is at rest within `max_age` of the clock's stop.
-    /// The watchdog sees that up to a command period late, and the arm then takes `stop_within`.
+    /// How long a clock may stand still, at most `longest`, so that the arm is at rest within `max_age` of the clock's
+    /// stop. The watchdog sees that up to a command period late, and the arm then takes `stop_within`.
     pub(super) fn timeout_for(
         longest: Duration,
         max_age: Duration,
@@ -53,6 +53,7 @@ impl ClockWatch {
     pub(super) fn leap_s(&mut self, now: Moment) -> Option<f64> {
         let last = self.last.replace(now)?;
         let passed = now.at.saturating_duration_since(last.at);
+        // 64 bits of nanoseconds hold 292 years.
         let passed_ns = i64::try_from(passed.as_nanos()).unwrap_or(i64::MAX);
         let leap_ns = now
             .stamp_ns

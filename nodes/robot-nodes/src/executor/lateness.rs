@@ -109,6 +109,7 @@ pub(super) struct Lateness {
 impl Lateness {
     /// For an arm that does not stop in a gap of `grace` between two offers, and takes `least` to start and stop.
     pub fn new(grace: Duration, least: Duration) -> Self {
+        // 64 bits of nanoseconds hold 292 years.
         let nanos = |duration: Duration| i64::try_from(duration.as_nanos()).unwrap_or(i64::MAX);
         Self {
             grace_ns: nanos(grace),

@@ -63,8 +63,8 @@ pub(super) fn array(velocity: Velocity) -> Float64MultiArray {
     }
 }
 
-/// One point: positions and velocities of the joints at the end of the command period. It begins at once, independent of the
-/// arm's clock.
+/// One point: positions and velocities of the joints at the end of the command period. It begins at once, independent
+/// of the arm's clock.
 pub(super) fn trajectory(
     frame_id: String,
     joint_names: &[String],
@@ -112,6 +112,7 @@ pub(super) fn status(header: Header, status: &Status) -> ExecutorStatus {
             State::Stopped => ExecutorStatus::STOPPED,
         },
         reason: status.reason.clone(),
+        // Zero without an offer.
         chunk_stamp: status.offer_ns.map(Time::from_nanos).unwrap_or_default(),
         begun: counts.begun,
         refused: counts.refused,

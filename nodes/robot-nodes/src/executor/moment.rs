@@ -32,12 +32,14 @@ impl Moment {
             0 => 0,
             stamp_ns => self.stamp_ns.saturating_sub(stamp_ns),
         };
+        // A stamp in the future has no age.
         Duration::from_nanos(u64::try_from(age_ns).unwrap_or(0))
     }
 
     /// Time from `self` to `now`, by `at` or by the node's clock: the longer one.
     pub(super) fn age(&self, now: Self) -> Duration {
         let by_stamp_ns = now.stamp_ns.saturating_sub(self.stamp_ns);
+        // Zero if the clock was set back.
         let by_stamp = Duration::from_nanos(u64::try_from(by_stamp_ns).unwrap_or(0));
         by_stamp.max(now.at.saturating_duration_since(self.at))
     }

@@ -1,4 +1,4 @@
-//! The executor on the wire.
+//! The executor's ROS interface.
 
 use std::{sync::Arc, time::Instant};
 
@@ -40,9 +40,9 @@ struct Executor {
     outlets: Outlets,
     complaints: Complaints,
     diagnostics: Diagnostics,
-    /// The status that was published last, and when.
+    /// The last published status, and when it was published.
     published: Option<(Status, Instant)>,
-    /// Undecodable messages of the emergency stop.
+    /// Number of undecodable messages of the emergency stop.
     undecodable: u64,
 }
 
@@ -90,7 +90,7 @@ impl NodeProgram for Executor {
         }
         let ended = self.execute(&mut at.endpoints).await;
         if let Err(error) = &ended {
-            // The last command would hold until the arm's controller misses the next.
+            // Without a stop, the last command would hold until the arm's controller notices the silence.
             self.step.stop(&format!("the node ends: {error:#}"));
             let now = self.beat.now();
             self.act(now).ok();
@@ -100,7 +100,7 @@ impl NodeProgram for Executor {
     }
 }
 
-/// A caller that the graph does not name.
+/// Name of a caller that the graph does not contain.
 const UNKNOWN_NODE: &str = "an unknown node";
 
 impl Executor {
@@ -125,7 +125,7 @@ impl Executor {
         let mut graph = self.node.graph_changes();
         graph.mark_changed();
         loop {
-            // What stops the arm goes first; commands go before what leads to further ones.
+            // Stops first. Commands before the inputs of later commands.
             tokio::select! {
                 biased;
                 Some(received) = emergency.recv() => self.emergency(&received)?,
@@ -134,7 +134,7 @@ impl Executor {
                 () = shutdown.wait(), if !is_ending => {
                     is_ending = true;
                     if self.beat.is_clock() {
-                        // Its clock may stand still for ever.
+                        // The clock may stand still forever.
                         self.step.stop("the node ends");
                         self.tick()?;
                         return self.outlets.settle().await;
@@ -197,7 +197,7 @@ impl Executor {
         }
     }
 
-    /// Publishes the command of this period and the status; whether the arm moves.
+    /// Publishes the command of this period and the status; returns whether the arm moves.
     fn tick(&mut self) -> Result<bool> {
         let now = self.beat.now();
         let is_moving = self.act(now)?;
@@ -205,7 +205,7 @@ impl Executor {
         Ok(is_moving)
     }
 
-    /// Publishes the command of this period; whether the arm moves.
+    /// Publishes the command of this period; returns whether the arm moves.
     fn act(&mut self, now: Moment) -> Result<bool> {
         let tick = self.step.tick(now);
         for refusal in &tick.refused {
@@ -273,12 +273,12 @@ impl Executor {
             .joints
             .as_ref()
             .map_or(&[][..], |joints| joints.names());
-        // A period is far below 292 years.
+        // 64 bits of nanoseconds hold 292 years.
         let period_ns = i64::try_from(settings.period.as_nanos()).unwrap_or(i64::MAX);
         message::trajectory(self.step.frame_id().to_owned(), names, command, period_ns)
     }
 
-    /// Publishes the status if it has changed, or if some time has passed.
+    /// Publishes the status if it has changed, and at least every [`STATUS_PERIOD`].
     fn publish_status(&mut self, now: Moment) -> Result<()> {
         let status = self.step.status();
         if let Some((published, at)) = &self.published
@@ -307,7 +307,7 @@ impl Executor {
         Ok(())
     }
 
-    /// Logs a change of the state, and each hold once, when it begins.
+    /// Logs changes of the state, and the beginning of each hold.
     fn log(&self, status: &Status) {
         let before = self.published.as_ref().map(|(before, _)| before);
         let is_new_hold =
@@ -345,7 +345,7 @@ impl Executor {
         text.replace("~/", &format!("{}/", self.node.fully_qualified_name()))
     }
 
-    /// Logs which node called a service of this node; gives the same text.
+    /// Logs which node called a service of this node; returns the text.
     fn log_call(&self, participant: [u8; 12], service: &str) -> String {
         let node = self.node.node_of(participant);
         let node = node.as_deref().unwrap_or(UNKNOWN_NODE);
@@ -361,7 +361,7 @@ impl Executor {
         self.report_lateness();
     }
 
-    /// Counts a refusal, and logs it unless its cause is logged once for all: a hold, or a late source.
+    /// Counts a refusal, and logs it. Holds and late sources are logged elsewhere, once for all refusals.
     fn refuse(&mut self, refusal: &Refusal, prefix: &str) {
         let reason = refusal.reason();
         let text = self.spelled(&format!("{prefix}{refusal}"));
@@ -389,7 +389,7 @@ impl Executor {
         }
     }
 
-    /// Takes the publishers that can stop the arm, after a change of the graph.
+    /// Updates the publishers that can stop the arm, after a change of the graph.
     fn connect(
         &mut self,
         emergency: &Subscription<Bool>,
@@ -407,7 +407,7 @@ impl Executor {
         self.publish_status(now)
     }
 
-    /// Stops the arm at an undecodable message of the emergency stop, which may have been true.
+    /// Stops the arm after an undecodable message of the emergency stop, which may have been true.
     fn expect_readable(&mut self, undecodable: u64) {
         if undecodable > self.undecodable {
             self.undecodable = undecodable;
@@ -454,7 +454,7 @@ impl Executor {
         Ok(())
     }
 
-    /// The response to a call; a refusal is logged too.
+    /// The response to a call. It also logs a refusal.
     fn outcome(&self, done: Result<(), super::ArmError>, what: &str) -> Outcome {
         let message = match &done {
             Ok(()) => what.to_owned(),
@@ -472,7 +472,7 @@ impl Executor {
 
     fn obey(&mut self, request: Request) -> Result<()> {
         let now = self.beat.now();
-        // First the action, then the search of the graph for the caller: an arm does not wait for that.
+        // The arm does not wait for the search of the graph for the caller.
         match request {
             Request::Arm(call) if call.request.data => {
                 let armed = self.step.arm();

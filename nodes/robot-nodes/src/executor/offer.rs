@@ -125,6 +125,7 @@ impl Offer {
 
     /// When its last action ends \[ns\].
     pub fn end_ns(&self) -> i64 {
+        // At most MAX_CHUNK.
         let count = i64::try_from(self.actions.len()).unwrap_or(i64::MAX);
         let span_ns = self.period_ns.saturating_mul(count);
         self.begin_ns.saturating_add(span_ns)
@@ -132,6 +133,7 @@ impl Offer {
 
     /// When an action begins \[ns\].
     pub fn start_ns(&self, index: usize) -> i64 {
+        // At most MAX_CHUNK.
         let index = i64::try_from(index).unwrap_or(i64::MAX);
         self.begin_ns
             .saturating_add(self.period_ns.saturating_mul(index))

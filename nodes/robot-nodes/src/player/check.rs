@@ -7,19 +7,20 @@ use wm_bag::BagReader;
 use wm_camera::goal::camera_topic;
 use wm_ros::NodeArgs;
 
-/// Whether a player with these arguments, started in `folder`, finds its bag, and in it the camera and the actions that it
-/// is told. So a launch can refuse a mistyped path before its recorder and its report touch what an earlier one has left.
+/// Checks that a player with these arguments, started in `folder`, finds its bag, and in it the camera and the actions of
+/// its parameters. A launch can refuse a mistyped path before its recorder and its report touch earlier results.
 ///
 /// # Errors
-/// As the player would say it.
+/// Those of the player.
 pub fn check(args: &NodeArgs, folder: &Path) -> Result<()> {
     let text = |name: &str| -> Result<String> {
-        let given = args.given(NODE.name, wm_ros::NAMESPACE, name)?;
-        Ok(given.unwrap_or_default())
+        let value = args.given(NODE.name, wm_ros::NAMESPACE, name)?;
+        // The default of these parameters is empty.
+        Ok(value.unwrap_or_default())
     };
     let bag = text("bag")?;
     if bag.is_empty() {
-        // The player names the parameter.
+        // The player itself reports the missing parameter.
         return Ok(());
     }
     let reader = BagReader::open(folder.join(bag))?;
@@ -30,11 +31,10 @@ pub fn check(args: &NodeArgs, folder: &Path) -> Result<()> {
     let chunk_length: Option<i64> =
         args.given(NODE.name, wm_ros::NAMESPACE, "action_chunk_length")?;
     if chunk_length.is_some_and(|length| length > 0) {
-        let given = text("action_topic")?;
-        let topic = if given.is_empty() {
-            ACTION_TOPIC
-        } else {
-            given.as_str()
+        let topic = text("action_topic")?;
+        let topic = match topic.as_str() {
+            "" => ACTION_TOPIC,
+            topic => topic,
         };
         require_actions(&reader, topic)?;
     }

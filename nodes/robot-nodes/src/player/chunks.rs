@@ -7,22 +7,22 @@ use wm_msgs::{
     wm_msgs::{Action, ActionChunk},
 };
 
-/// Why a bag's actions make no chunks.
+/// The reason why a bag's actions cannot become chunks.
 #[derive(Debug, Error, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ChunkError {
-    /// One action has no period.
+    /// Fewer than two actions have no period.
     #[error("the bag has {0} action(s); at least 2 are needed to determine their period")]
     TooFew(usize),
-    /// Actions that do not come one after the other.
+    /// The actions are not in the order of time.
     #[error("the bag's actions have no positive period: their median distance is {0} ns")]
     Period(i64),
 }
 
-/// A bag's actions in order, handed out in chunks: the one at an action begins with that action.
+/// Chunks of a bag's actions, in order. Each chunk begins with another action.
 ///
-/// The chunk of an action has that action's stamp, so that it says what is done from this moment on; chunks
-/// overlap, so that a frame that overtakes its chunk is served by the one before.
+/// The stamp of a chunk is that of its first action. Chunks overlap: if a frame arrives earlier than its chunk, the
+/// previous chunk contains its actions.
 #[derive(Clone, Debug)]
 pub struct ActionChunks {
     /// Log times \[ns\], in order, and actions.
@@ -32,10 +32,10 @@ pub struct ActionChunks {
 }
 
 impl ActionChunks {
-    /// Chunks of at most `length` of these actions, each with its log time \[ns\], in whose order they are.
+    /// Chunks of at most `length` actions. Each action has its log time \[ns\], and they are in the order of these.
     ///
     /// # Errors
-    /// Where there are fewer than two, or their stamps do not grow.
+    /// There are fewer than two actions, or their stamps do not increase.
     pub fn new(actions: Vec<(u64, Action)>, length: usize) -> Result<Self, ChunkError> {
         let stamps = actions
             .iter()
@@ -59,8 +59,8 @@ impl ActionChunks {
         })
     }
 
-    /// The chunk that begins with the first action at or after this log time; none past the last action. `map` moves
-    /// stamps \[ns\] to the time of the replay, and `rate` is the bag's seconds in a second there.
+    /// The chunk that begins with the first action at or after this log time; `None` after the last action. `map` converts
+    /// stamps \[ns\] to the time of the replay. `rate` is the playback rate: seconds of the bag per second.
     #[must_use]
     pub fn chunk(
         &self,
@@ -81,7 +81,7 @@ impl ActionChunks {
             .take(self.length)
             .enumerate();
         let actions = coming.map(|(step, (_, action))| {
-            // a chunk has no more actions than the bag
+            // Chunks are not longer than the bag.
             let stamp =
                 Time::from_nanos(stamp_ns.saturating_add(period_ns.saturating_mul(step as i64)));
             Action {
@@ -108,7 +108,7 @@ impl ActionChunks {
 mod tests {
     use super::*;
 
-    /// Logged 5 ns after its stamp.
+    /// An action whose log time is 5 ns after its stamp.
     fn action(stamp_ns: i64, value: f32) -> (u64, Action) {
         let header = Header {
             stamp: Time::from_nanos(stamp_ns),
@@ -123,7 +123,7 @@ mod tests {
 
     #[test]
     fn a_chunk_begins_with_its_action_and_ends_with_the_bag() {
-        // the third is late: the chunk's times are those of the period all the same
+        // The third action is late, but the chunk's times follow the period.
         let actions = vec![
             action(1000, 0.0),
             action(1200, 1.0),

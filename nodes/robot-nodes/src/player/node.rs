@@ -1,4 +1,4 @@
-//! The player on the wire.
+//! The player's ROS interface.
 
 mod control;
 mod publication;
@@ -9,7 +9,7 @@ use super::{
     playback::{Playback, Step},
     playlist::Playlist,
     settings::{Parameters, has_clock},
-    source::{Ahead, Source},
+    source::{BufferedMessage, Source},
 };
 use crate::{ending::Ending, keyboard::Keys};
 use anyhow::Result;
@@ -87,13 +87,13 @@ wm_ros::endpoints! {
     }
 }
 
-/// The node. It plays until the bag's end or a signal.
+/// Plays until the bag's end or a signal.
 struct PlayerProgram {
-    /// `DataLost` if parts of the bag were unreadable, or messages found no room in a publisher.
+    /// `DataLost` if parts of the bag were unreadable, or a publisher dropped messages.
     ending: Ending,
 }
 
-/// What is played.
+/// An open bag, and what is played of it.
 struct Bag {
     settings: Settings,
     reader: Arc<BagReader>,
@@ -154,19 +154,19 @@ struct Player<'a> {
     settings: &'a Settings,
     reader: &'a Arc<BagReader>,
     playlist: &'a Playlist,
-    /// Kept to the end: late joiners still get the goal.
+    /// Kept to the end, so that late joiners receive the goal.
     outlets: &'a Outlets,
     playback: Playback,
-    /// The moment zero of the playback, and the node's time then \[ns\], as it was when playing began last.
+    /// Moment zero of the playback, and the node's time at that moment \[ns\], from the last start.
     epoch: Instant,
     epoch_ns: i64,
     source: Source,
-    /// The next message; `None` before the source has read it, and at the end.
-    next: Option<Ahead>,
+    /// The next message; `None` while the source reads it, and at the end.
+    next: Option<BufferedMessage>,
     is_read_to_the_end: bool,
-    /// Whether no message has been read since the last jump.
+    /// Whether no message was read since the last jump.
     is_at_a_jump: bool,
-    /// The first is being published.
+    /// Bursts in the order of their requests. The messages of the first one are being published.
     bursts: VecDeque<BurstOrder>,
     published: u64,
     unreadable: u64,
@@ -236,7 +236,7 @@ impl<'a> Player<'a> {
             if self.playback.is_playing() && self.next.is_none() && !self.is_read_to_the_end {
                 tokio::select! {
                     next = self.source.next() => self.take(next),
-                    Some(request) = requests.next_request() => self.obey(request),
+                    Some(request) = requests.next_request() => self.handle(request),
                     key = keys.next() => self.press(key),
                     () = tick(&mut ticks) => self.publish_time()?,
                 }
@@ -284,7 +284,7 @@ impl<'a> Player<'a> {
             self.answer_bursts();
             tokio::select! {
                 () = sleep_until(until) => if step == Step::Ended { break },
-                Some(request) = requests.next_request() => self.obey(request),
+                Some(request) = requests.next_request() => self.handle(request),
                 key = keys.next() => self.press(key),
                 () = tick(&mut ticks) => self.publish_time()?,
             }
@@ -299,8 +299,8 @@ impl<'a> Player<'a> {
         self.is_at_a_jump = true;
     }
 
-    fn take(&mut self, next: Option<Ahead>) {
-        // The search for latched messages may take a while: it delays the first message only.
+    fn take(&mut self, next: Option<BufferedMessage>) {
+        // The search for latched messages takes time. It delays only the first message.
         if std::mem::take(&mut self.is_at_a_jump) {
             self.playback.begin_late(self.epoch.elapsed());
         }
@@ -316,7 +316,7 @@ impl<'a> Player<'a> {
         }
     }
 
-    /// Logs the losses, topic by topic.
+    /// Logs the losses of each topic.
     fn report(&self) -> Ending {
         let is_incomplete = self.reader.warnings().iter().any(BagWarning::is_loss);
         let mut is_lost = self.unreadable > 0 || is_incomplete;
@@ -347,7 +347,7 @@ impl<'a> Player<'a> {
     }
 }
 
-/// Reads from this log time on. The latched messages that are valid then come first.
+/// Reads from this log time on. The latched messages that are valid at this time come first.
 fn open_source(
     reader: &Arc<BagReader>,
     playlist: &Playlist,

@@ -1,55 +1,55 @@
-//! Where a player is in its bag, and what it does next: a state machine without DDS, disk and clock.
+//! The position of a player in its bag, and its next step: a state machine without DDS, disk and clock.
 //!
-//! Its caller says what time it is, which message comes next, and what the user asks for; it answers whether to
-//! publish, to wait, or to read from elsewhere. Moments are times since any fixed one; the bag's times are log times
-//! \[ns\].
+//! The caller supplies the time, the next message, and the requests of the user. The state machine returns whether to
+//! publish, to wait, or to read from another time. Moments are durations since a fixed moment; times of the bag are log
+//! times \[ns\].
 
 use std::ops::RangeInclusive;
 use std::time::Duration;
 
-/// Seconds of the bag in a second that can be asked for.
+/// Valid rates: seconds of the bag per second.
 pub const RATES: RangeInclusive<f64> = 0.001..=1000.0;
 
-/// What is played, and with which pauses in between.
+/// The part of the bag to play, and the pauses.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Plan {
-    /// Log time at which it begins.
+    /// Log time of the beginning.
     pub start_ns: u64,
-    /// Log time of the last message that may be played.
+    /// Log time after which no message is played.
     pub last_ns: u64,
-    /// Whether it begins again at its end.
+    /// Whether the playback starts again at its end.
     pub is_looping: bool,
-    /// Time before each beginning, the first and those of a loop.
+    /// Time before the first message of each round of the loop.
     pub delay: Duration,
-    /// The least time between what was played and what follows a jump in the bag.
+    /// Least time between the last message before a jump in the bag and the first one after it.
     pub gap: Duration,
-    /// Longer gaps between messages of the bag are jumped over; `None`: none is.
+    /// Longer gaps between messages are skipped; `None`: no gap is.
     pub max_gap: Option<Duration>,
 }
 
-/// What to do next.
+/// The next step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step {
-    /// Nothing until this moment; `None`: until it is asked for something.
+    /// Wait until this moment; `None`: until a request.
     Wait(Option<Duration>),
-    /// Playing begins at this log time, before any message that follows.
+    /// Begin to play at this log time. The messages follow.
     Begin(u64),
     /// Publish the next message.
     Publish,
-    /// A gap between two log times was jumped over.
+    /// A gap between two log times is skipped.
     Jump {
-        /// The message before, or where it began.
+        /// Log time of the previous message, or of the beginning.
         from_ns: u64,
-        /// The message after.
+        /// Log time of the next message.
         to_ns: u64,
     },
-    /// Read from this log time on. It begins again there after a while.
+    /// Read again from this log time on, for the next round of the loop.
     Rewind(u64),
-    /// The playback is over, unless it is asked to begin again.
+    /// The playback has ended. A request can start it again.
     Ended,
 }
 
-/// A moment, and the bag's time then.
+/// A moment, and the bag's time at that moment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Anchor {
     at: Duration,
@@ -58,13 +58,13 @@ struct Anchor {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
-    /// It begins at the anchor.
+    /// Before the beginning, which is at the anchor.
     Waiting,
     Playing,
     Ended,
 }
 
-/// A playback. Between two anchors the bag's time is a linear function of the time.
+/// A playback. The bag's time is a linear function of the moment, through the anchor.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Playback {
     plan: Plan,
@@ -72,11 +72,11 @@ pub struct Playback {
     is_paused: bool,
     phase: Phase,
     anchor: Anchor,
-    /// Messages that are still to be published although it is paused.
+    /// Messages to publish during the pause.
     burst: u64,
-    /// The latest time told on `/clock` since the last jump.
-    told_ns: u64,
-    /// Log time of the latest message since the last jump, or where it went.
+    /// The latest time on `/clock` since the last jump.
+    published_ns: u64,
+    /// Log time of the latest message since the last jump, or the target of that jump.
     reached_ns: u64,
 }
 
@@ -95,12 +95,12 @@ impl Playback {
             phase: Phase::Waiting,
             anchor,
             burst: 0,
-            told_ns: 0,
+            published_ns: 0,
             reached_ns: plan.start_ns,
         }
     }
 
-    /// What to do now, where the next message has the log time `next_ns`; `None`: there is no next one.
+    /// The step at `now`. `next_ns` is the log time of the next message; `None` at the end.
     pub fn step(&mut self, now: Duration, next_ns: Option<u64>) -> Step {
         match self.phase {
             Phase::Ended => return Step::Ended,
@@ -114,7 +114,7 @@ impl Playback {
         match next_ns.filter(|next_ns| *next_ns <= self.plan.last_ns) {
             Some(next_ns) if self.is_paused && self.burst > 0 => {
                 self.burst -= 1;
-                // one that was due before the pause is published late: the time does not go back to it
+                // A message that was due before the pause is published late. The time does not go back.
                 self.hold(now, next_ns.max(self.anchor.bag_ns));
                 self.publish(next_ns)
             }
@@ -137,7 +137,7 @@ impl Playback {
                 Step::Wait(None)
             }
             None if self.plan.is_looping && self.plan.last_ns > self.plan.start_ns => {
-                // a round takes as long as the bag, so that one of few messages does not spin
+                // A round takes as long as the bag. A round of few messages would otherwise repeat without a pause.
                 let end = self.due(self.round_end_ns());
                 if now < end {
                     return Step::Wait(Some(end));
@@ -158,28 +158,30 @@ impl Playback {
         Step::Publish
     }
 
-    /// Whether the next message is further away than the longest gap that is waited for.
+    /// Whether the gap before the next message is skipped.
     fn is_after_gap(&self, next_ns: u64) -> bool {
         let gap = Duration::from_nanos(next_ns.saturating_sub(self.reached_ns));
         self.plan.max_gap.is_some_and(|most| gap > most)
     }
 
-    /// The bag's end, or, if the last message is further away, the longest gap after it.
+    /// Log time of the end: that of the bag, or at most the longest gap after the last message.
     fn round_end_ns(&self) -> u64 {
         let most = self.plan.max_gap.map(|most| {
+            // At most a day, by the parameter.
             let most_ns = u64::try_from(most.as_nanos()).unwrap_or(u64::MAX);
             self.reached_ns.saturating_add(most_ns)
         });
+        // Without a longest gap, only the end of the bag counts.
         self.plan.last_ns.min(most.unwrap_or(u64::MAX))
     }
 
-    /// The bag's time now.
+    /// The bag's time at `now`.
     #[must_use]
     pub fn position_ns(&self, now: Duration) -> u64 {
         if self.phase != Phase::Playing || self.is_paused {
             return self.anchor.bag_ns;
         }
-        // exact to a microsecond over a hundred days: f64 has 53 bits
+        // Exact to a microsecond over a hundred days: f64 has 53 bits.
         let elapsed = now.saturating_sub(self.anchor.at).as_secs_f64();
         let position = self
             .anchor
@@ -188,67 +190,68 @@ impl Playback {
         position.min(self.plan.last_ns.max(self.anchor.bag_ns))
     }
 
-    /// When `bag_ns` is due if nothing changes; what lies before the anchor is due with it.
+    /// The moment at which `bag_ns` is due at this rate. Earlier times than the anchor's are due with it.
     fn due(&self, bag_ns: u64) -> Duration {
         let ahead_ns = bag_ns.saturating_sub(self.anchor.bag_ns);
         self.anchor.at + Duration::from_secs_f64(ahead_ns as f64 / 1e9 / self.rate)
     }
 
-    /// Time from the moment zero to that of a stamp of the bag \[ns\], at the rate and since the jump that hold now.
+    /// Time from moment zero to that of a stamp of the bag \[ns\], by the present rate and anchor.
     #[must_use]
     pub fn moment_ns(&self, stamp_ns: i64) -> i64 {
         let ahead_ns = i128::from(stamp_ns) - i128::from(self.anchor.bag_ns);
-        // stamps lie near the bag's time: the difference in f64 is exact to well under a microsecond
+        // Stamps are near the bag's time: the difference in f64 is exact to less than a microsecond.
         let scaled_ns = if self.rate == 1.0 {
             ahead_ns as i64
         } else {
             (ahead_ns as f64 / self.rate) as i64
         };
+        // 64 bits of nanoseconds hold 292 years.
         let at_ns = i64::try_from(self.anchor.at.as_nanos()).unwrap_or(i64::MAX);
         at_ns.saturating_add(scaled_ns)
     }
 
-    /// What `/clock` says when the bag's time is `bag_ns`: never less than it said since the last jump. `None` before
-    /// playing begins and after its end.
+    /// The time to publish on `/clock` when the bag's time is `bag_ns`. It never decreases between two jumps. `None`
+    /// before the beginning and after the end.
     pub fn clock_ns(&mut self, bag_ns: u64) -> Option<u64> {
         if self.phase != Phase::Playing {
             return None;
         }
-        self.told_ns = self.told_ns.max(bag_ns);
-        Some(self.told_ns)
+        self.published_ns = self.published_ns.max(bag_ns);
+        Some(self.published_ns)
     }
 
-    /// Whether a message may be wanted; else the next step does not depend on there being one.
+    /// Whether the next step depends on the next message.
     #[must_use]
     pub fn is_playing(&self) -> bool {
         self.phase == Phase::Playing
     }
 
-    /// Whether it is over.
+    /// Whether the playback has ended.
     #[must_use]
     pub fn is_ended(&self) -> bool {
         self.phase == Phase::Ended
     }
 
-    /// Whether it is paused.
+    /// Whether the playback is paused.
     #[must_use]
     pub fn is_paused(&self) -> bool {
         self.is_paused
     }
 
-    /// Seconds of the bag in a second.
+    /// Seconds of the bag per second.
     #[must_use]
     pub fn rate(&self) -> f64 {
         self.rate
     }
 
-    /// Whether messages that [`burst`](Self::burst) asked for are still to be published.
+    /// Whether messages of a [`burst`](Self::burst) are still to be published.
     #[must_use]
     pub fn is_bursting(&self) -> bool {
         self.burst > 0
     }
 
-    /// Holds the bag's time.
+    /// Pauses: the bag's time stands still.
     pub fn pause(&mut self, now: Duration) {
         if self.is_playing() && !self.is_paused {
             self.hold(now, self.position_ns(now));
@@ -256,7 +259,7 @@ impl Playback {
         self.is_paused = true;
     }
 
-    /// Goes on from where it was paused; ends a burst.
+    /// Continues from the time of the pause, and ends a burst.
     pub fn resume(&mut self, now: Duration) {
         if self.is_playing() && self.is_paused {
             self.hold(now, self.anchor.bag_ns);
@@ -265,7 +268,7 @@ impl Playback {
         self.burst = 0;
     }
 
-    /// Plays at another rate from here on; false, and nothing changes, where it is none of [`RATES`].
+    /// Changes the rate from `now` on. Returns false, without an effect, if it is not one of [`RATES`].
     pub fn set_rate(&mut self, now: Duration, rate: f64) -> bool {
         if !RATES.contains(&rate) {
             return false;
@@ -277,14 +280,14 @@ impl Playback {
         true
     }
 
-    /// The first message after a jump is there: if that took a while, the bag's time goes on from this moment.
+    /// Handles the first message after a jump: the bag's time continues at `now`, however long reading took.
     pub fn begin_late(&mut self, now: Duration) {
         if self.is_playing() && !self.is_paused {
             self.anchor.at = self.anchor.at.max(now);
         }
     }
 
-    /// Publishes the next `messages` although it is paused; false where it is not, or is over.
+    /// Publishes the next `messages` during the pause. Returns false if the playback is not paused, or has ended.
     pub fn burst(&mut self, messages: u64) -> bool {
         let can = self.is_paused && !self.is_ended();
         if can {
@@ -293,8 +296,8 @@ impl Playback {
         can
     }
 
-    /// Goes on at another time of the bag, of its beginning where it lies before that, and also after the end: what
-    /// was paused stays so. Gives the log time to read from; `None`, and nothing changes, for a time behind the end.
+    /// Jumps to another time of the bag, at the earliest to its beginning, also after the end. A pause continues.
+    /// Returns the log time to read from; `None`, without an effect, if the time is after the end.
     pub fn seek(&mut self, now: Duration, bag_ns: u64) -> Option<u64> {
         if bag_ns > self.plan.last_ns {
             return None;
@@ -309,14 +312,14 @@ impl Playback {
         Some(bag_ns)
     }
 
-    /// Ends it.
+    /// Ends the playback.
     pub fn stop(&mut self, now: Duration) {
         self.hold(now, self.position_ns(now));
         self.phase = Phase::Ended;
         self.burst = 0;
     }
 
-    /// Begins again from `start_ns` to `last_ns` after the delay; false, and nothing changes, where it is not over.
+    /// Plays from `start_ns` to `last_ns` after the delay. Returns false, without an effect, if the playback has not ended.
     pub fn play(&mut self, now: Duration, start_ns: u64, last_ns: u64) -> bool {
         if !self.is_ended() {
             return false;
@@ -338,7 +341,7 @@ impl Playback {
         self.hold(at, bag_ns);
         self.phase = Phase::Waiting;
         self.burst = 0;
-        self.told_ns = 0;
+        self.published_ns = 0;
         self.reached_ns = bag_ns;
     }
 }

@@ -1,6 +1,6 @@
-//! Which topics of a bag are played, and with which publishers.
+//! The topics of a bag that are played, and their publishers.
 
-use super::{Settings, chunks::ActionChunks, restamp::Stamped};
+use super::{Settings, chunks::ActionChunks, restamp::StampPlace};
 use crate::qos_overrides::KEEP_ALL_DEPTH;
 use anyhow::{Context as _, Result, bail};
 use std::collections::HashMap;
@@ -18,27 +18,27 @@ use wm_ros::{Durability, Node, Qos, RawPublisher, Reliability};
 /// A topic that is played.
 pub(super) struct Track {
     pub publisher: RawPublisher,
-    /// Where its messages have their stamps, if these are to be moved.
-    pub stamped: Option<Stamped>,
+    /// Where its messages have their stamps; `None` if stamps are not changed.
+    pub stamp_place: Option<StampPlace>,
     /// Whether its messages are pictures.
     pub is_camera: bool,
-    /// Whether its subscribers acknowledge what they receive.
+    /// Whether reliable subscribers acknowledge its messages.
     pub is_reliable: bool,
     /// Whether `/clock` is published before each of its messages.
     pub is_clocked: bool,
 }
 
-/// What is played.
+/// All that is played of a bag.
 pub(super) struct Playlist {
     pub tracks: HashMap<Arc<str>, Track>,
-    /// The bag's coming actions, where chunks are wanted.
+    /// The bag's actions, with the parameter `action_chunk_length`.
     pub chunks: Option<ActionChunks>,
-    /// The bag's last frame, where a goal is wanted.
+    /// The bag's last frame, with the parameter `goal`.
     pub goal: Option<CompressedImage>,
 }
 
 impl Playlist {
-    /// Reads what has to be known beforehand and makes the publishers. Reads the bag: not for an async context.
+    /// Creates the publishers, and reads the actions and the goal from the bag. It blocks.
     pub fn new(reader: &BagReader, settings: &Settings, node: &Node) -> Result<Self> {
         for topic in settings
             .topics
@@ -55,8 +55,8 @@ impl Playlist {
             .iter()
             .filter(|topic| settings.plays(&topic.name))
         {
-            let stamped = Stamped::of(&topic.type_name, &topic.schema);
-            if settings.parameters.is_restamping && stamped.is_none() {
+            let stamp_place = StampPlace::of(&topic.type_name, &topic.schema);
+            if settings.parameters.is_restamping && stamp_place.is_none() {
                 tracing::debug!(
                     "{}: {} has no header: nothing to restamp",
                     topic.name,
@@ -70,18 +70,19 @@ impl Playlist {
                     .map_or(Qos::reliable(10), |profile| offered(&profile)),
             };
             if qos.durability == Durability::TransientLocal {
-                // Several nodes publish static frames, and one player all of them.
-                let held = usize::try_from(topic.message_count).unwrap_or(usize::MAX);
-                qos.depth = qos.depth.max(held.min(kept_messages(&topic.name)));
+                // Several nodes publish static frames, but one player publishes all of them.
+                // It saturates; the depth is bounded below.
+                let recorded = usize::try_from(topic.message_count).unwrap_or(usize::MAX);
+                qos.depth = qos.depth.max(recorded.min(kept_messages(&topic.name)));
             }
-            // Services' events and actions' feedback are recorded too, with types that are no message of a package.
+            // Recordings also contain service events and action feedback, whose types are not messages of a package.
             if !topic.type_name.contains("/msg/") {
                 warn!("{}: {} is not played", topic.name, topic.type_name);
                 continue;
             }
             let publisher = match node.raw_publisher(&topic.name, &topic.type_name, qos) {
                 Ok(publisher) => publisher,
-                // A bag may have names that ROS does not allow.
+                // Some bags have names that ROS does not allow.
                 Err(wm_ros::Error::Name { kind, reason, .. }) => {
                     let name = &topic.name;
                     warn!("{name} is not played: not a valid {kind} name: {reason}");
@@ -93,7 +94,7 @@ impl Playlist {
             };
             let track = Track {
                 publisher,
-                stamped: stamped.filter(|_| settings.parameters.is_restamping),
+                stamp_place: stamp_place.filter(|_| settings.parameters.is_restamping),
                 is_camera: [Image::ros_name(), CompressedImage::ros_name()]
                     .iter()
                     .any(|name| *name == *topic.type_name),
@@ -134,10 +135,10 @@ impl Playlist {
     }
 }
 
-/// That a bag has actions on this topic.
+/// Checks that a bag has actions on this topic.
 ///
 /// # Errors
-/// It has none there; those that it has elsewhere are named.
+/// It has none. The error names the topics with actions.
 pub(super) fn require_actions(reader: &BagReader, topic: &str) -> Result<()> {
     let is_of_actions = |info: &&TopicInfo| info.type_name.as_ref() == Action::ros_name();
     if reader.topic(topic).as_ref().is_some_and(is_of_actions) {
@@ -159,7 +160,7 @@ pub(super) fn require_actions(reader: &BagReader, topic: &str) -> Result<()> {
 fn read_chunks(reader: &BagReader, settings: &Settings, length: usize) -> Result<ActionChunks> {
     let topic = settings.parameters.action_topic.as_str();
     require_actions(reader, topic)?;
-    // unreadable parts of the bag are reported when they are played
+    // The player reports unreadable parts of the bag.
     let mut actions = Vec::new();
     for message in reader.messages().only_topics([topic]).flatten() {
         match message.decode::<Action>() {
@@ -170,7 +171,7 @@ fn read_chunks(reader: &BagReader, settings: &Settings, length: usize) -> Result
     Ok(ActionChunks::new(actions, length)?)
 }
 
-/// The QoS of the bag's publisher, bounded.
+/// The QoS of the bag's publisher, with a bounded depth.
 fn offered(profile: &QosProfile) -> Qos {
     let depth = match usize::try_from(profile.depth) {
         Ok(depth @ 1..) => depth.min(KEEP_ALL_DEPTH),

@@ -1,5 +1,5 @@
-//! Header stamps moved in place: four bytes of seconds and four of nanoseconds of an otherwise untouched message. Frames
-//! and markers, whose headers are in lists, are decoded and encoded again.
+//! Changes of header stamps in place: four bytes of seconds and four of nanoseconds, while the other bytes of the message
+//! stay. Frames and markers have their headers in lists, so they are decoded and encoded again.
 
 use bytes::{Bytes, BytesMut};
 use thiserror::Error;
@@ -13,36 +13,36 @@ use wm_msgs::{
     visualization_msgs::MarkerArray,
 };
 
-/// Where a message that begins with `std_msgs/Header` has its stamp: right after CDR's 4-byte header, seconds
-/// (int32) before nanoseconds (uint32).
+/// The bytes of the stamp in a message that begins with `std_msgs/Header`: after CDR's 4-byte header, seconds (int32), then
+/// nanoseconds (uint32).
 const SECONDS: std::ops::Range<usize> = 4..8;
 const NANOSECONDS: std::ops::Range<usize> = 8..12;
 
-/// Why a stamp cannot be moved.
+/// The reason why a stamp cannot be changed.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum RestampError {
-    /// Too short for a header.
+    /// The message is too short for a header.
     #[error("expected at least 12 bytes for a message with a header, got {0}")]
     TooShort(usize),
-    /// An encapsulation whose first field is elsewhere.
+    /// In this encapsulation, the first field has another place.
     #[error("unknown CDR encapsulation {0:#06x}; expected plain CDR or plain CDR 2 (0, 1, 6, 7)")]
     Encapsulation(u16),
-    /// Frames or markers that cannot be read, or not be written again.
+    /// Frames or markers cannot be decoded or encoded.
     #[error(transparent)]
     Cdr(#[from] CdrError),
-    /// A stamp that is malformed.
+    /// The stamp is malformed.
     #[error("malformed stamp: {0}")]
     Malformed(#[from] InvalidNanoseconds),
-    /// A time that the message cannot express.
+    /// The new time is outside the range of ROS time.
     #[error("{0} ns is outside the range of ROS time")]
     OutOfRange(i64),
 }
 
-/// Where the messages of a topic have their stamps.
+/// The place of the stamps in the messages of a topic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stamped {
-    /// In the header that they begin with.
+pub enum StampPlace {
+    /// In the header at the beginning.
     Header,
     /// In the header of each frame: `tf2_msgs/msg/TFMessage`.
     Frames,
@@ -50,11 +50,11 @@ pub enum Stamped {
     Markers,
 }
 
-impl Stamped {
-    /// Where messages of this type and definition have them; `None`: nowhere.
+impl StampPlace {
+    /// The place in messages of this type and definition; `None` if they have no stamps.
     #[must_use]
     pub fn of(type_name: &str, schema: &Schema) -> Option<Self> {
-        // Of another definition, nothing is known of where its headers are.
+        // In another definition, the headers have unknown places.
         if type_name == TFMessage::ros_name() {
             schema.has_fields_of::<TFMessage>().then_some(Self::Frames)
         } else if type_name == MarkerArray::ros_name() {
@@ -66,11 +66,11 @@ impl Stamped {
         }
     }
 
-    /// The message with `map` applied to its stamps \[ns\]. Of frames and shapes, a stamp of zero stays: they hold at any
-    /// time.
+    /// The message with `map` applied to its stamps \[ns\]. In frames and shapes, a stamp of zero means any time, and
+    /// stays.
     ///
     /// # Errors
-    /// As [`restamp`]; or frames or shapes cannot be decoded.
+    /// Those of [`restamp`], and of decoding frames or shapes.
     pub fn restamp(
         self,
         cdr: &Bytes,
@@ -107,7 +107,7 @@ impl Stamped {
     }
 }
 
-/// Whether the messages of this definition begin with a `std_msgs/Header`. Only `.msg` text is understood.
+/// Whether the messages of this definition begin with a `std_msgs/Header`. False if it is not `.msg` text.
 #[must_use]
 pub fn begins_with_header(schema: &Schema) -> bool {
     if schema.encoding != SchemaEncoding::Ros2Msg {
@@ -118,7 +118,7 @@ pub fn begins_with_header(schema: &Schema) -> bool {
         .lines()
         .take_while(|line| !line.starts_with("===="))
         .map(|line| line.split_once('#').map_or(line, |(code, _)| code).trim());
-    // constants take no place in the message
+    // Constants have no bytes in the message.
     let first_field = own
         .into_iter()
         .find(|line| !line.is_empty() && !line.contains('='));
@@ -132,7 +132,7 @@ pub fn begins_with_header(schema: &Schema) -> bool {
 /// The message with `map` applied to its header's stamp \[ns\].
 ///
 /// # Errors
-/// Where the message is too short, of an unknown encapsulation, or the new stamp is no ROS time.
+/// The message is too short, its encapsulation is unknown, or the new stamp is outside the range of ROS time.
 pub fn restamp(cdr: &Bytes, map: impl FnOnce(i64) -> i64) -> Result<Bytes, RestampError> {
     let too_short = || RestampError::TooShort(cdr.len());
     let encapsulation = u16::from_be_bytes(*cdr.first_chunk::<2>().ok_or_else(too_short)?);
@@ -193,12 +193,12 @@ mod tests {
         }
     }
 
-    fn stamped<M: Message>() -> Option<Stamped> {
-        Stamped::of(&M::ros_name(), &type_schema::<M>())
+    fn stamp_place<M: Message>() -> Option<StampPlace> {
+        StampPlace::of(&M::ros_name(), &type_schema::<M>())
     }
 
     #[test]
-    fn the_stamps_of_all_frames_and_shapes_move_but_those_of_no_time() {
+    fn nonzero_stamps_of_frames_and_shapes_change() {
         let stamps = [5, 0, 7];
         let frame = |stamp_ns: i64| TransformStamped {
             header: header(stamp_ns),
@@ -222,23 +222,23 @@ mod tests {
         };
         let bytes = |message: Vec<u8>| Bytes::from(message);
         let (before, after) = (frames(0), frames(1_000_000_000));
-        let moved = stamped::<TFMessage>().unwrap();
+        let moved = stamp_place::<TFMessage>().unwrap();
         let moved = moved.restamp(&bytes(cdr::to_bytes(&before).unwrap()), |ns| {
             ns + 1_000_000_000
         });
         assert_eq!(moved.unwrap(), cdr::to_bytes(&after).unwrap());
         let (before, after) = (shapes(0), shapes(3));
-        let moved = stamped::<MarkerArray>().unwrap();
+        let moved = stamp_place::<MarkerArray>().unwrap();
         let moved = moved.restamp(&bytes(cdr::to_bytes(&before).unwrap()), |ns| ns + 3);
         assert_eq!(moved.unwrap(), cdr::to_bytes(&after).unwrap());
     }
 
     #[test]
     fn frames_that_cannot_be_read_or_moved_are_named() {
-        let stamped = stamped::<TFMessage>().unwrap();
+        let place = stamp_place::<TFMessage>().unwrap();
         let broken = Bytes::from_static(&[0, 1, 0, 0, 255, 255, 255, 255]);
         assert!(matches!(
-            stamped.restamp(&broken, |ns| ns),
+            place.restamp(&broken, |ns| ns),
             Err(RestampError::Cdr(_))
         ));
         let message = TFMessage {
@@ -248,7 +248,7 @@ mod tests {
             }],
         };
         let bytes = Bytes::from(cdr::to_bytes(&message).unwrap());
-        let moved = stamped.restamp(&bytes, |_| i64::MAX);
+        let moved = place.restamp(&bytes, |_| i64::MAX);
         assert!(matches!(moved, Err(RestampError::OutOfRange(i64::MAX))));
     }
 

@@ -10,17 +10,17 @@ use std::time::Duration;
 use wm_bag::{BagReader, TopicFilter};
 use wm_ros::{Error, Node, Qos};
 
-/// Where a bag has its actions, unless the parameter says otherwise.
+/// Default topic of the actions in a bag.
 pub(super) const ACTION_TOPIC: &str = "/wm/action";
 
-/// More than a day of waiting is a mistake in the unit.
+/// Longest time of the parameters \[s\]: more than a day is a mistake in the unit.
 const LONGEST_S: f64 = 86_400.0;
 
-/// More than this many messages ahead of their time are of no use.
+/// Most messages to read ahead: more have no use.
 const MOST_AHEAD: i64 = 1_000_000;
 
-/// Time between what was played and what follows a jump in the bag, where stamps are moved: longer than what the nodes
-/// take for a lost message, so that they see that another episode begins.
+/// Time between the messages before and after a jump in the bag if stamps are changed. It is longer than a lost message, so
+/// that nodes detect the next episode.
 const GAP: Duration = Duration::from_millis(1500);
 
 wm_ros::parameters! {
@@ -93,27 +93,27 @@ wm_ros::parameters! {
 /// The checked parameters.
 #[derive(Clone, Debug)]
 pub struct Settings {
-    /// As given.
+    /// The parameters.
     pub parameters: Arc<Parameters>,
     /// Topics to play.
     pub topics: TopicFilter,
-    /// Quality of service of topics whose own is not to be offered.
+    /// QoS of topics that differs from the recorded one.
     pub qos_overrides: BTreeMap<String, Qos>,
 }
 
 impl Settings {
-    /// The settings by these parameters.
+    /// Checks the parameters.
     ///
     /// # Errors
-    /// Names the parameter that is missing or contradicts another.
+    /// Names the missing or contradictory parameter.
     pub fn new(parameters: Arc<Parameters>) -> Result<Self> {
-        let given = |text: &str| Some(text.to_owned()).filter(|text| !text.is_empty());
+        let non_empty = |text: &str| Some(text.to_owned()).filter(|text| !text.is_empty());
         let settings = Self {
             topics: TopicFilter::new(
                 parameters.topics.clone(),
-                given(&parameters.regex).as_deref(),
+                non_empty(&parameters.regex).as_deref(),
                 parameters.exclude_topics.clone(),
-                given(&parameters.exclude_regex).as_deref(),
+                non_empty(&parameters.exclude_regex).as_deref(),
             )?,
             qos_overrides: qos_overrides::read(&parameters.qos_profile_overrides_path)?,
             parameters,
@@ -133,22 +133,22 @@ impl Settings {
         Ok(())
     }
 
-    /// Whether the keys of its terminal control it.
+    /// Whether the keys of the terminal control the playback.
     #[must_use]
     pub fn has_keyboard(&self) -> bool {
         !self.parameters.disable_keyboard_controls
     }
 
-    /// How long it waits at the end until reliable subscribers have everything; none: it does not.
+    /// Longest wait at the end for the acknowledgements of reliable subscribers; `None`: no wait.
     #[must_use]
     pub fn acknowledgment(&self) -> Option<Duration> {
         match u64::try_from(self.parameters.wait_for_all_acked) {
             Ok(0) => Some(Duration::MAX),
-            given => given.ok().map(Duration::from_millis),
+            limit => limit.ok().map(Duration::from_millis),
         }
     }
 
-    /// What is played of this bag.
+    /// The part of this bag to play, and the pauses.
     #[must_use]
     pub fn plan(&self, reader: &BagReader) -> Plan {
         let start_ns = start_ns(reader, self.parameters.start_offset);
@@ -168,7 +168,7 @@ impl Settings {
         }
     }
 
-    /// Whether it publishes `/clock`.
+    /// Whether the player publishes `/clock`.
     #[must_use]
     pub fn has_clock(&self) -> bool {
         self.parameters.clock_hz > 0.0
@@ -176,7 +176,7 @@ impl Settings {
             || !self.parameters.clock_topics.is_empty()
     }
 
-    /// Whether `/clock` is published before each message of this topic.
+    /// Whether the player publishes `/clock` before each message of this topic.
     #[must_use]
     pub fn clocks(&self, topic: &str) -> bool {
         self.parameters.is_clock_of_all
@@ -187,10 +187,10 @@ impl Settings {
                 .any(|clocked| clocked == topic)
     }
 
-    /// Whether the bag's topic of this name is to be played.
+    /// Whether this topic of the bag is played.
     #[must_use]
     pub fn plays(&self, topic: &str) -> bool {
-        // with a clock of our own, the bag's would contradict it
+        // The recorded clock would contradict the player's own.
         let is_clock = topic == "/clock" && self.has_clock();
         !is_clock && self.topics.wants(topic)
     }
@@ -205,7 +205,7 @@ pub(super) fn has_clock(node: &Node) -> Result<bool, Error> {
         || topics.iter().any(|topic| !topic.is_empty()))
 }
 
-/// Log time at which a playback begins: that of the bag, or `offset` after the beginning of the recording itself.
+/// Log time at which a playback begins: the start of the bag, or `offset` after the start of the recording.
 pub(super) fn start_ns(reader: &BagReader, offset: Duration) -> u64 {
     match offset {
         Duration::ZERO => reader.start_ns(),
@@ -213,20 +213,22 @@ pub(super) fn start_ns(reader: &BagReader, offset: Duration) -> u64 {
     }
 }
 
-/// Log time of the last message of a playback from `start_ns` on: as rosbag2 has it, the later of the two ends.
+/// Log time of the last message of a playback from `start_ns` on: the later of the two ends, as in rosbag2.
 pub(super) fn last_ns(
     reader: &BagReader,
     start_ns: u64,
     duration: Option<Duration>,
     until_ns: Option<u64>,
 ) -> u64 {
-    // A message without a time may be far from the recording, from which durations count.
+    // Durations count from the start of the recording. A message without a time may be far from it.
     let origin_ns = start_ns.max(reader.time_at(Duration::ZERO));
     let after = duration.map(|duration| origin_ns.saturating_add(nanoseconds(duration)));
+    // Without a limit, the end of the bag counts.
     let end_ns = after.max(until_ns).unwrap_or(u64::MAX);
     end_ns.min(reader.end_ns())
 }
 
 fn nanoseconds(duration: Duration) -> u64 {
+    // 584 years.
     u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)
 }

@@ -1,31 +1,31 @@
-//! The bag's messages, read ahead of their time.
+//! The bag's messages, read ahead by a thread.
 
 use std::sync::Arc;
 use tokio::runtime::Handle;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use wm_bag::{BagError, BagMessage};
 
-/// Bytes that are read ahead at most, however many messages may be; a larger message is read ahead alone.
+/// Most bytes that are read ahead. A larger message is read ahead alone.
 const AHEAD_BYTES: u32 = 256 << 20;
 
-/// Part of the budget that a message takes whatever its length: what it costs to keep one.
+/// Memory of a message without its data \[byte\].
 const MESSAGE_BYTES: usize = 256;
 
-/// A message with its share of the budget, which is free again when this is dropped.
-pub(super) struct Ahead {
+/// A message with its share of the memory budget. Dropping it frees the share.
+pub(super) struct BufferedMessage {
     pub message: Result<BagMessage, BagError>,
     _share: OwnedSemaphorePermit,
 }
 
-/// Messages of a bag, read by a thread of their own, so that the disk does not delay one that
-/// is due. The thread ends when this is dropped.
+/// Messages of a bag. A thread reads them, so that the disk does not delay a message that is due. The thread ends when this
+/// is dropped.
 pub(super) struct Source {
-    messages: mpsc::Receiver<Ahead>,
+    messages: mpsc::Receiver<BufferedMessage>,
     budget: Arc<Semaphore>,
 }
 
 impl Source {
-    /// Begins to read, at most `queue_size` messages ahead. To be called inside a tokio runtime.
+    /// Starts the thread, which reads at most `queue_size` messages ahead. Call it in a tokio runtime.
     pub fn open(
         messages: impl Iterator<Item = Result<BagMessage, BagError>> + Send + 'static,
         queue_size: usize,
@@ -39,11 +39,14 @@ impl Source {
                 // More than 4 GiB counts as 4 GiB, far above the queue's limit.
                 let bytes = u32::try_from(bytes.saturating_add(MESSAGE_BYTES)).unwrap_or(u32::MAX);
                 let share = Arc::clone(&shares).acquire_many_owned(bytes.min(AHEAD_BYTES));
-                // both fail where the player reads elsewhere, or is gone
+                // Both fail if the player has dropped this source.
                 let Ok(_share) = runtime.block_on(share) else {
                     break;
                 };
-                if sender.blocking_send(Ahead { message, _share }).is_err() {
+                if sender
+                    .blocking_send(BufferedMessage { message, _share })
+                    .is_err()
+                {
                     break;
                 }
             }
@@ -55,7 +58,7 @@ impl Source {
     }
 
     /// The next message; `None` at the end. Cancel safe.
-    pub async fn next(&mut self) -> Option<Ahead> {
+    pub async fn next(&mut self) -> Option<BufferedMessage> {
         self.messages.recv().await
     }
 }
@@ -73,7 +76,7 @@ mod tests {
     use wm_msgs::std_msgs;
 
     #[tokio::test(flavor = "current_thread")]
-    async fn no_more_is_read_ahead_than_was_asked_for() {
+    async fn source_reads_at_most_queue_size_ahead() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("bag");
         let mut writer = BagWriter::create(&path, WriterOptions::default()).unwrap();
@@ -89,13 +92,13 @@ mod tests {
         let mut source = Source::open(reader.messages().starting_at(20), 4);
         let first = source.next().await.unwrap();
         assert_eq!(first.message.as_ref().unwrap().log_time_ns, 20);
-        let held = first.message.as_ref().unwrap().data.len() + MESSAGE_BYTES;
-        // one in the reader's hand beside the four that wait and the one here
+        let bytes = first.message.as_ref().unwrap().data.len() + MESSAGE_BYTES;
+        // Six messages take budget: one in the thread, four in the queue, and the first one.
         while source.messages.len() < 4 {
             tokio::task::yield_now().await;
         }
         let free = source.budget.available_permits();
-        assert!(free >= AHEAD_BYTES as usize - 6 * (held + 8), "{free}");
+        assert!(free >= AHEAD_BYTES as usize - 6 * (bytes + 8), "{free}");
         let mut count = 1;
         while source.next().await.is_some() {
             count += 1;

@@ -115,13 +115,13 @@ impl Options {
             let names = names.iter();
             names.map(|name| Ok(node.resolve(name)?)).collect()
         };
-        let given = |text: &str| Some(text.to_owned()).filter(|text| !text.is_empty());
+        let non_empty = |text: &str| Some(text.to_owned()).filter(|text| !text.is_empty());
         let selection = Selection {
             topics: TopicFilter::new(
                 resolved(&parameters.topics)?,
-                given(&parameters.regex).as_deref(),
+                non_empty(&parameters.regex).as_deref(),
                 resolved(&parameters.exclude_topics)?,
-                given(&parameters.exclude_regex).as_deref(),
+                non_empty(&parameters.exclude_regex).as_deref(),
             )?,
             types: parameters.topic_types.clone(),
             exclude_types: parameters.exclude_topic_types.clone(),

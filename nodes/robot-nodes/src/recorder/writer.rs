@@ -399,7 +399,7 @@ mod tests {
     }
 
     #[tokio::test(flavor = "current_thread")]
-    async fn a_snapshot_writes_the_latest_that_fit_and_a_split_begins_a_file() {
+    async fn snapshot_writes_the_latest_and_split_starts_a_file() {
         let folder = tempfile::tempdir().unwrap();
         let bag = folder.path().join("bag");
         let mut recording =

@@ -1,4 +1,4 @@
-//! A camera that is not as good as the renderer: noise, latency, lost pictures.
+//! A camera with noise, latency and lost pictures.
 
 use std::{collections::VecDeque, time::Duration};
 
@@ -7,16 +7,16 @@ use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-/// Streams of a seed, two a camera: what is lost does not depend on the noise, nor either on the table. The simulator has
-/// those from 0 on.
+/// Random streams of the seed, two for each camera: losses do not depend on the noise, and neither depends on the
+/// table. The simulator uses the streams from 0 on.
 const FIRST_STREAM: u64 = 1 << 32;
 
-/// Which camera.
+/// The camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum View {
-    /// The one that recordings are of, beside the arm.
+    /// At the side of the arm, as in the recordings.
     Side,
-    /// The second one, in front of the arm.
+    /// The second camera, in front of the arm.
     Front,
 }
 
@@ -30,7 +30,7 @@ impl View {
     }
 }
 
-/// How good the camera is.
+/// The camera's faults.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CameraSettings {
     /// Standard deviation of each value's noise \[grey level\].
@@ -44,21 +44,21 @@ pub struct CameraSettings {
 /// A picture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Frame {
-    /// Which camera took it.
+    /// Its camera.
     pub view: View,
-    /// When it was taken \[ns\].
+    /// The time of its capture \[ns\].
     pub stamp_ns: i64,
-    /// What it shows, 256 by 256.
+    /// 256 by 256 pixels.
     pub picture: RgbImage,
 }
 
-/// The camera, and the pictures that are on their way.
+/// The camera, and the pictures that wait for their latency.
 pub(super) struct Camera {
     view: View,
     settings: CameraSettings,
     noise: ChaCha8Rng,
     loss: ChaCha8Rng,
-    /// As many as are taken within the latency.
+    /// In the order of their capture. Few, since the latency is short.
     waiting: VecDeque<Frame>,
 }
 
@@ -83,14 +83,14 @@ impl Camera {
         }
     }
 
-    /// Takes a picture; whether it is on its way, and not lost.
+    /// Takes a picture; returns false if it is lost.
     pub(super) fn take(&mut self, mut picture: RgbImage, stamp_ns: i64) -> bool {
         let is_lost = self.loss.random::<f64>() < self.settings.drop;
         let deviation = self.settings.noise;
         if deviation > 0.0 {
             for value in picture.iter_mut() {
                 let noise: f64 = self.noise.sample(StandardNormal);
-                // Within a byte after the clamp.
+                // The clamp keeps it within a byte.
                 *value = (f64::from(*value) + deviation * noise)
                     .round()
                     .clamp(0.0, 255.0) as u8;
@@ -108,12 +108,13 @@ impl Camera {
 
     /// When the next picture arrives \[ns\].
     pub(super) fn next_ns(&self) -> Option<i64> {
+        // At most 5 s, by the parameter.
         let latency_ns = i64::try_from(self.settings.latency.as_nanos()).unwrap_or(i64::MAX);
         let first = self.waiting.front()?;
         Some(first.stamp_ns.saturating_add(latency_ns))
     }
 
-    /// The pictures that have arrived by `now_ns`.
+    /// Removes and returns the pictures that arrive by `now_ns`.
     pub(super) fn arrived(&mut self, now_ns: i64) -> Vec<Frame> {
         let mut arrived = Vec::new();
         while self.next_ns().is_some_and(|due_ns| due_ns <= now_ns) {
@@ -122,7 +123,7 @@ impl Camera {
         arrived
     }
 
-    /// Gives up what is on its way; how many pictures that were.
+    /// Drops the pictures that wait for their latency; returns their number.
     pub(super) fn forget(&mut self) -> usize {
         let count = self.waiting.len();
         self.waiting.clear();
@@ -139,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_come_after_the_latency_with_the_stamp_of_their_capture() {
+    fn pictures_arrive_after_the_latency_with_capture_stamps() {
         let settings = CameraSettings {
             latency: Duration::from_nanos(30),
             ..CameraSettings::default()
@@ -156,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_is_as_strong_as_it_is_said_and_loss_as_frequent_and_both_are_seeded() {
+    fn noise_and_loss_have_their_set_strength_and_seed() {
         let settings = CameraSettings {
             noise: 5.0,
             drop: 0.25,

@@ -1,4 +1,4 @@
-//! What the arm is told, checked.
+//! Commands to the arm, checked.
 
 use nalgebra::{UnitQuaternion, Vector3};
 use thiserror::Error;
@@ -10,33 +10,33 @@ use wm_msgs::{
 
 use crate::{displacement::Displacement, executor::Velocity};
 
-/// Why a command is not obeyed.
+/// The reason why a command is refused.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum CommandError {
-    /// A value that is no number, or infinite.
+    /// A value is not finite.
     #[error("its values are {values}; expected finite numbers")]
     NotFinite {
-        /// What came.
+        /// The received value.
         values: String,
     },
-    /// A malformed stamp.
+    /// The stamp is malformed.
     #[error("the nanosec of its stamp is {0}; expected less than 1000000000")]
     Stamp(u32),
-    /// Too many values, or too few.
+    /// The number of values is wrong.
     #[error("it has {actual} values; expected {expected}")]
     Length {
-        /// What came.
+        /// The received value.
         actual: usize,
-        /// In words.
+        /// The expected values, in words.
         expected: &'static str,
     },
-    /// Motions in another frame.
+    /// The command is in another frame.
     #[error("its frame is {actual:?}; expected base_frame, {expected:?}, or none")]
     Frame {
-        /// The parameter.
+        /// The parameter `base_frame`.
         expected: String,
-        /// What came.
+        /// The received value.
         actual: String,
     },
 }
@@ -53,17 +53,17 @@ impl CommandError {
     }
 }
 
-/// A velocity that holds until something else is said, and what was said before in the same step.
+/// A velocity that holds until the next command, and the displacement by earlier velocities in the same step.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Held {
+pub(super) struct VelocityCommand {
     velocity: Velocity,
-    /// Since when it counts for this step \[ns\].
+    /// Since when it holds in this step \[ns\].
     since_ns: i64,
-    /// What earlier velocities led to in this step \[m, rad\].
+    /// Displacement by earlier velocities in this step \[m, rad\].
     before: Velocity,
 }
 
-impl Held {
+impl VelocityCommand {
     pub(super) fn new(velocity: Velocity, since_ns: i64) -> Self {
         Self {
             velocity,
@@ -72,7 +72,7 @@ impl Held {
         }
     }
 
-    /// Another velocity from `since_ns` on.
+    /// The next velocity, from `since_ns` on.
     pub(super) fn then(self, velocity: Velocity, since_ns: i64) -> Self {
         Self {
             velocity,
@@ -81,7 +81,7 @@ impl Held {
         }
     }
 
-    /// What was commanded in the step from `start_ns` to `now_ns`, on average.
+    /// The mean velocity of the step from `start_ns` to `now_ns`.
     pub(super) fn mean(&self, start_ns: i64, now_ns: i64) -> Velocity {
         let seconds = seconds(start_ns, now_ns);
         if seconds <= 0.0 {
@@ -90,7 +90,7 @@ impl Held {
         Velocity::ZERO.plus(self.displacement(now_ns), seconds.recip())
     }
 
-    /// The same, for the next step.
+    /// The same velocity in the next step, which begins at `start_ns`.
     pub(super) fn from(self, start_ns: i64) -> Self {
         Self::new(self.velocity, start_ns)
     }
@@ -105,12 +105,12 @@ fn seconds(from_ns: i64, to_ns: i64) -> f64 {
     to_ns.saturating_sub(from_ns) as f64 / 1e9
 }
 
-/// How the arm is to move.
+/// The commanded motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Motion {
-    /// From now on, until something else is said.
-    Velocity(Held),
-    /// Once.
+    /// A velocity until the next command.
+    Velocity(VelocityCommand),
+    /// A displacement in the next step.
     Delta(Displacement),
 }
 
@@ -130,7 +130,7 @@ pub(super) fn of_array(array: &Float64MultiArray) -> Result<Velocity, CommandErr
     })?)
 }
 
-/// The motion and the gripper's opening.
+/// The motion, and the gripper's opening.
 pub(super) fn of_action(
     action: &Action,
     base_frame: &str,
@@ -174,7 +174,7 @@ fn check_finite(values: &[f64]) -> Result<(), CommandError> {
     })
 }
 
-/// A client may leave the frame open, as teleoperation does.
+/// An empty frame is valid: teleoperation does not name one.
 fn check_header(header: &Header, base_frame: &str) -> Result<(), CommandError> {
     let Header { stamp, frame_id } = header;
     if stamp.checked_nanos().is_err() {

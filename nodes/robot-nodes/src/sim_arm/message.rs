@@ -1,4 +1,4 @@
-//! What the arm tells, as messages.
+//! The messages that the arm publishes.
 
 use std::time::Duration;
 
@@ -25,15 +25,15 @@ use wm_wire::{
     transport::{Pictures, Transports},
 };
 
-use super::{Done, SimArmStep, Tick, View};
+use super::{SimArmStep, StepMotion, Tick, View};
 
-/// Green and translucent: what is to be there can be seen. It outlives four messages that are lost.
+/// Translucent green, so that an object in it is visible. It outlives four lost messages.
 const GOAL: Style = Style {
     ns: "goal",
     color: [0.2, 0.8, 0.3, 0.4],
     lifetime: Duration::from_secs(1),
 };
-/// As in the simulator's bags.
+/// The same as in the simulator's bags.
 const JPEG_QUALITY: u8 = 95;
 
 fn header(stamp_ns: i64, frame_id: &str) -> Header {
@@ -82,7 +82,7 @@ pub(super) fn joints(positions: [f64; 8], stamp_ns: i64) -> JointState {
     }
 }
 
-pub(super) fn action(done: &Done, base_frame: &str) -> Action {
+pub(super) fn action(done: &StepMotion, base_frame: &str) -> Action {
     Action {
         header: header(done.stamp_ns, base_frame),
         values: done.action.values().to_vec(),
@@ -94,7 +94,7 @@ pub(super) fn camera_info(camera: &Camera, view: View, stamp_ns: i64) -> CameraI
     wm_sim::message::camera_info(camera, header(stamp_ns, view.frame_id()))
 }
 
-/// Where the tool is, and the arm's links, as frames.
+/// The frames of the tool and of the arm's links.
 pub(super) fn transforms(tick: &Tick, base_frame: &str, tool_frame: &str) -> TFMessage {
     let header = |frame_id: &str| header(tick.stamp_ns, frame_id);
     let tool = transform(&tick.tool.frame(), header(base_frame), tool_frame);
@@ -108,7 +108,7 @@ pub(super) fn transforms(tick: &Tick, base_frame: &str, tool_frame: &str) -> TFM
     }
 }
 
-/// Where the tool or an object is to be, with the ball within which it counts.
+/// The target of the tool or of an object: a ball whose radius is the tolerance.
 pub(super) fn target(target: &Target, stamp_ns: i64, base_frame: &str) -> MarkerArray {
     let place = match target {
         Target::Tool { position } => *position,
@@ -120,7 +120,7 @@ pub(super) fn target(target: &Target, stamp_ns: i64, base_frame: &str) -> Marker
     }
 }
 
-/// Where the cameras are, as frames.
+/// The optical frames of the cameras.
 pub(super) fn camera_transforms(step: &SimArmStep, stamp_ns: i64, base_frame: &str) -> TFMessage {
     let of = |(view, camera): (View, &Camera)| {
         let frame = camera.base_from_optical();
@@ -131,7 +131,7 @@ pub(super) fn camera_transforms(step: &SimArmStep, stamp_ns: i64, base_frame: &s
     }
 }
 
-/// Where the objects are, in the order of [`object_names`].
+/// The poses of the objects, in the order of [`object_names`].
 pub(super) fn objects(world: &World, stamp_ns: i64, base_frame: &str) -> PoseArray {
     let objects = world.objects().iter();
     PoseArray {
@@ -140,7 +140,7 @@ pub(super) fn objects(world: &World, stamp_ns: i64, base_frame: &str) -> PoseArr
     }
 }
 
-/// The objects' names by their places in [`objects`].
+/// The names of the objects by their index in [`objects`].
 pub(super) fn object_names(world: &World, stamp_ns: i64, base_frame: &str) -> LabelInfo {
     let objects = (0..).zip(world.objects());
     LabelInfo {

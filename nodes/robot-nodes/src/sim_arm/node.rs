@@ -1,4 +1,4 @@
-//! The simulated arm on the wire.
+//! The simulated arm's ROS interface.
 
 use std::{fmt::Display, sync::Arc, time::Instant};
 
@@ -17,7 +17,7 @@ use wm_wire::transport::Transports;
 
 use super::{
     CommandError, SimArmStep, Tick,
-    outlets::{Endpoints, Inlets, Names, Outlets, Request, shown},
+    outlets::{Endpoints, Inlets, Names, Outlets, Request, encode},
     parameters::Parameters,
     time::ArmTime,
 };
@@ -25,10 +25,10 @@ use super::{
 /// The node.
 pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition::of::<SimArm>();
 
-/// Time of one step. 0.2 s fits.
+/// Duration of a step: 0.2 s, which fits into 64 bits.
 const STEP_NS: i64 = FRAME_PERIOD_NS as i64;
 
-/// Computes off the message loop: a table takes seconds to lay, a picture milliseconds to draw.
+/// Computes off the message loop: making a table takes seconds, and rendering a picture takes milliseconds.
 async fn off_the_loop<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Result<T> {
     Ok(tokio::task::spawn_blocking(work).await?)
 }
@@ -38,8 +38,8 @@ struct SimArm {
     names: Names,
     complaints: Complaints,
     diagnostics: Diagnostics,
-    /// When the step before was done, and its time \[ns\].
-    before: Option<(Instant, i64)>,
+    /// Real time of the last step, and its stamp \[ns\].
+    last_step: Option<(Instant, i64)>,
 }
 
 impl NodeProgram for SimArm {
@@ -48,7 +48,7 @@ impl NodeProgram for SimArm {
         "A live simulated arm with a camera and a task, in place of a real one.";
     type Parameters = Parameters;
     type Endpoints = Endpoints;
-    /// The loop takes them: a step goes to another thread and back.
+    /// `run` takes them, because each step moves to another thread and back.
     type Resources = Option<(SimArmStep, ArmTime)>;
     type Error = anyhow::Error;
 
@@ -74,7 +74,7 @@ impl NodeProgram for SimArm {
             },
             complaints: Complaints::new(at.node.diagnostics()),
             diagnostics: at.node.diagnostics(),
-            before: None,
+            last_step: None,
         })
     }
 
@@ -95,7 +95,7 @@ impl NodeProgram for SimArm {
         let (clock, shutdown) = (at.node.clock(), at.node.shutdown());
         self.announce(outlets, &step, time.now_ns())?;
         let mut jumps = clock.jumps();
-        // A simulated clock stands at zero until its first message.
+        // A simulated clock is at zero until the first message on /clock.
         tokio::select! {
             () = clock.sleep_until(Time::from_nanos(1)) => {}
             () = shutdown.wait() => return Ok(()),
@@ -112,12 +112,12 @@ impl NodeProgram for SimArm {
                 }
                 Some(Request::Reset(call)) = requests.next_request() => {
                     let (task, seed) = (at.parameters.task(), seed(&call, &step));
-                    let done;
-                    (step, done) = off_the_loop(move || {
-                        let done = step.reset(task, seed);
-                        (step, done)
+                    let result;
+                    (step, result) = off_the_loop(move || {
+                        let result = step.reset(task, seed);
+                        (step, result)
                     }).await?;
-                    self.answer(outlets, call, done, &step, time.now_ns())?;
+                    self.answer(outlets, call, result, &step, time.now_ns())?;
                     next_ns = time.now_ns();
                 }
                 Some(received) = twists.recv() => {
@@ -138,20 +138,20 @@ impl NodeProgram for SimArm {
                     }
                 }
                 () = time.wait(wake_ns, is_step) => {
-                    let (now_ns, is_made) = time.go_on(wake_ns, is_step);
+                    let (now_ns, is_made) = time.advance(wake_ns, is_step);
                     if is_made {
                         outlets.publish_time(now_ns)?;
                     }
                     if now_ns < next_ns {
                         let frames = step.frames(now_ns);
-                        outlets.show(&shown(&step, &frames, self.transports)?)?;
+                        outlets.show(&encode(&step, &frames, self.transports)?)?;
                         continue;
                     }
                     let transports = self.transports;
                     let (tick, pictures);
                     (step, tick, pictures) = off_the_loop(move || {
                         let tick = step.tick(now_ns);
-                        let pictures = shown(&step, &tick.frames, transports);
+                        let pictures = encode(&step, &tick.frames, transports);
                         (step, tick, pictures)
                     }).await?;
                     self.publish(outlets, &step, &tick)?;
@@ -160,9 +160,9 @@ impl NodeProgram for SimArm {
                     next_ns = next_ns.saturating_add(STEP_NS);
                     let late_ns = time.now_ns().saturating_sub(next_ns);
                     if late_ns > 0 {
-                        // Not made up for: a clock that is behind would leave no time for commands.
+                        // Missed steps are skipped: catching up would leave no time for commands.
                         let missed = late_ns / STEP_NS + 1;
-                        self.late(missed);
+                        self.count_missed(missed);
                         next_ns = next_ns.saturating_add(missed.saturating_mul(STEP_NS));
                     }
                 }
@@ -171,7 +171,7 @@ impl NodeProgram for SimArm {
     }
 }
 
-/// The seed of a call.
+/// The seed that a call requests.
 fn seed(call: &Call<Reset>, step: &SimArmStep) -> u64 {
     match call.request.keep_seed {
         true => step.settings().seed,
@@ -201,7 +201,7 @@ impl SimArm {
             self.complaints.left_out(problem.reason(), problem);
         }
         if tick.lost_pictures > 0 {
-            // As the parameter drop has it: no reason to complain.
+            // Lost on purpose, by the parameter drop: counted, but not a fault.
             self.diagnostics
                 .count_drops("picture_lost", tick.lost_pictures);
         }
@@ -216,7 +216,7 @@ impl SimArm {
         );
         self.diagnostics.set_status(Level::Ok, text);
         let now = Instant::now();
-        if let Some((at, stamp_ns)) = self.before.replace((now, tick.stamp_ns)) {
+        if let Some((at, stamp_ns)) = self.last_step.replace((now, tick.stamp_ns)) {
             let simulated_s = tick.stamp_ns.saturating_sub(stamp_ns) as f64 / 1e9;
             let real_s = now.saturating_duration_since(at).as_secs_f64().max(1e-9);
             let factor = format!("{:.2}", simulated_s / real_s);
@@ -226,7 +226,7 @@ impl SimArm {
 
     fn take(&mut self, what: &str, taken: Result<(), CommandError>, time: &mut ArmTime) {
         match taken {
-            Ok(()) => time.answer(),
+            Ok(()) => time.note_command(),
             Err(refused) => self.refuse(what, &refused),
         }
     }
@@ -236,7 +236,7 @@ impl SimArm {
         self.complaints.left_out(refused.reason(), &text);
     }
 
-    fn late(&mut self, missed: i64) {
+    fn count_missed(&mut self, missed: i64) {
         let text = format!("a step took longer than {} s", wm_sim::STEP_S);
         self.complaints
             .left_out_many("late_step", missed.unsigned_abs(), &text);
@@ -254,11 +254,11 @@ impl SimArm {
         &self,
         outlets: &Outlets,
         call: Call<Reset>,
-        done: Result<(), wm_sim::Error>,
+        result: Result<(), wm_sim::Error>,
         step: &SimArmStep,
         now_ns: i64,
     ) -> Result<()> {
-        let (success, message) = match done {
+        let (success, message) = match result {
             Ok(()) => {
                 self.announce(outlets, step, now_ns)?;
                 (true, step.instruction().to_owned())

@@ -1,4 +1,4 @@
-//! The simulated arm's topics and services, and what goes out on them.
+//! The simulated arm's topics and services, and its publications.
 
 use std::time::Duration;
 
@@ -20,7 +20,7 @@ use wm_wire::transport::{ImagePublisher, Pictures, Transports};
 
 use super::{Frame, SimArmStep, Tick, View, message};
 
-/// How long the last messages may take to arrive.
+/// Longest wait for the acknowledgement of the last message.
 const FAREWELL: Duration = Duration::from_millis(300);
 
 wm_ros::endpoints! {
@@ -107,22 +107,22 @@ wm_ros::endpoints! {
     }
 }
 
-/// A picture as messages, and how its camera sees.
-pub(super) struct Shown {
+/// The messages of a picture.
+pub(super) struct EncodedFrame {
     view: View,
     pictures: Pictures,
     info: CameraInfo,
 }
 
-/// The pictures as messages.
+/// Encodes pictures as messages.
 ///
 /// # Errors
-/// One that cannot be compressed.
-pub(super) fn shown(
+/// A picture cannot be compressed.
+pub(super) fn encode(
     step: &SimArmStep,
     frames: &[Frame],
     transports: Transports,
-) -> Result<Vec<Shown>> {
+) -> Result<Vec<EncodedFrame>> {
     let mut all = Vec::with_capacity(frames.len());
     for Frame {
         view,
@@ -133,7 +133,7 @@ pub(super) fn shown(
         let Some((_, eye)) = step.eyes().find(|(other, _)| other == view) else {
             continue;
         };
-        all.push(Shown {
+        all.push(EncodedFrame {
             view: *view,
             pictures: message::pictures(picture, *view, *stamp_ns, transports)?,
             info: message::camera_info(eye, *view, *stamp_ns),
@@ -142,16 +142,16 @@ pub(super) fn shown(
     Ok(all)
 }
 
-/// Frames by their names.
+/// The names of frames.
 pub(super) struct Names {
-    /// Of what is published; empty: left open.
+    /// The frame of published messages; empty: none is named.
     pub(super) base: String,
-    /// Of the tool.
+    /// The frame of the tool.
     pub(super) tool: String,
 }
 
 impl Names {
-    /// The base, which a transform cannot leave open.
+    /// The base frame, which a transform has to name.
     fn root(&self) -> &str {
         match self.base.as_str() {
             "" => BASE_FRAME,
@@ -161,7 +161,7 @@ impl Names {
 }
 
 impl Outlets {
-    /// Publishes what does not change until a reset: the task, its goal, the arm, and where the cameras are.
+    /// Publishes the messages that hold until a reset: task, goal, arm and camera frames.
     pub(super) fn announce(
         &self,
         step: &SimArmStep,
@@ -183,7 +183,7 @@ impl Outlets {
         Ok(())
     }
 
-    /// Publishes the time, if the arm makes it.
+    /// Publishes the time if the node makes it.
     pub(super) fn publish_time(&self, now_ns: i64) -> Result<()> {
         if let Some(clock) = &self.clock {
             clock.publish(&Clock {
@@ -221,12 +221,12 @@ impl Outlets {
     }
 
     /// Publishes pictures.
-    pub(super) fn show(&self, shown: &[Shown]) -> Result<()> {
-        for Shown {
+    pub(super) fn show(&self, frames: &[EncodedFrame]) -> Result<()> {
+        for EncodedFrame {
             view,
             pictures,
             info,
-        } in shown
+        } in frames
         {
             let (images, infos) = match view {
                 View::Side => (Some(&self.pictures), Some(&self.camera_infos)),
@@ -242,7 +242,7 @@ impl Outlets {
         Ok(())
     }
 
-    /// Waits, but not for long, until the outcome has arrived: a recorder writes it down last.
+    /// Waits for the acknowledgement of the outcome, at most for [`FAREWELL`], so that a recorder gets it.
     pub(super) async fn settle(&self) -> Result<()> {
         self.successes.wait_for_acknowledgments(FAREWELL).await?;
         Ok(())

@@ -8,13 +8,13 @@ use wm_wire::transport::Transports;
 
 use super::{CameraSettings, Settings};
 
-/// The task, which may be changed.
+/// The parameter `task`, which can be changed while the node runs.
 pub(super) struct Task(Parameter<String>);
 
 impl Task {
-    /// That of the moment.
+    /// The present value.
     fn get(&self) -> GoalKind {
-        // The choices leave no other name than those of tasks.
+        // The choices are the names of tasks.
         self.0.get().parse().unwrap_or(GoalKind::Reach)
     }
 }
@@ -55,9 +55,9 @@ wm_ros::parameters! {
         front_camera: bool = false;
         /// Image transport of the cameras and of the goal.
         pub(super) image_transport: Transports = "both";
-        /// Standard deviation of the cameras' noise [grey level], the same for each seed. A real sensor has about 1. At 0, the
-        /// picture of an arm that stands still repeats exactly, which the encoder takes for a camera that has stopped
-        /// (frozen_after).
+        /// Standard deviation of the cameras' noise [grey level], the same for each seed. A real sensor has about 1. At
+        /// 0, the picture of an arm that stands still repeats exactly, which the encoder takes for a camera that has
+        /// stopped (frozen_after).
         noise: f64 = 1.0, in 0.0..=255.0;
         /// Time from a picture's stamp to its publication [s].
         latency: Duration = 0.0, in 0.0..=5.0;
@@ -67,14 +67,14 @@ wm_ros::parameters! {
 }
 
 impl Parameters {
-    /// What they say.
+    /// The settings of the step.
     pub(super) fn settings(&self) -> Settings {
         Settings {
             task: self.task(),
             seed: self.seed,
             command_timeout: self.command_timeout,
             base_frame: self.base_frame.clone(),
-            // A handful of steps.
+            // A cast saturates; the range keeps it small.
             goal_every: NonZeroUsize::new((self.goal_period / wm_sim::STEP_S).round() as usize),
             camera: CameraSettings {
                 noise: self.noise,

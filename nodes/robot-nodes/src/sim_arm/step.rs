@@ -19,42 +19,42 @@ use crate::{displacement::Displacement, executor::Velocity};
 
 use super::{
     camera::{Camera, CameraSettings, Frame, View},
-    command::{self, CommandError, Held, Motion},
+    command::{self, CommandError, Motion, VelocityCommand},
 };
 
-/// Rounding of what is exactly the largest motion of a step, in the single precision of actions \[m or rad\].
+/// Rounding error of the largest motion of a step in the single precision of actions \[m or rad\].
 const ROUNDING: f64 = 1e-6;
 
-/// What the arm is and does.
+/// Settings of the arm.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
-    /// What is to be done.
+    /// The task.
     pub task: GoalKind,
-    /// Of the table, the goal and the camera.
+    /// Seed of the table, the goal and the camera.
     pub seed: u64,
-    /// How long a commanded motion holds after its reception.
+    /// A commanded motion holds for this long after its reception.
     pub command_timeout: Duration,
-    /// The frame that commands may name; empty: any.
+    /// The only frame that commands may name; empty: any.
     pub base_frame: String,
-    /// The goal is told by a picture after each so many steps of the solution; `None`: by the last one alone.
+    /// Steps of the solution between two pictures of the goal; `None`: the goal is the last picture alone.
     pub goal_every: Option<NonZeroUsize>,
-    /// How good the cameras are.
+    /// The cameras' faults.
     pub camera: CameraSettings,
     /// Whether there is a second camera.
     pub has_front_camera: bool,
 }
 
-/// Why the arm does not do all that it is told.
+/// The reason why a command is executed in part or not at all.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum Problem {
-    /// More than one step of the simulator can be.
+    /// The motion is larger than the largest of a step.
     #[error(
-        "told to move {} m and turn {} rad in {STEP_S} s; at most {LARGEST_STEP_M:.4} m along an axis and \
+        "commanded to move {} m and turn {} rad in {STEP_S} s; at most {LARGEST_STEP_M:.4} m along an axis and \
          {LARGEST_TURN_RAD:.4} rad about one are done", axes(.translation), axes(.rotation)
     )]
     Limited {
-        /// Along x, y and z \[m\].
+        /// Translation along x, y and z \[m\].
         translation: [f64; 3],
         /// Roll, pitch and yaw \[rad\].
         rotation: [f64; 3],
@@ -62,10 +62,10 @@ pub enum Problem {
     /// A motion waited for longer than `command_timeout`.
     #[error("a motion waited for {waited_s:.2} s, longer than command_timeout, and is not done")]
     Stale {
-        /// How long \[s\].
+        /// Time since its reception \[s\].
         waited_s: f64,
     },
-    /// A motion that the simulator does not take.
+    /// The simulator refused the motion.
     #[error("{0}")]
     Refused(String),
 }
@@ -85,41 +85,41 @@ impl Problem {
     }
 }
 
-/// What was done in a step.
+/// The motion of a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Done {
-    /// When the step began \[ns\]: the stamp of the picture before.
+pub struct StepMotion {
+    /// The start of the step \[ns\]: the stamp of the previous picture.
     pub stamp_ns: i64,
-    /// The motion of the tool, and where the gripper was told to go.
+    /// The motion of the tool, and the commanded opening of the gripper.
     pub action: EndEffectorAction,
 }
 
-/// What there is to publish after a step.
+/// The result of a step, to publish.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tick {
-    /// The time of what follows \[ns\].
+    /// The time of this result \[ns\].
     pub stamp_ns: i64,
-    /// Where the tool is.
+    /// The pose of the tool.
     pub tool: ToolPose,
-    /// How far the gripper is open, 0 to 1.
+    /// The opening of the gripper, 0 closed to 1 open.
     pub opening: f64,
-    /// By the names of [`wm_sim::JOINT_NAMES`] \[rad or m\].
+    /// Positions in the order of [`wm_sim::JOINT_NAMES`] \[rad or m\].
     pub joints: Option<[f64; 8]>,
-    /// What is missing to the goal \[m\].
+    /// Distance to the goal \[m\].
     pub distance_m: f64,
-    /// Whether the goal is attained, where that is new.
+    /// Whether the task is done; `None` if that has not changed.
     pub success: Option<bool>,
-    /// None at the start, and after a reset or a jump of the clock: no step led here.
-    pub done: Option<Done>,
-    /// Why less was done than was told.
+    /// The motion of the step; `None` at the start, and after a reset or a jump of the clock.
+    pub done: Option<StepMotion>,
+    /// The reason why the command was not executed as a whole.
     pub problem: Option<Problem>,
-    /// The pictures that have arrived.
+    /// The pictures that arrive now.
     pub frames: Vec<Frame>,
-    /// How many pictures of this moment are lost.
+    /// Number of lost pictures of this step.
     pub lost_pictures: u64,
 }
 
-/// The second camera: what it sees, and what becomes of it.
+/// The second camera.
 struct Front {
     eye: render::Camera,
     renderer: render::Renderer,
@@ -130,25 +130,25 @@ struct Front {
 pub struct SimArmStep {
     settings: Settings,
     environment: Environment,
-    /// The way to the goal, and the goal.
+    /// Pictures on the way to the goal; the last one is the goal.
     goals: Vec<RgbImage>,
     camera: Camera,
     front: Option<Box<Front>>,
-    /// How the arm is to move, and when that was said last \[ns\].
+    /// The commanded motion, and the time of the last command \[ns\].
     motion: Option<(Motion, i64)>,
-    /// Where the gripper is to go.
+    /// The commanded opening of the gripper.
     gripper: f64,
-    /// When the tick before was \[ns\].
+    /// The time of the last tick \[ns\].
     last_ns: Option<i64>,
-    /// What was said of the goal.
-    told: Option<bool>,
+    /// The last [`Tick::success`].
+    last_success: Option<bool>,
 }
 
 impl SimArmStep {
     /// The arm at the start of its task.
     ///
     /// # Errors
-    /// [`wm_sim::Error::Unsolvable`]: the seed has no such task.
+    /// [`wm_sim::Error::Unsolvable`]: with this seed the task has no solution.
     pub fn new(settings: Settings) -> Result<Self, wm_sim::Error> {
         let mut environment = Environment::new(settings.task, settings.seed, &Variety::default())?;
         let goals = match settings.goal_every {
@@ -174,13 +174,13 @@ impl SimArmStep {
             motion: None,
             gripper: environment.world().opening(),
             last_ns: None,
-            told: None,
+            last_success: None,
             environment,
             settings,
         })
     }
 
-    /// What it was made of, and the task and seed of the last reset.
+    /// The settings, with the task and the seed of the last reset.
     pub fn settings(&self) -> &Settings {
         &self.settings
     }
@@ -190,22 +190,22 @@ impl SimArmStep {
         self.environment.instruction()
     }
 
-    /// What the camera would see once the task is done.
+    /// The picture of the camera once the task is done.
     pub fn goal_picture(&self) -> &RgbImage {
         &self.environment.goal().picture
     }
 
-    /// What it would see on the way there, one picture after the other; the last one is the goal's.
+    /// Pictures of the camera on the way to the goal, in order. The last one is [`Self::goal_picture`].
     pub fn goals(&self) -> &[RgbImage] {
         &self.goals
     }
 
-    /// What has to be where.
+    /// The target of the task.
     pub fn target(&self) -> &Target {
         &self.environment.goal().target
     }
 
-    /// The cameras that there are: how they see, and where from.
+    /// The cameras with their geometry.
     pub fn eyes(&self) -> impl Iterator<Item = (View, &render::Camera)> {
         let front = self.front.as_ref().map(|front| (View::Front, &front.eye));
         std::iter::once((View::Side, self.environment.camera())).chain(front)
@@ -216,10 +216,10 @@ impl SimArmStep {
         self.environment.world()
     }
 
-    /// Back to the start of a task, which is that of [`Self::new`] with this seed. Commands are forgotten.
+    /// Starts the task anew, exactly as [`Self::new`] with this seed. Earlier commands are dropped.
     ///
     /// # Errors
-    /// [`wm_sim::Error::Unsolvable`]: the seed has no such task; everything stays as it is.
+    /// [`wm_sim::Error::Unsolvable`]: with this seed the task has no solution. The arm stays as it is.
     pub fn reset(&mut self, task: GoalKind, seed: u64) -> Result<(), wm_sim::Error> {
         let settings = Settings {
             task,
@@ -230,21 +230,21 @@ impl SimArmStep {
         Ok(())
     }
 
-    /// Takes a velocity, which holds until the next command, but for `command_timeout` at most. Of several in a step,
-    /// each counts for its time.
+    /// Takes a velocity, which holds until the next command, at most for `command_timeout`. Several velocities in a
+    /// step each count for their time.
     ///
     /// # Errors
-    /// [`CommandError`] says why it is not obeyed; what was told before still holds.
+    /// [`CommandError`]: it is refused, and the previous command still holds.
     pub fn twist(&mut self, twist: &TwistStamped, received_ns: i64) -> Result<(), CommandError> {
         let velocity = command::of_twist(twist, &self.settings.base_frame)?;
         self.hold(velocity, received_ns);
         Ok(())
     }
 
-    /// Takes a velocity as six numbers, likewise.
+    /// Takes a velocity as six numbers.
     ///
     /// # Errors
-    /// As [`Self::twist`].
+    /// See [`Self::twist`].
     pub fn velocity(
         &mut self,
         array: &Float64MultiArray,
@@ -255,18 +255,18 @@ impl SimArmStep {
     }
 
     fn hold(&mut self, velocity: Velocity, received_ns: i64) {
-        let held = match self.motion {
-            Some((Motion::Velocity(held), _)) => held.then(velocity, received_ns),
-            _ => Held::new(velocity, received_ns),
+        let command = match self.motion {
+            Some((Motion::Velocity(earlier), _)) => earlier.then(velocity, received_ns),
+            _ => VelocityCommand::new(velocity, received_ns),
         };
-        self.motion = Some((Motion::Velocity(held), received_ns));
+        self.motion = Some((Motion::Velocity(command), received_ns));
     }
 
-    /// Takes a motion, to be done once in the next step, and the gripper's opening. What comes between two ticks adds
-    /// up: the executor sends several of them in a step.
+    /// Takes a motion for the next step, and the gripper's opening. Motions between two ticks add up: the executor
+    /// publishes several in a step.
     ///
     /// # Errors
-    /// As [`Self::twist`].
+    /// See [`Self::twist`].
     pub fn action(&mut self, action: &Action, received_ns: i64) -> Result<(), CommandError> {
         let (next, gripper) = command::of_action(action, &self.settings.base_frame)?;
         let delta = match self.motion {
@@ -278,16 +278,16 @@ impl SimArmStep {
         Ok(())
     }
 
-    /// Takes where the gripper is to go, 0 closed to 1 open; it holds until it is told something else.
+    /// Takes an opening of the gripper, 0 closed to 1 open. It holds until the next one.
     ///
     /// # Errors
-    /// As [`Self::twist`].
+    /// See [`Self::twist`].
     pub fn gripper(&mut self, opening: &Float64) -> Result<(), CommandError> {
         self.gripper = command::of_gripper(opening)?.clamp(0.0, 1.0);
         Ok(())
     }
 
-    /// Does one step of the simulator, 0.2 s, and takes a picture. The first one only looks.
+    /// Computes one step of the simulator, 0.2 s, and takes a picture. The first tick only takes a picture.
     pub fn tick(&mut self, now_ns: i64) -> Tick {
         let mut problem = None;
         let done = self.last_ns.map(|stamp_ns| {
@@ -298,11 +298,11 @@ impl SimArmStep {
                 self.motion = None;
                 EndEffectorAction::still(self.gripper)
             });
-            Done { stamp_ns, action }
+            StepMotion { stamp_ns, action }
         });
         self.last_ns = Some(now_ns);
-        if let Some((Motion::Velocity(held), _)) = &mut self.motion {
-            *held = held.from(now_ns);
+        if let Some((Motion::Velocity(command), _)) = &mut self.motion {
+            *command = command.from(now_ns);
         }
         let picture = self.environment.picture();
         let mut lost_pictures = u64::from(!self.camera.take(picture, now_ns));
@@ -311,8 +311,8 @@ impl SimArmStep {
             lost_pictures += u64::from(!front.camera.take(picture, now_ns));
         }
         let is_solved = self.environment.solved();
-        let success = (self.told != Some(is_solved)).then_some(is_solved);
-        self.told = Some(is_solved);
+        let success = (self.last_success != Some(is_solved)).then_some(is_solved);
+        self.last_success = Some(is_solved);
         let frames = self.frames(now_ns);
         let world = self.environment.world();
         Tick {
@@ -329,13 +329,13 @@ impl SimArmStep {
         }
     }
 
-    /// When the next picture arrives \[ns\], where one is on its way.
+    /// The time when the next picture arrives \[ns\]; `None` if none is expected.
     pub fn next_frame_ns(&self) -> Option<i64> {
         let front = self.front.as_ref().and_then(|front| front.camera.next_ns());
         self.camera.next_ns().into_iter().chain(front).min()
     }
 
-    /// The pictures that have arrived by `now_ns`.
+    /// Removes and returns the pictures that arrive by `now_ns`.
     pub fn frames(&mut self, now_ns: i64) -> Vec<Frame> {
         let mut frames = self.camera.arrived(now_ns);
         if let Some(front) = &mut self.front {
@@ -344,7 +344,7 @@ impl SimArmStep {
         frames
     }
 
-    /// The clock has jumped: what was told and taken by the old time is forgotten. How many pictures that were.
+    /// Drops commands and pictures of the old time after a jump of the clock; returns the number of pictures.
     pub fn forget(&mut self) -> usize {
         self.motion = None;
         self.last_ns = None;
@@ -352,27 +352,27 @@ impl SimArmStep {
         self.camera.forget() + front
     }
 
-    /// What the step since `start_ns` is to do.
+    /// The command of the step that began at `start_ns`.
     fn command(&mut self, start_ns: i64, now_ns: i64) -> (EndEffectorAction, Option<Problem>) {
         let still = EndEffectorAction::still(self.gripper);
-        let Some((motion, said_ns)) = self.motion else {
+        let Some((motion, command_ns)) = self.motion else {
             return (still, None);
         };
-        let age = u64::try_from(now_ns.saturating_sub(said_ns)).map(Duration::from_nanos);
+        let age = u64::try_from(now_ns.saturating_sub(command_ns)).map(Duration::from_nanos);
         let is_fresh = age.is_ok_and(|age| age <= self.settings.command_timeout);
         if !is_fresh || matches!(motion, Motion::Delta(_)) {
             self.motion = None;
         }
         let delta = match motion {
-            // A client that has fallen silent: that is what the timeout is for.
+            // The client is silent, so the arm stands still.
             Motion::Velocity(_) if !is_fresh => return (still, None),
             Motion::Delta(_) if !is_fresh => {
-                let waited_s = now_ns.saturating_sub(said_ns) as f64 / 1e9;
+                let waited_s = now_ns.saturating_sub(command_ns) as f64 / 1e9;
                 return (still, Some(Problem::Stale { waited_s }));
             }
-            // A step is 0.2 s, whatever the clock says of a tick that is a little late.
-            Motion::Velocity(held) => {
-                Displacement::of_velocity(held.mean(start_ns, now_ns), STEP_S)
+            // The simulator steps by 0.2 s, also if the tick is late.
+            Motion::Velocity(command) => {
+                Displacement::of_velocity(command.mean(start_ns, now_ns), STEP_S)
             }
             Motion::Delta(delta) => delta,
         };

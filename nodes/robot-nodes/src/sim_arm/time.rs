@@ -1,4 +1,4 @@
-//! What time it is for the simulated arm: that of the node's clock, or time that it makes itself.
+//! The arm's time: the node's clock, or time that the node makes itself.
 
 use std::time::{Duration, Instant};
 
@@ -6,53 +6,53 @@ use wm_msgs::builtin_interfaces::Time;
 use wm_ros::Clock;
 use wm_sim::START_NS;
 
-/// Time that the arm makes goes on by this much at most without being told \[ns\].
-const TELL_NS: i64 = 20_000_000;
+/// Largest step of the time that the node makes \[ns\]: `/clock` gets a message for each.
+const CLOCK_STEP_NS: i64 = 20_000_000;
 
-/// What time it is for the simulated arm.
+/// The arm's time.
 pub(super) enum ArmTime {
-    /// That of the node's clock.
+    /// The node's clock.
     Clock(Clock),
-    /// Its own.
+    /// Time that the node makes.
     Made(MadeTime),
 }
 
-/// Time that the arm makes.
+/// Time that the node makes.
 pub(super) struct MadeTime {
     pace: Pace,
     now_ns: i64,
-    /// When that was.
+    /// Real time of `now_ns`.
     at: Instant,
 }
 
 enum Pace {
-    /// So many seconds in one of real time.
+    /// Seconds per second of real time.
     Factor(f64),
-    /// A step goes on once it is answered, or when that has been out for too long.
-    Answered {
-        is_answered: bool,
+    /// A step waits for a command, at most for the timeout.
+    PerCommand {
+        has_command: bool,
         timeout: Duration,
     },
 }
 
 impl ArmTime {
-    /// That of `clock` where `real_time_factor` is 1.
+    /// The time of `clock` if `real_time_factor` is 1; otherwise the node makes it.
     pub(super) fn new(real_time_factor: f64, timeout: Duration, clock: Clock) -> Self {
-        // Exactly what the parameter says.
+        // The parameter is exactly 1 by default.
         if real_time_factor == 1.0 {
             return Self::Clock(clock);
         }
         let pace = match real_time_factor > 0.0 {
             true => Pace::Factor(real_time_factor),
-            // The first step only looks.
-            false => Pace::Answered {
-                is_answered: true,
+            // The first step needs no command: it only takes a picture.
+            false => Pace::PerCommand {
+                has_command: true,
                 timeout,
             },
         };
         Self::Made(MadeTime {
             pace,
-            // 2023: as the recordings of the simulator.
+            // 2023, as in the simulator's recordings.
             now_ns: START_NS as i64,
             at: Instant::now(),
         })
@@ -66,7 +66,7 @@ impl ArmTime {
         }
     }
 
-    /// A command has come at `received`: when that was \[ns\].
+    /// The arm's time of a command that was received at `received` \[ns\].
     pub(super) fn at(&self, received: Time) -> i64 {
         match self {
             Self::Clock(_) => received.to_nanos(),
@@ -74,18 +74,18 @@ impl ArmTime {
         }
     }
 
-    /// A command that a step waits for has come.
-    pub(super) fn answer(&mut self) {
+    /// Notes a command: the step that waits for it can start.
+    pub(super) fn note_command(&mut self) {
         if let Self::Made(MadeTime {
-            pace: Pace::Answered { is_answered, .. },
+            pace: Pace::PerCommand { has_command, .. },
             ..
         }) = self
         {
-            *is_answered = true;
+            *has_command = true;
         }
     }
 
-    /// Waits until [`Self::go_on`] may go on towards `wake_ns`, be that a step or not.
+    /// Waits until [`Self::advance`] is due. `is_step`: a step is due at `wake_ns`.
     pub(super) async fn wait(&self, wake_ns: i64, is_step: bool) {
         match self {
             Self::Clock(clock) => clock.sleep_until(Time::from_nanos(wake_ns)).await,
@@ -97,25 +97,25 @@ impl ArmTime {
         }
     }
 
-    /// Goes on towards `wake_ns`: the time now, and whether it has to be told on `/clock`.
-    pub(super) fn go_on(&mut self, wake_ns: i64, is_step: bool) -> (i64, bool) {
+    /// Advances towards `wake_ns`. Returns the time, and whether to publish it on `/clock`.
+    pub(super) fn advance(&mut self, wake_ns: i64, is_step: bool) -> (i64, bool) {
         match self {
             Self::Clock(clock) => (clock.now().to_nanos(), false),
-            Self::Made(made) => (made.go_on(wake_ns, is_step, Instant::now()), true),
+            Self::Made(made) => (made.advance(wake_ns, is_step, Instant::now()), true),
         }
     }
 }
 
 impl MadeTime {
-    /// What comes next on the way to a time \[ns\].
+    /// The next time on the way to `wake_ns` \[ns\].
     fn next_ns(&self, wake_ns: i64) -> i64 {
         match self.pace {
-            Pace::Factor(_) => wake_ns.min(self.now_ns.saturating_add(TELL_NS)),
-            Pace::Answered { .. } => wake_ns,
+            Pace::Factor(_) => wake_ns.min(self.now_ns.saturating_add(CLOCK_STEP_NS)),
+            Pace::PerCommand { .. } => wake_ns,
         }
     }
 
-    /// When that comes; none: at once.
+    /// The moment of that time; `None`: at once.
     fn due(&self, wake_ns: i64, is_step: bool) -> Option<Instant> {
         match self.pace {
             Pace::Factor(factor) => {
@@ -123,28 +123,28 @@ impl MadeTime {
                 let real = Duration::from_nanos(ahead_ns.unsigned_abs()).div_f64(factor);
                 Some(self.at + real)
             }
-            Pace::Answered {
-                is_answered,
+            Pace::PerCommand {
+                has_command,
                 timeout,
-            } => (is_step && !is_answered).then(|| self.at + timeout),
+            } => (is_step && !has_command).then(|| self.at + timeout),
         }
     }
 
-    fn go_on(&mut self, wake_ns: i64, is_step: bool, now: Instant) -> i64 {
+    fn advance(&mut self, wake_ns: i64, is_step: bool, now: Instant) -> i64 {
         let next_ns = self.next_ns(wake_ns);
         let due = self.due(wake_ns, is_step);
-        let told = Duration::from_nanos(TELL_NS.unsigned_abs());
+        let clock_step = Duration::from_nanos(CLOCK_STEP_NS.unsigned_abs());
         self.at = match self.pace {
-            // What is a little late is made up for; a pause is not, and a slow machine makes time slow.
+            // A small delay is made up for. A pause is not: on a slow machine, time is slow.
             Pace::Factor(_) => due
-                .filter(|due| now.saturating_duration_since(*due) <= told)
+                .filter(|due| now.saturating_duration_since(*due) <= clock_step)
                 .unwrap_or(now),
-            Pace::Answered { .. } => now,
+            Pace::PerCommand { .. } => now,
         };
-        if let Pace::Answered { is_answered, .. } = &mut self.pace
+        if let Pace::PerCommand { has_command, .. } = &mut self.pace
             && is_step
         {
-            *is_answered = false;
+            *has_command = false;
         }
         self.now_ns = self.now_ns.max(next_ns);
         self.now_ns
@@ -166,22 +166,22 @@ mod tests {
     }
 
     #[test]
-    fn a_factor_makes_time_faster_and_tells_it_often() {
+    fn factor_makes_time_faster_in_small_steps() {
         let mut time = made(Pace::Factor(4.0));
         let begin = time.at;
         for count in 1..=10 {
             let due = time.due(STEP_NS, true).unwrap();
             assert_eq!(due, begin + count * Duration::from_millis(5));
-            // A little late, each time.
+            // Each time a small delay.
             let late = Duration::from_millis(1);
             assert_eq!(
-                time.go_on(STEP_NS, true, due + late),
-                i64::from(count) * TELL_NS
+                time.advance(STEP_NS, true, due + late),
+                i64::from(count) * CLOCK_STEP_NS
             );
         }
         // A pause is not made up for.
         let later = begin + Duration::from_secs(9);
-        time.go_on(2 * STEP_NS, true, later);
+        time.advance(2 * STEP_NS, true, later);
         assert_eq!(
             time.due(2 * STEP_NS, true),
             Some(later + Duration::from_millis(5))
@@ -189,10 +189,10 @@ mod tests {
     }
 
     #[test]
-    fn a_step_waits_for_its_answer_but_not_for_ever() {
+    fn step_waits_for_its_command_until_the_timeout() {
         let timeout = Duration::from_secs(1);
-        let mut time = ArmTime::Made(made(Pace::Answered {
-            is_answered: true,
+        let mut time = ArmTime::Made(made(Pace::PerCommand {
+            has_command: true,
             timeout,
         }));
         let due = |time: &ArmTime, is_step| match time {
@@ -200,16 +200,16 @@ mod tests {
             ArmTime::Clock(_) => None,
         };
         assert_eq!(due(&time, true), None);
-        let (now_ns, is_told) = time.go_on(STEP_NS, true);
-        assert!(is_told && now_ns == STEP_NS);
+        let (now_ns, is_made) = time.advance(STEP_NS, true);
+        assert!(is_made && now_ns == STEP_NS);
         let before = Instant::now();
         let waits = due(&time, true).unwrap();
         assert!(waits <= before + timeout);
-        // A late picture does not wait, and does not make up for an answer.
+        // A late picture does not wait, and does not count as a command.
         assert_eq!(due(&time, false), None);
-        assert_eq!(time.go_on(STEP_NS + 5, false).0, STEP_NS + 5);
+        assert_eq!(time.advance(STEP_NS + 5, false).0, STEP_NS + 5);
         assert!(due(&time, true).is_some());
-        time.answer();
+        time.note_command();
         assert_eq!(due(&time, true), None);
         assert_eq!(time.at(Time::from_nanos(7)), STEP_NS + 5);
     }

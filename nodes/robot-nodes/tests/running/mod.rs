@@ -3,9 +3,12 @@
 #![allow(clippy::unwrap_used, reason = "a test's helpers may fail the test")]
 #![allow(dead_code, reason = "not every test needs all of them")]
 
-use std::thread::JoinHandle;
+use std::{thread::JoinHandle, time::Duration};
 
-use wm_ros::{Context, Environment, Node, NodeArgs, Reach};
+use wm_ros::{Context, Environment, Node, NodeArgs, NodeDefinition, Reach};
+
+/// Far longer than any step of a test: it only ends a test that hangs.
+pub const PATIENCE: Duration = Duration::from_secs(120);
 
 /// A participant on loopback, in a domain of its own for each test of a file: neither tests nor runs meet each other.
 pub fn context(test: u16) -> Context {
@@ -24,25 +27,63 @@ pub fn node(context: &Context, name: &str, words: &str) -> Node {
 /// Runs a node until its context ends.
 pub fn start(
     context: &Context,
-    name: &'static str,
-    words: &str,
-    body: impl AsyncFnOnce(Node) -> anyhow::Result<()> + Send + 'static,
+    definition: &'static NodeDefinition<anyhow::Error>,
+    parameters: &str,
 ) -> JoinHandle<anyhow::Result<()>> {
-    let (context, words) = (context.clone(), words.to_owned());
+    let context = context.clone();
+    let words = format!("--ros-args {parameters}");
     std::thread::spawn(move || {
         let args = NodeArgs::parse(words.split_whitespace()).unwrap();
-        let node = Node::new(&context, name, wm_ros::NAMESPACE, &args)?;
+        let node = Node::new(&context, definition.name, wm_ros::NAMESPACE, &args)?;
         tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .build()?
-            .block_on(body(node))
+            .block_on((definition.body)(node))
     })
 }
 
-/// The words of a node with these parameters.
-pub fn with(parameters: &str) -> String {
-    match parameters {
-        "" => String::new(),
-        parameters => format!("--ros-args {parameters}"),
+/// Runs nodes with their parameters, each in a participant of its own, and a scenario that uses another one. Then ends the
+/// nodes in their order, and returns the scenario's result.
+pub async fn with_nodes<T>(
+    test: u16,
+    nodes: &[(&'static NodeDefinition<anyhow::Error>, &str)],
+    scenario: impl AsyncFnOnce(&Context) -> T,
+) -> T {
+    let mut running = Vec::new();
+    for (definition, parameters) in nodes {
+        let context = context(test);
+        let thread = start(&context, definition, parameters);
+        running.push((context, thread));
     }
+    let here = context(test);
+    let result = in_time(scenario(&here)).await;
+    for (context, thread) in running {
+        context.shutdown().trigger();
+        thread.join().unwrap().unwrap();
+        context.close();
+    }
+    here.close();
+    result
+}
+
+/// Fails the test if the scenario takes longer than [`PATIENCE`].
+#[track_caller]
+pub fn in_time<T>(scenario: impl Future<Output = T>) -> impl Future<Output = T> {
+    let caller = std::panic::Location::caller();
+    async move {
+        let ended = tokio::time::timeout(PATIENCE, scenario).await;
+        ended.unwrap_or_else(|_| panic!("{caller}: an expected message did not arrive"))
+    }
+}
+
+/// The error of a node that refuses its parameters.
+pub fn refusal(
+    test: u16,
+    definition: &'static NodeDefinition<anyhow::Error>,
+    parameters: &str,
+) -> String {
+    let context = context(test);
+    let result = start(&context, definition, parameters).join().unwrap();
+    context.close();
+    format!("{:#}", result.unwrap_err())
 }

@@ -1,4 +1,4 @@
-//! The state of an active env, and its next steps.
+//! The active env: its calls, its episode by topics, and its next job.
 
 use std::{
     collections::{BTreeSet, VecDeque},
@@ -31,16 +31,16 @@ use wm_camera::camera_frame::CameraFrame;
 use wm_ros::complaints::Complaints;
 use wm_wire::transport::{ImageSubscription, Transports};
 
-/// An observation without an answer is sent again after this time: it may be lost, or the policy may have restarted.
+/// An observation without an answer is published again after this time: it may be lost, or the policy may have restarted.
 const RESEND: Duration = Duration::from_secs(1);
 /// How long a policy may take before the env warns.
 const PATIENCE: Duration = Duration::from_secs(5);
 /// How often the graph is checked for a policy.
 const LOOK: Duration = Duration::from_millis(100);
 
-/// Calls of one kind that may wait; each holds its request.
+/// Most calls of one kind that wait.
 const MOST_WAITING: usize = 64;
-/// Calls that arrive together are computed together: how long the first of them waits for the others. Far below a step.
+/// The first call waits for further calls for this long, so that they are computed together. Far shorter than a step.
 const GATHER: Duration = Duration::from_millis(5);
 
 /// A reset that waits for the image that it starts from.
@@ -56,12 +56,12 @@ pub(super) struct PendingReset {
 pub(super) struct TopicEpisode {
     pub(super) attached: Attached,
     pub(super) observation: Observation,
-    /// When the next step may be made.
+    /// Earliest time of the next step.
     pub(super) due: Instant,
     pub(super) published: Instant,
     /// When this observation was published first.
     pub(super) shown: Instant,
-    /// Whether the task was done, by a message; ends the episode.
+    /// Whether the task was done, from `/task/success`; it ends the episode.
     pub(super) outcome: Option<bool>,
     pub(super) is_over: bool,
 }
@@ -71,11 +71,11 @@ pub(super) struct EnvServer {
     pub(super) running: RunningJob,
     pub(super) waiting_resets: VecDeque<(EnvResetRequest, Resetter)>,
     pub(super) waiting_steps: VecDeque<(Call<EnvStep>, Time)>,
-    /// When calls that wait are computed.
-    pub(super) gathered: Instant,
+    /// When the waiting calls are computed.
+    pub(super) gather_until: Instant,
     pub(super) pending_reset: Option<PendingReset>,
     pub(super) topic_episode: Option<TopicEpisode>,
-    /// Episodes by topics that have begun.
+    /// Number of episodes by topics so far.
     pub(super) begun: u64,
     pub(super) clock: Clock,
     pub(super) complaints: Complaints,
@@ -83,8 +83,8 @@ pub(super) struct EnvServer {
 }
 
 impl EnvServer {
-    /// Starts what is possible; returns whether all episodes of the env are done.
-    pub(super) fn go_on(&mut self, node: &EnvNode) -> Result<bool> {
+    /// Starts the next job if the thread is idle; returns whether all episodes of the env have ended.
+    pub(super) fn start_next(&mut self, node: &EnvNode) -> Result<bool> {
         let now = Instant::now();
         if self
             .pending_reset
@@ -150,7 +150,7 @@ impl EnvServer {
             wake = wake.min(pending_reset.until);
         }
         if matches!(self.running, RunningJob::Nothing) && !self.waiting_steps.is_empty() {
-            wake = wake.min(self.gathered);
+            wake = wake.min(self.gather_until);
         }
         match &self.topic_episode {
             // A step that is due waits for the policy, not for the time.
@@ -173,7 +173,7 @@ impl EnvServer {
         Ok(())
     }
 
-    /// As [`take_reset`](Self::take_reset). Of each episode a step may wait, and the next.
+    /// Queues a call; refuses it at once if too many wait. Each episode may have two waiting steps.
     pub(super) fn take_step(&mut self, call: Call<EnvStep>, most_episodes: usize) {
         let waiting = self.waiting_steps.len();
         if waiting >= MOST_WAITING.max(2 * most_episodes) {
@@ -184,7 +184,7 @@ impl EnvServer {
             return;
         }
         if self.waiting_steps.is_empty() {
-            self.gathered = Instant::now() + GATHER;
+            self.gather_until = Instant::now() + GATHER;
         }
         self.waiting_steps.push_back((call, self.clock.now()));
     }
@@ -247,7 +247,7 @@ impl EnvServer {
             request, resetter, ..
         }) = self.pending_reset.take()
         {
-            // While another job runs, it waits for a newer image.
+            // While another job runs, the reset returns to the queue, and will wait for a newer image.
             if matches!(self.running, RunningJob::Nothing) {
                 self.begin(request, Start::Frame(Box::new(frame)), resetter);
             } else {
@@ -267,12 +267,12 @@ impl EnvServer {
                 self.answer(call.respond(&response));
                 Ok(())
             }
-            // No client is left to begin another one.
+            // Without a client, no further episode can begin.
             Resetter::Topics => anyhow::bail!("cannot begin the episode: {error}"),
         }
     }
 
-    /// Makes the moves that wait, one an episode, as one batch.
+    /// Starts the waiting moves, one for each episode, as one batch.
     fn step(&mut self, now: Instant, node: &EnvNode) {
         let mut moves = Vec::new();
         let mut steppers = Vec::new();
@@ -296,7 +296,7 @@ impl EnvServer {
                 steppers.push(Stepper::Topics);
             }
         }
-        if !moves.is_empty() || self.gathered <= now {
+        if !moves.is_empty() || self.gather_until <= now {
             self.gather(&mut moves, &mut steppers, node);
         }
         if !moves.is_empty() {
@@ -305,7 +305,7 @@ impl EnvServer {
         }
     }
 
-    /// Adds the calls that wait, of each episode the first.
+    /// Adds the first waiting call of each episode.
     fn gather(&mut self, moves: &mut Vec<Move>, steppers: &mut Vec<Stepper>, node: &EnvNode) {
         let own = self
             .topic_episode
@@ -332,7 +332,7 @@ impl EnvServer {
     }
 
     fn submit(&mut self, job: Job) {
-        // Nothing runs and nothing waits: `running` says so.
+        // The thread is idle, as `running` shows, so the queue drops nothing.
         if self.work.submit(job).is_some() {
             tracing::error!("a job of the env was dropped");
         }
@@ -355,6 +355,7 @@ impl EnvServer {
             },
             (JobResult::Step { moved, start, end }, RunningJob::Steps(steppers)) => {
                 let taken_ns = end.to_nanos().saturating_sub(start.to_nanos());
+                // Zero if the clock was set back meanwhile.
                 let taken = Duration::from_nanos(u64::try_from(taken_ns).unwrap_or(0));
                 self.diagnostics.latency("step").record(taken);
                 self.diagnostics.set_value("batch", steppers.len());
@@ -414,7 +415,7 @@ impl EnvServer {
                         stamp,
                     ),
                     observation,
-                    // No picture is shown before its time: other nodes refuse stamps ahead of the clock.
+                    // Pictures are not published before their time: other nodes refuse stamps ahead of the clock.
                     due: now + node.parameters.period(),
                     published: now,
                     shown: now,
@@ -426,7 +427,7 @@ impl EnvServer {
         }
     }
 
-    /// Sends an unanswered observation again, and warns.
+    /// Publishes an unanswered observation again, and warns.
     fn remind(&mut self, now: Instant, node: &EnvNode) -> Result<()> {
         if let Some(episode) = &mut self.topic_episode
             && !episode.is_over
@@ -484,7 +485,7 @@ impl EnvServer {
         Ok(())
     }
 
-    /// Reports the fate of an action or a chunk of this stamp; `None`: there is no episode for it.
+    /// Reports the result for an action or a chunk with this stamp; `None`: no episode is played through topics.
     pub(super) fn note(&mut self, taken: Option<Result<bool, HistoryError>>, stamp: Time) {
         let shown = self.topic_episode.as_ref();
         let shown = shown.map(|episode| seconds(episode.observation.jpeg.header.stamp));
@@ -521,7 +522,7 @@ fn names_file(request: &EnvResetRequest) -> bool {
 
 /// Publishes the observations of an episode by service, before the answer is sent.
 fn show(episode_id: &str, moved: &Moved, node: &EnvNode) -> Result<()> {
-    // A move is a handful of steps, and they are counted.
+    // At most MAX_CHUNK steps.
     let first = moved.steps.saturating_sub(moved.observations.len() as u32);
     for (step, observation) in (first + 1..).zip(&moved.observations) {
         node.endpoints.observations.publish(&EnvObservation {

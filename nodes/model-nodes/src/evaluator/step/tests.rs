@@ -1,61 +1,19 @@
 #![allow(clippy::unwrap_used, clippy::indexing_slicing)]
 
-use wm_model::WorldModel;
-use wm_model::{
-    LatentSpace,
-    transition::{Transition, TransitionConfig},
-};
-use wm_motion::actions::ActionEncoding;
 use wm_msgs::{builtin_interfaces::Duration as Period, std_msgs::Header, wm_msgs::ActionChunk};
 
 use super::*;
 use crate::{
     evaluator::EvaluatorModel,
-    history::{ChunkMerging, HistorySettings},
+    test_world::{PERIOD, history, latent, stamp, world_model},
 };
 use wm_ros::PublisherId;
-use wm_wire::latent_message::{LatentDtype, encode_latent};
-
-const PERIOD: i64 = 200_000_000;
-const START: i64 = 1_700_000_000_000_000_000;
-
-fn space() -> LatentSpace {
-    LatentSpace {
-        name: "test".into(),
-        hash: "00ff".into(),
-        height: 4,
-        width: 4,
-        channels: 4,
-    }
-}
-
-fn model() -> WorldModel {
-    let config = TransitionConfig {
-        hidden: 64,
-        depth: 1,
-        heads: 2,
-        ..TransitionConfig::preset("tiny", (4, 4, 4), 2, 7).unwrap()
-    };
-    WorldModel {
-        transition: Transition::random(config, 3).unwrap().pack().unwrap(),
-        name: "test".into(),
-        hash: "beef".into(),
-        space: space(),
-        encoding: ActionEncoding::default(),
-    }
-}
 
 fn header(index: i64) -> Header {
     Header {
-        stamp: Time::from_nanos(START + index * PERIOD),
+        stamp: stamp(index),
         frame_id: "camera".into(),
     }
-}
-
-fn values(index: i64) -> Vec<f32> {
-    (0..64)
-        .map(|i| ((i + 7 * index) as f32 * 0.3).sin())
-        .collect()
 }
 
 fn action(index: i64, value: f32) -> Action {
@@ -82,16 +40,6 @@ fn candidates(chunks: Vec<ActionChunk>) -> ActionCandidates {
     }
 }
 
-fn history() -> History {
-    let settings = HistorySettings {
-        timing: Timing::new(PERIOD, 2),
-        context_frames: 2,
-        merging: ChunkMerging::Latest,
-    };
-    let encoding = ActionEncoding::default();
-    History::new(settings, space(), encoding, Time::default())
-}
-
 /// Sends frame `index`.
 fn see(step: &mut EvaluatorStep, index: i64) {
     see_of(step, index, false);
@@ -99,8 +47,10 @@ fn see(step: &mut EvaluatorStep, index: i64) {
 
 /// The same, of a camera that has stopped or not.
 fn see_of(step: &mut EvaluatorStep, index: i64, frozen: bool) {
-    let latent = encode_latent(&values(index), &space(), LatentDtype::F32, header(index)).unwrap();
-    let latent = Latent { frozen, ..latent };
+    let latent = Latent {
+        frozen,
+        ..latent(index)
+    };
     let reception = Reception {
         stamp: Time::default(),
         clock_step_ns: 0,
@@ -205,7 +155,7 @@ fn a_candidate_beyond_the_horizon_is_named_with_what_to_do() {
 #[test]
 fn batched_candidates_equal_rollouts_and_the_nearest_is_best() {
     let mut step = evaluator();
-    let model = model();
+    let model = world_model();
     let asked = candidates(vec![
         chunk(2, 4, 0.03),
         chunk(2, 4, -0.03),

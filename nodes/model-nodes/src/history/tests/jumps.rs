@@ -40,7 +40,7 @@ fn a_slow_camera_of_a_slow_model_is_no_jump() {
 }
 
 #[test]
-fn time_that_jumps_back_begins_a_new_epoch_with_its_second_frame() {
+fn jump_back_starts_a_new_epoch_at_its_second_frame() {
     let mut history = history(2);
     for index in 0..30 {
         act(&mut history, index, 0.01);
@@ -73,7 +73,7 @@ fn time_that_jumps_back_begins_a_new_epoch_with_its_second_frame() {
 }
 
 #[test]
-fn time_that_jumps_ahead_begins_a_new_epoch_and_keeps_the_last_action() {
+fn jump_ahead_starts_a_new_epoch_and_keeps_the_last_action() {
     let mut history = history(1);
     act(&mut history, 0, 0.01);
     see(&mut history, 0).unwrap();

@@ -4,7 +4,7 @@ use super::*;
 
 /// A slow encoder sends a context once in a while, late.
 #[test]
-fn frames_far_apart_are_of_one_time_where_as_much_time_has_passed() {
+fn distant_frames_are_no_jump_if_as_much_time_has_passed() {
     let mut history = history(2);
     let epoch = history.epoch();
     let begin = Instant::now();
@@ -49,7 +49,7 @@ fn frames_far_apart_are_of_one_time_where_as_much_time_has_passed() {
 }
 
 #[test]
-fn what_an_encoder_leaves_out_again_and_again_is_not_missing() {
+fn frames_skipped_regularly_are_not_missing() {
     let settings = HistorySettings {
         timing: Timing::new(PERIOD, 1),
         context_frames: 2,

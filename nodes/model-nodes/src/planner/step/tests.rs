@@ -5,39 +5,20 @@ mod goals;
 use std::sync::LazyLock;
 
 use candle_core::{Device, Tensor};
-use wm_model::WorldModel;
-use wm_model::{
-    LatentSpace,
-    sampler::Given,
-    transition::{Transition, TransitionConfig},
-};
-use wm_motion::actions::ActionEncoding;
+use wm_model::sampler::Given;
 use wm_msgs::{builtin_interfaces::Duration as Period, std_msgs::Header, wm_msgs::Plan};
 use wm_planner::{Arrival, CemSettings, PlannerChoice, Target, Weights};
 
 use super::*;
 use crate::{
-    history::{ChunkMerging, HistorySettings, Timing},
     planner::{MotionLimits, PlannerError, PlannerModel, PlannerParts, PlannerSetup, WorkspaceBox},
+    test_world::{PERIOD, history, latent, stamp, values, world_model},
 };
 use wm_ros::PublisherId;
-use wm_wire::latent_message::{LatentDtype, encode_latent};
 
-const PERIOD: i64 = 200_000_000;
-const START: i64 = 1_700_000_000_000_000_000;
 const MAX_AGE: Duration = Duration::from_secs(2);
 /// When frame 0 was received.
 static BEGIN: LazyLock<Instant> = LazyLock::new(Instant::now);
-
-fn space() -> LatentSpace {
-    LatentSpace {
-        name: "test".into(),
-        hash: "00ff".into(),
-        height: 4,
-        width: 4,
-        channels: 4,
-    }
-}
 
 fn planner_that_begins(lead: Lead) -> PlannerStep {
     let settings = PlannerSettings {
@@ -47,40 +28,17 @@ fn planner_that_begins(lead: Lead) -> PlannerStep {
         seed: 5,
         needs_pose: false,
     };
-    let history = HistorySettings {
-        timing: Timing::new(PERIOD, 2),
-        context_frames: 2,
-        merging: ChunkMerging::Latest,
-    };
-    let encoding = ActionEncoding::default();
-    let history = History::new(history, space(), encoding, Time::default());
-    PlannerStep::new(settings, history)
+    PlannerStep::new(settings, history())
 }
 
 fn planner() -> PlannerStep {
     planner_that_begins(Lead::Steps(0))
 }
 
-fn predictor_model() -> WorldModel {
-    let config = TransitionConfig {
-        hidden: 64,
-        depth: 1,
-        heads: 2,
-        ..TransitionConfig::preset("tiny", (4, 4, 4), 2, 7).unwrap()
-    };
-    WorldModel {
-        transition: Transition::random(config, 3).unwrap().pack().unwrap(),
-        name: "test".into(),
-        hash: "beef".into(),
-        space: space(),
-        encoding: ActionEncoding::default(),
-    }
-}
-
 fn searching(setup: PlannerSetup, searched: &[&str]) -> Result<PlannerModel, PlannerError> {
     let searched: Vec<String> = searched.iter().map(|name| (*name).to_owned()).collect();
     let parts = PlannerParts {
-        model: predictor_model(),
+        model: world_model(),
         idm: None,
         probe: None,
         decoder: None,
@@ -125,19 +83,9 @@ fn settings() -> PlannerSetup {
     }
 }
 
-fn stamp(index: i64) -> Time {
-    Time::from_nanos(START + index * PERIOD)
-}
-
 /// When frame `index` is received.
 fn at(index: u32) -> Instant {
     *BEGIN + Duration::from_nanos(PERIOD as u64) * index
-}
-
-fn values(index: i64) -> Vec<f32> {
-    (0..64)
-        .map(|i| ((i + 7 * index) as f32 * 0.3).sin())
-        .collect()
 }
 
 /// Sends the frames of a span, before each the robot's action.
@@ -153,19 +101,19 @@ fn feed_of(
     frozen: bool,
 ) {
     for index in span {
-        let stamp = stamp(i64::from(index));
-        let header = |frame_id: &str| Header {
-            stamp,
-            frame_id: frame_id.into(),
+        let header = Header {
+            stamp: stamp(i64::from(index)),
+            frame_id: "base".into(),
         };
         let action = Action {
-            header: header("base"),
+            header,
             values: moving.to_vec(),
         };
         step.action(&action, Time::default()).unwrap();
-        let values = values(i64::from(index));
-        let latent = encode_latent(&values, &space(), LatentDtype::F32, header("camera")).unwrap();
-        let latent = Latent { frozen, ..latent };
+        let latent = Latent {
+            frozen,
+            ..latent(i64::from(index))
+        };
         let reception = Reception {
             stamp: Time::default(),
             clock_step_ns: 0,
@@ -272,10 +220,7 @@ fn a_plan_says_what_it_was_computed_from_and_keeps_the_bounds() {
                 .all(|delta| delta.abs() <= 0.02 + 1e-6),
             "{action:?}"
         );
-        let same = predictor_model()
-            .encoding
-            .decode_step(&whole(model))
-            .unwrap();
+        let same = world_model().encoding.decode_step(&whole(model)).unwrap();
         assert_eq!(action.values, same);
     }
     let told: serde_json::Value = serde_json::from_str(&plan.settings).unwrap();
@@ -376,7 +321,7 @@ fn a_plan_begins_where_the_robot_will_be_when_it_is_ready() {
     assert_eq!(stamps.collect::<Vec<_>>(), [stamp(8), stamp(10)]);
 
     // Its cost is that of the whole way: what the robot does until then, and the plan.
-    let model = predictor_model();
+    let model = world_model();
     let mut sampler = model.transition.config().sampler.clone();
     sampler.steps = 1;
     let rollout = request

@@ -4,13 +4,7 @@ mod speeds;
 
 use std::time::Instant;
 
-use wm_model::WorldModel;
-use wm_model::{
-    LatentSpace,
-    sampler::Prepared,
-    transition::{Transition, TransitionConfig},
-};
-use wm_motion::actions::ActionEncoding;
+use wm_model::{LatentSpace, WorldModel, sampler::Prepared};
 use wm_msgs::{
     builtin_interfaces::Duration,
     std_msgs::Header,
@@ -19,40 +13,11 @@ use wm_msgs::{
 
 use super::*;
 use crate::{
-    history::{ChunkMerging, HistorySettings, Timing},
     predictor::RunningRollout,
+    test_world::{PERIOD, START, history, latent, space, stamp, world_model},
 };
 use wm_ros::PublisherId;
 use wm_wire::latent_message::{LatentError, decode_latent, encode_latent};
-
-const PERIOD: i64 = 200_000_000;
-const START: i64 = 1_700_000_000_000_000_000;
-
-fn space() -> LatentSpace {
-    LatentSpace {
-        name: "test".into(),
-        hash: "00ff".into(),
-        height: 4,
-        width: 4,
-        channels: 4,
-    }
-}
-
-fn model() -> WorldModel {
-    let config = TransitionConfig {
-        hidden: 64,
-        depth: 1,
-        heads: 2,
-        ..TransitionConfig::preset("tiny", (4, 4, 4), 2, 7).unwrap()
-    };
-    WorldModel {
-        transition: Transition::random(config, 3).unwrap().pack().unwrap(),
-        name: "test".into(),
-        hash: "beef".into(),
-        space: space(),
-        encoding: ActionEncoding::default(),
-    }
-}
 
 fn settings() -> PredictorSettings {
     PredictorSettings {
@@ -64,18 +29,7 @@ fn settings() -> PredictorSettings {
 }
 
 fn predictor() -> PredictorStep {
-    let history = HistorySettings {
-        timing: Timing::new(PERIOD, 2),
-        context_frames: 2,
-        merging: ChunkMerging::Latest,
-    };
-    let encoding = ActionEncoding::default();
-    let history = History::new(history, space(), encoding, Time::default());
-    PredictorStep::new(settings(), history)
-}
-
-fn stamp(index: i64) -> Time {
-    Time::from_nanos(START + index * PERIOD)
+    PredictorStep::new(settings(), history())
 }
 
 fn reception(index: i64) -> Reception {
@@ -85,17 +39,6 @@ fn reception(index: i64) -> Reception {
         at: Instant::now(),
         publisher: PublisherId::default(),
     }
-}
-
-fn latent(index: i64) -> Latent {
-    let values: Vec<f32> = (0..64)
-        .map(|i| ((i as i64 + 7 * index) as f32 * 0.3).sin())
-        .collect();
-    let header = Header {
-        stamp: stamp(index),
-        frame_id: "camera".into(),
-    };
-    encode_latent(&values, &space(), LatentDtype::F32, header).unwrap()
 }
 
 fn action(index: i64) -> Action {
@@ -137,7 +80,7 @@ fn run(model: &WorldModel, outcome: Outcome) -> Vec<PredictedStep> {
 
 #[test]
 fn a_rollout_says_what_it_was_computed_from() {
-    let (model, mut step) = (model(), predictor());
+    let (model, mut step) = (world_model(), predictor());
     let predictions: Vec<Prediction> = run(&model, feed(&mut step, 0..=2))
         .into_iter()
         .map(|predicted| predicted.prediction)
@@ -184,7 +127,7 @@ fn predictions_from_a_stopped_camera_are_doubted() {
 
 #[test]
 fn computing_ahead_of_the_observation_changes_no_prediction() {
-    let (model, mut step) = (model(), predictor());
+    let (model, mut step) = (world_model(), predictor());
     feed(&mut step, 0..=1);
     assert!(
         step.ahead(stamp(4).to_nanos()).is_none(),
@@ -208,7 +151,7 @@ fn computing_ahead_of_the_observation_changes_no_prediction() {
 
 #[test]
 fn predictions_depend_on_messages_and_seed_alone() {
-    let model = model();
+    let model = world_model();
     let predict = |seed: Option<u64>| {
         let mut step = predictor();
         if seed.is_some() {
@@ -228,7 +171,7 @@ fn predictions_depend_on_messages_and_seed_alone() {
 
 #[test]
 fn the_chunk_is_assumed_and_changes_the_prediction() {
-    let model = model();
+    let model = world_model();
     let held = run(&model, feed(&mut predictor(), 0..=2));
     let mut step = predictor();
     step.chunk(&chunk(2, 9), stamp(2)).unwrap();
@@ -248,7 +191,7 @@ fn the_chunk_is_assumed_and_changes_the_prediction() {
 
 #[test]
 fn predictions_are_scored_when_their_moment_comes() {
-    let (model, mut step) = (model(), predictor());
+    let (model, mut step) = (world_model(), predictor());
     let predicted = run(&model, feed(&mut step, 0..=2));
     for one in &predicted {
         assert_eq!(step.predicted(one), None);
@@ -280,8 +223,8 @@ fn predictions_are_scored_when_their_moment_comes() {
 
 /// A policy answers an image after the encoder does: the rollout of its frame is made again.
 #[test]
-fn a_chunk_after_the_latent_of_its_image_makes_the_rollout_due_again() {
-    let (model, mut step) = (model(), predictor());
+fn late_chunk_makes_the_rollout_due_again() {
+    let (model, mut step) = (world_model(), predictor());
     let held = run(&model, feed(&mut step, 0..=2));
     for one in &held {
         step.predicted(one);
@@ -312,7 +255,7 @@ fn a_chunk_after_the_latent_of_its_image_makes_the_rollout_due_again() {
 
 #[test]
 fn a_prediction_that_is_late_is_scored_at_once() {
-    let (model, mut step) = (model(), predictor());
+    let (model, mut step) = (world_model(), predictor());
     let outcome = feed(&mut step, 0..=2);
     feed(&mut step, 3..=4);
     let predicted = run(&model, outcome);
@@ -325,7 +268,7 @@ fn a_prediction_that_is_late_is_scored_at_once() {
 
 #[test]
 fn a_loop_flushes_history_and_open_predictions() {
-    let (model, mut step) = (model(), predictor());
+    let (model, mut step) = (world_model(), predictor());
     let predicted = run(&model, feed(&mut step, 0..=40));
     for one in &predicted {
         step.predicted(one);
@@ -349,7 +292,7 @@ fn a_loop_flushes_history_and_open_predictions() {
 
 #[test]
 fn one_odd_stamp_neither_flushes_nor_scores_nor_predicts() {
-    let (model, mut step) = (model(), predictor());
+    let (model, mut step) = (world_model(), predictor());
     let predicted = run(&model, feed(&mut step, 0..=2));
     for one in &predicted {
         step.predicted(one);

@@ -143,8 +143,8 @@ impl ExecutorStep {
         }
     }
 
-    /// The motion of the offers in this period. If their source is sometimes late and the last one ends within the period, its
-    /// motion continues to the end of the period: the next offer may arrive.
+    /// The motion of the offers in this period. If their source is sometimes late and the last one ends within the
+    /// period, its motion continues to the end of the period: the next offer may arrive.
     fn offered(&self, now: Moment) -> Option<PeriodMotion> {
         let joints = self.settings.joints.as_ref();
         let places = joints.and_then(|joints| joints.places());
@@ -179,6 +179,7 @@ impl ExecutorStep {
 
     /// A command period \[ns\].
     fn span_ns(&self) -> i64 {
+        // 64 bits of nanoseconds hold 292 years.
         i64::try_from(self.settings.period.as_nanos()).unwrap_or(i64::MAX)
     }
 

@@ -134,6 +134,7 @@ impl ExecutorStep {
         if self.settings.begin == Begin::Reception {
             // It is never late: only its stamp shows that it waited elsewhere.
             let since_ns = now.stamp_ns.saturating_sub(offer.stamp_ns);
+            // A stamp in the future adds no age.
             age = age.max(Duration::from_nanos(u64::try_from(since_ns).unwrap_or(0)));
         }
         if age > self.settings.max_age {
@@ -190,8 +191,8 @@ impl ExecutorStep {
         Ok(())
     }
 
-    /// Takes an assessment of a policy's candidates: chunks that waited for it are checked again, and the current one may be
-    /// vetoed. Returns the refusals.
+    /// Takes an assessment of a policy's candidates: chunks that waited for it are checked again, and the current one
+    /// may be vetoed. Returns the refusals.
     pub fn assessment(&mut self, assessment: &Assessment, now: Moment) -> Vec<Refusal> {
         let stamp_ns = match stamp_of("assessment", assessment.candidates_stamp) {
             Ok(stamp_ns) => stamp_ns,

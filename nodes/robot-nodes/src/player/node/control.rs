@@ -1,4 +1,4 @@
-//! How a player answers requests and keys.
+//! Requests and keys of a player.
 
 use super::{Player, Request};
 use crate::{
@@ -12,10 +12,10 @@ use wm_msgs::rosbag2_interfaces::{
 };
 use wm_ros::{Call, answer};
 
-/// Change of the rate by a key.
+/// Change of the rate for one key press.
 const RATE_STEP: f64 = 0.1;
 
-/// A request for single messages while the playback is paused.
+/// A request for single messages during a pause.
 pub(super) struct BurstOrder {
     messages: u64,
     pub published: u64,
@@ -29,7 +29,7 @@ enum BurstClient {
 }
 
 impl Player<'_> {
-    pub(super) fn obey(&mut self, request: Request) {
+    pub(super) fn handle(&mut self, request: Request) {
         let now = self.epoch.elapsed();
         match request {
             Request::Pause(call) => {
@@ -66,7 +66,7 @@ impl Player<'_> {
             }
             Request::Seek(call) => {
                 let wanted_ns = call.request.time.checked_nanos().ok();
-                // A time before 1970 is that of the first message.
+                // Times before 1970 are before every message: the playback jumps to the first one.
                 let wanted_ns = wanted_ns.map(|ns| u64::try_from(ns).unwrap_or(0));
                 let found_ns = wanted_ns.and_then(|ns| self.playback.seek(now, ns));
                 if let Some(found_ns) = found_ns {
@@ -95,7 +95,7 @@ impl Player<'_> {
             Key::Up => RATE_STEP,
             Key::Down => -RATE_STEP,
         };
-        // Tenths have no exact sum.
+        // Sums of tenths are not exact in binary.
         self.set_rate(((self.playback.rate() + step) * 1000.0).round() / 1000.0);
     }
 
@@ -126,8 +126,8 @@ impl Player<'_> {
         is_valid
     }
 
-    /// Begins the playback that `~/play` requests; false if it cannot. Limits that are not positive are ignored: without any,
-    /// everything is played.
+    /// Starts the playback that `~/play` requests; returns false if it cannot. Limits that are zero or negative do not
+    /// apply.
     fn play_again(&mut self, request: &PlayRequest) -> bool {
         let times = (
             request.start_offset.checked_nanos(),
@@ -139,6 +139,7 @@ impl Player<'_> {
             return false;
         };
         let positive = |ns: i64| u64::try_from(ns).ok().filter(|ns| *ns > 0);
+        // Without an offset, the playback begins at the start of the bag.
         let offset = Duration::from_nanos(positive(offset_ns).unwrap_or(0));
         let start_ns = start_ns(self.reader, offset);
         let duration = positive(duration_ns).map(Duration::from_nanos);
@@ -151,7 +152,7 @@ impl Player<'_> {
         begins
     }
 
-    /// Publishes messages although it is paused; answers when that is done.
+    /// Publishes messages during the pause. The client gets its answer when they are published.
     fn burst(&mut self, messages: u64, client: BurstClient) {
         let order = BurstOrder {
             messages,
@@ -165,7 +166,7 @@ impl Player<'_> {
         }
     }
 
-    /// Answers the bursts whose messages are published, or cannot be, and starts the next one.
+    /// Answers the bursts that have ended, and starts the next one.
     pub(super) fn answer_bursts(&mut self) {
         while !self.playback.is_bursting()
             && let Some(order) = self.bursts.pop_front()

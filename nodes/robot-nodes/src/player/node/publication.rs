@@ -1,6 +1,6 @@
-//! What a player publishes, and when.
+//! The messages that a player publishes.
 
-use super::{Ahead, Player};
+use super::{BufferedMessage, Player};
 use anyhow::Result;
 use std::time::Duration;
 use tokio::time::{Interval, MissedTickBehavior};
@@ -10,22 +10,22 @@ use wm_msgs::{builtin_interfaces::Time, rosgraph_msgs::Clock};
 use wm_ros::frame_trace;
 
 impl Player<'_> {
-    /// Publishes time, goal and chunk ahead of the messages from this log time on.
+    /// Publishes time, goal and chunk before the messages from this log time on.
     pub(super) fn begin(&mut self, bag_ns: u64) -> Result<()> {
-        // at most the time since the system's start
+        // 292 years.
         let elapsed_ns = i64::try_from(self.epoch.elapsed().as_nanos()).unwrap_or(i64::MAX);
         self.epoch_ns = self.node.now().to_nanos().saturating_sub(elapsed_ns);
-        // First, so that nodes that follow the clock forget the old time.
+        // The clock first: nodes that follow it drop their old history.
         if self.settings.parameters.clock_hz > 0.0 {
             self.publish_clock(bag_ns)?;
         }
         self.publish_goal()?;
-        // The first frame needs a chunk.
+        // The first frame needs a chunk, even if no action precedes it.
         self.publish_chunk(bag_ns)
     }
 
     pub(super) fn publish_next(&mut self) -> Result<()> {
-        let Some(Ahead {
+        let Some(BufferedMessage {
             message: Ok(message),
             ..
         }) = self.next.take()
@@ -41,7 +41,7 @@ impl Player<'_> {
         self.publish(&message)
     }
 
-    /// The stamp that replaces `stamp_ns` of the bag.
+    /// The stamp to publish in place of `stamp_ns` in the bag.
     fn stamp_ns(&self, stamp_ns: i64) -> i64 {
         if self.settings.parameters.is_restamping {
             self.epoch_ns
@@ -57,8 +57,8 @@ impl Player<'_> {
         };
         let mut data = message.data.clone();
         let mut frame = None;
-        if let Some(stamped) = track.stamped {
-            let moved = stamped.restamp(&data, |stamp_ns| {
+        if let Some(place) = track.stamp_place {
+            let moved = place.restamp(&data, |stamp_ns| {
                 let moved_ns = self.stamp_ns(stamp_ns);
                 frame = track.is_camera.then(|| Time::from_nanos(moved_ns));
                 moved_ns
@@ -87,7 +87,7 @@ impl Player<'_> {
         }
         match published {
             Ok(()) => self.published += 1,
-            // One recorder's odd sample is no reason to stop the others.
+            // A malformed sample of one topic must not stop the other topics.
             Err(problem @ wm_ros::Error::Representation { .. }) => {
                 let dropped = self.dropped.entry(message.topic.clone()).or_default();
                 if *dropped == 0 {
@@ -145,6 +145,7 @@ impl Player<'_> {
         if let Some(clock) = &self.outlets.clock
             && let Some(clock_ns) = self.playback.clock_ns(bag_ns)
         {
+            // The year 2262.
             let time_ns = i64::try_from(clock_ns).unwrap_or(i64::MAX);
             clock.publish(&Clock {
                 clock: Time::from_nanos(time_ns),

@@ -1,4 +1,4 @@
-//! What a player waits for: other nodes, acknowledgements, moments.
+//! Waiting: for other nodes, for acknowledgements, for a moment.
 
 use super::Player;
 use anyhow::Result;
@@ -6,11 +6,11 @@ use std::time::Duration;
 use tokio::time::{Instant, Interval};
 use tracing::warn;
 
-/// How long the graph must not change before the first message, if the player waits for other nodes.
+/// The first message waits until the graph has not changed for this long.
 const QUIET: Duration = Duration::from_millis(500);
 
 impl Player<'_> {
-    /// Waits, but not for ever, until the topics named in `wait_for` have a publisher and a subscriber.
+    /// Waits until the topics of the parameter `wait_for` have a publisher and a subscriber, at most for `wait_timeout`.
     pub(super) async fn wait_for_others(&self) {
         if self.settings.parameters.wait_for.is_empty() {
             return;
@@ -33,13 +33,13 @@ impl Player<'_> {
         let mut changes = self.node.graph_changes();
         let all_there = async {
             while !missing().is_empty() {
-                // With an error the graph is gone: the timeout or the shutdown ends the wait.
+                // After an error the graph does not change: the timeout or the shutdown ends the wait.
                 if changes.changed().await.is_err() {
                     std::future::pending::<()>().await;
                 }
             }
-            // A topic may have further subscribers, and they have yet to discover this node. A node makes its endpoints one
-            // after another, so a quiet graph is complete.
+            // Further subscribers may still discover this node. A node creates its endpoints one after another, so a
+            // graph without changes is complete.
             while let Ok(Ok(())) = tokio::time::timeout(QUIET, changes.changed()).await {}
         };
         if tokio::time::timeout(self.settings.parameters.wait_timeout, all_there)
@@ -57,7 +57,7 @@ impl Player<'_> {
         }
     }
 
-    /// Waits until reliable subscribers have everything, where that is wanted.
+    /// Waits for the acknowledgements of reliable subscribers, as the parameter `wait_for_all_acked` specifies.
     pub(super) async fn wait_for_acknowledgments(&self) -> Result<()> {
         let Some(limit) = self.settings.acknowledgment() else {
             return Ok(());
@@ -76,7 +76,7 @@ impl Player<'_> {
     }
 }
 
-/// The next tick of the clock; pending without one.
+/// Waits for the next tick; forever without a clock.
 pub(super) async fn tick(ticks: &mut Option<Interval>) {
     match ticks {
         Some(ticks) => {
@@ -86,8 +86,8 @@ pub(super) async fn tick(ticks: &mut Option<Interval>) {
     }
 }
 
-/// tokio's timers count whole milliseconds and end after the moment: the thread itself sleeps the last ones, so that a
-/// frame leaves at the time of its stamp.
+/// tokio's timers count whole milliseconds and end late. The thread itself sleeps the last milliseconds, so that a frame is
+/// published at the time of its stamp.
 const TIMER_STEPS: Duration = Duration::from_millis(2);
 
 pub(super) async fn sleep_until(moment: Option<Instant>) {

@@ -5,7 +5,7 @@ const START: u64 = 1_700_000_000_000_000_000;
 /// Log times \[ms after the start\] of a bag's messages.
 const BAG: [u64; 5] = [0, 200, 400, 600, 1000];
 
-/// Moments are whole nanoseconds: at the rates here, up to 10 of the bag's.
+/// Moments are whole nanoseconds, which are up to 10 ns of the bag at these rates.
 const ROUNDING_NS: u64 = 10;
 
 fn at(ms: u64) -> Duration {
@@ -27,18 +27,18 @@ fn plan() -> Plan {
     }
 }
 
-/// A playback with its bag and its clock: what the player does around it.
+/// A playback with its bag and its clock, as the player drives it.
 struct Run {
     playback: Playback,
     next: usize,
     now: Duration,
-    /// Moment and log time \[ms\] of what was published.
+    /// Moment and log time \[ms\] of each published message.
     published: Vec<(u64, u64)>,
     /// Moments at which playing began.
     begun: Vec<u64>,
-    /// The last message since then \[ms\].
+    /// The last message since the last beginning \[ms\].
     last: Option<u64>,
-    /// Log times before and after the gaps that were jumped over.
+    /// Log times before and after the skipped gaps.
     jumps: Vec<(u64, u64)>,
 }
 
@@ -59,8 +59,8 @@ impl Run {
         self.next = BAG.iter().filter(|ms| bag(**ms) < ns).count();
     }
 
-    /// Everything up to this moment; whether the playback has ended. No message may come before its time, nor twice
-    /// or out of order between two jumps.
+    /// Plays until this moment; returns whether the playback has ended. Between two jumps, no message may be early,
+    /// repeated or out of order.
     fn until(&mut self, ms: u64) -> bool {
         loop {
             let next_ns = BAG.get(self.next).map(|ms| bag(*ms));
@@ -119,7 +119,7 @@ fn longer_gaps_are_jumped_over_and_reported() {
     let times = [(0, 0), (200, 200), (400, 400), (600, 600), (600, 1000)];
     assert_eq!(run.published, times);
     assert_eq!(run.jumps, [(plan.start_ns, bag(0)), (bag(600), bag(1000))]);
-    // Stamps that are moved keep a distance, so that nodes see the jump.
+    // Changed stamps keep a distance, so that nodes detect the jump.
     let plan = Plan {
         gap: at(50),
         max_gap: Some(at(300)),
@@ -191,7 +191,7 @@ fn another_rate_keeps_the_position() {
         assert!(!run.playback.set_rate(run.now, rate), "{rate}");
     }
     assert_eq!(run.playback.rate(), 0.5);
-    // while it is paused, too
+    // Also during a pause.
     run.playback.pause(run.now);
     run.playback.set_rate(at(9000), 2.0);
     run.until(9500);
@@ -211,14 +211,14 @@ fn seeking_goes_forth_and_back() {
     assert_eq!(run.playback.position_ns(run.now), bag(100));
     run.until(450);
     assert_eq!(run.published.last(), Some(&(400, 200)));
-    // before the beginning is the beginning, behind the end is nowhere
+    // A time before the beginning means the beginning. A time after the end is refused.
     assert_eq!(run.playback.seek(run.now, 5), Some(START));
     run.read_from(START);
     assert_eq!(run.playback.seek(run.now, bag(1001)), None);
     assert!(run.until(60_000));
     assert_eq!(run.published.last(), Some(&(1450, 1000)));
     assert_eq!(run.begun, [0, 250, 300, 450]);
-    // what has ended begins again
+    // A playback that has ended starts again.
     run.seek(600);
     assert!(!run.until(run.now.as_millis() as u64));
     assert_eq!(run.published.last().map(|last| last.1), Some(600));
@@ -257,7 +257,7 @@ fn single_messages_and_bursts_need_a_pause() {
 }
 
 #[test]
-fn a_loop_takes_as_long_as_the_bag_and_the_delay_comes_before_each_round() {
+fn loop_rounds_take_the_bags_length_plus_the_delay() {
     let looping = Plan {
         is_looping: true,
         delay: at(100),
@@ -267,7 +267,7 @@ fn a_loop_takes_as_long_as_the_bag_and_the_delay_comes_before_each_round() {
     assert!(!run.until(1350));
     assert_eq!(run.begun, [100, 1200]);
     assert_eq!(run.published[5], (1200, 0));
-    // of the bag's messages, those of the topics that are played end before it: the round is no shorter
+    // The last messages of the bag are not played, but the round is as long as the bag.
     run.next = BAG.len();
     run.until(3000);
     assert_eq!(run.begun, [100, 1200, 2300]);
@@ -311,7 +311,7 @@ fn a_stopped_playback_can_be_played_again() {
 }
 
 #[test]
-fn the_clock_begins_after_the_delay_and_goes_back_only_in_a_jump() {
+fn clock_starts_after_the_delay_and_goes_back_only_in_jumps() {
     let mut run = Run::new(
         Plan {
             delay: at(500),
@@ -321,13 +321,13 @@ fn the_clock_begins_after_the_delay_and_goes_back_only_in_a_jump() {
         false,
     );
     run.until(499);
-    let told = |run: &mut Run| {
+    let clock = |run: &mut Run| {
         let position = run.playback.position_ns(run.now);
         run.playback.clock_ns(position)
     };
-    assert_eq!(told(&mut run), None);
+    assert_eq!(clock(&mut run), None);
     run.until(800);
-    assert_eq!(told(&mut run), Some(bag(300)));
+    assert_eq!(clock(&mut run), Some(bag(300)));
     assert_eq!(
         run.playback.clock_ns(bag(200)),
         Some(bag(300)),
@@ -335,9 +335,9 @@ fn the_clock_begins_after_the_delay_and_goes_back_only_in_a_jump() {
     );
     run.seek(0);
     run.until(850);
-    assert_eq!(told(&mut run), Some(bag(50)));
+    assert_eq!(clock(&mut run), Some(bag(50)));
     assert!(run.until(9000));
-    assert_eq!(told(&mut run), None);
+    assert_eq!(clock(&mut run), None);
 }
 
 #[test]
@@ -350,7 +350,7 @@ fn a_gap_follows_a_jump_and_stamps_go_on_after_it() {
     let mut run = Run::new(gaped, 1.0, false);
     run.until(2500);
     assert_eq!(run.begun, [0, 2500]);
-    // a stamp 30 ms before its message, of the second round
+    // The stamp is 30 ms before its message, in the second round.
     assert_eq!(run.playback.moment_ns(bag(170) as i64), 2_670_000_000);
     run.until(2600);
     run.seek(400);
@@ -370,7 +370,7 @@ fn stamps_keep_their_distances() {
 }
 
 #[derive(Clone, Debug)]
-enum Ask {
+enum UserRequest {
     Pause,
     Resume,
     Rate(f64),
@@ -381,42 +381,42 @@ enum Ask {
     Pass(u64),
 }
 
-fn ask() -> impl Strategy<Value = Ask> {
+fn user_request() -> impl Strategy<Value = UserRequest> {
     prop_oneof![
-        Just(Ask::Pause),
-        Just(Ask::Resume),
-        (0.1..10.0).prop_map(Ask::Rate),
-        (0_u64..4).prop_map(Ask::Burst),
-        (0_u64..1100).prop_map(Ask::Seek),
-        Just(Ask::Stop),
-        (0_u64..600, 600_u64..1000).prop_map(|(from, to)| Ask::Play(from, to)),
-        (1_u64..700).prop_map(Ask::Pass),
+        Just(UserRequest::Pause),
+        Just(UserRequest::Resume),
+        (0.1..10.0).prop_map(UserRequest::Rate),
+        (0_u64..4).prop_map(UserRequest::Burst),
+        (0_u64..1100).prop_map(UserRequest::Seek),
+        Just(UserRequest::Stop),
+        (0_u64..600, 600_u64..1000).prop_map(|(from, to)| UserRequest::Play(from, to)),
+        (1_u64..700).prop_map(UserRequest::Pass),
     ]
 }
 
 proptest! {
-    /// Whatever is asked for: it never hangs, messages come in order and not before their time ([`Run::until`]), and the
-    /// clock goes back in jumps only.
+    /// For any requests: the playback never hangs, messages are in order and never early ([`Run::until`]), and the
+    /// clock goes back only in jumps.
     #[test]
-    fn any_questions(asks in prop::collection::vec(ask(), 1..40), is_looping in any::<bool>()) {
+    fn any_requests_keep_order_and_time(requests in prop::collection::vec(user_request(), 1..40), is_looping in any::<bool>()) {
         let mut run = Run::new(Plan { is_looping, ..plan() }, 1.0, false);
         let mut clock = 0;
-        for ask in asks {
+        for request in requests {
             let now = run.now;
             let rounds = run.begun.len();
-            match ask {
-                Ask::Pause => run.playback.pause(now),
-                Ask::Resume => run.playback.resume(now),
-                Ask::Rate(rate) => prop_assert!(run.playback.set_rate(now, rate)),
-                Ask::Burst(messages) => { run.playback.burst(messages); }
-                Ask::Seek(ms) => if let Some(from) = run.playback.seek(now, bag(ms)) {
+            match request {
+                UserRequest::Pause => run.playback.pause(now),
+                UserRequest::Resume => run.playback.resume(now),
+                UserRequest::Rate(rate) => prop_assert!(run.playback.set_rate(now, rate)),
+                UserRequest::Burst(messages) => { run.playback.burst(messages); }
+                UserRequest::Seek(ms) => if let Some(from) = run.playback.seek(now, bag(ms)) {
                     run.read_from(from);
                 },
-                Ask::Stop => run.playback.stop(now),
-                Ask::Play(from, to) => if run.playback.play(now, bag(from), bag(to)) {
+                UserRequest::Stop => run.playback.stop(now),
+                UserRequest::Play(from, to) => if run.playback.play(now, bag(from), bag(to)) {
                     run.read_from(bag(from));
                 },
-                Ask::Pass(ms) => {
+                UserRequest::Pass(ms) => {
                     run.until(now.as_millis() as u64 + ms);
                     run.now = now + at(ms);
                 }
@@ -425,9 +425,9 @@ proptest! {
                 clock = 0;
             }
             let position = run.playback.position_ns(run.now);
-            if let Some(told) = run.playback.clock_ns(position) {
-                prop_assert!(told >= clock && told <= bag(1000));
-                clock = told;
+            if let Some(clock_ns) = run.playback.clock_ns(position) {
+                prop_assert!(clock_ns >= clock && clock_ns <= bag(1000));
+                clock = clock_ns;
             }
         }
     }

@@ -1,4 +1,4 @@
-//! What holds for the simulated arm.
+//! Properties of the simulated arm.
 
 use wm_msgs::std_msgs::Header;
 
@@ -35,12 +35,12 @@ fn twist_of(velocity: Velocity) -> TwistStamped {
     twist
 }
 
-/// 0.1 m/s along each axis, towards the middle of the workspace, where nothing limits it.
+/// 0.1 m/s along each axis, towards the middle of the workspace, where no limit applies.
 fn inwards(arm: &SimArmStep) -> Velocity {
     let position = arm.environment.world().tool().position;
     let [least, most] = wm_sim::WORKSPACE_M;
     let middle = (Vector3::from(least) + Vector3::from(most)) / 2.0;
-    // Up: down there are objects.
+    // Upwards, away from the objects.
     let [x, y, _]: [f64; 3] = (middle - position).map(|v| 0.1 * v.signum()).into();
     Velocity {
         linear: [x, y, 0.0],
@@ -81,7 +81,7 @@ fn a_twist_becomes_its_displacement_until_it_is_too_old() {
         assert_eq!((done.translation.norm(), done.gripper), (0.0, 0.0));
     }
     assert_eq!(after.opening, 0.0);
-    // Heard of again, it goes on.
+    // The next command moves it again.
     arm.twist(&twist_of(velocity), 4 * STEP_NS).unwrap();
     let tick = arm.tick(5 * STEP_NS);
     assert!(tick.done.unwrap().action.translation.norm() > 0.02);
@@ -91,7 +91,7 @@ fn a_twist_becomes_its_displacement_until_it_is_too_old() {
 fn of_several_twists_in_a_step_each_counts_for_its_time() {
     let mut arm = arm(GoalKind::Reach, 3);
     let velocity = inwards(&arm);
-    // Said before there was a step.
+    // A command before the first step.
     arm.twist(&twist_of(velocity), -STEP_NS / 2).unwrap();
     arm.tick(0);
     arm.twist(&twist_of(Velocity::ZERO), STEP_NS / 4).unwrap();
@@ -101,7 +101,7 @@ fn of_several_twists_in_a_step_each_counts_for_its_time() {
     arm.twist(&twist_of(velocity), STEP_NS * 3 / 2).unwrap();
     let done = arm.tick(2 * STEP_NS).done.unwrap().action;
     assert!((done.translation - step / 2.0).norm() < 1e-9, "{done:?}");
-    // A tick that is late makes no longer step.
+    // A late tick does not make the step longer.
     let done = arm.tick(3 * STEP_NS + STEP_NS / 2).done.unwrap().action;
     assert!((done.translation - step).norm() < 1e-9, "{done:?}");
 }
@@ -122,7 +122,7 @@ fn motions_add_up_within_a_step_and_are_done_once() {
     assert!((done.rotation.z - 0.04).abs() < 1e-7, "{done:?}");
     let done = arm.tick(2 * STEP_NS).done.unwrap().action;
     assert_eq!(done, EndEffectorAction::still(0.0));
-    // One that the loop comes to too late.
+    // A command that waits for longer than the timeout.
     arm.action(&action(vec![0.01; 7]), 2 * STEP_NS).unwrap();
     let tick = arm.tick(6 * STEP_NS);
     assert_eq!(tick.problem.unwrap().reason(), "stale");
@@ -130,7 +130,7 @@ fn motions_add_up_within_a_step_and_are_done_once() {
 }
 
 #[test]
-fn what_is_no_motion_is_refused_and_what_was_told_before_goes_on() {
+fn invalid_command_is_refused_and_the_previous_one_holds() {
     let mut arm = arm(GoalKind::Push, 5);
     arm.tick(0);
     let velocity = inwards(&arm);
@@ -210,7 +210,7 @@ fn a_seed_gives_the_same_pictures_again() {
 }
 
 #[test]
-fn what_the_oracle_does_attains_the_goal_as_actions_and_as_twists() {
+fn oracle_reaches_the_goal_by_actions_and_by_twists() {
     let layout = Layout::new(ActionSpace::bridge()).unwrap();
     for task in GoalKind::ALL {
         for is_twist in [false, true] {
@@ -219,12 +219,12 @@ fn what_the_oracle_does_attains_the_goal_as_actions_and_as_twists() {
             assert_eq!(arm.tick(now_ns).success, Some(false));
             let most = 2 * arm.environment.solution().len() + 10;
             let success = (0..most).find_map(|_| {
-                let told = arm.environment.oracle();
-                let values = told.values().to_vec();
+                let oracle = arm.environment.oracle();
+                let values = oracle.values().to_vec();
                 if is_twist {
                     let velocity = layout.velocity(&values, STEP_S);
                     arm.twist(&twist_of(velocity), now_ns).unwrap();
-                    let data = told.gripper;
+                    let data = oracle.gripper;
                     arm.gripper(&Float64 { data }).unwrap();
                 } else {
                     arm.action(&action(values), now_ns).unwrap();
@@ -244,7 +244,7 @@ fn what_the_oracle_does_attains_the_goal_as_actions_and_as_twists() {
 }
 
 #[test]
-fn a_jump_of_the_clock_ends_what_was_told() {
+fn clock_jump_drops_commands_and_pictures() {
     let mut settings = settings(GoalKind::Reach, 3);
     settings.camera.latency = Duration::from_secs(1);
     let mut arm = SimArmStep::new(settings).unwrap();
@@ -274,7 +274,7 @@ fn a_second_camera_sees_the_same_table_and_fails_on_its_own() {
     let mut both = SimArmStep::new(settings.clone()).unwrap();
     let first = both.tick(0);
     assert_eq!(views(&first), [View::Side, View::Front]);
-    // The first camera is what it is without the second.
+    // The second camera does not change the first one.
     assert!(arm(GoalKind::Push, 5).tick(0).frames[0] == first.frames[0]);
     assert!(first.frames[0].picture != first.frames[1].picture);
     let velocity = inwards(&both);
