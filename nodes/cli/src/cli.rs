@@ -69,7 +69,7 @@ enum Subcommands {
 }
 
 /// The command line, for completions and man pages.
-pub(crate) fn definition() -> clap::Command {
+fn definition() -> clap::Command {
     Cli::command()
 }
 
@@ -156,8 +156,8 @@ impl Command {
             Subcommands::View(command) => command.run(self.ros_args),
             Subcommands::Bridge(own) => own.exec("wm-bridge", [], self.ros_args),
             Subcommands::PlannerWorker(own) => own.exec("wm-planner-worker", [], Vec::new()),
-            Subcommands::Completions(command) => done(command.run()),
-            Subcommands::Man(command) => done(command.run()),
+            Subcommands::Completions(command) => done(command.run(definition())),
+            Subcommands::Man(command) => done(command.run(definition())),
             Subcommands::Node(command) => command.run(self.ros_args),
         }
     }

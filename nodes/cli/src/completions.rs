@@ -1,7 +1,6 @@
 //! `wm completions`.
 
 use crate::{
-    cli,
     external::{self, Described},
     output::print,
 };
@@ -30,8 +29,8 @@ pub(crate) struct CompletionsCommand {
 }
 
 impl CompletionsCommand {
-    pub(crate) fn run(self) -> Result<()> {
-        let Described { command, left_out } = external::described(cli::definition())?;
+    pub(crate) fn run(self, wm: clap::Command) -> Result<()> {
+        let Described { command, left_out } = external::described(wm)?;
         for left in left_out {
             eprintln!("wm: without its commands: {left}; run this again then");
         }

@@ -11,7 +11,7 @@ const OPEN_LIMIT: usize = 160;
 
 /// A rollout and the real frames.
 #[derive(Clone, Debug)]
-pub struct ShownRollout {
+pub(crate) struct ShownRollout {
     /// Stamp of the observation \[ns\].
     pub observed_ns: i64,
     /// The frame that it starts from.
