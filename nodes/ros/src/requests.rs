@@ -2,10 +2,10 @@
 
 use crate::{
     ActionServer, Call, Endpoint, EndpointSet, EndpointSpec, Error, GoalRequest, Node, Service,
-    Shutdown, mailbox::Mailbox, service::WaitingCall,
+    Shutdown, waiting_call::Arrival,
 };
 use futures::future::{FutureExt as _, LocalBoxFuture};
-use std::{future::poll_fn, sync::Arc, task::Poll, time::Instant};
+use std::{future::poll_fn, task::Poll};
 use wm_msgs::Action;
 
 /// An enum of requests, one variant for each service or action. Made by [`endpoints!`](crate::endpoints).
@@ -36,16 +36,6 @@ pub trait RequestEndpoint: Endpoint {
 
     /// The endpoint as a source; `None` if it was not made.
     fn source<R: 'static>(self, wrap: fn(Self::Request) -> R) -> Option<Box<dyn RequestSource<R>>>;
-}
-
-/// Tells when the oldest request of a source arrived.
-#[derive(Clone)]
-pub struct Arrival(pub(crate) Arc<Mailbox<WaitingCall>>);
-
-impl Arrival {
-    fn oldest(&self) -> Option<Instant> {
-        self.0.peek(|call| call.arrival)
-    }
 }
 
 /// An endpoint and the variant that its requests become.
@@ -152,7 +142,7 @@ impl<R> Requests<R> {
     }
 }
 
-/// Answers a call. A failure is logged: a client that cannot be answered is no reason to stop serving the others.
+/// Answers a call. A failure is only logged, so that the other clients are still served.
 pub fn answer<S: wm_msgs::Service>(call: Call<S>, response: &S::Response) {
     if let Err(problem) = call.respond(response) {
         tracing::warn!("a call is not answered: {problem}");
@@ -162,9 +152,16 @@ pub fn answer<S: wm_msgs::Service>(call: Call<S>, response: &S::Response) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::backend::{EndpointId, RequestId};
+    use crate::{
+        backend::{EndpointId, RequestId},
+        mailbox::Mailbox,
+        waiting_call::WaitingCall,
+    };
     use bytes::Bytes;
-    use std::time::Duration;
+    use std::{
+        sync::Arc,
+        time::{Duration, Instant},
+    };
 
     /// A source whose requests are its calls' numbers.
     struct Numbers(Arc<Mailbox<WaitingCall>>);

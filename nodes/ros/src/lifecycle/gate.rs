@@ -1,5 +1,5 @@
-//! The gate of a managed node's endpoints. They exist from configure to cleanup, as in rclcpp; the gate is open while the
-//! node is active. Behind a closed gate publishers send nothing, subscriptions skip what arrives, and services refuse.
+//! The gate of a managed node's endpoints. They exist from configure to cleanup, as in rclcpp; the gate is open while
+//! the node is active. With a closed gate publishers send nothing, subscriptions skip samples, and services refuse.
 
 use crate::backend::Backend;
 use std::sync::{
@@ -7,11 +7,11 @@ use std::sync::{
     atomic::{AtomicBool, Ordering},
 };
 
-/// What an endpoint does when the gate changes.
+/// The reaction of an endpoint to a change of the gate.
 pub(crate) trait Gated: Send + Sync {
-    /// The node becomes active: begin with an empty queue, and with what is latched now.
+    /// The node becomes active: start with an empty queue and the latched samples.
     fn opened(&self, backend: &dyn Backend);
-    /// The node is no longer active: drop what waits.
+    /// The node becomes inactive: drop waiting samples.
     fn closed(&self);
 }
 
