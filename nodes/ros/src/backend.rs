@@ -57,7 +57,7 @@ pub(crate) type Sink = Box<dyn FnMut(Result<Sample, String>) + Send>;
 
 /// The outcome of writing a sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Written {
+pub(crate) enum WriteOutcome {
     /// Sent.
     Sent {
         /// Its sequence number.
@@ -99,7 +99,7 @@ pub(crate) trait Writer: Send + Sync {
         payload: &Payload,
         answers: Option<RequestId>,
         when_full: WhenFull,
-    ) -> Result<Written, Error>;
+    ) -> Result<WriteOutcome, Error>;
     /// Waits until every matched reliable reader has acknowledged all samples.
     fn acknowledged(&self) -> BoxFuture<'_, Result<(), Error>>;
 }
@@ -111,7 +111,7 @@ pub(crate) trait Reader: Send + Sync {
 
 /// An endpoint that discovery has found, in this process or another.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Seen {
+pub(crate) struct DiscoveredEndpoint {
     pub(crate) channel: Channel,
     pub(crate) name: String,
     /// `package/msg/Type`, or `package/srv/Type` for a service.
@@ -136,7 +136,7 @@ pub(crate) trait Backend: Send + Sync {
     fn reader(&self, node: &str, endpoint: &Endpoint, sink: Sink)
     -> Result<Box<dyn Reader>, Error>;
     /// The endpoints of topics and services.
-    fn seen(&self) -> Vec<Seen>;
+    fn seen(&self) -> Vec<DiscoveredEndpoint>;
     /// The number of endpoints of other participants that this one is connected to.
     fn matched(&self, endpoint: &EndpointId) -> usize;
     /// The number of those that run another DDS implementation.

@@ -10,7 +10,7 @@ mod services;
 mod state;
 mod transition;
 
-pub(crate) use gate::{Gate, Gated};
+pub(crate) use gate::{Gate, GatedEndpoint};
 pub use machine::{Machine, Refused};
 pub use state::State;
 pub use transition::{Outcome, Transition};

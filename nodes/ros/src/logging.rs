@@ -14,7 +14,7 @@ pub use printable::of_others;
 
 use crate::{
     NodeArgs,
-    backend::{WhenFull, Writer, Written},
+    backend::{WhenFull, WriteOutcome, Writer},
     clock::system_nanos,
     frame_trace,
     payload::Payload,
@@ -201,7 +201,7 @@ fn publish(writer: &dyn Writer, event: &Event<'_>, logger: &str, text: String, s
     // The record is printed already; reporting the failure would make another record.
     if let Ok(bytes) = cdr::to_bytes(&log) {
         let payload = Payload::Cdr(bytes.into());
-        let _: Result<Written, _> = writer.write(&payload, None, WhenFull::DropOldest);
+        let _: Result<WriteOutcome, _> = writer.write(&payload, None, WhenFull::DropOldest);
     }
 }
 

@@ -2,7 +2,7 @@
 
 use crate::{
     Diagnostics, Error, Shutdown,
-    backend::{Audience, Backend, WhenFull, Writer, Written},
+    backend::{Audience, Backend, WhenFull, WriteOutcome, Writer},
     lifecycle::Gate,
     payload::Payload,
 };
@@ -84,9 +84,9 @@ impl RawPublisher {
         }
         let written = self.inner.writer.write(payload, None, WhenFull::DropOldest);
         match written? {
-            Written::Sent { dropped, .. } => self.sent(payload, dropped),
-            Written::Held => self.sent(payload, 0),
-            Written::WindowFull => self.count_drops(1),
+            WriteOutcome::Sent { dropped, .. } => self.sent(payload, dropped),
+            WriteOutcome::Held => self.sent(payload, 0),
+            WriteOutcome::WindowFull => self.count_drops(1),
         }
         Ok(())
     }
@@ -139,15 +139,15 @@ impl RawPublisher {
         let mut when_full = WhenFull::Refuse;
         loop {
             match inner.writer.write(payload, None, when_full)? {
-                Written::Sent { dropped, .. } => {
+                WriteOutcome::Sent { dropped, .. } => {
                     self.sent(payload, dropped);
                     return Ok(());
                 }
-                Written::Held => {
+                WriteOutcome::Held => {
                     self.sent(payload, 0);
                     return Ok(());
                 }
-                Written::WindowFull => {}
+                WriteOutcome::WindowFull => {}
             }
             tokio::select! {
                 acknowledged = inner.writer.acknowledged() => acknowledged?,

@@ -39,12 +39,12 @@ pub trait RequestEndpoint: Endpoint {
 }
 
 /// An endpoint and the variant that its requests become.
-struct Wrapped<S, Q, R> {
+struct VariantSource<S, Q, R> {
     endpoint: S,
     wrap: fn(Q) -> R,
 }
 
-impl<S: wm_msgs::Service, R> RequestSource<R> for Wrapped<Service<S>, Call<S>, R> {
+impl<S: wm_msgs::Service, R> RequestSource<R> for VariantSource<Service<S>, Call<S>, R> {
     fn arrival(&self) -> Arrival {
         self.endpoint.arrival()
     }
@@ -55,7 +55,7 @@ impl<S: wm_msgs::Service, R> RequestSource<R> for Wrapped<Service<S>, Call<S>, R
     }
 }
 
-impl<A: Action, R> RequestSource<R> for Wrapped<ActionServer<A>, GoalRequest<A>, R> {
+impl<A: Action, R> RequestSource<R> for VariantSource<ActionServer<A>, GoalRequest<A>, R> {
     fn arrival(&self) -> Arrival {
         self.endpoint.arrival()
     }
@@ -71,7 +71,7 @@ impl<S: wm_msgs::Service> RequestEndpoint for Service<S> {
 
     fn source<R: 'static>(self, wrap: fn(Call<S>) -> R) -> Option<Box<dyn RequestSource<R>>> {
         let endpoint = self;
-        Some(Box::new(Wrapped { endpoint, wrap }))
+        Some(Box::new(VariantSource { endpoint, wrap }))
     }
 }
 
@@ -83,7 +83,7 @@ impl<A: Action> RequestEndpoint for ActionServer<A> {
         wrap: fn(GoalRequest<A>) -> R,
     ) -> Option<Box<dyn RequestSource<R>>> {
         let endpoint = self;
-        Some(Box::new(Wrapped { endpoint, wrap }))
+        Some(Box::new(VariantSource { endpoint, wrap }))
     }
 }
 

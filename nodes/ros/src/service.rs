@@ -3,10 +3,10 @@
 use crate::{
     Error, Shutdown,
     backend::{
-        Backend, EndpointId, Reader, RequestId, Sample, Sink, WhenFull, Writer, Written,
+        Backend, EndpointId, Reader, RequestId, Sample, Sink, WhenFull, WriteOutcome, Writer,
         participant_of,
     },
-    lifecycle::{Gate, Gated},
+    lifecycle::{Gate, GatedEndpoint},
     mailbox::Mailbox,
     payload::Payload,
     waiting_call::{Arrival, WaitingCall},
@@ -83,7 +83,7 @@ impl Refusals {
             writer,
             refuse,
         });
-        let gated: Arc<dyn Gated> = refusals.clone();
+        let gated: Arc<dyn GatedEndpoint> = refusals.clone();
         refusals.gate.add(Arc::downgrade(&gated));
         refusals
     }
@@ -105,7 +105,7 @@ impl Refusals {
     }
 }
 
-impl Gated for Refusals {
+impl GatedEndpoint for Refusals {
     fn opened(&self, _: &dyn Backend) {
         self.refuse_waiting();
     }
@@ -207,8 +207,8 @@ pub(crate) fn send(
     id: RequestId,
 ) -> Result<(), Error> {
     match writer.write(&Payload::Cdr(answer), Some(id), WhenFull::DropOldest)? {
-        Written::Sent { .. } | Written::Held => Ok(()),
-        Written::WindowFull => Err(Error::middleware(
+        WriteOutcome::Sent { .. } | WriteOutcome::Held => Ok(()),
+        WriteOutcome::WindowFull => Err(Error::middleware(
             format!("answer {name}"),
             "clients do not take their answers",
         )),
@@ -376,12 +376,12 @@ pub(crate) fn answer_sink(client: EndpointId, pending: Pending) -> Sink {
 }
 
 /// Removes a request from the list when its caller stops waiting.
-struct Waiting<'a> {
+struct PendingEntry<'a> {
     pending: &'a Pending,
     sequence: i64,
 }
 
-impl Drop for Waiting<'_> {
+impl Drop for PendingEntry<'_> {
     fn drop(&mut self) {
         self.pending
             .lock()
@@ -419,8 +419,8 @@ impl RawClient {
             let mut pending = self.pending.lock().unwrap_or_else(PoisonError::into_inner);
             let payload = Payload::Cdr(request);
             let sequence = match self.writer.write(&payload, None, WhenFull::DropOldest)? {
-                Written::Sent { number, .. } => number,
-                Written::Held | Written::WindowFull => {
+                WriteOutcome::Sent { number, .. } => number,
+                WriteOutcome::Held | WriteOutcome::WindowFull => {
                     return Err(Error::middleware(
                         format!("call {}", self.name),
                         "the server takes no calls",
@@ -431,7 +431,7 @@ impl RawClient {
             pending.insert(sequence, sender);
             (
                 answer,
-                Waiting {
+                PendingEntry {
                     pending: &self.pending,
                     sequence,
                 },

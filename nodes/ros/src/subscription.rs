@@ -9,7 +9,7 @@ pub use gaps::Gaps;
 use crate::{
     Clock, Diagnostics, Reliability, Shutdown,
     backend::{Backend, Channel, EndpointId, Reader, Sample, Sink},
-    lifecycle::{Gate, Gated},
+    lifecycle::{Gate, GatedEndpoint},
     mailbox::Mailbox,
     payload::Payload,
 };
@@ -117,7 +117,7 @@ impl Intake {
             latched: Mutex::default(),
         });
         if let Some(gate) = &intake.gate {
-            let gated: Arc<dyn Gated> = intake.clone();
+            let gated: Arc<dyn GatedEndpoint> = intake.clone();
             gate.add(Arc::downgrade(&gated));
         }
         intake
@@ -279,7 +279,7 @@ impl Intake {
     }
 }
 
-impl Gated for Intake {
+impl GatedEndpoint for Intake {
     fn opened(&self, backend: &dyn Backend) {
         self.mailbox.clear();
         let mut latched = self.latched();

@@ -58,7 +58,7 @@ pub struct ActionClient<A: Action> {
 pub struct ClientGoal<A: Action> {
     id: GoalId,
     accepted: Time,
-    followed: Arc<Followed<A>>,
+    followed: Arc<GoalUpdates<A>>,
     parts: Arc<Parts<A>>,
 }
 
@@ -77,14 +77,14 @@ pub(crate) struct Parts<A: Action> {
 
 /// The goals that a client follows.
 pub(crate) struct Goals<A: Action> {
-    followed: Mutex<BTreeMap<GoalId, Arc<Followed<A>>>>,
+    followed: Mutex<BTreeMap<GoalId, Arc<GoalUpdates<A>>>>,
     /// Whether a sample was skipped: the first is logged, further ones are only counted.
     has_refused: AtomicBool,
     diagnostics: Diagnostics,
 }
 
 /// Feedback and status of a goal.
-struct Followed<A: Action> {
+struct GoalUpdates<A: Action> {
     feedback: Mailbox<A::Feedback>,
     status: watch::Sender<Option<GoalStatus>>,
 }
@@ -99,11 +99,11 @@ impl<A: Action> Goals<A> {
     }
 
     /// No invariant spans the lock.
-    fn followed(&self) -> MutexGuard<'_, BTreeMap<GoalId, Arc<Followed<A>>>> {
+    fn followed(&self) -> MutexGuard<'_, BTreeMap<GoalId, Arc<GoalUpdates<A>>>> {
         self.followed.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn get(&self, id: GoalId) -> Option<Arc<Followed<A>>> {
+    fn get(&self, id: GoalId) -> Option<Arc<GoalUpdates<A>>> {
         self.followed().get(&id).cloned()
     }
 
@@ -158,7 +158,7 @@ impl<A: Action> Goals<A> {
     }
 }
 
-impl<A: Action> Followed<A> {
+impl<A: Action> GoalUpdates<A> {
     fn hear(&self, status: Option<GoalStatus>) {
         self.status.send_if_modified(|known| {
             let is_news = *known != status && !known.is_some_and(GoalStatus::is_end);
@@ -222,7 +222,7 @@ impl<A: Action> ActionClient<A> {
             goal_id: id.into(),
             goal,
         })?;
-        let followed = Arc::new(Followed {
+        let followed = Arc::new(GoalUpdates {
             feedback: Mailbox::new(super::FEEDBACK_QOS.depth),
             status: watch::Sender::new(None),
         });

@@ -67,14 +67,14 @@ impl End {
 
 /// Why a goal is rejected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Refused {
+pub(super) enum RejectReason {
     /// Another goal has its id.
     Known,
     /// [`MOST_LIVE`] are under way.
     Full,
 }
 
-impl Refused {
+impl RejectReason {
     pub(super) const fn reason(self) -> &'static str {
         match self {
             Self::Known => "there is a goal with its id",
@@ -146,12 +146,12 @@ impl<R: Clone, W> Goals<R, W> {
     }
 
     /// Checks whether [`accept`](Self::accept) would reject it.
-    pub(super) fn refuses(&self, id: GoalId) -> Option<Refused> {
+    pub(super) fn refuses(&self, id: GoalId) -> Option<RejectReason> {
         let is_live = |goal: &&Goal<R, W>| !goal.status().is_end();
         if self.find(id).is_some() {
-            Some(Refused::Known)
+            Some(RejectReason::Known)
         } else if self.goals.iter().filter(is_live).count() >= MOST_LIVE {
-            Some(Refused::Full)
+            Some(RejectReason::Full)
         } else {
             None
         }
@@ -163,7 +163,7 @@ impl<R: Clone, W> Goals<R, W> {
         id: GoalId,
         accepted: Time,
         now: Instant,
-    ) -> Result<(), Refused> {
+    ) -> Result<(), RejectReason> {
         self.expire(now);
         if let Some(refused) = self.refuses(id) {
             return Err(refused);

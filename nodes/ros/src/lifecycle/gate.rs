@@ -8,7 +8,7 @@ use std::sync::{
 };
 
 /// The reaction of an endpoint to a change of the gate.
-pub(crate) trait Gated: Send + Sync {
+pub(crate) trait GatedEndpoint: Send + Sync {
     /// The node becomes active: start with an empty queue and the latched samples.
     fn opened(&self, backend: &dyn Backend);
     /// The node becomes inactive: drop waiting samples.
@@ -22,7 +22,7 @@ pub(crate) struct Gate(Arc<Inner>);
 #[derive(Default)]
 struct Inner {
     is_open: AtomicBool,
-    endpoints: Mutex<Vec<Weak<dyn Gated>>>,
+    endpoints: Mutex<Vec<Weak<dyn GatedEndpoint>>>,
 }
 
 impl Gate {
@@ -30,7 +30,7 @@ impl Gate {
         self.0.is_open.load(Ordering::Acquire)
     }
 
-    pub(crate) fn add(&self, endpoint: Weak<dyn Gated>) {
+    pub(crate) fn add(&self, endpoint: Weak<dyn GatedEndpoint>) {
         self.endpoints().push(endpoint);
     }
 
@@ -49,14 +49,14 @@ impl Gate {
     }
 
     /// The endpoints that still exist; the others are forgotten. They are called without the lock.
-    fn live(&self) -> Vec<Arc<dyn Gated>> {
+    fn live(&self) -> Vec<Arc<dyn GatedEndpoint>> {
         let mut endpoints = self.endpoints();
         endpoints.retain(|endpoint| endpoint.strong_count() > 0);
         endpoints.iter().filter_map(Weak::upgrade).collect()
     }
 
     /// No invariant spans the lock.
-    fn endpoints(&self) -> std::sync::MutexGuard<'_, Vec<Weak<dyn Gated>>> {
+    fn endpoints(&self) -> std::sync::MutexGuard<'_, Vec<Weak<dyn GatedEndpoint>>> {
         self.0
             .endpoints
             .lock()

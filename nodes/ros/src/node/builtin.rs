@@ -4,7 +4,7 @@
 use super::Node;
 use crate::{
     Clock, Descriptor, Error, NodeArgs, Qos,
-    backend::{Backend, Channel, Endpoint, EndpointId, Reader, Seen, WhenFull},
+    backend::{Backend, Channel, DiscoveredEndpoint, Endpoint, EndpointId, Reader, WhenFull},
     diagnostics::Graph,
     logging::{self, levels},
     names::TypeName,
@@ -229,7 +229,7 @@ impl Graph for Of<'_> {
         let Some(own) = seen.iter().find(|seen| seen.id == *endpoint) else {
             return BTreeSet::new();
         };
-        let is_alike = |seen: &&Seen| {
+        let is_alike = |seen: &&DiscoveredEndpoint| {
             let is_its_type = seen.channel == own.channel && seen.type_name == own.type_name;
             seen.is_writer && is_its_type && seen.name != own.name
         };

@@ -3,7 +3,7 @@
 use super::Node;
 use crate::{
     Error, Qos,
-    backend::{Channel, Seen, participant_of},
+    backend::{Channel, DiscoveredEndpoint, participant_of},
 };
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -49,7 +49,7 @@ pub struct RemoteEndpoint {
 }
 
 impl RemoteEndpoint {
-    fn of(seen: Seen) -> Option<Self> {
+    fn of(seen: DiscoveredEndpoint) -> Option<Self> {
         let role = match (seen.channel, seen.is_writer) {
             (Channel::Topic, true) => Role::Publisher,
             (Channel::Topic, false) => Role::Subscription,
@@ -101,7 +101,7 @@ impl Node {
     }
 
     /// The endpoints of topics.
-    fn seen_of_topics(&self) -> impl Iterator<Item = Seen> {
+    fn seen_of_topics(&self) -> impl Iterator<Item = DiscoveredEndpoint> {
         let seen = self.inner.backend().seen().into_iter();
         seen.filter(|seen| seen.channel == Channel::Topic)
     }

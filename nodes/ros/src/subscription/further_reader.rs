@@ -5,7 +5,7 @@
 
 use crate::{
     Durability, Reliability,
-    backend::{Backend, Channel, Endpoint, Seen, Sink},
+    backend::{Backend, Channel, DiscoveredEndpoint, Endpoint, Sink},
 };
 use std::{
     fmt,
@@ -32,7 +32,7 @@ impl fmt::Display for PublisherKind {
 }
 
 impl PublisherKind {
-    fn is_of(self, publisher: &Seen) -> bool {
+    fn is_of(self, publisher: &DiscoveredEndpoint) -> bool {
         match self {
             Self::Latching => publisher.qos.durability == Durability::TransientLocal,
             Self::BestEffort => publisher.qos.reliability == Reliability::BestEffort,

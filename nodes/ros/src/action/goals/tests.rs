@@ -135,10 +135,13 @@ fn an_id_is_taken_once_and_goals_are_bounded() {
     let now = Instant::now();
     let most = u8::try_from(MOST_LIVE).unwrap();
     let mut goals = accepted(most, now);
-    assert_eq!(goals.accept(id(1), stamp(9), now), Err(Refused::Known));
-    assert_eq!(goals.accept(id(200), stamp(9), now), Err(Refused::Full));
+    assert_eq!(goals.accept(id(1), stamp(9), now), Err(RejectReason::Known));
+    assert_eq!(
+        goals.accept(id(200), stamp(9), now),
+        Err(RejectReason::Full)
+    );
     end(&mut goals, id(1), End::Succeeded, now);
-    assert_eq!(goals.accept(id(1), stamp(9), now), Err(Refused::Known));
+    assert_eq!(goals.accept(id(1), stamp(9), now), Err(RejectReason::Known));
     assert_eq!(goals.accept(id(200), stamp(9), now), Ok(()));
 }
 
