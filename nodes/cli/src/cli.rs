@@ -69,7 +69,7 @@ enum Subcommands {
 }
 
 /// The command line, for completions and man pages.
-fn definition() -> clap::Command {
+pub(crate) fn definition() -> clap::Command {
     Cli::command()
 }
 

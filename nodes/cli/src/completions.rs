@@ -56,7 +56,7 @@ mod tests {
     use std::process::{Command, Stdio};
 
     fn script(shell: ShellName) -> String {
-        CompletionsCommand { shell }.script(cli::definition())
+        CompletionsCommand { shell }.script(crate::cli::definition())
     }
 
     /// The completions of bash for `wm WORDS` with the cursor at its end.

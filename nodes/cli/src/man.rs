@@ -44,7 +44,7 @@ mod tests {
         ManCommand {
             folder: pages.clone(),
         }
-        .run()
+        .run(crate::cli::definition())
         .unwrap();
         let page = |name: &str| std::fs::read_to_string(pages.join(name)).unwrap_or_default();
         assert!(page("wm.1").contains("wm\\-doctor(1)"));

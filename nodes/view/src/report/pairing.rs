@@ -85,7 +85,8 @@ impl Pairings {
         Pairing::Found(prediction)
     }
 
-    /// How many predictions wait.
+    /// The number of waiting predictions.
+    #[cfg(test)]
     pub(crate) fn waiting(&self) -> usize {
         self.awaited.len()
     }

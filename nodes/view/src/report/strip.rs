@@ -143,7 +143,6 @@ mod tests {
         let grey = |level| Arc::new(RgbImage::from_pixel(128, 128, Rgb([level; 3])));
         let steps = [(1, (grey(100), grey(110))), (4, (grey(120), grey(150)))].into();
         let rollout = ShownRollout {
-            observed_ns: 0,
             observed: grey(90),
             steps,
         };
