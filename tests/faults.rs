@@ -20,8 +20,8 @@ use wm_msgs::{
 use wm_ros::{Qos, Subscription};
 
 use crate::harness::{
-    Process, Signal, bundled_bag, children, fresh_domain, join, resident, wait_until, whole_suite,
-    wm,
+    Process, Signal, bundled_bag, children, fresh_domain, join, looping_player, resident,
+    wait_until, whole_suite, wm,
 };
 
 /// Far longer than a working suite needs; only ends a hanging test.
@@ -232,11 +232,7 @@ async fn killed_node_works_again_within_five_seconds() {
         ],
         &log,
     );
-    let bag = bundled_bag();
-    let _player = Process::start(wm(
-        domain,
-        &["bag", "play", "--loop", &bag.to_string_lossy()],
-    ));
+    let _player = looping_player(domain);
     next(&mut predictions).await;
     let started_after = start.elapsed();
     let before = children(suite.pid());
@@ -300,11 +296,7 @@ async fn node_reports_a_missing_killed_node() {
         .expect("a subscription");
     let encoder = Process::start(wm(domain, &["encoder"]));
     let _predictor = Process::start(wm(domain, &["predictor"]));
-    let bag = bundled_bag();
-    let _player = Process::start(wm(
-        domain,
-        &["bag", "play", "--loop", &bag.to_string_lossy()],
-    ));
+    let _player = looping_player(domain);
     let input = "wm/predictor: input latents";
     let is = |level: u8| move |status: &DiagnosticStatus| status.level == level;
     let comes = |status: &DiagnosticStatus| status.message == "latents come";

@@ -13,17 +13,13 @@ use std::{
     time::{Duration, Instant},
 };
 
+pub use crate::ros2_peer::{in_domain, peers, rclpy, root};
 use rustix::process::Pid;
 pub use rustix::process::Signal;
 use wm_ros::{Context, Environment, Node, NodeArgs, Reach};
 
 /// The binary under test.
 pub const WM: &str = env!("CARGO_BIN_EXE_wm");
-
-/// The root of the repository.
-pub fn root() -> &'static Path {
-    Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."))
-}
 
 /// The bundled bag.
 pub fn bundled_bag() -> PathBuf {
@@ -45,20 +41,20 @@ pub fn wm(domain: u16, args: &[&str]) -> Command {
     command
 }
 
+/// A player that repeats the bundled bag.
+pub fn looping_player(domain: u16) -> Process {
+    let bag = bundled_bag();
+    Process::start(wm(
+        domain,
+        &["bag", "play", "--loop", &bag.to_string_lossy()],
+    ))
+}
+
 /// The node `name` with these parameters, each `name:=value`.
 pub fn wm_node(domain: u16, name: &str, parameters: &[&str]) -> Command {
     let parameters = parameters.iter().flat_map(|parameter| ["-p", parameter]);
     let arguments: Vec<&str> = [name, "--ros-args"].into_iter().chain(parameters).collect();
     wm(domain, &arguments)
-}
-
-/// Sets the ROS domain of `command`, on loopback.
-pub fn in_domain(command: &mut Command, domain: u16) {
-    command
-        .env("ROS_DOMAIN_ID", domain.to_string())
-        .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-        .env_remove("ROS_LOCALHOST_ONLY")
-        .env_remove("ROS_STATIC_PEERS");
 }
 
 /// A node of this process in ROS domain `domain_id`, on loopback.
@@ -90,32 +86,6 @@ pub fn wait_for_publishers(domain_id: u16, topics: &[&str]) {
 pub fn whole_suite() -> MutexGuard<'static, ()> {
     static ONE: Mutex<()> = Mutex::new(());
     ONE.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// The virtual environments of `tests/setup_ros2`; `None`, with a message, if it was not run.
-pub fn peers() -> Option<PathBuf> {
-    let dir = root().join(".venv");
-    if dir.join("stamp").is_file() {
-        return Some(dir);
-    }
-    eprintln!("skipped: no ROS 2 peer under .venv; run tests/setup_ros2 (tests/run does)");
-    assert!(
-        std::env::var_os("CI").is_none(),
-        "the interoperability tests may not be skipped in CI"
-    );
-    None
-}
-
-/// A Python program under `tests/interop`, with the real ROS 2 of [`peers`].
-pub fn rclpy(peers: &Path, domain: u16, script: &str, args: &[&str]) -> Command {
-    let mut command = Command::new("bash");
-    command
-        .args(["-c", ". \"$0\" && exec python \"$@\""])
-        .arg(peers.join("ros2/ros2_env.sh"))
-        .arg(root().join("tests/interop").join(script))
-        .args(args);
-    in_domain(&mut command, domain);
-    command
 }
 
 /// A Python program under `tests/interop`, with the other libraries of [`peers`].

@@ -19,6 +19,7 @@ mod output;
 mod packages;
 mod policy;
 mod replay;
+mod ros2_peer;
 mod view;
 mod view_clients;
 mod view_process;

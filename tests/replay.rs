@@ -10,7 +10,8 @@ use wm_bag::{BagReader, BagWriter, WriterOptions};
 use wm_msgs::diagnostic_msgs::DiagnosticArray;
 
 use crate::harness::{
-    Process, Signal, bundled_bag, children, fresh_domain, wait_until, whole_suite, wm,
+    Process, Signal, bundled_bag, children, fresh_domain, looping_player, wait_until, whole_suite,
+    wm,
 };
 
 /// Runs the main job into `out`, which must succeed; at half rate, so that a busy machine decodes some of each step
@@ -186,11 +187,7 @@ fn killed_recorder_loses_at_most_its_last_chunk() {
     let domain = fresh_domain();
     let dir = tempfile::tempdir().expect("a temporary directory");
     let recorded = dir.path().join("recorded");
-    let bag = bundled_bag();
-    let _player = Process::start(wm(
-        domain,
-        &["bag", "play", "--loop", &bag.to_string_lossy()],
-    ));
+    let _player = looping_player(domain);
     let recorder = Process::start(wm(
         domain,
         &["bag", "record", "-a", "-o", &recorded.to_string_lossy()],
@@ -244,11 +241,7 @@ fn recording_in_several_files_is_one_bag() {
     let domain = fresh_domain();
     let dir = tempfile::tempdir().expect("a temporary directory");
     let recorded = dir.path().join("recorded");
-    let bag = bundled_bag();
-    let _player = Process::start(wm(
-        domain,
-        &["bag", "play", "--loop", &bag.to_string_lossy()],
-    ));
+    let _player = looping_player(domain);
     let options = ["--max-bag-duration", "1", "--compression-format", "lz4"];
     let record = ["bag", "record", "-a", "-o", &recorded.to_string_lossy()];
     let recorder = Process::start(wm(domain, &[&record[..], &options].concat()));

@@ -10,7 +10,9 @@ use std::{
 use serde_json::Value;
 
 use crate::{
-    harness::{Process, WM, bundled_bag, fresh_domain, peers, rclpy, root, whole_suite, wm},
+    harness::{
+        Process, WM, bundled_bag, fresh_domain, peers, rclpy, root, whole_suite, wm, wm_node,
+    },
     interop::{integer, messages},
 };
 
@@ -158,17 +160,12 @@ fn rclpy_without_our_messages_gets_markers_and_cameras() {
     let node = |args: &[&str]| Process::start(wm(domain, args));
     let of_arm = ["--ros-args", "--params-file", &*arm_yaml];
     let _nodes = [
-        node(&[
+        // the camera rests, but with noise the ratio to the persistence baseline is a number
+        Process::start(wm_node(
+            domain,
             "sim_arm",
-            "--ros-args",
-            "-p",
-            "task:=reach",
-            "-p",
-            "seed:=5000000",
-            // the camera rests, but the ratio to the persistence baseline is a number
-            "-p",
-            "noise:=3.0",
-        ]),
+            &["task:=reach", "seed:=5000000", "noise:=3.0"],
+        )),
         node(&["run", "encoder", "predictor", "decoder"]),
         node(&[&["planner"], &of_arm[..], &["-p", "planner:=idm"]].concat()),
         node(

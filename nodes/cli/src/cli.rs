@@ -156,8 +156,8 @@ impl Command {
             Subcommands::View(command) => command.run(self.ros_args),
             Subcommands::Bridge(own) => own.exec("wm-bridge", [], self.ros_args),
             Subcommands::PlannerWorker(own) => own.exec("wm-planner-worker", [], Vec::new()),
-            Subcommands::Completions(command) => done(command.run()),
-            Subcommands::Man(command) => done(command.run()),
+            Subcommands::Completions(command) => done(command.run(definition())),
+            Subcommands::Man(command) => done(command.run(definition())),
             Subcommands::Node(command) => command.run(self.ros_args),
         }
     }

@@ -1,7 +1,6 @@
 //! `wm completions`.
 
 use crate::{
-    cli,
     external::{self, Described},
     output::print,
 };
@@ -30,8 +29,8 @@ pub(crate) struct CompletionsCommand {
 }
 
 impl CompletionsCommand {
-    pub(crate) fn run(self) -> Result<()> {
-        let Described { command, left_out } = external::described(cli::definition())?;
+    pub(crate) fn run(self, wm: clap::Command) -> Result<()> {
+        let Described { command, left_out } = external::described(wm)?;
         for left in left_out {
             eprintln!("wm: without its commands: {left}; run this again then");
         }
@@ -57,7 +56,7 @@ mod tests {
     use std::process::{Command, Stdio};
 
     fn script(shell: ShellName) -> String {
-        CompletionsCommand { shell }.script(cli::definition())
+        CompletionsCommand { shell }.script(crate::cli::definition())
     }
 
     /// The completions of bash for `wm WORDS` with the cursor at its end.

@@ -1,7 +1,6 @@
 //! `wm man`.
 
 use crate::{
-    cli,
     external::{self, Described},
     output::print,
 };
@@ -19,8 +18,8 @@ pub(crate) struct ManCommand {
 
 impl ManCommand {
     /// Replaces pages of an older version.
-    pub(crate) fn run(self) -> Result<()> {
-        let Described { command, left_out } = external::described(cli::definition())?;
+    pub(crate) fn run(self, wm: clap::Command) -> Result<()> {
+        let Described { command, left_out } = external::described(wm)?;
         for left in left_out {
             eprintln!("wm: without the pages of its commands: {left}; run this again then");
         }
@@ -45,7 +44,7 @@ mod tests {
         ManCommand {
             folder: pages.clone(),
         }
-        .run()
+        .run(crate::cli::definition())
         .unwrap();
         let page = |name: &str| std::fs::read_to_string(pages.join(name)).unwrap_or_default();
         assert!(page("wm.1").contains("wm\\-doctor(1)"));

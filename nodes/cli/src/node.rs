@@ -170,6 +170,7 @@ fn run_together(args: &NodeArgs) -> Result<()> {
 }
 
 fn list() -> String {
+    // the program has nodes
     let width = definitions().map(|node| node.name.len()).max().unwrap_or(0);
     let line = |node: &Definition| format!("{:width$} {}\n", node.name, node.about);
     definitions().map(line).collect()

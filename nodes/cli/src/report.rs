@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use wm_program::progress::Progress;
 use wm_robot_nodes::ending::Ending;
-use wm_view::report::{files::write_report, score_bag, table::terminal_table};
+use wm_view::report::{score_bag, terminal_table, write_report};
 
 /// Scores a recorded bag.
 #[derive(Args, Debug)]

@@ -1,6 +1,6 @@
 //! The kernel's receive buffers.
 
-use crate::{DoctorError, Finding, Survey, machine::read};
+use crate::{DoctorError, Finding, Survey, system_file::read};
 use std::io;
 
 const CHECK: &str = "buffers";

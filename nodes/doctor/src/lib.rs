@@ -29,6 +29,7 @@ mod processor;
 mod report;
 mod setup;
 mod survey;
+mod system_file;
 mod timeline;
 mod trial;
 mod verdict;

@@ -9,7 +9,6 @@ use crate::{
     processor::{self, Processor},
     survey::Survey,
 };
-use std::path::Path;
 use wm_ros::Environment;
 
 /// The machine, its clock and its network.
@@ -47,17 +46,4 @@ impl Machine {
         findings.extend(clock::check(&self.clock, &self.network.reach, survey));
         findings
     }
-}
-
-pub(crate) fn read(file: &str) -> Result<String, DoctorError> {
-    std::fs::read_to_string(file).map_err(|source| DoctorError::System {
-        file: Path::new(file).to_owned(),
-        source,
-    })
-}
-
-/// The trimmed text of a file that some systems lack.
-pub(crate) fn read_if_there(file: impl AsRef<Path>) -> Option<String> {
-    let text = std::fs::read_to_string(file).ok()?;
-    Some(text.trim_end().to_owned())
 }

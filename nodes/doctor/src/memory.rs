@@ -2,7 +2,7 @@
 
 use crate::{
     DoctorError, Finding,
-    machine::{read, read_if_there},
+    system_file::{read, read_if_there},
 };
 use std::path::Path;
 

@@ -1,6 +1,6 @@
 //! The ROS domain and the network interfaces.
 
-use crate::{DoctorError, Finding, machine::read};
+use crate::{DoctorError, Finding, system_file::read};
 use std::collections::{BTreeMap, BTreeSet};
 use wm_ros::{Environment, EnvironmentWarning, Interface, Reach};
 

@@ -16,7 +16,7 @@ pub struct LaunchFile {
 
 /// One entry.
 #[derive(Clone, Debug)]
-pub struct Action {
+pub(crate) struct Action {
     /// The entry's name in errors, for example `launch[3] node "encoder"`.
     pub entry: String,
     /// `if:` execute only if this resolves to true.
@@ -27,7 +27,7 @@ pub struct Action {
 }
 
 #[derive(Clone, Debug)]
-pub enum ActionKind {
+pub(crate) enum ActionKind {
     /// `arg`: declares a launch argument.
     Argument(Argument),
     /// `let`: sets a launch variable.
@@ -74,7 +74,7 @@ pub struct Argument {
 }
 
 #[derive(Clone, Debug)]
-pub struct Node {
+pub(crate) struct Node {
     /// `pkg`.
     pub package: Template,
     /// `exec`.
@@ -95,7 +95,7 @@ pub struct Node {
 
 /// One `param` of a node.
 #[derive(Clone, Debug)]
-pub enum Parameter {
+pub(crate) enum Parameter {
     /// `from:` a parameter file.
     File(Template),
     /// `name:` (nested names joined by dots) and `value:`.
@@ -109,14 +109,14 @@ pub enum Parameter {
 
 /// The value of a parameter.
 #[derive(Clone, Debug)]
-pub enum ParameterValue {
+pub(crate) enum ParameterValue {
     One(Scalar),
     List(Vec<Scalar>),
 }
 
 /// A value that is not a list.
 #[derive(Clone, Debug)]
-pub enum Scalar {
+pub(crate) enum Scalar {
     /// A number or a boolean.
     Literal(Value),
     /// A text, perhaps with substitutions.
@@ -125,7 +125,7 @@ pub enum Scalar {
 
 /// The keys that `node` and `executable` share.
 #[derive(Clone, Debug, Default)]
-pub struct ProcessKeys {
+pub(crate) struct ProcessKeys {
     /// `name`.
     pub name: Option<Template>,
     /// `launch-prefix`: words before the command line, such as `nice -n 10`.

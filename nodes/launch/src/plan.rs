@@ -4,9 +4,10 @@
 mod process;
 mod surroundings;
 
+pub(crate) use process::Output;
 #[cfg(test)]
 pub(crate) use process::Respawn;
-pub use process::{Output, Process, Program};
+pub use process::{Process, Program};
 pub use surroundings::{Surroundings, System};
 
 use super::{

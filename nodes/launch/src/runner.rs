@@ -291,6 +291,7 @@ async fn next_line(
         }
         let room = LINE_LIMIT - line.len();
         let end = available.iter().take(room).position(|byte| *byte == b'\n');
+        // without a line end, as much as there is room
         let taken = end.unwrap_or(available.len().min(room));
         line.extend(available.iter().take(taken));
         source.consume(taken + usize::from(end.is_some()));

@@ -2,12 +2,11 @@
 //! (<https://design.ros2.org/articles/actions.html>).
 //!
 //! On the wire an action `plan` is three services and two topics: `plan/_action/send_goal`, `plan/_action/cancel_goal`,
-//! `plan/_action/get_result`, `plan/_action/feedback`, and `plan/_action/status`, which is latched. What a server does
-//! with goals is [`goals`], without any of this; [`server`] and [`client`] are the two ends.
+//! `plan/_action/get_result`, `plan/_action/feedback`, and `plan/_action/status`, which is latched. [`goals`] has the
+//! rules for goals, without the wire; [`server`] and [`client`] are the two ends.
 //!
-//! A server takes on, executes and ends goals as its node says; what any client may ask at any time (cancel, results)
-//! is answered by itself. It accepts every request to cancel a goal: the node hears of it, and ends the goal when it
-//! can.
+//! The node accepts, executes and ends goals. The server answers requests to cancel and for results by itself. It
+//! accepts every request to cancel a goal: the node is notified, and ends the goal when it can.
 
 pub(crate) mod client;
 mod goals;
@@ -22,7 +21,7 @@ pub use status::GoalStatus;
 
 use crate::Qos;
 
-/// As rclcpp has them: its defaults for topics, and the last status for who comes late.
+/// As in rclcpp: its defaults for topics, and the last status for late joiners.
 pub(crate) const FEEDBACK_QOS: Qos = Qos::reliable(10);
 pub(crate) const STATUS_QOS: Qos = Qos::latched(1);
 

@@ -3,25 +3,23 @@
 
 mod log_level;
 mod params_file;
-mod remap;
 
 pub use log_level::LogLevels;
-pub(crate) use remap::{Remap, Target};
 
-use crate::{Error, ParameterError, ParameterType, names::NodeName, value::Value};
+use crate::{Error, ParameterError, ParameterType, names::NodeName, remap::Remap, value::Value};
 use params_file::Section;
 use std::path::{Path, PathBuf};
 
-/// What is wrong with a command line or a parameter file.
+/// An error of a command line or a parameter file.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ArgsError {
-    /// A flag inside `--ros-args` that no ROS node has.
+    /// An unknown flag after `--ros-args`.
     #[error(
         "unknown ROS argument `{0}`; expected -r/--remap, -p/--param, --params-file, --log-level, or -- to end them"
     )]
     Unknown(String),
-    /// A flag that ROS has and this runtime has not.
+    /// A flag of ROS that this runtime does not support.
     #[error("`{flag}` is not supported: {reason}")]
     Unsupported {
         /// The flag.
@@ -34,7 +32,7 @@ pub enum ArgsError {
     Missing {
         /// The flag.
         flag: String,
-        /// What should follow.
+        /// The missing value.
         expected: &'static str,
     },
     /// A value of the wrong form.
@@ -42,9 +40,9 @@ pub enum ArgsError {
     Malformed {
         /// The flag.
         flag: String,
-        /// What followed it.
+        /// Its value.
         value: String,
-        /// What was expected, and where it helps, what came.
+        /// The expected form, and where it helps, the text found.
         expected: String,
     },
     /// A parameter file that cannot be read.
@@ -52,41 +50,42 @@ pub enum ArgsError {
     File {
         /// The file.
         path: PathBuf,
-        /// What the system said. No source, since the message has it.
+        /// The system's error. Not the `source`, since the message contains it.
         reason: std::io::Error,
     },
-    /// A parameter file that is not one.
+    /// An invalid parameter file.
     #[error("parameter file {}: {problem}", path.display())]
     FileContent {
         /// The file.
         path: PathBuf,
-        /// What was expected where, and what came.
+        /// The place, the expected form, and the text found.
         problem: String,
     },
-    /// Words that the node has no use for.
+    /// Unexpected words.
     #[error("unexpected arguments: {}; ROS arguments go after --ros-args", .0.join(" "))]
     Rest(Vec<String>),
 }
 
-/// One `-p` or one parameter of a file: for which nodes, and from where.
+/// One `-p` or one parameter of a file.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Override {
-    /// The nodes it is for.
+    /// The nodes that it applies to.
     pub(crate) section: Section,
     /// The parameter's name, nested keys joined by dots.
     pub(crate) name: String,
     /// Its value.
     pub(crate) value: Value,
-    /// For error messages: `-p` or the file and its section.
+    /// Its source, for error messages: `-p`, or the file and its section.
     pub(crate) origin: String,
-    /// Whether several nodes may share it, so that one that does not know the parameter may ignore it.
+    /// Whether several nodes may share it; a node without the parameter then ignores it.
     pub(crate) is_shared: bool,
 }
 
 /// The parsed command line of a node.
 #[derive(Clone, Debug, Default)]
 pub struct NodeArgs {
-    /// `--interface`: the address or the name of the one network interface to use. `None`: the environment decides.
+    /// `--interface`: the address or the name of the one network interface to use. `None`: the environment variables
+    /// decide.
     pub interface: Option<String>,
     pub(crate) remaps: Vec<Remap>,
     pub(crate) overrides: Vec<Override>,
@@ -96,7 +95,7 @@ pub struct NodeArgs {
 }
 
 impl NodeArgs {
-    /// Parses the words after the subcommand, and reads the parameter files that they name.
+    /// Parses the words after the subcommand, and reads the parameter files among them.
     ///
     /// # Errors
     /// An unknown ROS argument, a missing or malformed value, an unreadable parameter file.
@@ -130,7 +129,7 @@ impl NodeArgs {
         &self.rest
     }
 
-    /// The value given for a parameter of the node that has these defaults, before there is such a node.
+    /// The value given for a parameter of a node with these defaults, before the node exists.
     ///
     /// # Errors
     /// The node's name is invalid, or the value has a different type.
@@ -140,7 +139,7 @@ impl NodeArgs {
         default_namespace: &str,
         parameter: &str,
     ) -> Result<Option<T>, Error> {
-        let node = NodeName::new(default_name, default_namespace, self)?.fully_qualified;
+        let node = NodeName::new(default_name, default_namespace, &self.remaps)?.fully_qualified;
         let is_it = |given: &&Override| given.name == parameter && given.section.matches(&node);
         let Some(given) = self.overrides.iter().rfind(is_it) else {
             return Ok(None);
@@ -155,8 +154,8 @@ impl NodeArgs {
         Ok(Some(T::from_value(&given.value).ok_or_else(wrong)?))
     }
 
-    /// The absolute name that the sibling `topic/suffix` has for the node that has these defaults, before there is such
-    /// a node: [`Node::resolve_sibling`](crate::Node::resolve_sibling).
+    /// The absolute name of the sibling `topic/suffix` for a node with these defaults, before the node exists: see
+    /// [`Node::resolve_sibling`](crate::Node::resolve_sibling).
     ///
     /// # Errors
     /// A name that ROS does not allow, or a topic that is remapped to a sibling.
@@ -167,11 +166,11 @@ impl NodeArgs {
         topic: &str,
         suffix: &str,
     ) -> Result<String, Error> {
-        NodeName::new(default_name, default_namespace, self)?
+        NodeName::new(default_name, default_namespace, &self.remaps)?
             .resolve_sibling(topic, suffix, "topic")
     }
 
-    /// For nodes that have no command line of their own.
+    /// For nodes without a command line of their own.
     ///
     /// # Errors
     /// Words outside `--ros-args`.
@@ -183,7 +182,7 @@ impl NodeArgs {
         }
     }
 
-    /// These arguments for several nodes: a parameter that is given without a node's name is shared by all.
+    /// These arguments for several nodes: parameters without a node's name are shared by all.
     pub(crate) fn of_several(&self) -> Self {
         let mut args = self.clone();
         for given in &mut args.overrides {
@@ -222,11 +221,11 @@ impl NodeArgs {
             }
             "--enable-rosout-logs" => self.rosout = true,
             "--disable-rosout-logs" => self.rosout = false,
-            // launch files may pass them; they say what this runtime does anyway
+            // launch files may pass them; they name the defaults of this runtime
             "--enable-stdout-logs"
             | "--enable-external-lib-logs"
             | "--disable-external-lib-logs" => {}
-            // of no meaning without security, as in every ROS node; who asks for that is told so (environment)
+            // without security they have no effect; `environment` warns if security is requested
             "-e" | "--enclave" => {
                 value(&flag, "an enclave's name", words)?;
             }
@@ -354,7 +353,7 @@ mod tests {
     }
 
     proptest! {
-        /// Any words give arguments or an error, and none is lost: outside `--ros-args` each is kept.
+        /// Any words give arguments or an error; words outside `--ros-args` are kept.
         #[test]
         fn any_words_are_answered(words in prop::collection::vec("(-r|-p|--|--ros-args|[a-z_:=/~\\[{]{0,8})", 0..8)) {
             if let Ok(args) = NodeArgs::parse(words.clone()) && !words.iter().any(|word| word == "--ros-args") {

@@ -1,6 +1,5 @@
-//! The seam between this runtime and a middleware: bytes with a type name and a QoS out and in, and the graph.
-//! Everything above it (parameters, services, logs, clocks) is written once, in these terms; a second middleware
-//! implements these traits and nothing else.
+//! The interface between this runtime and a middleware: bytes with a type name and a QoS, and the graph. Parameters,
+//! services, logs and clocks use only this interface; a second middleware implements these traits and nothing else.
 
 use crate::{Error, Qos, names::TypeName, payload::Payload};
 use futures::future::BoxFuture;
@@ -14,7 +13,7 @@ pub(crate) fn participant_of(id: &EndpointId) -> [u8; 12] {
     std::array::from_fn(|index| id[index])
 }
 
-/// What an endpoint carries, which decides how the middleware spells its name.
+/// The kind of an endpoint, on which the middleware's spelling of its name depends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Channel {
     Topic,
@@ -30,21 +29,20 @@ pub(crate) struct Endpoint {
     pub(crate) name: String,
     pub(crate) type_name: TypeName,
     pub(crate) qos: Qos,
-    /// For a reader: whether it hears this participant's own writers.
-    pub(crate) hears_own: bool,
-    /// For a reader: whether siblings in the same subscription receive from the publishers that its reliability or
-    /// durability excludes.
+    /// For a reader: whether it receives from this participant's own writers.
+    pub(crate) receives_own: bool,
+    /// For a reader: whether other readers of the same subscription receive from the publishers that its QoS excludes.
     pub(crate) has_siblings: bool,
 }
 
-/// Which request a sample is, or answers.
+/// The request that a sample is, or answers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct RequestId {
     pub(crate) client: EndpointId,
     pub(crate) sequence: i64,
 }
 
-/// A sample that came in.
+/// A received sample.
 #[derive(Clone, Debug)]
 pub(crate) struct Sample {
     pub(crate) payload: Payload,
@@ -54,44 +52,44 @@ pub(crate) struct Sample {
     pub(crate) request: Option<RequestId>,
 }
 
-/// Takes what comes in; the error says why a sample could not be read. Must not block: one thread serves all.
+/// Receives samples; the error is the reason why a sample could not be read. Must not block: one thread serves all.
 pub(crate) type Sink = Box<dyn FnMut(Result<Sample, String>) + Send>;
 
-/// What became of a sample.
+/// The outcome of writing a sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Written {
-    /// It is on its way.
+pub(crate) enum WriteOutcome {
+    /// Sent.
     Sent {
-        /// Its place in the writer's numbering.
+        /// Its sequence number.
         number: i64,
-        /// Older samples that were dropped for readers that have fallen behind.
+        /// Older samples that were dropped for readers that lag.
         dropped: u64,
     },
-    /// An answer whose client is not connected yet: it is sent as soon as it is, or dropped with a warning.
+    /// An answer whose client is not connected yet: it is sent on connection, or dropped with a warning.
     Held,
-    /// The readers have not acknowledged enough: it was not taken.
+    /// Not sent: too many samples are unacknowledged.
     WindowFull,
 }
 
-/// What happens to a sample of a reliable writer when its readers have fallen too far behind.
+/// The policy of a reliable writer if its readers lag too far.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum WhenFull {
-    /// The oldest samples are dropped for the readers that have not taken them.
+    /// Drops the oldest samples for the readers that lag.
     DropOldest,
-    /// The new sample is not taken.
+    /// Does not send the new sample.
     Refuse,
 }
 
-/// Who would get a sample now.
+/// The receivers of a sample published now.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Audience {
     /// Readers of this context.
     pub(crate) here: bool,
-    /// Readers elsewhere, or any that may join and ask for what was sent before.
+    /// Readers of other participants, or late joiners that request older samples.
     pub(crate) elsewhere: bool,
 }
 
-/// Sends samples. Dropping it takes the endpoint out of the graph.
+/// Sends samples. Dropping it removes the endpoint from the graph.
 pub(crate) trait Writer: Send + Sync {
     fn id(&self) -> EndpointId;
     fn audience(&self) -> Audience;
@@ -101,19 +99,19 @@ pub(crate) trait Writer: Send + Sync {
         payload: &Payload,
         answers: Option<RequestId>,
         when_full: WhenFull,
-    ) -> Result<Written, Error>;
-    /// Waits until every matched reliable reader has everything.
+    ) -> Result<WriteOutcome, Error>;
+    /// Waits until every matched reliable reader has acknowledged all samples.
     fn acknowledged(&self) -> BoxFuture<'_, Result<(), Error>>;
 }
 
-/// Keeps a subscription alive. Dropping it takes the endpoint out of the graph.
+/// Keeps a subscription alive. Dropping it removes the endpoint from the graph.
 pub(crate) trait Reader: Send + Sync {
     fn id(&self) -> EndpointId;
 }
 
-/// An endpoint that discovery has seen, in this process or elsewhere.
+/// An endpoint that discovery has found, in this process or another.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Seen {
+pub(crate) struct DiscoveredEndpoint {
     pub(crate) channel: Channel,
     pub(crate) name: String,
     /// `package/msg/Type`, or `package/srv/Type` for a service.
@@ -121,7 +119,7 @@ pub(crate) struct Seen {
     pub(crate) qos: Qos,
     pub(crate) is_writer: bool,
     pub(crate) id: EndpointId,
-    /// Whether it is of this participant.
+    /// Whether it belongs to this participant.
     pub(crate) is_own: bool,
     /// The hash of its type, if a publisher of another participant announces it.
     pub(crate) type_hash: Option<String>,
@@ -133,25 +131,24 @@ pub(crate) trait Backend: Send + Sync {
     fn participant(&self) -> EndpointId;
     fn add_node(&self, namespace: &str, base: &str) -> Result<(), Error>;
     fn remove_node(&self, namespace: &str, base: &str);
-    /// `node` is the full name of the node that the endpoint belongs to.
+    /// `node` is the full name of the endpoint's node.
     fn writer(&self, node: &str, endpoint: &Endpoint) -> Result<Box<dyn Writer>, Error>;
     fn reader(&self, node: &str, endpoint: &Endpoint, sink: Sink)
     -> Result<Box<dyn Reader>, Error>;
     /// The endpoints of topics and services.
-    fn seen(&self) -> Vec<Seen>;
-    /// How many endpoints of others this one is connected to.
+    fn seen(&self) -> Vec<DiscoveredEndpoint>;
+    /// The number of endpoints of other participants that this one is connected to.
     fn matched(&self, endpoint: &EndpointId) -> usize;
-    /// How many of those are of a different implementation than this suite's.
+    /// The number of those that run another DDS implementation.
     fn foreign(&self, endpoint: &EndpointId) -> usize;
-    /// Why endpoints of others on the same topic are not connected to this one, in words.
+    /// Why endpoints of other participants on the same topic are not connected to this one, as text.
     fn mismatches(&self, endpoint: &EndpointId) -> Vec<String>;
-    /// Counts changes of what is seen and matched.
+    /// Counts changes of the graph and of connections.
     fn changes(&self) -> watch::Receiver<u64>;
-    /// Why it no longer receives or sends as it should. Once that is so, it stays so.
+    /// The fault that stops it from receiving or sending; permanent.
     fn failure(&self) -> Option<Error>;
-    /// Waits until what the last writers that were dropped have sent is handed over, a moment at most. To be called while
-    /// the runtime still runs.
+    /// Waits briefly until the samples of dropped writers are delivered. Call it while the runtime still runs.
     fn settle(&self);
-    /// Leaves the graph. Readers and writers that are still held do nothing from then on.
+    /// Leaves the graph. Remaining readers and writers do nothing from then on.
     fn close(&self);
 }

@@ -10,10 +10,10 @@ use std::{
 use tokio::sync::watch;
 use wm_msgs::builtin_interfaces::Time;
 
-/// A simulated clock that moves further at a time has jumped \[ns\].
+/// A larger step of a simulated clock is a jump \[ns\].
 const LONGEST_STEP_NS: i64 = 1_000_000_000;
 
-/// A clock that every stamp and timer of a node goes by.
+/// The clock of a node's stamps and timers.
 #[derive(Clone, Debug)]
 pub struct Clock {
     inner: Arc<Inner>,
@@ -21,7 +21,7 @@ pub struct Clock {
 
 #[derive(Debug)]
 struct Inner {
-    /// The time on `/clock` \[ns\] where the clock is simulated; 0 until the first message, as in rclcpp.
+    /// The time on `/clock` \[ns\] if the clock is simulated; 0 until the first message, as in rclcpp.
     simulated: watch::Sender<Option<i64>>,
     jumps: watch::Sender<u64>,
     /// The last step forward on `/clock` \[ns\].
@@ -42,7 +42,7 @@ impl Clock {
         }
     }
 
-    /// The time now. A simulated clock stands at 0 until `/clock` speaks.
+    /// The time now. A simulated clock reads 0 until the first message on `/clock`.
     pub fn now(&self) -> Time {
         Time::from_nanos((*self.inner.simulated.borrow()).unwrap_or_else(system_nanos))
     }
@@ -52,7 +52,7 @@ impl Clock {
         self.inner.simulated.borrow().is_some()
     }
 
-    /// Step of a simulated clock \[ns\], by which it may be late. Zero for the system's clock.
+    /// Step of a simulated clock \[ns\], its greatest delay. Zero for the system's clock.
     pub fn step_ns(&self) -> i64 {
         match self.is_simulated() {
             true => self.inner.step_ns.load(Ordering::Relaxed),
@@ -60,13 +60,13 @@ impl Clock {
         }
     }
 
-    /// How often `/clock` has jumped back so far. A change means that a bag began again: what was remembered of the
-    /// old time is to be forgotten.
+    /// The number of jumps back of `/clock`. A change means that a bag started again: state with older stamps must be
+    /// dropped.
     pub fn jumps(&self) -> watch::Receiver<u64> {
         self.inner.jumps.subscribe()
     }
 
-    /// Waits until the clock says `time`; a clock that jumps back makes the wait longer.
+    /// Waits until the clock reads `time`; a jump back makes the wait longer.
     pub async fn sleep_until(&self, time: Time) {
         let wanted = time.to_nanos();
         let mut simulated = self.inner.simulated.subscribe();

@@ -1,4 +1,4 @@
-//! What a node says about bad input: every case is counted and logged, at a limited rate.
+//! Warnings about bad input: every case is counted, and logged at a limited rate.
 
 use std::{
     collections::BTreeMap,
@@ -11,16 +11,16 @@ use crate::{
     logging::printable::{OF_OTHERS, printable},
 };
 
-/// Kinds of warnings that are distinguished; texts hold what others send, and could be many.
+/// The most kinds of warnings; their texts come from peers and could be many.
 const KINDS: usize = 64;
 
-/// After a warning, how long more of its kind are only counted.
+/// After a warning, further ones of its kind are only counted for this long.
 const QUIET: Duration = Duration::from_secs(5);
 
 /// Counts drops by reason and warns of them.
 pub struct Complaints {
     diagnostics: Diagnostics,
-    /// By what was said, without its numbers.
+    /// By text, without its numbers.
     last: BTreeMap<String, (Instant, u64)>,
     waiting_for: Option<String>,
 }
@@ -35,16 +35,16 @@ impl Complaints {
         }
     }
 
-    /// Counts something that was dropped, and says why.
+    /// Counts a drop, and logs the reason.
     pub fn left_out(&mut self, reason: &'static str, error: &dyn Display) {
         self.left_out_many(reason, 1, error);
     }
 
-    /// Counts several things that were dropped for one reason, and says why.
+    /// Counts several drops for one reason, and logs it.
     pub fn left_out_many(&mut self, reason: &'static str, number: u64, error: &dyn Display) {
         self.diagnostics.count_drops(reason, number);
         let now = Instant::now();
-        // It names what a peer has sent, and goes to the log and to /diagnostics.
+        // It contains text of peers, and goes to the log and to /diagnostics.
         let error = printable(&error.to_string(), OF_OTHERS);
         let text = format!("{reason}: {error}");
         if let Some((subject, level, advice)) = remedy(reason) {
@@ -67,8 +67,8 @@ impl Complaints {
         }
     }
 
-    /// Says what the node waits for: in the status, and in the log where it was not waiting before or what it waits
-    /// for (`kind`) is another. Waiting is no drop; every start `is_usual`.
+    /// Reports in the status what the node waits for, and logs each change of `kind`. Waiting is no drop; during every
+    /// start it `is_usual`.
     pub fn waiting(&mut self, kind: &str, is_usual: bool, text: &dyn Display) {
         let text = format!("waiting: {text}");
         if self.waiting_for.as_deref() != Some(kind) {
@@ -82,7 +82,7 @@ impl Complaints {
         self.diagnostics.set_status(Level::Warn, text);
     }
 
-    /// Says that the node does its work.
+    /// Reports that the node works.
     pub fn working(&mut self, text: &str) {
         if self.waiting_for.take().is_some() {
             tracing::info!("{text}");
@@ -91,7 +91,7 @@ impl Complaints {
     }
 }
 
-/// What an operator can do about a drop for this reason: the subject of its status, how bad it is, and the advice.
+/// Advice to the operator on a drop: the subject of its status, the level, and the advice.
 fn remedy(reason: &str) -> Option<(&'static str, Level, &'static str)> {
     match reason {
         "wrong_space" => Some((

@@ -1,4 +1,4 @@
-//! What the nodes of a process share: the place in the graph, and the thread that receives for them.
+//! State shared by the nodes of a process: the participant, and the thread that receives.
 
 use crate::{Environment, Error, Shutdown, backend::Backend, dds::Dds};
 use std::{
@@ -8,11 +8,11 @@ use std::{
 };
 use tokio::{runtime::Handle, sync::oneshot};
 
-/// How often the middleware is asked whether it still works.
+/// How often the middleware is checked for faults.
 const PULSE: Duration = Duration::from_secs(1);
 
-/// A participant in the graph and a thread that receives for it: subscriptions, services, parameters, clocks and
-/// diagnostics of its nodes run there, so that a node that computes does not stall them. Several nodes share one.
+/// A participant in the graph and its receiving thread. Subscriptions, services, parameters, clocks and diagnostics of
+/// its nodes run there, so that computing nodes do not stall them. Several nodes share one context.
 #[derive(Clone)]
 pub struct Context {
     inner: Arc<Inner>,
@@ -23,7 +23,7 @@ struct Inner {
     runtime: Handle,
     thread: Mutex<Option<Thread>>,
     shutdown: Shutdown,
-    /// Why the middleware has ended by itself.
+    /// The fault that ended the middleware.
     failure: Mutex<Option<Error>>,
 }
 
@@ -45,7 +45,7 @@ impl Context {
             .map_err(failed)?;
         let handle = runtime.handle().clone();
         let (stop, stopped) = oneshot::channel();
-        // Dropping the runtime at the thread's end drops every task, and the readers in them.
+        // At the end of the thread, the runtime drops every task and its readers.
         let thread = std::thread::Builder::new()
             .name("wm_ros".to_owned())
             .spawn(move || drop(runtime.block_on(stopped)))
@@ -66,7 +66,7 @@ impl Context {
         Ok(Self { inner })
     }
 
-    /// The end of this context: asked for here or by a signal, seen by all its nodes.
+    /// The shutdown of this context, requested here or by a signal, for all its nodes.
     pub fn shutdown(&self) -> Shutdown {
         self.inner.shutdown.clone()
     }
@@ -80,13 +80,13 @@ impl Context {
         self.inner.shutdown.listen_for_signals()
     }
 
-    /// Leaves the graph in order: what receives first, then the nodes' names, then the participant. Drop publishers
-    /// and nodes before, so that the others hear of each. Endpoints that are still held do nothing afterwards.
+    /// Leaves the graph in order: first the readers, then the nodes' names, then the participant. Drop publishers and
+    /// nodes first, so that other participants are notified of each. Remaining endpoints do nothing afterwards.
     pub fn close(&self) {
         self.inner.close();
     }
 
-    /// Why the context has ended by itself, told once.
+    /// The fault that ended the context; returned once.
     pub(crate) fn failure(&self) -> Option<Error> {
         self.inner.failure().take()
     }
@@ -100,8 +100,8 @@ impl Context {
     }
 }
 
-/// Ends the context when its middleware has failed: a node that nobody receives from should end, so that its supervisor
-/// starts it again.
+/// Ends the context if its middleware has failed: a node without a working middleware should end, so that its
+/// supervisor restarts it.
 async fn watch(inner: Weak<Inner>) {
     loop {
         tokio::time::sleep(PULSE).await;
@@ -132,7 +132,7 @@ impl Inner {
         };
         self.backend.settle();
         stop.send(()).ok();
-        // A handler on that very thread may hold the last clone; it cannot wait for itself.
+        // A handler on the receiving thread may own the last clone; the thread cannot wait for itself.
         if handle.thread().id() != std::thread::current().id() && handle.join().is_err() {
             tracing::error!("the receiving thread ended with a panic");
         }

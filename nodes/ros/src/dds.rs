@@ -27,7 +27,10 @@ mod writer;
 
 use crate::{
     Environment, Error,
-    backend::{Backend, Channel, Endpoint, EndpointId, Reader, Seen, Sink, Writer, participant_of},
+    backend::{
+        Backend, Channel, DiscoveredEndpoint, Endpoint, EndpointId, Reader, Sink, Writer,
+        participant_of,
+    },
 };
 pub(crate) use workarounds::parts::decode_part;
 
@@ -237,7 +240,7 @@ impl Backend for Dds {
         Ok(Box::new(reader))
     }
 
-    fn seen(&self) -> Vec<Seen> {
+    fn seen(&self) -> Vec<DiscoveredEndpoint> {
         let mut seen = self.shared.nodes.own_endpoints();
         let participant = lock(&self.shared.participant);
         let Some(participant) = participant.as_ref() else {
@@ -252,7 +255,7 @@ impl Backend for Dds {
                     return;
                 }
                 if let Some((channel, name, type_name)) = ros_names(name, dds_type) {
-                    seen.push(Seen {
+                    seen.push(DiscoveredEndpoint {
                         channel,
                         name,
                         type_name,

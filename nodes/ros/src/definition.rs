@@ -1,5 +1,5 @@
-//! A node as data: its name, what it does, its parameters, topics and services, and how it is run. The command line, the
-//! help and the parameter files come from it.
+//! A node as data: name, purpose, parameters, topics, services, and entry points. The command line, the help and the
+//! parameter files are made from it.
 
 mod help;
 mod params_file;
@@ -13,7 +13,7 @@ use std::process::ExitCode;
 pub struct NodeDefinition<E> {
     /// The node's default name, and its command's.
     pub name: &'static str,
-    /// What it does, in one line.
+    /// Its purpose, in one line.
     pub about: &'static str,
     /// Its parameters, without those that every node has.
     pub parameters: fn() -> Vec<ParameterSpec>,
@@ -23,7 +23,7 @@ pub struct NodeDefinition<E> {
     pub is_managed: bool,
     /// Whether it is the only node of its process.
     pub runs_alone: bool,
-    /// Runs it until it ends or a signal comes.
+    /// Runs it until it ends or a signal arrives.
     pub run: fn(&NodeArgs) -> Result<ExitCode, E>,
     /// The node in a process that may run other nodes too.
     pub body: fn(Node) -> LocalBoxFuture<'static, Result<(), E>>,
@@ -37,7 +37,7 @@ impl<E: 'static> NodeDefinition<E> {
 }
 
 impl<E> NodeDefinition<E> {
-    /// All parameters but those that every ROS node has.
+    /// All parameters except those of every ROS node.
     fn specs(&self) -> Vec<ParameterSpec> {
         let mut specs = (self.parameters)();
         if self.is_managed {

@@ -1,5 +1,5 @@
-//! The state of a node: rates, latencies, drops by reason, and a status in words; once a second on `/diagnostics`. Each
-//! thing that the watchdog monitors has a separate status: `wm/encoder: memory`.
+//! The state of a node: rates, latencies, drops by reason, and a status as text; once a second on `/diagnostics`. Each
+//! subject of the watchdog has a separate status: `wm/encoder: memory`.
 
 mod latency;
 mod publishers;
@@ -23,12 +23,12 @@ use wm_msgs::diagnostic_msgs::{DiagnosticStatus, KeyValue};
 /// Subject of the condition that messages are too large.
 const MESSAGE_SIZE: &str = "message size";
 
-/// How well a node is.
+/// The health of a node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Level {
     /// All is well.
     Ok,
-    /// It works, but somebody should look.
+    /// It works, but needs attention.
     Warn,
     /// It does not work.
     Error,
@@ -60,24 +60,24 @@ struct State {
     sent: BTreeMap<String, Rate>,
     /// Total, and how many of them since the last report.
     drops: BTreeMap<String, (u64, u64)>,
-    /// What was left out by choice.
+    /// Inputs skipped by design.
     skips: BTreeMap<String, u64>,
     latencies: BTreeMap<String, Latency>,
     values: BTreeMap<String, String>,
     watchdog: Watchdog,
     /// Topics of the node's publishers (true) and subscriptions.
     endpoints: BTreeMap<EndpointId, (String, bool)>,
-    /// The last message of a topic that is larger than what a stock ROS 2 subscriber takes \[byte\].
+    /// By topic, the last message larger than a stock ROS 2 subscriber can receive \[byte\].
     oversized: BTreeMap<EndpointId, usize>,
 }
 
-/// What the report needs to know of the graph.
+/// The graph, as the report needs it.
 pub(crate) trait Graph {
-    /// How many endpoints of others this one is connected to.
+    /// The number of endpoints of other participants that this one is connected to.
     fn matched(&self, endpoint: &EndpointId) -> usize;
-    /// How many of them are of a different implementation than this suite's.
+    /// The number of those that run another DDS implementation.
     fn foreign(&self, endpoint: &EndpointId) -> usize;
-    /// Why others are not connected to this one, in words.
+    /// Why others are not connected to this one, as text.
     fn mismatches(&self, endpoint: &EndpointId) -> Vec<String>;
     /// The other topics on which messages of the type of this endpoint are published.
     fn published_alike(&self, endpoint: &EndpointId) -> BTreeSet<String>;
@@ -115,24 +115,24 @@ impl Diagnostics {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Counts a message that came in.
+    /// Counts a received message.
     pub fn received(&self, input: &str) {
         let mut state = self.state();
         count(&mut state.received, input);
         state.watchdog.arrived(input, Instant::now());
     }
 
-    /// Counts a message that went out.
+    /// Counts a published message.
     pub fn sent(&self, output: &str) {
         count(&mut self.state().sent, output);
     }
 
-    /// Counts something lost, and why. A drop within the last second makes the status WARN.
+    /// Counts a drop by reason. A drop within the last second makes the status WARN.
     pub fn count_drop(&self, reason: &str) {
         self.count_drops(reason, 1);
     }
 
-    /// Counts several things lost for the same reason.
+    /// Counts several drops for the same reason.
     pub fn count_drops(&self, reason: &str, number: u64) {
         let mut state = self.state();
         match state.drops.get_mut(reason) {
@@ -146,7 +146,8 @@ impl Diagnostics {
         }
     }
 
-    /// Counts what is left out by choice, as frames that a node does not need: nothing is lost, and the status stays.
+    /// Counts inputs skipped by design, for example frames that a node does not need. They are no loss, and the status
+    /// stays.
     pub fn count_skipped(&self, reason: &str, number: u64) {
         let mut state = self.state();
         match state.skips.get_mut(reason) {
@@ -166,7 +167,7 @@ impl Diagnostics {
         state.latencies.entry(stage.to_owned()).or_default().clone()
     }
 
-    /// Says how the node is, in words, until it is said otherwise.
+    /// Sets the status text, until the next call.
     pub fn set_status(&self, level: Level, message: impl Into<String>) {
         let mut state = self.state();
         state.level = level;
@@ -190,13 +191,12 @@ impl Diagnostics {
         self.state().watchdog.expect(input, Instant::now());
     }
 
-    /// Counts a run of a stage with a deadline: WARN where some miss it, ERROR where most do.
+    /// Counts a run of a stage with a deadline: WARN if some runs miss it, ERROR if most do.
     pub fn took(&self, deadline: Deadline, taken: Duration) {
         self.state().watchdog.took(deadline, taken);
     }
 
-    /// Says that something is wrong at this moment, and what to do about it. It counts as over when it is not said
-    /// again for five seconds.
+    /// Reports a fault that exists now, and its remedy. Without a further report within five seconds it counts as over.
     pub fn raise(&self, subject: &str, level: Level, message: impl Into<String>) {
         let mut state = self.state();
         state
@@ -204,30 +204,30 @@ impl Diagnostics {
             .raise(subject, level, message.into(), Instant::now());
     }
 
-    /// Ends all watches: a node that does not listen misses nothing.
+    /// Ends all watches: an inactive node needs no input.
     pub(crate) fn stand_down(&self) {
         self.state().watchdog.stand_down();
     }
 
-    /// An endpoint of the node, a publisher or else a subscription, that the report counts the connections of.
+    /// Adds an endpoint to the report, which counts its connections.
     pub(crate) fn add_endpoint(&self, id: EndpointId, topic: &str, is_publisher: bool) {
         let mut state = self.state();
         state.endpoints.insert(id, (topic.to_owned(), is_publisher));
     }
 
-    /// Takes an endpoint off the report.
+    /// Removes an endpoint from the report.
     pub(crate) fn remove_endpoint(&self, id: &EndpointId) {
         let mut state = self.state();
         state.endpoints.remove(id);
         state.oversized.remove(id);
     }
 
-    /// A publisher sends messages of `len` bytes, more than a stock ROS 2 subscriber takes.
+    /// Reports that a publisher sends messages of `len` bytes, more than a stock ROS 2 subscriber can receive.
     pub(crate) fn oversized(&self, id: EndpointId, len: usize) {
         self.state().oversized.insert(id, len);
     }
 
-    /// Says in the log which inputs are missing since the last report, and which are back.
+    /// Logs which inputs are missing since the last report, and which are back.
     pub(crate) fn say_news(&self) {
         let news = self.state().watchdog.take_news();
         for Finding { level, message, .. } in news {
@@ -238,7 +238,7 @@ impl Diagnostics {
         }
     }
 
-    /// The report, and the start of the next second: the node's own status, then one for each thing that is watched.
+    /// Makes the report, and starts the next second: the node's own status, then one per subject of the watchdog.
     pub(crate) fn report(&self, now: Instant, graph: &dyn Graph) -> Vec<DiagnosticStatus> {
         self.state().report(now, graph, watchdog::resident())
     }
@@ -352,7 +352,7 @@ impl State {
             .collect()
     }
 
-    /// What the watchdog finds, and what is wrong with the connections.
+    /// The findings of the watchdog, and faults of connections.
     fn findings(&mut self, now: Instant, graph: &dyn Graph, resident: Option<u64>) -> Vec<Finding> {
         let publishers = PublishersOf::new(&self.name, &self.endpoints, graph);
         let mut findings = self.watchdog.report(now, &publishers, resident);

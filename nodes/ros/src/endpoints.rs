@@ -1,10 +1,10 @@
-//! Topics, services and actions that are declared once: name, type, QoS and a sentence stand in one table, from which come the
-//! endpoints themselves and what `wm NODE --help` says of them.
+//! Topics, services and actions, each declared once: a table of name, type, QoS and description. The endpoints and `wm
+//! NODE --help` are made from it.
 
 use crate::{ActionServer, Error, Node, Publisher, Qos, Service, Subscription};
 use wm_msgs::{Action, Message};
 
-/// Which way an endpoint goes.
+/// The direction of an endpoint.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Direction {
     /// A topic that the node subscribes to.
@@ -17,10 +17,10 @@ pub enum Direction {
     Performed,
 }
 
-/// A topic, service or action as it is declared, without a node.
+/// The declaration of a topic, service or action, without a node.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct EndpointSpec {
-    /// Which way it goes.
+    /// Its direction.
     pub direction: Direction,
     /// The name before namespace and remapping.
     pub name: String,
@@ -34,7 +34,7 @@ pub struct EndpointSpec {
 
 /// A Rust type that holds an endpoint.
 pub trait Endpoint: Sized {
-    /// What it makes of this name: one endpoint, or several siblings.
+    /// The declarations for this name: one endpoint, or several siblings.
     fn specs(name: &str, qos: Qos, text: &str) -> Vec<EndpointSpec>;
 
     /// Makes it.
@@ -154,8 +154,8 @@ impl<T: Endpoint> Endpoint for Option<T> {
 }
 
 /// Makes a struct of endpoints, and its [`EndpointSet`], from a table: doc comment, field, type and name, then the QoS
-/// (reliable, depth 10, if none is given). With `if`, an `Option` is made only under a condition; with `made`, an endpoint is
-/// made in another way than its type's own. A field without a name is a set of endpoints.
+/// (reliable, depth 10, if none is given). With `if`, an `Option` is made only under a condition; with `made`, a
+/// closure makes the endpoint. A field without a name is a set of endpoints.
 ///
 /// A table of an enum has the services and actions, one variant for each. A variant holds a request with its reply handle: a
 /// [`Call`](crate::Call) or a [`GoalRequest`](crate::GoalRequest). [`Requests`](crate::Requests) of the enum is a set of

@@ -1,16 +1,15 @@
-//! Where on the network a process takes part: the ROS 2 environment variables, and `--interface`.
+//! The network interfaces that a process uses: the ROS 2 environment variables, and `--interface`.
 //!
-//! **Loopback is the default.** A participant that announces itself on several interfaces gets each fragment from a
-//! peer on the same host once for each, which stalls rustdds' reliable readers; and the middleware believes the
-//! lengths that a datagram claims, so that a stranger's six datagrams can make it allocate gigabytes. A robot's
-//! network is therefore an explicit choice: `--interface eth0`, or `ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET`. The
-//! middleware binds its sockets to every address all the same; a socket filter drops what arrives elsewhere (module
-//! `dds::workarounds::confine`). On a network with strangers, add a firewall and cap the process's memory: `launch-configs/network/`
-//! has both.
+//! **Loopback is the default.** A participant on several interfaces receives each fragment of a local peer once per
+//! interface, which stalls rustdds' reliable readers. The middleware also trusts the lengths in datagrams: six
+//! datagrams of a stranger can make it allocate gigabytes. A robot's network is therefore an explicit choice:
+//! `--interface eth0`, or `ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET`. The middleware still binds its sockets to every
+//! address; a socket filter drops datagrams for other addresses (module `dds::workarounds::socket_filter`). On an
+//! untrusted network, add a firewall and limit the process's memory: `launch-configs/network/` has both.
 //!
-//! **What the middleware cannot do** is refused or warned of by the variable's name, never ignored in silence: peers
-//! outside of multicast (`ROS_STATIC_PEERS`) are not announced to, and DDS security is not built in: where it is asked
-//! for and enforced, the node does not start.
+//! **Unsupported variables** cause an error or a warning with the variable's name. Peers without multicast
+//! (`ROS_STATIC_PEERS`) get no announcements. DDS security is not built in: if it is requested and enforced, the node
+//! does not start.
 
 use crate::{Error, NodeArgs};
 use std::net::{IpAddr, Ipv4Addr};
@@ -18,7 +17,7 @@ use std::net::{IpAddr, Ipv4Addr};
 /// The highest domain for which RTPS' port formula stays below 65536 with room for participants.
 const MAX_DOMAIN: u16 = 232;
 
-/// How far discovery reaches.
+/// The range of discovery.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Reach {
     /// This host only: 127.0.0.1.
@@ -27,16 +26,16 @@ pub enum Reach {
     Interfaces(Vec<IpAddr>),
     /// Every interface.
     Subnet,
-    /// Nothing: only nodes of the same process find each other.
+    /// No interface: only nodes of the same process find each other.
     Process,
 }
 
-/// The domain and how far discovery reaches.
+/// The domain and the range of discovery.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Environment {
     /// `ROS_DOMAIN_ID`, 0 to 232.
     pub domain_id: u16,
-    /// From `--interface`; without it from `ROS_LOCALHOST_ONLY=1`, and else from `ROS_AUTOMATIC_DISCOVERY_RANGE`.
+    /// From `--interface`, otherwise from `ROS_LOCALHOST_ONLY=1`, otherwise from `ROS_AUTOMATIC_DISCOVERY_RANGE`.
     pub reach: Reach,
 }
 
@@ -44,7 +43,7 @@ impl Environment {
     /// From the process's environment variables and the command line.
     ///
     /// # Errors
-    /// A variable or interface with a value that does not make sense.
+    /// An invalid variable or interface.
     pub fn from_env(args: &NodeArgs) -> Result<Self, Error> {
         for warning in Self::warnings()? {
             tracing::warn!("{warning}");
@@ -76,10 +75,10 @@ impl Environment {
         Ok(Self { domain_id, reach })
     }
 
-    /// Environment variables that this runtime cannot obey, while nodes run all the same.
+    /// Environment variables that this runtime cannot obey; nodes run all the same.
     ///
     /// # Errors
-    /// A variable with a value that does not make sense, or security that is asked for and enforced.
+    /// An invalid variable, or security that is requested and enforced.
     pub fn warnings() -> Result<Vec<EnvironmentWarning>, Error> {
         warnings(&variable)
     }
@@ -112,7 +111,7 @@ fn variable(name: &str) -> Option<String> {
 }
 
 fn reach_of(variable: &impl Fn(&str) -> Option<String>) -> Result<Reach, Error> {
-    // As in ROS 2: ROS_LOCALHOST_ONLY, where it is 1, overrules the newer variable.
+    // As in ROS 2: ROS_LOCALHOST_ONLY=1 overrules the newer variable.
     match variable("ROS_LOCALHOST_ONLY").as_deref() {
         None | Some("0") => {}
         Some("1") => return Ok(Reach::Localhost),
@@ -183,7 +182,7 @@ fn warnings(variable: &impl Fn(&str) -> Option<String>) -> Result<Vec<Environmen
     let is_wanted = match variable("ROS_SECURITY_ENABLE").as_deref() {
         None | Some("false") => false,
         Some("true") => true,
-        // rcl takes any other text for false: a node that should be secure would not be
+        // rcl reads any other text as false: a node meant to be secure would not be
         Some(text) => {
             return Err(invalid(
                 "ROS_SECURITY_ENABLE",
@@ -219,7 +218,7 @@ fn warnings(variable: &impl Fn(&str) -> Option<String>) -> Result<Vec<Environmen
 pub struct Interface {
     /// As `--interface` takes it: `eth0`.
     pub name: String,
-    /// An IPv4 address: the middleware speaks no other.
+    /// An IPv4 address: the middleware supports no other.
     pub address: IpAddr,
 }
 
@@ -227,7 +226,7 @@ impl Interface {
     /// Those of this host.
     ///
     /// # Errors
-    /// The system does not list them.
+    /// The system cannot list them.
     pub fn all() -> Result<Vec<Self>, Error> {
         let interfaces = if_addrs::get_if_addrs()
             .map_err(|source| Error::io("list the network interfaces", source))?;

@@ -1,4 +1,4 @@
-//! What can go wrong. Each error says what was expected and what came.
+//! Errors of the runtime. Each names the expected and the actual value.
 
 use crate::{GoalId, args::ArgsError, parameters::ParameterError};
 use wm_msgs::cdr::CdrError;
@@ -13,39 +13,39 @@ pub enum Error {
     /// A parameter.
     #[error(transparent)]
     Parameter(#[from] ParameterError),
-    /// A message that has no CDR form, or bytes that are not the message.
+    /// A message without a CDR form, or bytes of another type.
     #[error(transparent)]
     Cdr(#[from] CdrError),
     /// A name that ROS does not allow.
     #[error("`{name}` is not a valid {kind} name: {reason}")]
     Name {
-        /// The name as given, after expansion.
+        /// The name, after expansion.
         name: String,
-        /// What it was to name: topic, service, node, namespace or type.
+        /// The kind: topic, service, node, namespace or type.
         kind: &'static str,
-        /// Which rule it breaks.
+        /// The rule that it breaks.
         reason: String,
     },
     /// Two nodes of one process with the same name.
     #[error("two nodes have the name {0}: give each its own name with -r NODE:__node:=NAME")]
     SameName(String),
-    /// An environment variable or `--interface` with a value that does not make sense.
+    /// An invalid environment variable or `--interface`.
     #[error("{variable} is `{value}`: expected {expected}")]
     Environment {
         /// The variable or flag.
         variable: &'static str,
         /// Its value.
         value: String,
-        /// What would be valid.
+        /// The valid values.
         expected: String,
     },
-    /// DDS security is asked for and enforced, and this build has none.
+    /// DDS security is requested and enforced, and this build has none.
     #[error(
         "ROS_SECURITY_ENABLE is `true` and ROS_SECURITY_STRATEGY is `Enforce`, but DDS security (SROS 2) is not built in: \
          the node does not start"
     )]
     NoSecurity,
-    /// No participant number is free.
+    /// All participant numbers are in use.
     #[error(
         "DDS domain {domain} is full on this host: all {participants} participants that it can have exist; end some \
          nodes, run several in one process (`wm run NODE NODE ...`), or set another ROS_DOMAIN_ID for some"
@@ -53,10 +53,10 @@ pub enum Error {
     DomainFull {
         /// `ROS_DOMAIN_ID`.
         domain: u16,
-        /// Participants that the domain can have on one host.
+        /// The most participants of the domain on one host.
         participants: u16,
     },
-    /// An interface has another address than when the node started, or its address was gone in between.
+    /// An interface has changed its address since the start, or has lost it for a while.
     #[error(
         "the address of {interface} has changed from {before} to {now}: the DDS library is bound to the old one; \
          restart the node"
@@ -72,12 +72,12 @@ pub enum Error {
     /// The middleware refused or failed.
     #[error("cannot {action}: {reason}")]
     Middleware {
-        /// What was attempted.
+        /// The attempted action.
         action: String,
-        /// What the middleware said.
+        /// The middleware's error.
         reason: String,
     },
-    /// Bytes to publish that this middleware cannot send as they are.
+    /// Bytes that this middleware cannot send.
     #[error(
         "cannot publish on {topic}: expected little-endian CDR (0x0001), got 0x{representation:04x}"
     )]
@@ -87,7 +87,7 @@ pub enum Error {
         /// The first two bytes of the sample.
         representation: u16,
     },
-    /// An answer that does not fit into one datagram, which this middleware cannot send.
+    /// An answer larger than one datagram, which this middleware cannot send.
     #[error("cannot answer on {service}: {len} bytes, at most {largest} fit into one datagram")]
     AnswerTooLarge {
         /// The service.
@@ -97,7 +97,7 @@ pub enum Error {
         /// The largest that can be sent \[byte\].
         largest: usize,
     },
-    /// A message that is larger than any that this middleware carries.
+    /// A message larger than this middleware can send.
     #[error("cannot publish {topic}: {len} bytes, at most {largest} can be sent")]
     MessageTooLarge {
         /// The topic.
@@ -107,7 +107,7 @@ pub enum Error {
         /// The largest that can be sent \[byte\].
         largest: usize,
     },
-    /// The middleware has ended by itself.
+    /// The middleware has failed.
     #[error(
         "the DDS library has ended, as it does when its process is stopped and continued (SIGSTOP, Ctrl-Z, a \
          debugger): restart the node"
@@ -121,45 +121,45 @@ pub enum Error {
         "the task `{task}` has panicked: {message}; the node cannot continue: restart it, and report this"
     )]
     Panicked {
-        /// What the task does.
+        /// The purpose of the task.
         task: &'static str,
-        /// What it panicked with.
+        /// The panic's message.
         message: String,
     },
-    /// The system's clock was set back, which makes rustdds' best-effort readers deaf for as long.
+    /// The system's clock was set back; rustdds' best-effort readers receive nothing for that time.
     #[error(
         "the system's clock was set back by {by:.1?}: the DDS library would drop everything it receives for as long: \
          restart the node"
     )]
     ClockStepped {
-        /// How far.
+        /// By this much.
         by: std::time::Duration,
     },
     /// The context was closed, or the process is being shut down.
     #[error("{0} is over: the context is shut down")]
     ShutDown(String),
-    /// A goal of an action that is not taken on, or not known.
+    /// A goal of an action that is rejected or unknown.
     #[error("the goal {id} of {action}: {reason}")]
     Goal {
         /// The action.
         action: String,
         /// The goal.
         id: GoalId,
-        /// What is wrong with it.
+        /// The reason.
         reason: &'static str,
     },
     /// The operating system.
     #[error("cannot {action}: {reason}")]
     Io {
-        /// What was attempted.
+        /// The attempted action.
         action: String,
-        /// What the system said. No source, since the message has it.
+        /// The system's error. Not the `source`, since the message contains it.
         reason: std::io::Error,
     },
 }
 
 impl Error {
-    /// Whether what the user gave, arguments or parameters, is wrong, as opposed to what then failed.
+    /// Whether the cause is the user's arguments or parameters, not a later failure.
     #[must_use]
     pub fn is_usage(&self) -> bool {
         match self {

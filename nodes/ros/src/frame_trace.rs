@@ -1,8 +1,8 @@
-//! Where the time of a camera frame goes, from its capture to the predictions that it leads to.
+//! The latency of a camera frame by stage, from its capture to its predictions.
 //!
-//! Each node says which stages a frame has passed, and when, as log records at debug level with the frame's capture stamp.
-//! With `--log-level wm_ros.frame_trace:=debug` for all nodes, their records together are the way of every frame;
-//! `benches/frame.py` makes a table of them. Without it a stage costs one comparison.
+//! Each node logs the stages of a frame with their times, at debug level, by the frame's capture stamp. With
+//! `--log-level wm_ros.frame_trace:=debug` the records of all nodes trace every frame; `benches/frame.py` makes a table
+//! of them. Without it a stage costs one comparison.
 //!
 //! ```text
 //! [DEBUG] [1764013800.123456789] [wm.encoder]: picture decoded frame=1764013800120000000 step=0 at=1764013800123450000
@@ -20,7 +20,7 @@ pub fn passed(stage: &str, frame: Time) {
     step_passed(stage, frame, 0);
 }
 
-/// As [`passed`], at a moment that has gone by.
+/// As [`passed`], at an earlier moment.
 pub fn passed_at(stage: &str, frame: Time, at: Instant) {
     step_passed_at(stage, frame, 0, at);
 }
@@ -32,10 +32,10 @@ pub fn step_passed(stage: &str, frame: Time, step: u32) {
     }
 }
 
-/// As [`step_passed`], at a moment that has gone by.
+/// As [`step_passed`], at an earlier moment.
 pub fn step_passed_at(stage: &str, frame: Time, step: u32, at: Instant) {
     if is_on() {
-        // centuries do not fit into the type
+        // a difference of centuries overflows the type
         let ago = i64::try_from(at.elapsed().as_nanos()).unwrap_or(i64::MAX);
         note(stage, frame, step, system_nanos().saturating_sub(ago));
     }

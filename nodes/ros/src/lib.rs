@@ -1,8 +1,8 @@
 //! The ROS 2 runtime that the nodes share: command line, parameters, topics, services, actions, clock, logs,
 //! diagnostics.
 //!
-//! A node written with it is an ordinary ROS 2 node to every other: it takes `--ros-args`, shows up in `ros2 node
-//! list`, answers `ros2 param`, follows `/clock`, and publishes on `/rosout` and `/diagnostics`.
+//! A node written with it is an ordinary ROS 2 node: it accepts `--ros-args`, appears in `ros2 node list`, answers
+//! `ros2 param`, follows `/clock`, and publishes on `/rosout` and `/diagnostics`.
 //!
 //! ```no_run
 //! use wm_msgs::std_msgs;
@@ -24,26 +24,26 @@
 //! ```
 //!
 //! # Concepts
-//! - [`Context`]: the process's place in the graph, with one thread that receives for all its nodes.
+//! - [`Context`]: the process's participant in the graph, with one thread that receives for all its nodes.
 //! - [`Node`]: a name in the graph, which makes publishers, subscriptions, services, actions and parameters.
 //! - [`ActionServer`] and [`ActionClient`]: the two ends of an action; a [`ServerGoal`] is a goal under way.
 //! - [`parameters!`] and [`endpoints!`]: the parameters, topics, services and actions of a node, each declared once.
 //! - [`NodeProgram`]: the trait of a node, with a whole node as its example.
-//! - [`NodeDefinition`]: a node as data, from which come its command, its help and its parameter file.
-//! - [`Lifecycle`]: makes a node a managed one, which is configured and activated on request.
+//! - [`NodeDefinition`]: a node as data. Its command, its help and its parameter file are made from it.
+//! - [`Lifecycle`]: makes a node managed: it is configured and activated on request.
 //! - [`Shutdown`]: ends every `recv` on SIGINT and SIGTERM.
 //!
 //! # Promises
-//! - Nothing is lost in silence: queues have a named policy and count what they drop, samples that cannot be
-//!   decoded or never arrived are counted, and all of it is on `/diagnostics`.
-//! - Memory is bounded: subscriptions by their depth, reliable publishers by 512 samples (or their depth, if that is
-//!   more) and 64 MiB. A subscription that falls further behind loses the oldest; the others lose nothing.
+//! - No silent losses: queues have a named policy and count their drops; undecodable and missing samples are counted;
+//!   all counts are on `/diagnostics`.
+//! - Memory is bounded: subscriptions by their depth, reliable publishers by 512 samples (or their depth, if larger)
+//!   and 64 MiB. A subscription that lags further loses the oldest samples; the others lose none.
 //! - Messages between nodes of one [`Context`] are shared, not encoded.
-//! - Loopback unless asked otherwise; see [`Environment`].
+//! - Loopback by default; see [`Environment`].
 //!
 //! # Not here
-//! What the nodes compute; bags. The middleware's own types (ros2-client, rustdds) stay inside: another one slots
-//! in behind the private module `backend`.
+//! The nodes' computations; bags. The middleware's types (ros2-client, rustdds) stay private: another middleware can
+//! implement the private module `backend`.
 
 mod action;
 mod args;
@@ -71,6 +71,7 @@ mod program;
 mod publisher;
 mod qos;
 mod rcl_interfaces;
+mod remap;
 mod requests;
 mod run;
 mod service;
@@ -78,6 +79,7 @@ mod shutdown;
 mod subscription;
 mod type_description_interfaces;
 mod value;
+mod waiting_call;
 #[cfg(feature = "zenoh")]
 pub mod zenoh;
 
@@ -103,13 +105,14 @@ pub use parameters::{
 pub use program::{NodeProgram, Setup};
 pub use publisher::{Publisher, RawPublisher};
 pub use qos::{Durability, Qos, Reliability};
-pub use requests::{Arrival, RequestEndpoint, RequestSet, RequestSource, Requests, answer};
+pub use requests::{RequestEndpoint, RequestSet, RequestSource, Requests, answer};
 pub use run::{Component, run, run_together};
 pub use service::{Call, Client, RawCall, RawClient, RawService, Service};
 pub use shutdown::Shutdown;
 pub use subscription::{Gaps, PublisherId, RawSubscription, Received, Subscription};
 pub use wm_msgs::rcl_interfaces::Log;
 
-/// The namespace of all nodes of the suite, unless `__ns` says otherwise.
+/// The default namespace of all nodes of the suite.
 pub const NAMESPACE: &str = "/wm";
 pub use value::{Kind, ParameterType, Value};
+pub use waiting_call::Arrival;

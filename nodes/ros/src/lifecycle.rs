@@ -1,4 +1,4 @@
-//! Managed nodes: states, the services and the topic by which others see and change them, as rclcpp_lifecycle has it
+//! Managed nodes: their states, and the services and the topic that report and change them, as in rclcpp_lifecycle
 //! (<https://design.ros2.org/articles/node_lifecycle.html>).
 //!
 //! A node implements [`Managed`]: the values that it makes when it is configured and activated. [`Lifecycle`] makes and drops
@@ -10,7 +10,7 @@ mod services;
 mod state;
 mod transition;
 
-pub(crate) use gate::{Gate, Gated};
+pub(crate) use gate::{Gate, GatedEndpoint};
 pub use machine::{Machine, Refused};
 pub use state::State;
 pub use transition::{Outcome, Transition};
@@ -24,40 +24,40 @@ use std::{
 };
 use wm_msgs::lifecycle_msgs::{ChangeState, ChangeStateResponse, TransitionEvent};
 
-/// As rcl_lifecycle has it: the default of its publishers.
+/// The default of publishers in rcl_lifecycle.
 const EVENTS_QOS: Qos = Qos::reliable(10);
 
-/// How long a node that was shut down waits until everybody has received the news.
+/// How long a node waits at its shutdown until all subscribers have acknowledged the last transition.
 const FAREWELL: Duration = Duration::from_millis(500);
 
-/// What a node does in each transition.
+/// The work of a node in each transition.
 pub trait Managed {
-    /// What it holds from configure to cleanup: weights, publishers, subscriptions, services.
+    /// Its resources from configure to cleanup: weights, publishers, subscriptions, services.
     type Configured;
-    /// What it holds while it is active: history, work under way. Deactivating drops it.
+    /// Its state while active: history, work under way. Deactivating drops it.
     type Active;
-    /// What can go wrong.
+    /// Its errors.
     type Error: From<Error> + Display;
 
-    /// Loads what the work takes, and makes the endpoints. Those that are made by this handle of the node are silent
-    /// while the node is not active: publishers send nothing, subscriptions skip what arrives (a latched message is
-    /// delivered on activation), services made by [`Node::service_or_refuse`] refuse, action servers reject.
+    /// Loads the resources, and makes the endpoints. Endpoints made by this handle of the node are silent while the
+    /// node is not active: publishers send nothing, subscriptions skip samples (a latched message is delivered on
+    /// activation), services made by [`Node::service_or_refuse`] refuse, action servers reject.
     ///
     /// # Errors
-    /// Whatever keeps it from that; the node stays unconfigured.
+    /// Any error; the node stays unconfigured.
     fn configure(&self, node: &Node)
     -> impl Future<Output = Result<Self::Configured, Self::Error>>;
 
-    /// Starts fresh: nothing of an earlier activation remains.
+    /// Starts without state of an earlier activation.
     ///
     /// # Errors
-    /// Whatever keeps it from that; the node stays inactive.
+    /// Any error; the node stays inactive.
     fn activate(&self, configured: &Self::Configured) -> Result<Self::Active, Self::Error>;
 
-    /// Works, until the context is shut down. Deactivating drops this future where it waits.
+    /// Works until the context is shut down. Deactivating drops this future at an `await`.
     ///
     /// # Errors
-    /// An error after which the node cannot continue, and with which it ends.
+    /// An error that ends the node.
     fn run(
         &self,
         configured: &mut Self::Configured,
@@ -100,10 +100,10 @@ impl Lifecycle {
         })
     }
 
-    /// Lives until the context is shut down, or until a call requests the transition `shutdown`.
+    /// Runs the node until the context is shut down, or a call requests the transition `shutdown`.
     ///
     /// # Errors
-    /// What ended the node while it was active; and, where it started by itself, what kept it from that.
+    /// The error that ended the active node; with `autostart`, also an error of its start.
     pub async fn run<M: Managed>(mut self, managed: M) -> Result<(), M::Error> {
         let mut is_starting = self.autostart;
         'unconfigured: loop {
@@ -233,7 +233,7 @@ impl Lifecycle {
         Ok(())
     }
 
-    /// The node's own end, of which everybody who listens hears before it is gone.
+    /// Ends the node after its subscribers have acknowledged the last transition.
     async fn end(&self, request: TransitionRequest) -> Result<(), Error> {
         tracing::info!("shut down by ~/change_state");
         self.succeed(request)?;
@@ -244,7 +244,7 @@ impl Lifecycle {
 
     fn announce(&self, transition: &Transition) -> Result<(), Error> {
         self.events.publish(&TransitionEvent {
-            // A clock before 1970 has no such number.
+            // Times before 1970 have no such number.
             timestamp: u64::try_from(self.node.now().to_nanos()).unwrap_or(0),
             transition: transition.message(),
             start_state: transition.start.message(),

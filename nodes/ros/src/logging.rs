@@ -1,7 +1,7 @@
-//! Logs as ROS 2 writes them: `[INFO] [sec.nsec] [node]: text` on stderr, and the same record on `/rosout`.
+//! Logs in ROS 2's format: `[INFO] [sec.nsec] [node]: text` on stderr, and the same record on `/rosout`.
 //!
-//! Control characters are escaped and long records cut, since they hold what peers send. Nobody waits for the reader of
-//! stderr: where nobody reads it, the oldest lines are dropped and counted.
+//! Control characters are escaped and long records cut, since they contain text of peers. Logging never waits for the
+//! reader of stderr: without a reader, the oldest lines are dropped and counted.
 
 pub(crate) mod levels;
 mod outlet;
@@ -14,7 +14,7 @@ pub use printable::of_others;
 
 use crate::{
     NodeArgs,
-    backend::{WhenFull, Writer, Written},
+    backend::{WhenFull, WriteOutcome, Writer},
     clock::system_nanos,
     frame_trace,
     payload::Payload,
@@ -35,11 +35,11 @@ use tracing_subscriber::{
 };
 use wm_msgs::{builtin_interfaces::Time, cdr, rcl_interfaces::Log};
 
-/// The nodes of this process and where each writes its records.
+/// The nodes of this process and their publishers on `/rosout`.
 static NODES: Mutex<Vec<Arc<Rosout>>> = Mutex::new(Vec::new());
 
 thread_local! {
-    /// Whether this thread is writing to `/rosout`: what the middleware logs meanwhile must not go there too.
+    /// Whether this thread is publishing on `/rosout`: the middleware's records meanwhile must not go there too.
     static IS_WRITING: Cell<bool> = const { Cell::new(false) };
 }
 
@@ -47,11 +47,11 @@ thread_local! {
 pub(crate) struct Rosout {
     /// `wm.encoder`
     logger: String,
-    /// `None` where `--disable-rosout-logs` was given.
+    /// `None` with `--disable-rosout-logs`.
     writer: Option<Box<dyn Writer>>,
 }
 
-/// Takes a node's records off `/rosout` when it goes.
+/// Ends a node's records on `/rosout` when it is dropped.
 pub(crate) struct Registration(Arc<Rosout>);
 
 impl Drop for Registration {
@@ -61,7 +61,7 @@ impl Drop for Registration {
     }
 }
 
-/// From now on records of this node go to its `/rosout`.
+/// Publishes further records of this node on its `/rosout`.
 pub(crate) fn register(logger: String, writer: Option<Box<dyn Writer>>) -> Registration {
     let rosout = Arc::new(Rosout { logger, writer });
     NODES
@@ -71,19 +71,18 @@ pub(crate) fn register(logger: String, writer: Option<Box<dyn Writer>>) -> Regis
     Registration(rosout)
 }
 
-/// Sends the records of this process to stderr and `/rosout`, at the levels of the command line, until the service
-/// `~/set_logger_levels` changes them. The first call
-/// holds; where another subscriber is installed already, that one stays.
+/// Writes the records of this process to stderr and `/rosout`, at the levels of the command line, until the service
+/// `~/set_logger_levels` changes them. Only the first call has an effect; an installed subscriber stays.
 pub fn init(args: &NodeArgs) {
     let filter = levels::install(&args.log_levels);
     let subscriber = tracing_subscriber::registry().with(RosLayer.with_filter(filter));
     tracing::subscriber::set_global_default(subscriber).ok();
 }
 
-/// How long the end of a process waits for whoever reads its output.
+/// How long the end of a process waits for the reader of its output.
 const LAST_LINES: Duration = Duration::from_millis(500);
 
-/// Standard error, which nobody has to wait for: a line that its reader has no room for waits, and is dropped in the end.
+/// Standard error without blocking: lines wait in a queue if the pipe is full, and the oldest are dropped.
 #[must_use]
 pub fn stderr() -> Unblocked {
     Unblocked::new(&STDERR)
@@ -95,31 +94,32 @@ pub fn stdout() -> Unblocked {
     Unblocked::new(&STDOUT)
 }
 
-/// Prints the result of a node on standard output, and waits for its reader for half a second at most.
+/// Prints the result of a node on standard output, and waits at most half a second for its reader.
 pub fn print(text: impl std::fmt::Display) {
-    // where stdout is gone there is nobody to tell
+    // stdout is closed: no reader is left
     STDOUT.push(text.to_string().into_bytes()).ok();
     STDOUT.flush(LAST_LINES);
 }
 
-/// Says on standard error, as a line of its own, why the process ends, and waits for its reader for half a second at most.
+/// Prints the reason for the end of the process as a line on standard error, and waits at most half a second for its
+/// reader.
 pub fn last_words(text: impl std::fmt::Display) {
     STDERR.push(format!("{text}\n").into_bytes()).ok();
     STDERR.flush(LAST_LINES);
 }
 
-/// Waits, for half a second at most, until what was said is read.
+/// Waits at most half a second until all output is written.
 pub fn flush() {
     STDERR.flush(LAST_LINES);
     STDOUT.flush(LAST_LINES);
 }
 
-/// Lines that nobody read and that were dropped since this was last asked.
+/// Returns the number of lines dropped since the last call.
 pub(crate) fn take_dropped() -> u64 {
     STDERR.take_dropped() + STDOUT.take_dropped()
 }
 
-/// The node that a span belongs to.
+/// The node of a span.
 struct NodeOfSpan(String);
 
 struct RosLayer;
@@ -162,7 +162,7 @@ impl<S: Subscriber + for<'a> LookupSpan<'a>> Layer<S> for RosLayer {
             name(event.metadata().level()),
             seconds(stamp)
         );
-        // where stderr is gone there is nobody to tell
+        // stderr is closed: no reader is left
         STDERR.push(line.into_bytes()).ok();
         if event.metadata().target() != frame_trace::TARGET
             && let Some(Rosout {
@@ -177,7 +177,7 @@ impl<S: Subscriber + for<'a> LookupSpan<'a>> Layer<S> for RosLayer {
     }
 }
 
-/// The node whose span this is, or the only node of the process.
+/// The node of the event's span, or the only node of the process.
 fn rosout_of(logger: Option<&str>) -> Option<Arc<Rosout>> {
     let nodes = NODES.lock().unwrap_or_else(PoisonError::into_inner);
     match (logger, &nodes[..]) {
@@ -198,10 +198,10 @@ fn publish(writer: &dyn Writer, event: &Event<'_>, logger: &str, text: String, s
         function: metadata.module_path().unwrap_or_default().to_owned(),
         line: metadata.line().unwrap_or_default(),
     };
-    // A record that cannot be sent has been printed; reporting it would only make another.
+    // The record is printed already; reporting the failure would make another record.
     if let Ok(bytes) = cdr::to_bytes(&log) {
         let payload = Payload::Cdr(bytes.into());
-        let _: Result<Written, _> = writer.write(&payload, None, WhenFull::DropOldest);
+        let _: Result<WriteOutcome, _> = writer.write(&payload, None, WhenFull::DropOldest);
     }
 }
 

@@ -9,8 +9,8 @@ use std::{
 };
 use tokio::sync::Notify;
 
-/// A queue that holds at most `depth` items. Policy DropOldest: when full, the oldest item makes room, because in
-/// a live stream the newest says most; what is dropped is counted.
+/// A queue that holds at most `depth` items. Policy DropOldest: when full, the oldest item is dropped and counted,
+/// since in a live stream the newest matters most.
 #[derive(Debug)]
 pub(crate) struct Mailbox<T> {
     state: Mutex<State<T>>,
@@ -44,7 +44,7 @@ impl<T> Mailbox<T> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Puts an item in; `false` where the oldest was dropped for it.
+    /// Adds an item; `false` if the oldest was dropped for it.
     pub(crate) fn push(&self, item: T) -> bool {
         let mut state = self.state();
         let full = state.items.len() >= self.depth;
@@ -58,12 +58,12 @@ impl<T> Mailbox<T> {
         !full
     }
 
-    /// Takes the oldest item, if there is one.
+    /// Takes the oldest item, if any.
     pub(crate) fn try_pop(&self) -> Option<T> {
         self.state().items.pop_front()
     }
 
-    /// The result of `read` for the oldest item, which stays.
+    /// Returns the result of `read` for the oldest item, which stays in the queue.
     pub(crate) fn peek<R>(&self, read: impl FnOnce(&T) -> R) -> Option<R> {
         self.state().items.front().map(read)
     }
@@ -85,7 +85,7 @@ impl<T> Mailbox<T> {
         }
     }
 
-    /// Drops what waits. It was not wanted, so it is not counted.
+    /// Drops all items without counting them: they are no loss.
     pub(crate) fn clear(&self) {
         self.state().items.clear();
     }
@@ -122,7 +122,7 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever the order of writes and reads: the newest `depth` are kept, in order, and every other is counted.
+        /// For any order of writes and reads: the newest `depth` items are kept in order, and every other is counted.
         #[test]
         fn every_item_is_read_or_counted(depth in 1usize..5, operations in prop::collection::vec(any::<bool>(), 0..60)) {
             let mailbox = Mailbox::new(depth);

@@ -1,10 +1,10 @@
-//! Names of nodes, topics, services and types: their rules, and how a relative name becomes an absolute one.
+//! Names of nodes, topics, services and types: their rules, and the resolution of relative names.
 //!
 //! The rules: <https://design.ros2.org/articles/topic_and_service_names.html>.
 
 use crate::{
     Error,
-    args::{NodeArgs, Remap, Target},
+    remap::{Remap, Target},
 };
 use std::fmt;
 use wm_msgs::Action;
@@ -27,14 +27,11 @@ impl NodeName {
     pub(crate) fn new(
         default_base: &str,
         default_namespace: &str,
-        args: &NodeArgs,
+        remaps: &[Remap],
     ) -> Result<Self, Error> {
         let first = |target: &Target| {
             let is_match = |remap: &&Remap| remap.from == *target && remap.is_for(default_base);
-            args.remaps
-                .iter()
-                .find(is_match)
-                .map(|remap| remap.to.as_str())
+            remaps.iter().find(is_match).map(|remap| remap.to.as_str())
         };
         let base = first(&Target::Node).unwrap_or(default_base).to_owned();
         let namespace = first(&Target::Namespace).unwrap_or(default_namespace);
@@ -53,7 +50,7 @@ impl NodeName {
             fully_qualified,
             rules: Vec::new(),
         };
-        for remap in args.remaps.iter().filter(|remap| remap.is_for(&name.base)) {
+        for remap in remaps.iter().filter(|remap| remap.is_for(&name.base)) {
             if let Target::Name(from) = &remap.from {
                 let rule = (
                     name.expand(from, "remapping")?,
@@ -72,8 +69,8 @@ impl NodeName {
         Ok(rule.map_or(expanded, |(_, to)| to.clone()))
     }
 
-    /// The name of `name`'s sibling `name/suffix`: by a rule of its own, or beside what `name` is remapped to. A `name`
-    /// that is remapped to such a sibling itself, as `/front/image_raw/compressed`, is refused.
+    /// The name of `name`'s sibling `name/suffix`: by its own rule, or the sibling of the remapped `name`. A `name`
+    /// that is itself remapped to such a sibling, for example `/front/image_raw/compressed`, is refused.
     pub(crate) fn resolve_sibling(
         &self,
         name: &str,
@@ -159,7 +156,7 @@ fn invalid(name: &str, kind: &'static str, reason: &str) -> Error {
     }
 }
 
-/// A type's ROS name, `package/kind/Type`, taken apart.
+/// The parts of a type's ROS name, `package/kind/Type`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct TypeName {
     pub(crate) package: String,
@@ -167,8 +164,8 @@ pub(crate) struct TypeName {
     pub(crate) name: String,
 }
 
-/// What the type's definition is of. The types that rosidl makes of an action are the action's: the message
-/// `package/action/Type_FeedbackMessage`, the services `package/action/Type_SendGoal` and `_GetResult`.
+/// The kind of the type's definition. The types that rosidl generates for an action have the kind of the action: the
+/// message `package/action/Type_FeedbackMessage`, the services `package/action/Type_SendGoal` and `_GetResult`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum TypeKind {
     Message,
@@ -179,7 +176,7 @@ pub(crate) enum TypeKind {
 impl TypeKind {
     const ALL: [Self; 3] = [Self::Message, Self::Service, Self::Action];
 
-    /// As names of types and of files have it.
+    /// As in names of types and of files.
     pub(crate) const fn text(self) -> &'static str {
         match self {
             Self::Message => "msg",
@@ -208,7 +205,7 @@ impl TypeName {
         Self::new(package, TypeKind::Service, name)
     }
 
-    /// A type that rosidl makes of an action, `SendGoal` for example.
+    /// A type that rosidl generates for an action, `SendGoal` for example.
     pub(crate) fn of_action<A: Action>(part: &str) -> Self {
         Self::new(A::PACKAGE, TypeKind::Action, &format!("{}_{part}", A::NAME))
     }
@@ -221,12 +218,12 @@ impl TypeName {
         }
     }
 
-    /// Parses the type of a topic, `package/msg/Type` or one of an action; `package/Type` is taken too.
+    /// Parses the type of a topic, `package/msg/Type` or a message of an action; also accepts `package/Type`.
     pub(crate) fn parse_message(text: &str) -> Result<Self, Error> {
         Self::parse(text, TypeKind::Message)
     }
 
-    /// Parses the type of a service, `package/srv/Type` or one of an action; `package/Type` is taken too.
+    /// Parses the type of a service, `package/srv/Type` or a service of an action; also accepts `package/Type`.
     pub(crate) fn parse_service(text: &str) -> Result<Self, Error> {
         Self::parse(text, TypeKind::Service)
     }
@@ -252,10 +249,12 @@ impl TypeName {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::NodeArgs;
     use proptest::prelude::*;
 
     fn node(line: &str) -> Result<NodeName, Error> {
-        NodeName::new("encoder", "/wm", &NodeArgs::parse(line.split_whitespace())?)
+        let args = NodeArgs::parse(line.split_whitespace())?;
+        NodeName::new("encoder", "/wm", &args.remaps)
     }
 
     #[test]
@@ -292,7 +291,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_rule_that_matches_holds_and_rules_of_other_nodes_do_not() {
+    fn first_matching_rule_applies_and_other_nodes_rules_do_not() {
         let name =
             node("--ros-args -r decoder:latent:=/no -r latent:=/a -r /wm/latent:=/b -r /x:=y")
                 .unwrap();
@@ -302,7 +301,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sibling_goes_with_its_topic_unless_it_has_a_rule_of_its_own() {
+    fn sibling_follows_its_topic_unless_it_has_its_own_rule() {
         let compressed = |line: &str| {
             let name = node(line).unwrap();
             name.resolve_sibling("/camera/image_raw", "compressed", "topic")
@@ -320,7 +319,7 @@ mod tests {
         let to = "/front/image_raw/compressed";
         for line in [
             format!("--ros-args -r /camera/image_raw:={to}"),
-            // As a launch file has it that remaps both.
+            // As in a launch file that remaps both.
             format!(
                 "--ros-args -r /camera/image_raw:={to} -r /camera/image_raw/compressed:={to}/compressed"
             ),
@@ -371,7 +370,7 @@ mod tests {
     }
 
     proptest! {
-        /// What comes out is absolute and passes the rules again.
+        /// Resolved names are absolute and pass the rules again.
         #[test]
         fn a_resolved_name_is_absolute_and_stays(name in "[a-z_/~0-9]{0,12}") {
             let node = node("").unwrap();

@@ -1,4 +1,4 @@
-//! A node: its name in the graph, and everything that it makes there.
+//! A node: its name in the graph, and its endpoints there.
 
 mod actions;
 mod builtin;
@@ -27,11 +27,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 use tokio::task::AbortHandle;
 use wm_msgs::{Message, builtin_interfaces::Time};
 
-/// A ROS 2 node. Clones are handles on the same node, which leaves the graph with the last of them.
+/// A ROS 2 node. Clones are handles of the same node, which leaves the graph when the last one is dropped.
 #[derive(Clone)]
 pub struct Node {
     inner: Arc<Inner>,
-    /// What the endpoints that this handle makes heed.
+    /// The gate of the endpoints made by this handle.
     gate: Option<Gate>,
 }
 
@@ -43,11 +43,11 @@ struct Inner {
     diagnostics: Diagnostics,
     /// The types that the node uses.
     interfaces: Arc<Interfaces>,
-    /// Readers that serve for as long as the node lives: services with a handler, `/clock`.
+    /// Readers that live as long as the node: services with a handler, `/clock`.
     kept: Mutex<Vec<Box<dyn Reader>>>,
-    /// The one second beat of the diagnostics.
+    /// The task that publishes the diagnostics once a second.
     reporting: Mutex<Option<AbortHandle>>,
-    /// Its records go to `/rosout`.
+    /// Publishes its records on `/rosout`.
     rosout: Mutex<Option<logging::Registration>>,
 }
 
@@ -65,7 +65,7 @@ impl Node {
         default_namespace: &str,
         args: &NodeArgs,
     ) -> Result<Self, Error> {
-        let name = NodeName::new(default_name, default_namespace, args)?;
+        let name = NodeName::new(default_name, default_namespace, &args.remaps)?;
         context.backend().add_node(&name.namespace, &name.base)?;
         let inner = Inner {
             parameters: Arc::new(Parameters::new(&name.fully_qualified, &args.overrides)),
@@ -86,7 +86,7 @@ impl Node {
         Ok(node)
     }
 
-    /// The same node; the endpoints that this handle makes are silent while the gate is closed.
+    /// A handle of the same node; its endpoints are silent while the gate is closed.
     pub(crate) fn behind(&self, gate: &Gate) -> Self {
         Self {
             inner: Arc::clone(&self.inner),
@@ -94,7 +94,7 @@ impl Node {
         }
     }
 
-    /// The same node; the endpoints that this handle makes heed no gate.
+    /// A handle of the same node; its endpoints have no gate.
     fn ungated(&self) -> Self {
         Self {
             inner: Arc::clone(&self.inner),
@@ -122,7 +122,7 @@ impl Node {
         &self.inner.name.fully_qualified
     }
 
-    /// The absolute name that a topic or service has after namespace and remapping.
+    /// The absolute name of a topic or service, with namespace and remapping.
     ///
     /// # Errors
     /// A name that ROS does not allow.
@@ -130,8 +130,8 @@ impl Node {
         self.inner.name.resolve(name, "topic or service")
     }
 
-    /// The absolute name of the sibling `name/suffix`, as image_transport has it for `compressed`: where `name` is
-    /// remapped and the sibling is not, it goes with it.
+    /// The absolute name of the sibling `name/suffix`, as in image_transport for `compressed`: if only `name` is
+    /// remapped, its sibling follows.
     ///
     /// # Errors
     /// A name that ROS does not allow.
@@ -144,12 +144,12 @@ impl Node {
         self.inner.context.shutdown()
     }
 
-    /// Where the node counts what happens to it.
+    /// The node's diagnostics.
     pub fn diagnostics(&self) -> Diagnostics {
         self.inner.diagnostics.clone()
     }
 
-    /// The clock that the node goes by.
+    /// The node's clock.
     pub fn clock(&self) -> Clock {
         self.inner.clock.clone()
     }
@@ -159,7 +159,7 @@ impl Node {
         self.inner.clock.now()
     }
 
-    /// A span that makes log records of a process with several nodes this node's: `future.instrument(node.span())`.
+    /// A span that assigns log records to this node in a process of several nodes: `future.instrument(node.span())`.
     pub fn span(&self) -> tracing::Span {
         tracing::error_span!("node", node = self.inner.name.logger())
     }
@@ -167,7 +167,7 @@ impl Node {
 
 /// Parameters.
 impl Node {
-    /// Declares a parameter. Its value is the one that the command line or a parameter file gives, or the default.
+    /// Declares a parameter. Its value comes from the command line, a parameter file, or the default.
     ///
     /// # Errors
     /// The value given has a different type or is out of range, or the parameter is declared already.
@@ -187,20 +187,20 @@ impl Node {
         ))
     }
 
-    /// To be called after the last declaration: a value that was given for no declared parameter is an error. One
-    /// from a section that other nodes share (`/**`) is only warned of.
+    /// Call it after the last declaration: a value for an undeclared parameter is an error, or a warning if it comes
+    /// from a section that other nodes share (`/**`).
     ///
     /// # Errors
-    /// Names the parameter, where it came from, and the parameters that there are.
+    /// Names the parameter, the source of the value, and the declared parameters.
     pub fn seal_parameters(&self) -> Result<(), Error> {
         self.check_parameters(false)
     }
 
-    /// To be called once all endpoints are made: a `qos_overrides` that none of them took is an error, one from a
-    /// section that other nodes share (`/**`) a warning. A managed node is asked when it has been configured.
+    /// Call it after all endpoints are made: an unused `qos_overrides` is an error, or a warning if it comes from a
+    /// section that other nodes share (`/**`). For a managed node, call it after its configuration.
     ///
     /// # Errors
-    /// Names the override, where it came from, and the parameters that there are.
+    /// Names the override, the source of the value, and the declared parameters.
     pub fn seal_endpoints(&self) -> Result<(), Error> {
         self.check_parameters(true)
     }
@@ -224,7 +224,7 @@ impl Node {
         Ok(self.inner.parameters.get_typed(name)?)
     }
 
-    /// Changes a parameter, under the rules that hold for everybody.
+    /// Changes a parameter, under the same rules as the parameter services.
     ///
     /// # Errors
     /// Not declared, read-only, of a different type, out of range, or refused by a check of [`on_set`](Self::on_set).
@@ -235,7 +235,7 @@ impl Node {
             .set(vec![(name.to_owned(), value.into_value())])?)
     }
 
-    /// Asks `check` before any change of parameters; what it refuses is not made. It must not change parameters.
+    /// Calls `check` before each change of parameters; an error refuses the change. It must not change parameters.
     pub fn on_set(
         &self,
         check: impl Fn(&[(String, Value)]) -> Result<(), String> + Send + Sync + 'static,
@@ -297,12 +297,12 @@ impl Node {
         topic: &str,
         qos: Qos,
     ) -> Result<Subscription<M>, Error> {
-        self.subscribe_typed(topic, qos, Hears::default())
+        self.subscribe_typed(topic, qos, Coverage::NEW)
     }
 
-    /// As [`subscription`](Self::subscription), and the latched samples of publishers that latch (durability transient
-    /// local) are received too: for messages that are valid until the next one, as a goal. Publishers that do not latch
-    /// are connected as well, unlike with [`Qos::latched`].
+    /// As [`subscription`](Self::subscription), and it also receives latched samples (durability transient local): for
+    /// messages that are valid until the next one, for example goals. Unlike with [`Qos::latched`], volatile publishers
+    /// are connected too.
     ///
     /// # Errors
     /// A name that ROS does not allow, or the middleware failed.
@@ -311,18 +311,11 @@ impl Node {
         topic: &str,
         qos: Qos,
     ) -> Result<Subscription<M>, Error> {
-        self.subscribe_typed(
-            topic,
-            qos,
-            Hears {
-                latched: true,
-                ..Hears::default()
-            },
-        )
+        self.subscribe_typed(topic, qos, Coverage::LATCHED)
     }
 
-    /// As [`subscription_catching_up`](Self::subscription_catching_up), and best-effort publishers are connected as well:
-    /// for messages that must arrive with any quality of service of their publisher, as an emergency stop.
+    /// As [`subscription_catching_up`](Self::subscription_catching_up), and best-effort publishers are connected too:
+    /// for messages that must arrive with any quality of service of their publisher, for example an emergency stop.
     ///
     /// # Errors
     /// A name that ROS does not allow, or the middleware failed.
@@ -331,25 +324,17 @@ impl Node {
         topic: &str,
         qos: Qos,
     ) -> Result<Subscription<M>, Error> {
-        self.subscribe_typed(
-            topic,
-            qos,
-            Hears {
-                latched: true,
-                best_effort: true,
-                ..Hears::default()
-            },
-        )
+        self.subscribe_typed(topic, qos, Coverage::ANY)
     }
 
     fn subscribe_typed<M: Message>(
         &self,
         topic: &str,
         qos: Qos,
-        hears: Hears,
+        coverage: Coverage,
     ) -> Result<Subscription<M>, Error> {
         self.inner.interfaces.message::<M>();
-        let raw = self.subscribe(topic, type_of::<M>(), qos, hears)?;
+        let raw = self.subscribe(topic, type_of::<M>(), qos, coverage)?;
         Ok(Subscription::new(raw))
     }
 
@@ -363,8 +348,12 @@ impl Node {
         type_name: &str,
         qos: Qos,
     ) -> Result<RawSubscription, Error> {
-        let type_name = TypeName::parse_message(type_name)?;
-        self.subscribe(topic, type_name, qos, Hears::default())
+        self.subscribe(
+            topic,
+            TypeName::parse_message(type_name)?,
+            qos,
+            Coverage::NEW,
+        )
     }
 
     /// As [`subscription_catching_up`](Self::subscription_catching_up), of any type, `package/msg/Type`, as CDR bytes.
@@ -377,11 +366,12 @@ impl Node {
         type_name: &str,
         qos: Qos,
     ) -> Result<RawSubscription, Error> {
-        let hears = Hears {
-            latched: true,
-            ..Hears::default()
-        };
-        self.subscribe(topic, TypeName::parse_message(type_name)?, qos, hears)
+        self.subscribe(
+            topic,
+            TypeName::parse_message(type_name)?,
+            qos,
+            Coverage::LATCHED,
+        )
     }
 
     /// As [`subscription_to_any`](Self::subscription_to_any), of any type, `package/msg/Type`, as CDR bytes.
@@ -394,16 +384,16 @@ impl Node {
         type_name: &str,
         qos: Qos,
     ) -> Result<RawSubscription, Error> {
-        let hears = Hears {
-            latched: true,
-            best_effort: true,
-            ..Hears::default()
-        };
-        self.subscribe(topic, TypeName::parse_message(type_name)?, qos, hears)
+        self.subscribe(
+            topic,
+            TypeName::parse_message(type_name)?,
+            qos,
+            Coverage::ANY,
+        )
     }
 
-    /// As [`raw_subscription`](Self::raw_subscription), but it does not hear what this context publishes: for a
-    /// program that carries a topic both ways.
+    /// As [`raw_subscription`](Self::raw_subscription), but without the samples of this context: for a program
+    /// that carries a topic both ways.
     ///
     /// # Errors
     /// A name that ROS does not allow, or the middleware failed.
@@ -413,11 +403,12 @@ impl Node {
         type_name: &str,
         qos: Qos,
     ) -> Result<RawSubscription, Error> {
-        let hears = Hears {
-            own: false,
-            ..Hears::default()
-        };
-        self.subscribe(topic, TypeName::parse_message(type_name)?, qos, hears)
+        self.subscribe(
+            topic,
+            TypeName::parse_message(type_name)?,
+            qos,
+            Coverage::OTHERS,
+        )
     }
 
     fn subscribe(
@@ -425,7 +416,7 @@ impl Node {
         topic: &str,
         type_name: TypeName,
         qos: Qos,
-        hears: Hears,
+        coverage: Coverage,
     ) -> Result<RawSubscription, Error> {
         let name = self.inner.name.resolve(topic, "topic")?;
         let qos = overrides::apply(
@@ -444,15 +435,15 @@ impl Node {
         );
         let type_text = type_name.to_string();
         let (latched, best_effort) = (
-            hears.latched && qos.durability == Durability::Volatile,
-            hears.best_effort && qos.reliability == Reliability::Reliable,
+            coverage.latched && qos.durability == Durability::Volatile,
+            coverage.best_effort && qos.reliability == Reliability::Reliable,
         );
         let endpoint = Endpoint {
             channel: Channel::Topic,
             name,
             type_name,
             qos,
-            hears_own: hears.own,
+            receives_own: coverage.own,
             has_siblings: best_effort,
         };
         let (backend, node) = (self.inner.backend(), self.fully_qualified_name());
@@ -487,25 +478,35 @@ impl Node {
     }
 }
 
-/// What a subscription hears beside what others publish from now on.
+/// The publications that a subscription receives.
 #[derive(Clone, Copy)]
-struct Hears {
-    /// What this context publishes.
+struct Coverage {
+    /// Those of this context.
     own: bool,
-    /// What was latched before.
+    /// Latched samples that are older than the subscription.
     latched: bool,
-    /// Best-effort publishers, although it requests reliable.
+    /// Those of best-effort publishers, although the subscription requests reliable.
     best_effort: bool,
 }
 
-impl Default for Hears {
-    fn default() -> Self {
-        Self {
-            own: true,
-            latched: false,
-            best_effort: false,
-        }
-    }
+impl Coverage {
+    const NEW: Self = Self {
+        own: true,
+        latched: false,
+        best_effort: false,
+    };
+    const LATCHED: Self = Self {
+        latched: true,
+        ..Self::NEW
+    };
+    const ANY: Self = Self {
+        best_effort: true,
+        ..Self::LATCHED
+    };
+    const OTHERS: Self = Self {
+        own: false,
+        ..Self::NEW
+    };
 }
 
 impl Inner {
@@ -525,7 +526,7 @@ impl Inner {
             name: name.to_owned(),
             type_name,
             qos,
-            hears_own: true,
+            receives_own: true,
             has_siblings: false,
         };
         self.backend().writer(&self.name.fully_qualified, &endpoint)

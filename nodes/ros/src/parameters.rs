@@ -1,5 +1,5 @@
-//! Parameters: declared by a node with a type, a description and a range; given by the command line and files;
-//! changed by the parameter services. One rule for all of them: a value that does not fit is refused, by name.
+//! Parameters: declared by a node with type, description and range; set by the command line and files; changed by the
+//! parameter services. An invalid value is always refused, with the parameter's name.
 
 mod declaration;
 mod descriptor;
@@ -24,7 +24,7 @@ use std::{
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ParameterError {
-    /// Nobody declared it.
+    /// It is not declared.
     #[error(
         "{node} has no parameter `{parameter}`{}; it has: {known}",
         from(origin)
@@ -34,9 +34,9 @@ pub enum ParameterError {
         node: Box<str>,
         /// The parameter.
         parameter: Box<str>,
-        /// Where the value came from; empty for the services and the program.
+        /// The source of the value; empty for the services and the program.
         origin: Box<str>,
-        /// The parameters that there are.
+        /// The declared parameters.
         known: Box<str>,
     },
     /// The value has a different type.
@@ -48,9 +48,9 @@ pub enum ParameterError {
         parameter: Box<str>,
         /// Its type.
         expected: Kind,
-        /// The value that came.
+        /// The value.
         got: Value,
-        /// Where it came from.
+        /// The source of the value.
         origin: Box<str>,
     },
     /// The value lies outside of the range.
@@ -65,12 +65,12 @@ pub enum ParameterError {
         parameter: Box<str>,
         /// Its range.
         expected: Range,
-        /// The value that came.
+        /// The value.
         got: Value,
-        /// Where it came from.
+        /// The source of the value.
         origin: Box<str>,
     },
-    /// The text is none of those that are allowed.
+    /// The text is not allowed.
     #[error(
         "{node}: parameter `{parameter}` expects {expected}, got {got}{}",
         from(origin)
@@ -80,11 +80,11 @@ pub enum ParameterError {
         node: Box<str>,
         /// The parameter.
         parameter: Box<str>,
-        /// The texts that are allowed, in words.
+        /// The allowed texts, as a list.
         expected: Box<str>,
-        /// The value that came.
+        /// The value.
         got: Value,
-        /// Where it came from.
+        /// The source of the value.
         origin: Box<str>,
     },
     /// It is fixed once the node runs.
@@ -103,18 +103,18 @@ pub enum ParameterError {
         /// The parameter.
         parameter: Box<str>,
     },
-    /// The node itself refused the change.
+    /// A check of the node refused the change.
     #[error("{node} refuses the change: {reason}")]
     Refused {
         /// The node's full name.
         node: Box<str>,
-        /// What the node said.
+        /// The node's reason.
         reason: Box<str>,
     },
 }
 
 impl ParameterError {
-    /// Whether a value was given, when the node was started, that it cannot take.
+    /// Whether the cause is a value given at the start of the node.
     pub(crate) fn is_usage(&self) -> bool {
         matches!(
             self,
@@ -134,12 +134,12 @@ fn from(origin: &str) -> String {
     }
 }
 
-/// What looks at a change before it is made, and may refuse it.
+/// Checks a change before it is made, and may refuse it.
 type Check = Box<dyn Fn(&[(String, Value)]) -> Result<(), String> + Send + Sync>;
-/// What hears of a change after it is made.
+/// Receives each change after it is made.
 type Observer = Box<dyn Fn(&Change) + Send + Sync>;
 
-/// A change that was made.
+/// A completed change.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Change {
     pub(crate) values: Vec<(String, Value)>,
@@ -156,16 +156,16 @@ struct Entry {
 /// The parameters of one node.
 pub(crate) struct Parameters {
     node: Box<str>,
-    /// What files and the command line give; the last one for a name holds.
+    /// The values from files and the command line; the last one for a name applies.
     overrides: Vec<Override>,
     entries: Mutex<BTreeMap<String, Entry>>,
     checks: Mutex<Vec<Check>>,
     observers: Mutex<Vec<Observer>>,
-    /// One change at a time, from its check to its observers, so that both see changes in one order.
+    /// Serialises changes from check to observers, so that both get them in the same order.
     changing: Mutex<()>,
 }
 
-/// A panic while a lock was held leaves whole entries behind, never half of one.
+/// A panic under a lock leaves only complete entries.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -200,7 +200,7 @@ impl Parameters {
             .filter_map(move |given| Some((given.name.strip_prefix(prefix)?, &given.value)))
     }
 
-    /// Declares a parameter: its value is the one given for it, or else the default.
+    /// Declares a parameter: its value is the given one, or the default.
     pub(crate) fn declare(
         &self,
         name: &str,
@@ -237,9 +237,9 @@ impl Parameters {
         Ok(value)
     }
 
-    /// Values that were given for parameters that nobody declared: the first is an error, unless several nodes may
-    /// share it; those come back, to be warned of. QoS overrides are declared by the endpoints that take them: they are
-    /// looked at where `has_endpoints`, and nothing else is.
+    /// Checks the values given for undeclared parameters: the first is an error. Values that several nodes may share
+    /// are returned, for a warning. Endpoints declare their QoS overrides: with `has_endpoints` only these are checked,
+    /// without it only the others.
     pub(crate) fn check_all_declared(
         &self,
         has_endpoints: bool,
@@ -319,7 +319,7 @@ impl Parameters {
         Ok(())
     }
 
-    /// The value in the parameter's type and range, or why not.
+    /// The value in the parameter's type and range.
     fn fit(
         &self,
         name: &str,
@@ -405,11 +405,11 @@ impl Parameters {
     }
 }
 
-/// A declared parameter; [`get`](Self::get) gives its value of the moment.
+/// A declared parameter; [`get`](Self::get) returns its current value.
 #[derive(Clone)]
 pub struct Parameter<T> {
     name: String,
-    /// The value at the declaration, should the entry be missing: entries are never removed, so it is not used.
+    /// The value at the declaration, a fallback that is never used: entries are not removed.
     declared: T,
     parameters: Arc<Parameters>,
     of: PhantomData<T>,
@@ -430,7 +430,7 @@ impl<T: ParameterType> Parameter<T> {
         &self.name
     }
 
-    /// The value of the moment.
+    /// The current value.
     pub fn get(&self) -> T {
         self.parameters
             .get_typed(&self.name)
@@ -438,8 +438,8 @@ impl<T: ParameterType> Parameter<T> {
     }
 }
 
-/// Whether a name is that of a QoS override, which is read where the endpoint is made:
-/// `qos_overrides.<topic>.<publisher|subscription>.<policy>`.
+/// Whether a name is that of a QoS override, `qos_overrides.<topic>.<publisher|subscription>.<policy>`; its endpoint
+/// reads it.
 fn is_qos_override(name: &str) -> bool {
     let Some((rest, policy)) = name
         .strip_prefix("qos_overrides.")

@@ -1,4 +1,4 @@
-//! What a sample carries: CDR bytes, or a message of this process that nobody has needed as bytes so far.
+//! The content of a sample: CDR bytes, or a message of this process that is not encoded yet.
 
 use bytes::Bytes;
 use std::{
@@ -16,11 +16,11 @@ use wm_msgs::{
 pub(crate) enum Payload {
     /// CDR with its 4-byte header.
     Cdr(Bytes),
-    /// A message that was published in this process.
+    /// A message published in this process.
     Message(Arc<Encodable>),
 }
 
-/// A message that is encoded when its bytes are first asked for, and only once.
+/// A message that is encoded at the first request for its bytes, and only once.
 pub(crate) struct Encodable {
     message: Arc<dyn Any + Send + Sync>,
     encode: fn(&(dyn Any + Send + Sync)) -> Result<Vec<u8>, CdrError>,
@@ -28,7 +28,7 @@ pub(crate) struct Encodable {
 }
 
 impl Payload {
-    /// A message to be handed over as it is within this process.
+    /// A message that is passed on unencoded within this process.
     pub(crate) fn of<M: Message>(message: Arc<M>) -> Self {
         Self::Message(Arc::new(Encodable {
             message,
@@ -50,7 +50,7 @@ impl Payload {
         self.cdr()
     }
 
-    /// The message, decoded unless it is an `M` of this process. It is the only one left where nobody else holds it.
+    /// The message, decoded unless it is an `M` of this process.
     pub(crate) fn into_message<M: Message>(self) -> Result<Arc<M>, CdrError> {
         if let Self::Message(shared) = &self
             && let Ok(message) = Arc::clone(&shared.message).downcast()
@@ -60,7 +60,7 @@ impl Payload {
         cdr::from_bytes(&self.cdr()?).map(Arc::new)
     }
 
-    /// Size of the CDR bytes \[byte\], where there are any so far.
+    /// Size of the CDR bytes \[byte\], if the message is encoded.
     pub(crate) fn encoded_len(&self) -> Option<usize> {
         match self {
             Self::Cdr(bytes) => Some(bytes.len()),
@@ -112,7 +112,7 @@ mod tests {
         let bytes = payload.cdr().unwrap();
         assert_eq!(bytes, cdr::to_bytes(&*message).unwrap());
         assert_eq!(payload.clone().cdr().unwrap().as_ptr(), bytes.as_ptr());
-        // who asks for another type gets the bytes decoded, or an error
+        // another type is decoded from the bytes, or an error
         assert!(payload.into_message::<std_msgs::Bool>().is_err());
     }
 }

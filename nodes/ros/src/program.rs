@@ -1,4 +1,4 @@
-//! The trait of a node, and the frame that runs it: arguments, parameters, topics, lifecycle and an orderly end.
+//! The trait of a node, and the code that runs it: arguments, parameters, topics, lifecycle and an orderly end.
 
 use crate::{
     EndpointSet, Error, Lifecycle, Managed, NAMESPACE, Node, NodeArgs, NodeDefinition, ParameterSet,
@@ -6,11 +6,11 @@ use crate::{
 use futures::future::{FutureExt as _, LocalBoxFuture};
 use std::{fmt::Display, process::ExitCode, sync::Arc};
 
-/// A node. The type itself is what the node holds while it works.
+/// A node. The type itself is the node's state while it works.
 ///
-/// The frame calls [`check`](Self::check), [`load`](Self::load), [`activate`](Self::activate) and [`run`](Self::run) in this
-/// order. Topics and services exist after `load`. Of a managed node ([`IS_MANAGED`](Self::IS_MANAGED)), its lifecycle calls
-/// `load` at each configuration, and `activate` and `run` at each activation.
+/// The runtime calls [`check`](Self::check), [`load`](Self::load), [`activate`](Self::activate) and [`run`](Self::run)
+/// in this order. Topics and services exist after `load`. The lifecycle of a managed node
+/// ([`IS_MANAGED`](Self::IS_MANAGED)) calls `load` at each configuration, and `activate` and `run` at each activation.
 ///
 /// A whole node in one file:
 ///
@@ -104,7 +104,7 @@ use std::{fmt::Display, process::ExitCode, sync::Arc};
 pub trait NodeProgram: Sized + 'static {
     /// The node's default name, and its command's.
     const NAME: &'static str;
-    /// What it does, in one line.
+    /// Its purpose, in one line.
     const ABOUT: &'static str;
     /// Whether it has a [`Lifecycle`].
     const IS_MANAGED: bool = false;
@@ -116,7 +116,7 @@ pub trait NodeProgram: Sized + 'static {
     type Parameters: ParameterSet + 'static;
     /// Its topics, services and actions. Made by [`endpoints!`](crate::endpoints).
     type Endpoints: EndpointSet + 'static;
-    /// What it loads before its topics exist: a model, a bag, a simulator. `()` for most.
+    /// Resources loaded before its topics exist: a model, a bag, a simulator. `()` for most nodes.
     type Resources: 'static;
     /// An error that ends it.
     type Error: From<Error> + Display + 'static;
@@ -129,10 +129,10 @@ pub trait NodeProgram: Sized + 'static {
         Ok(())
     }
 
-    /// Loads what the work needs. Blocking work belongs into `spawn_blocking`.
+    /// Loads the resources. Blocking work belongs into `spawn_blocking`.
     ///
     /// # Errors
-    /// Names what is missing or wrong.
+    /// Names the missing or invalid resource.
     fn load(
         node: &Node,
         parameters: &Arc<Self::Parameters>,
@@ -141,29 +141,29 @@ pub trait NodeProgram: Sized + 'static {
     /// Starts with an empty history.
     ///
     /// # Errors
-    /// Whatever prevents that. A managed node stays inactive then.
+    /// Any error. A managed node then stays inactive.
     fn activate(at: &Setup<Self>) -> Result<Self, Self::Error>;
 
-    /// Works until the shutdown, at which every `recv` returns `None`, or until its own end. Deactivating a managed node
-    /// drops this future where it waits.
+    /// Works until the shutdown, at which every `recv` returns `None`, or until its own end. Deactivating a managed
+    /// node drops this future at an `await`.
     ///
     /// # Errors
-    /// An error after which the node cannot continue, and with which it ends. Bad input is not such an error.
+    /// An error that ends the node. Bad input is not such an error.
     fn run(&mut self, at: &mut Setup<Self>) -> impl Future<Output = Result<(), Self::Error>>;
 
     /// The end of a node that [runs alone](Self::RUNS_ALONE), after it has left the graph: closes a bag, writes a report.
     /// It is also called if `run` failed, or did not return in time after a signal.
     ///
     /// # Errors
-    /// The error of `run`, and those of its own.
+    /// The error of `run`, or its own.
     fn finish(self, ended: Result<(), Self::Error>) -> Result<ExitCode, Self::Error> {
         ended.map(|()| ExitCode::SUCCESS)
     }
 }
 
-/// What a node works with.
+/// The node, its parameters, resources and endpoints.
 pub struct Setup<N: NodeProgram> {
-    /// The node; endpoints that are made by this handle are silent while a managed node is inactive.
+    /// The node; endpoints made by this handle are silent while a managed node is inactive.
     pub node: Node,
     /// Its parameters.
     pub parameters: Arc<N::Parameters>,

@@ -2,7 +2,7 @@
 
 use crate::{
     Diagnostics, Error, Shutdown,
-    backend::{Audience, Backend, WhenFull, Writer, Written},
+    backend::{Audience, Backend, WhenFull, WriteOutcome, Writer},
     lifecycle::Gate,
     payload::Payload,
 };
@@ -17,13 +17,13 @@ use std::{
 };
 use wm_msgs::{Message, cdr};
 
-/// Above this size \[byte\] a sample does not reliably reach a stock ROS 2 machine: it arrives as one burst of
-/// fragments, which a default receive buffer of 212 kB loses part of.
+/// Larger samples \[byte\] do not reliably reach a stock ROS 2 machine: they arrive as one burst of fragments, and a
+/// default receive buffer of 212 kB drops some.
 const SAFE_SAMPLE_BYTES: usize = 98_000;
 
-/// A publisher that waits for its readers gives up on those that have not caught up after this time.
+/// A publisher that waits for its readers stops waiting for slow ones after this time.
 const PATIENCE_WITH_READERS: Duration = Duration::from_secs(5);
-/// Room in a full window is looked for again after this time.
+/// The interval between checks of a full window.
 const RETRY: Duration = Duration::from_millis(10);
 
 /// The sending end of a topic, for messages of any type as CDR bytes. A managed node that is not active sends nothing.
@@ -40,7 +40,7 @@ struct Inner {
     shutdown: Shutdown,
     dropped: AtomicU64,
     has_warned_of_size: AtomicBool,
-    /// Of a managed node.
+    /// The gate of a managed node.
     gate: Option<Gate>,
 }
 
@@ -70,8 +70,7 @@ impl RawPublisher {
     }
 
     /// Publishes a sample: little-endian CDR with its 4-byte header. Never blocks. Policy DropOldest: a reliable
-    /// subscription that has fallen too far behind loses its oldest samples, and they are counted; the others get
-    /// every sample.
+    /// subscription that lags too far loses its oldest samples, which are counted; the others get every sample.
     ///
     /// # Errors
     /// The bytes are not little-endian CDR, or the middleware failed.
@@ -85,9 +84,9 @@ impl RawPublisher {
         }
         let written = self.inner.writer.write(payload, None, WhenFull::DropOldest);
         match written? {
-            Written::Sent { dropped, .. } => self.sent(payload, dropped),
-            Written::Held => self.sent(payload, 0),
-            Written::WindowFull => self.count_drops(1),
+            WriteOutcome::Sent { dropped, .. } => self.sent(payload, dropped),
+            WriteOutcome::Held => self.sent(payload, 0),
+            WriteOutcome::WindowFull => self.count_drops(1),
         }
         Ok(())
     }
@@ -120,9 +119,9 @@ impl RawPublisher {
         inner.diagnostics.count_drops(&reason, number);
     }
 
-    /// Publishes a sample, waiting until subscriptions that have fallen behind have caught up. Policy Block, for at
-    /// most 5 s: then the slow ones lose their oldest samples, and they are counted. A shutdown ends the wait; the
-    /// sample is then dropped and counted.
+    /// Waits until lagging subscriptions have caught up, then publishes a sample. Policy Block, for at most 5 s: then
+    /// the slow subscriptions lose their oldest samples, which are counted. A shutdown ends the wait; the sample is
+    /// then dropped and counted.
     ///
     /// # Errors
     /// As [`publish`](Self::publish).
@@ -140,15 +139,15 @@ impl RawPublisher {
         let mut when_full = WhenFull::Refuse;
         loop {
             match inner.writer.write(payload, None, when_full)? {
-                Written::Sent { dropped, .. } => {
+                WriteOutcome::Sent { dropped, .. } => {
                     self.sent(payload, dropped);
                     return Ok(());
                 }
-                Written::Held => {
+                WriteOutcome::Held => {
                     self.sent(payload, 0);
                     return Ok(());
                 }
-                Written::WindowFull => {}
+                WriteOutcome::WindowFull => {}
             }
             tokio::select! {
                 acknowledged = inner.writer.acknowledged() => acknowledged?,
@@ -186,12 +185,12 @@ impl RawPublisher {
         &self.inner.topic
     }
 
-    /// Samples dropped so far for subscriptions that were behind, each counted once for each of them.
+    /// Number of samples dropped for lagging subscriptions, each counted once per subscription.
     pub fn dropped(&self) -> u64 {
         self.inner.dropped.load(Ordering::Relaxed)
     }
 
-    /// How many subscriptions are connected.
+    /// The number of connected subscriptions.
     pub fn subscribers(&self) -> usize {
         self.inner.backend.matched(&self.inner.writer.id())
     }
@@ -206,7 +205,7 @@ impl RawPublisher {
         }
     }
 
-    /// Waits until every connected reliable subscription has everything, at most for `timeout`; whether it has.
+    /// Waits until every connected reliable subscription has acknowledged all samples; `false` after `timeout`.
     ///
     /// # Errors
     /// The middleware failed.
@@ -259,7 +258,7 @@ impl<M: Message> Publisher<M> {
         }
     }
 
-    /// What to send of a message; `None` where nobody would get it.
+    /// The payload for a message; `None` without receivers.
     fn payload(&self, message: &M) -> Result<Option<Payload>, Error> {
         let inner = &*self.raw.inner;
         Ok(match inner.writer.audience() {
@@ -274,7 +273,7 @@ impl<M: Message> Publisher<M> {
         })
     }
 
-    /// Publishes a message without copying it: subscriptions of this context get the very same one.
+    /// Publishes a message without a copy: subscriptions of this context get the same `Arc`.
     ///
     /// # Errors
     /// As [`publish`](Self::publish).
@@ -282,7 +281,7 @@ impl<M: Message> Publisher<M> {
         self.raw.publish_payload(&Payload::of(message))
     }
 
-    /// Publishes a message, waiting until subscriptions that have fallen behind have caught up; see
+    /// Waits until lagging subscriptions have caught up, then publishes a message; see
     /// [`RawPublisher::publish_when_ready`].
     ///
     /// # Errors
@@ -299,12 +298,12 @@ impl<M: Message> Publisher<M> {
         self.raw.topic()
     }
 
-    /// Messages dropped so far for subscriptions that were behind, each counted once for each of them.
+    /// Number of messages dropped for lagging subscriptions, each counted once per subscription.
     pub fn dropped(&self) -> u64 {
         self.raw.dropped()
     }
 
-    /// How many subscriptions are connected.
+    /// The number of connected subscriptions.
     pub fn subscribers(&self) -> usize {
         self.raw.subscribers()
     }
@@ -314,7 +313,7 @@ impl<M: Message> Publisher<M> {
         self.raw.wait_for_subscribers(number).await;
     }
 
-    /// Waits until every connected reliable subscription has everything, at most for `timeout`; whether it has.
+    /// Waits until every connected reliable subscription has acknowledged all samples; `false` after `timeout`.
     ///
     /// # Errors
     /// The middleware failed.

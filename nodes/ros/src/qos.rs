@@ -1,20 +1,20 @@
-//! Quality of service: what a publisher offers and a subscription asks for.
+//! Quality of service, offered by publishers and requested by subscriptions.
 
 use std::fmt;
 
 /// Delivery guarantee.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reliability {
-    /// Samples may be lost; nobody waits for them.
+    /// Samples may be lost.
     BestEffort,
     /// Lost samples are sent again.
     Reliable,
 }
 
-/// What a late subscriber gets.
+/// The samples that a late subscriber gets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Durability {
-    /// Only what is published from now on.
+    /// Only new samples.
     Volatile,
     /// The last `depth` samples as well ("latched").
     TransientLocal,
@@ -25,7 +25,7 @@ pub enum Durability {
 pub struct Qos {
     /// Delivery guarantee.
     pub reliability: Reliability,
-    /// What a late subscriber gets.
+    /// The samples that a late subscriber gets.
     pub durability: Durability,
     /// Publisher: samples kept for late subscribers. Subscription: samples that may wait to be read.
     pub depth: usize,
@@ -64,8 +64,8 @@ impl Qos {
         }
     }
 
-    /// Whether a subscription that requests `self` matches a publisher that offers `offered`: a request may ask
-    /// for no more than is offered.
+    /// Whether a subscription that requests `self` matches a publisher that offers `offered`: a request may not exceed
+    /// the offer.
     pub fn matches(&self, offered: &Self) -> bool {
         (self.reliability == Reliability::BestEffort
             || offered.reliability == Reliability::Reliable)

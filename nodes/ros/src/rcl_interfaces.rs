@@ -50,7 +50,7 @@ impl From<Value> for ParameterValue {
     }
 }
 
-/// The value; `None` for "not set" and for types that ROS does not have.
+/// The value; `None` for "not set" and for unknown types.
 pub(crate) fn value_of(message: ParameterValue) -> Option<Value> {
     const KINDS: [Kind; 9] = [
         Kind::Bool,

@@ -2,10 +2,10 @@
 
 use crate::{
     ActionServer, Call, Endpoint, EndpointSet, EndpointSpec, Error, GoalRequest, Node, Service,
-    Shutdown, mailbox::Mailbox, service::WaitingCall,
+    Shutdown, waiting_call::Arrival,
 };
 use futures::future::{FutureExt as _, LocalBoxFuture};
-use std::{future::poll_fn, sync::Arc, task::Poll, time::Instant};
+use std::{future::poll_fn, task::Poll};
 use wm_msgs::Action;
 
 /// An enum of requests, one variant for each service or action. Made by [`endpoints!`](crate::endpoints).
@@ -38,23 +38,13 @@ pub trait RequestEndpoint: Endpoint {
     fn source<R: 'static>(self, wrap: fn(Self::Request) -> R) -> Option<Box<dyn RequestSource<R>>>;
 }
 
-/// Tells when the oldest request of a source arrived.
-#[derive(Clone)]
-pub struct Arrival(pub(crate) Arc<Mailbox<WaitingCall>>);
-
-impl Arrival {
-    fn oldest(&self) -> Option<Instant> {
-        self.0.peek(|call| call.arrival)
-    }
-}
-
 /// An endpoint and the variant that its requests become.
-struct Wrapped<S, Q, R> {
+struct VariantSource<S, Q, R> {
     endpoint: S,
     wrap: fn(Q) -> R,
 }
 
-impl<S: wm_msgs::Service, R> RequestSource<R> for Wrapped<Service<S>, Call<S>, R> {
+impl<S: wm_msgs::Service, R> RequestSource<R> for VariantSource<Service<S>, Call<S>, R> {
     fn arrival(&self) -> Arrival {
         self.endpoint.arrival()
     }
@@ -65,7 +55,7 @@ impl<S: wm_msgs::Service, R> RequestSource<R> for Wrapped<Service<S>, Call<S>, R
     }
 }
 
-impl<A: Action, R> RequestSource<R> for Wrapped<ActionServer<A>, GoalRequest<A>, R> {
+impl<A: Action, R> RequestSource<R> for VariantSource<ActionServer<A>, GoalRequest<A>, R> {
     fn arrival(&self) -> Arrival {
         self.endpoint.arrival()
     }
@@ -81,7 +71,7 @@ impl<S: wm_msgs::Service> RequestEndpoint for Service<S> {
 
     fn source<R: 'static>(self, wrap: fn(Call<S>) -> R) -> Option<Box<dyn RequestSource<R>>> {
         let endpoint = self;
-        Some(Box::new(Wrapped { endpoint, wrap }))
+        Some(Box::new(VariantSource { endpoint, wrap }))
     }
 }
 
@@ -93,7 +83,7 @@ impl<A: Action> RequestEndpoint for ActionServer<A> {
         wrap: fn(GoalRequest<A>) -> R,
     ) -> Option<Box<dyn RequestSource<R>>> {
         let endpoint = self;
-        Some(Box::new(Wrapped { endpoint, wrap }))
+        Some(Box::new(VariantSource { endpoint, wrap }))
     }
 }
 
@@ -152,7 +142,7 @@ impl<R> Requests<R> {
     }
 }
 
-/// Answers a call. A failure is logged: a client that cannot be answered is no reason to stop serving the others.
+/// Answers a call. A failure is only logged, so that the other clients are still served.
 pub fn answer<S: wm_msgs::Service>(call: Call<S>, response: &S::Response) {
     if let Err(problem) = call.respond(response) {
         tracing::warn!("a call is not answered: {problem}");
@@ -162,9 +152,16 @@ pub fn answer<S: wm_msgs::Service>(call: Call<S>, response: &S::Response) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::backend::{EndpointId, RequestId};
+    use crate::{
+        backend::{EndpointId, RequestId},
+        mailbox::Mailbox,
+        waiting_call::WaitingCall,
+    };
     use bytes::Bytes;
-    use std::time::Duration;
+    use std::{
+        sync::Arc,
+        time::{Duration, Instant},
+    };
 
     /// A source whose requests are its calls' numbers.
     struct Numbers(Arc<Mailbox<WaitingCall>>);

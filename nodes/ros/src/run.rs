@@ -1,4 +1,4 @@
-//! The frame of a process of nodes.
+//! Runs the nodes of a process.
 
 use crate::{Context, Environment, Error, Node, NodeArgs, Shutdown, logging, shutdown::Signals};
 use futures::{
@@ -9,17 +9,16 @@ use futures::{
 use std::{collections::BTreeSet, time::Duration};
 use tracing::Instrument as _;
 
-/// How long a body may take to return after SIGINT or SIGTERM, so that the process is gone within 2 s.
+/// How long a body may take to return after SIGINT or SIGTERM, so that the process ends within 2 s.
 const GRACE: Duration = Duration::from_millis(1200);
-/// How long threads of `spawn_blocking` may take after that. A computation cannot be stopped from outside; the
-/// process's end does it.
+/// How long threads of `spawn_blocking` may take after that. Only the end of the process can stop a computation.
 const BLOCKING_GRACE: Duration = Duration::from_millis(100);
 
 /// Runs a node: logs, the graph, a tokio runtime for the body, and an orderly end.
 ///
-/// The runtime is of one thread, with timers, signals and `spawn_blocking`. On SIGINT or SIGTERM every `recv`
-/// gives `None` and [`Node::shutdown`] fires; the body then has 1.2 s to return before it is dropped. Publishers,
-/// subscriptions and the node go first and the participant last, so that the rest of the graph hears of it.
+/// The runtime is of one thread, with timers, signals and `spawn_blocking`. On SIGINT or SIGTERM every `recv` returns
+/// `None` and [`Node::shutdown`] fires; the body then has 1.2 s to return before it is dropped. Publishers,
+/// subscriptions and the node are removed first and the participant last, so that other participants are notified.
 ///
 /// # Errors
 /// The graph cannot be joined, the middleware has ended, or what the body returns.
@@ -42,7 +41,7 @@ pub struct Component<E> {
 }
 
 impl<E> Component<E> {
-    /// The node of this name, unless the command line gives it another, and what it does.
+    /// A node with this default name and its body.
     pub fn new(
         default_name: &'static str,
         body: impl AsyncFnOnce(Node) -> Result<(), E> + 'static,
@@ -52,11 +51,11 @@ impl<E> Component<E> {
     }
 }
 
-/// As [`run`], with several nodes in one process, one [`Context`] and one runtime: what one publishes and another
-/// subscribes to is handed over in memory. A body that computes must do so in `spawn_blocking`, or the others wait.
+/// As [`run`], with several nodes in one process, one [`Context`] and one runtime: messages between them are passed in
+/// memory. Bodies must compute in `spawn_blocking`, or the others wait.
 ///
-/// A rule of the command line without a node's name (`-p name:=value`) is for all nodes, and one that has no such
-/// parameter only warns of it. It ends when all bodies have returned, or with the first error of one.
+/// A rule of the command line without a node's name (`-p name:=value`) applies to all nodes; a node without such a
+/// parameter only warns. It ends when all bodies have returned, or with the first error.
 ///
 /// # Errors
 /// The graph cannot be joined, two nodes have the same name, the middleware has ended, or what a body returns.
@@ -93,7 +92,7 @@ pub fn run_together<E: From<Error> + 'static>(
     })
 }
 
-/// Joins the graph, runs what `start` makes there, and leaves it in order.
+/// Joins the graph, runs the future of `start`, and leaves the graph in order.
 fn in_graph<'a, E: From<Error>>(
     args: &NodeArgs,
     start: impl FnOnce(&Context) -> Result<LocalBoxFuture<'a, Result<(), E>>, Error>,
@@ -104,7 +103,7 @@ fn in_graph<'a, E: From<Error>>(
         .build()
         .map_err(|source| Error::io("start the runtime", source))?;
     let inside = runtime.enter();
-    // before anything that takes time
+    // before any slow step
     let signals = Signals::catch()?;
     let context = Context::new(&Environment::from_env(args)?)?;
     signals.ask(&context.shutdown());
@@ -128,7 +127,7 @@ fn in_graph<'a, E: From<Error>>(
     result
 }
 
-/// The result of `bodies`, or none where they have not returned in time after the shutdown.
+/// The result of `bodies`; `None` if they have not returned in time after the shutdown.
 async fn until_late<E>(
     bodies: LocalBoxFuture<'_, Result<(), E>>,
     shutdown: Shutdown,

@@ -1,15 +1,15 @@
-//! Services: a server that answers calls, and a client that makes them.
+//! Services: servers that answer calls, and clients.
 
 use crate::{
     Error, Shutdown,
     backend::{
-        Backend, EndpointId, Reader, RequestId, Sample, Sink, WhenFull, Writer, Written,
+        Backend, EndpointId, Reader, RequestId, Sample, Sink, WhenFull, WriteOutcome, Writer,
         participant_of,
     },
-    lifecycle::{Gate, Gated},
+    lifecycle::{Gate, GatedEndpoint},
     mailbox::Mailbox,
     payload::Payload,
-    requests::Arrival,
+    waiting_call::{Arrival, WaitingCall},
 };
 use bytes::Bytes;
 use std::{
@@ -21,16 +21,8 @@ use std::{
 use tokio::sync::oneshot;
 use wm_msgs::cdr;
 
-/// Calls that may wait for a server. Policy DropOldest: who waited longest has most likely given up.
+/// The most calls that wait for a server. Policy DropOldest: the client of the oldest has most likely given up.
 pub(crate) const WAITING_CALLS: usize = 64;
-
-/// A call that waits for its server.
-pub(crate) struct WaitingCall {
-    pub(crate) id: RequestId,
-    pub(crate) request: Bytes,
-    /// When it arrived, by which calls of several services keep their order.
-    pub(crate) arrival: Instant,
-}
 
 /// The serving end of a service of any type: requests and answers as CDR bytes with their 4-byte header.
 pub struct RawService {
@@ -39,13 +31,13 @@ pub struct RawService {
     writer: Arc<dyn Writer>,
     _reader: Box<dyn Reader>,
     shutdown: Shutdown,
-    /// Of a service that refuses calls while its managed node is not active.
+    /// Set for a service that refuses calls while its managed node is not active.
     refusals: Option<Arc<Refusals>>,
 }
 
 /// A call of a [`RawService`] to be answered.
 pub struct RawCall {
-    /// What the client asks, as CDR.
+    /// The request, as CDR.
     pub request: Bytes,
     service: String,
     id: RequestId,
@@ -53,7 +45,7 @@ pub struct RawCall {
     refusal: Refusal,
 }
 
-/// The refusal of a call, sent where the call is dropped without an answer: its client waits for one.
+/// The refusal of a call, sent if the call is dropped without an answer, since its client waits for one.
 struct Refusal(Option<(Arc<Refusals>, RequestId)>);
 
 impl Drop for Refusal {
@@ -73,7 +65,7 @@ pub(crate) struct Refusals {
     refuse: Refuse,
 }
 
-/// The answer that refuses a call, as CDR, from the reason.
+/// Makes the answer that refuses a call, as CDR, from the reason.
 pub(crate) type Refuse = Box<dyn Fn(&str) -> Result<Vec<u8>, cdr::CdrError> + Send + Sync>;
 
 impl Refusals {
@@ -91,7 +83,7 @@ impl Refusals {
             writer,
             refuse,
         });
-        let gated: Arc<dyn Gated> = refusals.clone();
+        let gated: Arc<dyn GatedEndpoint> = refusals.clone();
         refusals.gate.add(Arc::downgrade(&gated));
         refusals
     }
@@ -113,7 +105,7 @@ impl Refusals {
     }
 }
 
-impl Gated for Refusals {
+impl GatedEndpoint for Refusals {
     fn opened(&self, _: &dyn Backend) {
         self.refuse_waiting();
     }
@@ -123,7 +115,7 @@ impl Gated for Refusals {
     }
 }
 
-/// As [`call_sink`], but calls that come while the node is not active are refused at once.
+/// As [`call_sink`], but refuses calls at once while the node is not active.
 pub(crate) fn refusing_sink(refusals: &Arc<Refusals>) -> Sink {
     let refusals = Arc::clone(refusals);
     let mut sink = call_sink(refusals.name.clone(), Arc::clone(&refusals.calls));
@@ -143,12 +135,12 @@ pub struct Service<S> {
 
 /// A call to be answered.
 pub struct Call<S: wm_msgs::Service> {
-    /// What the client asks.
+    /// The request.
     pub request: S::Request,
     raw: RawCall,
 }
 
-/// What puts calls into a mailbox.
+/// A sink that adds calls to a mailbox.
 pub(crate) fn call_sink(name: String, calls: Arc<Mailbox<WaitingCall>>) -> Sink {
     Box::new(move |sample| match sample {
         Ok(Sample {
@@ -181,7 +173,7 @@ pub(crate) fn call_sink(name: String, calls: Arc<Mailbox<WaitingCall>>) -> Sink 
     })
 }
 
-/// What answers calls on the receiving thread.
+/// A sink that answers calls on the receiving thread.
 pub(crate) fn answering_sink(
     name: String,
     writer: Arc<dyn Writer>,
@@ -215,8 +207,8 @@ pub(crate) fn send(
     id: RequestId,
 ) -> Result<(), Error> {
     match writer.write(&Payload::Cdr(answer), Some(id), WhenFull::DropOldest)? {
-        Written::Sent { .. } | Written::Held => Ok(()),
-        Written::WindowFull => Err(Error::middleware(
+        WriteOutcome::Sent { .. } | WriteOutcome::Held => Ok(()),
+        WriteOutcome::WindowFull => Err(Error::middleware(
             format!("answer {name}"),
             "clients do not take their answers",
         )),
@@ -270,7 +262,7 @@ impl RawService {
 }
 
 impl RawCall {
-    /// Who calls (its GUID) and the number of the call, which together name the call in the whole graph.
+    /// The GUID of the client and the number of the call, together unique in the whole graph.
     pub fn id(&self) -> ([u8; 16], i64) {
         (self.id.client, self.id.sequence)
     }
@@ -293,8 +285,8 @@ impl<S: wm_msgs::Service> Service<S> {
         }
     }
 
-    /// Waits for a call; `None` once the context is shut down. Cancel safe. A call that is not of the type is
-    /// reported and skipped.
+    /// Waits for a call; `None` once the context is shut down. Cancel safe. A call of another type is reported and
+    /// skipped.
     pub async fn recv(&mut self) -> Option<Call<S>> {
         loop {
             let raw = self.raw.recv().await?;
@@ -310,7 +302,7 @@ impl<S: wm_msgs::Service> Service<S> {
         self.raw.arrival()
     }
 
-    /// Waits until every connected client has its answers, at most for `timeout`; whether they have.
+    /// Waits until every connected client has acknowledged its answers; `false` after `timeout`.
     ///
     /// # Errors
     /// The middleware failed.
@@ -328,7 +320,7 @@ impl<S: wm_msgs::Service> Service<S> {
 }
 
 impl<S: wm_msgs::Service> Call<S> {
-    /// The GUID prefix of the participant that calls, of which [`Node::node_of`](crate::Node::node_of) may know the name.
+    /// The GUID prefix of the calling participant; [`Node::node_of`](crate::Node::node_of) may know its name.
     pub fn participant(&self) -> [u8; 12] {
         participant_of(&self.raw.id.client)
     }
@@ -342,7 +334,7 @@ impl<S: wm_msgs::Service> Call<S> {
     }
 }
 
-/// Answers that are waited for, by the number of their request.
+/// Awaited answers, by the number of their request.
 pub(crate) type Pending = Arc<Mutex<BTreeMap<i64, oneshot::Sender<Bytes>>>>;
 
 /// The calling end of a service of any type: requests and answers as CDR bytes with their 4-byte header.
@@ -361,7 +353,7 @@ pub struct Client<S> {
     of: PhantomData<fn(S)>,
 }
 
-/// What hands answers to the calls that wait for them; those of other clients come along and are none of ours.
+/// A sink that hands answers to the waiting calls; it ignores answers to other clients.
 pub(crate) fn answer_sink(client: EndpointId, pending: Pending) -> Sink {
     Box::new(move |sample| {
         if let Ok(Sample {
@@ -383,13 +375,13 @@ pub(crate) fn answer_sink(client: EndpointId, pending: Pending) -> Sink {
     })
 }
 
-/// Takes a request off the list where nobody waits for it any more.
-struct Waiting<'a> {
+/// Removes a request from the list when its caller stops waiting.
+struct PendingEntry<'a> {
     pending: &'a Pending,
     sequence: i64,
 }
 
-impl Drop for Waiting<'_> {
+impl Drop for PendingEntry<'_> {
     fn drop(&mut self) {
         self.pending
             .lock()
@@ -417,18 +409,18 @@ impl RawClient {
         }
     }
 
-    /// Calls the service and waits for the answer, for as long as it takes: bring a timeout.
+    /// Calls the service and waits for the answer without a limit: add a timeout.
     ///
     /// # Errors
     /// The request is not little-endian CDR, the middleware failed, or the context is shut down.
     pub async fn call(&self, request: Bytes) -> Result<Bytes, Error> {
         let (answer, _waiting) = {
-            // Held over the write, so that the answer cannot come before it is waited for.
+            // Locked during the write, so that the answer cannot arrive before its entry exists.
             let mut pending = self.pending.lock().unwrap_or_else(PoisonError::into_inner);
             let payload = Payload::Cdr(request);
             let sequence = match self.writer.write(&payload, None, WhenFull::DropOldest)? {
-                Written::Sent { number, .. } => number,
-                Written::Held | Written::WindowFull => {
+                WriteOutcome::Sent { number, .. } => number,
+                WriteOutcome::Held | WriteOutcome::WindowFull => {
                     return Err(Error::middleware(
                         format!("call {}", self.name),
                         "the server takes no calls",
@@ -439,7 +431,7 @@ impl RawClient {
             pending.insert(sequence, sender);
             (
                 answer,
-                Waiting {
+                PendingEntry {
                     pending: &self.pending,
                     sequence,
                 },
@@ -482,10 +474,10 @@ impl<S: wm_msgs::Service> Client<S> {
         }
     }
 
-    /// Calls the service and waits for the answer, for as long as it takes: bring a timeout.
+    /// Calls the service and waits for the answer without a limit: add a timeout.
     ///
     /// # Errors
-    /// The middleware failed, the answer is not of the type, or the context is shut down.
+    /// The middleware failed, the answer has another type, or the context is shut down.
     pub async fn call(&self, request: &S::Request) -> Result<S::Response, Error> {
         let answer = self.raw.call(cdr::to_bytes(request)?.into()).await?;
         Ok(cdr::from_bytes(&answer)?)

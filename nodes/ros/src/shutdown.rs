@@ -7,7 +7,7 @@ use tokio::{
     sync::watch,
 };
 
-/// A handle on the end: any clone may ask for it, every clone sees it.
+/// A handle of the shutdown: any clone can request it, and all clones receive it.
 #[derive(Clone, Debug)]
 pub struct Shutdown {
     requested: Arc<watch::Sender<bool>>,
@@ -20,7 +20,7 @@ impl Shutdown {
         }
     }
 
-    /// Asks for the end.
+    /// Requests the end.
     pub fn trigger(&self) {
         self.requested.send_replace(true);
     }
@@ -40,7 +40,7 @@ impl Shutdown {
             .ok();
     }
 
-    /// From now on SIGINT and SIGTERM ask for the end. Call it inside a tokio runtime, which serves the signals.
+    /// From now on SIGINT and SIGTERM request the end. Call it inside a tokio runtime, which serves the signals.
     ///
     /// # Errors
     /// The operating system refuses the handlers.
@@ -50,8 +50,8 @@ impl Shutdown {
     }
 }
 
-/// SIGINT and SIGTERM, which no longer end the process by themselves: those that come before there is anybody to hear of
-/// them are kept. A process that a signal ends while it starts looks like one that has failed.
+/// SIGINT and SIGTERM no longer end the process by themselves: early signals are kept until [`Shutdown`] can receive
+/// them. Otherwise a process that gets a signal during its start would look like a failed one.
 pub(crate) struct Signals {
     interrupt: Signal,
     terminate: Signal,
@@ -70,7 +70,7 @@ impl Signals {
         })
     }
 
-    /// Lets them ask for the end. Call it inside the same runtime.
+    /// Connects them to the shutdown. Call it inside the same runtime.
     pub(crate) fn ask(mut self, shutdown: &Shutdown) {
         let shutdown = shutdown.clone();
         tokio::spawn(async move {

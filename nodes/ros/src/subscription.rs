@@ -9,7 +9,7 @@ pub use gaps::Gaps;
 use crate::{
     Clock, Diagnostics, Reliability, Shutdown,
     backend::{Backend, Channel, EndpointId, Reader, Sample, Sink},
-    lifecycle::{Gate, Gated},
+    lifecycle::{Gate, GatedEndpoint},
     mailbox::Mailbox,
     payload::Payload,
 };
@@ -25,16 +25,16 @@ use std::{
 };
 use wm_msgs::{Message, builtin_interfaces::Time, cdr::CdrError};
 
-/// A message and when it came.
+/// A message and its time of arrival.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Received<M> {
     /// The message.
     pub message: M,
-    /// When it came (node clock).
+    /// Its time of arrival (node clock).
     pub received: Time,
-    /// When it came, by a clock that never jumps.
+    /// Its time of arrival, by a monotonic clock.
     pub at: Instant,
-    /// Who sent it.
+    /// Its publisher.
     pub publisher: PublisherId,
 }
 
@@ -43,7 +43,7 @@ pub struct Received<M> {
 pub struct PublisherId(pub [u8; 16]);
 
 impl<M> Received<M> {
-    /// The same reception, of what `f` makes of the message.
+    /// Replaces the message by the result of `f`.
     pub fn map<N>(self, f: impl FnOnce(M) -> N) -> Received<N> {
         Received {
             message: f(self.message),
@@ -60,23 +60,23 @@ impl<M: Clone> Received<Arc<M>> {
     }
 }
 
-/// The receiving end of a topic of any type: CDR bytes with their 4-byte header, as they were sent.
+/// The receiving end of a topic of any type: CDR bytes with their 4-byte header, unchanged.
 ///
-/// At most `depth` samples of its QoS wait to be read; policy DropOldest.
+/// At most `depth` samples (of its QoS) wait to be read; policy DropOldest.
 pub struct RawSubscription {
     intake: Arc<Intake>,
     reader: Box<dyn Reader>,
     backend: Arc<dyn Backend>,
     shutdown: Shutdown,
     type_name: String,
-    /// For publishers that the reader does not serve.
+    /// Readers for publishers that `reader` does not serve.
     further: Vec<FurtherReader>,
 }
 
-/// Reads a message from what a sample carries.
+/// Reads a message from a payload.
 type Read<T> = fn(Payload) -> Result<T, CdrError>;
 
-/// What the receiving thread and the reader of a subscription share.
+/// State shared by the receiving thread and the reader of a subscription.
 pub(crate) struct Intake {
     topic: String,
     mailbox: Mailbox<Received<Payload>>,
@@ -85,15 +85,15 @@ pub(crate) struct Intake {
     gaps: Mutex<Gaps<EndpointId>>,
     diagnostics: Diagnostics,
     clock: Clock,
-    /// Of a managed node.
+    /// The gate of a managed node.
     gate: Option<Gate>,
     /// The newest sample of each latching publisher, for the next activation of a managed node.
     latched: Mutex<BTreeMap<EndpointId, Received<Payload>>>,
 }
 
-/// Latching publishers that are remembered: far more than a topic has.
+/// The most remembered latching publishers: far more than a topic has.
 const MAX_LATCHING: usize = 16;
-/// Publishers whose reliability is remembered.
+/// The most publishers with a remembered reliability.
 const MAX_PUBLISHERS: usize = 64;
 
 impl Intake {
@@ -117,13 +117,13 @@ impl Intake {
             latched: Mutex::default(),
         });
         if let Some(gate) = &intake.gate {
-            let gated: Arc<dyn Gated> = intake.clone();
+            let gated: Arc<dyn GatedEndpoint> = intake.clone();
             gate.add(Arc::downgrade(&gated));
         }
         intake
     }
 
-    /// What the middleware calls for each sample.
+    /// The sink that the middleware calls for each sample.
     pub(crate) fn sink(self: &Arc<Self>) -> Sink {
         let intake = Arc::clone(self);
         Box::new(move |sample| match sample {
@@ -132,14 +132,14 @@ impl Intake {
         })
     }
 
-    /// As [`sink`](Self::sink), for one of two readers that hear the same publishers: what the other has heard, or
-    /// something newer, is left.
+    /// As [`sink`](Self::sink), for one of two readers of the same publishers: skips samples that the other has
+    /// received, and older ones.
     pub(crate) fn sink_of_two(self: &Arc<Self>) -> Sink {
         let intake = Arc::clone(self);
         Box::new(move |sample| match sample {
             Ok(sample) => {
-                // Held until the sample is kept: two threads may serve the readers, and one that comes twice, or late, would
-                // count as one that found the queue full.
+                // Locked until the sample is queued: two threads may serve the readers, and a duplicate or late sample
+                // would count as a drop.
                 let mut gaps = intake.gaps();
                 if let Some(lost) = gaps.after_new(sample.writer, sample.sequence) {
                     intake.keep(sample, lost);
@@ -149,8 +149,8 @@ impl Intake {
         })
     }
 
-    /// As [`sink_of_two`](Self::sink_of_two), for the reader that serves best-effort publishers. It is connected to reliable
-    /// ones too, but may miss samples of theirs, which the other reader then gets late: those are left to it.
+    /// As [`sink_of_two`](Self::sink_of_two), for the reader that serves best-effort publishers. It is connected to
+    /// reliable publishers too, but may miss their samples; the other reader gets these late, so they are left to it.
     pub(crate) fn sink_of_best_effort(self: &Arc<Self>, backend: &Arc<dyn Backend>) -> Sink {
         let backend = Arc::downgrade(backend);
         let mut sink = self.sink_of_two();
@@ -165,7 +165,7 @@ impl Intake {
                         known.clear();
                     }
                     let seen = backend.seen();
-                    // One that is not discovered yet is looked up again at its next sample.
+                    // An undiscovered publisher is looked up again at its next sample.
                     if let Some(writer) = seen.iter().find(|seen| seen.id == sample.writer) {
                         let is_reliable = writer.qos.reliability == Reliability::Reliable;
                         known.insert(sample.writer, is_reliable);
@@ -179,8 +179,8 @@ impl Intake {
         })
     }
 
-    /// As [`sink_of_two`](Self::sink_of_two), for the reader that hears latching publishers alone. A managed node that
-    /// is activated hears what they have latched, as a new subscription would.
+    /// As [`sink_of_two`](Self::sink_of_two), for the reader of latching publishers only. On activation, a managed node
+    /// receives the latched samples, as a new subscription would.
     pub(crate) fn sink_of_latched(self: &Arc<Self>) -> Sink {
         let intake = Arc::clone(self);
         let mut sink = self.sink_of_two();
@@ -219,7 +219,7 @@ impl Intake {
     }
 
     fn keep(&self, sample: Sample, lost: u64) {
-        // what comes to an inactive node is nobody's loss
+        // samples for an inactive node are no loss
         if self.gate.as_ref().is_some_and(|gate| !gate.is_open()) {
             return;
         }
@@ -245,7 +245,7 @@ impl Intake {
         }
     }
 
-    /// What `read` makes of a sample; `None`, counted, where it makes nothing.
+    /// The message that `read` decodes; `None`, counted, if it fails.
     fn read<T>(&self, sample: Received<Payload>, read: Read<T>) -> Option<Received<T>> {
         let mut refused = None;
         let read = sample.map(|payload| read(payload).map_err(|error| refused = Some(error)).ok());
@@ -266,7 +266,7 @@ impl Intake {
         })
     }
 
-    /// Counts a sample that is not a message, and reports the first.
+    /// Counts an undecodable sample, and reports the first.
     fn refuse(&self, reason: &str) {
         if self.undecodable.fetch_add(1, Ordering::Relaxed) == 0 {
             tracing::warn!(
@@ -279,7 +279,7 @@ impl Intake {
     }
 }
 
-impl Gated for Intake {
+impl GatedEndpoint for Intake {
     fn opened(&self, backend: &dyn Backend) {
         self.mailbox.clear();
         let mut latched = self.latched();
@@ -325,7 +325,7 @@ impl RawSubscription {
         self.recv_as(Payload::into_cdr).await
     }
 
-    /// A sample that is there already; also after the shutdown, to read what still waits.
+    /// A waiting sample, if any; also after the shutdown, to read the rest of the queue.
     pub fn try_recv(&mut self) -> Option<Received<Bytes>> {
         self.try_recv_as(Payload::into_cdr)
     }
@@ -357,22 +357,22 @@ impl RawSubscription {
         &self.intake.topic
     }
 
-    /// Samples dropped so far because they were not read in time.
+    /// Number of samples dropped because they were not read in time.
     pub fn dropped(&self) -> u64 {
         self.intake.mailbox.dropped()
     }
 
-    /// Samples that never arrived, as shown by gaps in their publishers' sequence numbers.
+    /// Number of samples that never arrived, by gaps in their publishers' sequence numbers.
     pub fn lost(&self) -> u64 {
         self.intake.lost.load(Ordering::Relaxed)
     }
 
-    /// Samples skipped so far because they were not messages of the type.
+    /// Number of samples skipped because they could not be decoded.
     pub fn undecodable(&self) -> u64 {
         self.intake.undecodable.load(Ordering::Relaxed)
     }
 
-    /// How many publishers are connected.
+    /// The number of connected publishers.
     pub fn publishers(&self) -> usize {
         self.backend.matched(&self.reader.id())
     }
@@ -389,7 +389,7 @@ impl RawSubscription {
         matching.map(|seen| PublisherId(seen.id)).collect()
     }
 
-    /// Why other publishers of the topic are not connected, in words: their type or quality of service.
+    /// Why other publishers of the topic are not connected, as text: their type or quality of service.
     pub fn mismatches(&self) -> Vec<String> {
         let mut mismatches = self.backend.mismatches(&self.reader.id());
         let failures = self.further.iter().filter_map(FurtherReader::failure);
@@ -416,7 +416,7 @@ impl Drop for RawSubscription {
 }
 
 /// The receiving end of a topic of messages `M`. At most `depth` messages of its QoS wait to be read; policy
-/// DropOldest. A sample that is not an `M` is counted, reported and skipped.
+/// DropOldest. An undecodable sample is counted, reported and skipped.
 pub struct Subscription<M> {
     raw: RawSubscription,
     of: PhantomData<fn() -> M>,
@@ -430,18 +430,18 @@ impl<M: Message> Subscription<M> {
         }
     }
 
-    /// Waits for a message; `None` once the context is shut down. Cancel safe. A message of this context that others
-    /// hold too is copied; [`recv_shared`](Self::recv_shared) saves the copy.
+    /// Waits for a message; `None` once the context is shut down. Cancel safe. A message of this context that is still
+    /// shared is copied; [`recv_shared`](Self::recv_shared) saves the copy.
     pub async fn recv(&mut self) -> Option<Received<M>> {
         self.recv_shared().await.map(Received::into_owned)
     }
 
-    /// As [`recv`](Self::recv), without a copy: a message of this context is the one that was published.
+    /// As [`recv`](Self::recv), without a copy: a message of this context is the published `Arc`.
     pub async fn recv_shared(&mut self) -> Option<Received<Arc<M>>> {
         self.raw.recv_as(Payload::into_message).await
     }
 
-    /// A message that is there already; also after the shutdown, to read what still waits.
+    /// A waiting message, if any; also after the shutdown, to read the rest of the queue.
     pub fn try_recv(&mut self) -> Option<Received<M>> {
         let received = self.raw.try_recv_as(Payload::into_message);
         received.map(Received::into_owned)
@@ -452,22 +452,22 @@ impl<M: Message> Subscription<M> {
         self.raw.topic()
     }
 
-    /// Messages dropped so far because they were not read in time.
+    /// Number of messages dropped because they were not read in time.
     pub fn dropped(&self) -> u64 {
         self.raw.dropped()
     }
 
-    /// Messages that never arrived, as shown by gaps in their publishers' sequence numbers.
+    /// Number of messages that never arrived, by gaps in their publishers' sequence numbers.
     pub fn lost(&self) -> u64 {
         self.raw.lost()
     }
 
-    /// Samples skipped so far because they were not messages of the type.
+    /// Number of samples skipped because they could not be decoded.
     pub fn undecodable(&self) -> u64 {
         self.raw.undecodable()
     }
 
-    /// How many publishers are connected.
+    /// The number of connected publishers.
     pub fn publishers(&self) -> usize {
         self.raw.publishers()
     }
@@ -477,7 +477,7 @@ impl<M: Message> Subscription<M> {
         self.raw.matching_publishers()
     }
 
-    /// Why other publishers of the topic are not connected, in words: their type or quality of service.
+    /// Why other publishers of the topic are not connected, as text: their type or quality of service.
     pub fn mismatches(&self) -> Vec<String> {
         self.raw.mismatches()
     }
@@ -526,7 +526,7 @@ mod tests {
         diagnostics.report(now, &Alone).swap_remove(0)
     }
 
-    /// A goal subscription asks its publisher twice: for what is latched, and for what comes.
+    /// A subscription to goals has two readers: one for latched samples, one for new ones.
     #[test]
     fn of_two_readers_each_sample_is_taken_once_whoever_is_first() {
         const SAMPLES: i64 = 20_000;
@@ -546,12 +546,12 @@ mod tests {
         });
         let taken = std::iter::from_fn(|| intake.mailbox.try_pop()).count();
         let lost = intake.lost.load(Ordering::Relaxed);
-        // What one reader is behind with is left for good: neither taken twice nor lost.
+        // Samples that one reader delivers late are skipped: neither duplicated nor counted as lost.
         assert_eq!((taken as u64, lost), (SAMPLES as u64, 0));
     }
 
     #[test]
-    fn what_is_lost_dropped_or_undecodable_is_counted_and_the_stream_goes_on() {
+    fn lost_dropped_and_undecodable_samples_are_counted() {
         let diagnostics = Diagnostics::new("/wm/test");
         let intake = Intake::new(
             "/wm/text".into(),

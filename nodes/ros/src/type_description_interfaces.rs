@@ -1,5 +1,5 @@
-//! The messages of package `type_description_interfaces`, by which a node tells what its types are made of. Fields and
-//! order are those of the `.msg` and `.srv` files of ROS 2 Jazzy to Kilted.
+//! The messages of package `type_description_interfaces`, with which a node publishes the definitions of its types.
+//! Fields and order are those of the `.msg` and `.srv` files of ROS 2 Jazzy to Kilted.
 
 use serde::{Deserialize, Serialize};
 

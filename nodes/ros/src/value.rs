@@ -97,12 +97,12 @@ impl Value {
         }
     }
 
-    /// The value as `kind`, where nothing is lost: integers become doubles, an empty array any array, integers
-    /// from 0 to 255 bytes. A person who writes `rate: 2` for a double means 2.0.
+    /// Converts the value to `kind` without loss: integers to doubles, an empty array to any array, integers from 0 to
+    /// 255 to bytes. `rate: 2` for a double means 2.0.
     pub(crate) fn coerced(self, kind: Kind) -> Result<Self, Self> {
         match (self, kind) {
             (value, kind) if value.kind() == kind => Ok(value),
-            // Above 2^53 a double does not hold every integer; no parameter of this suite goes there.
+            // Above 2^53 a double cannot represent every integer; no parameter of this suite is so large.
             (Self::Integer(value), Kind::Double) => Ok(Self::Double(value as f64)),
             (Self::IntegerArray(values), Kind::DoubleArray) => Ok(Self::DoubleArray(
                 values.into_iter().map(|value| value as f64).collect(),
@@ -127,7 +127,7 @@ impl Value {
     /// From YAML: a scalar, or a list of scalars of one type.
     ///
     /// # Errors
-    /// Says what came instead: null, a mapping, a mixed list, an integer beyond 64 bits.
+    /// Names the found value: null, a mapping, a mixed list, an integer beyond 64 bits.
     pub(crate) fn from_yaml(yaml: &serde_yaml_ng::Value) -> Result<Self, String> {
         use serde_yaml_ng::Value as Yaml;
         match yaml {
@@ -192,13 +192,13 @@ impl Value {
     }
 }
 
-/// A Rust type that a parameter can have.
+/// A Rust type of parameter values.
 pub trait ParameterType: Sized + Clone + Send + Sync + 'static {
     /// The type's name in ROS.
     const KIND: Kind;
-    /// The value as ROS holds it.
+    /// The value in ROS' type.
     fn into_value(self) -> Value;
-    /// The value back, or `None` for one of a different type.
+    /// The Rust value; `None` for a value of a different type.
     fn from_value(value: &Value) -> Option<Self>;
 }
 

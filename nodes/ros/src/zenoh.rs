@@ -1,5 +1,5 @@
-//! Zenoh sessions of the suite's programs: one set of options, with defaults that reach only named hosts. What they
-//! carry: `wm_bridge`, `wm_planner_worker`.
+//! Zenoh sessions of the suite's programs: one set of options, with defaults that reach only named hosts. Used by
+//! `wm_bridge` and `wm_planner_worker`.
 
 mod network;
 

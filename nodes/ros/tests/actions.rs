@@ -2,7 +2,10 @@
 
 #![allow(clippy::unwrap_used, reason = "a test's helpers may fail the test")]
 
-use std::{cell::RefCell, time::Duration};
+mod participants;
+
+use participants::{context, node, soon};
+use std::cell::RefCell;
 use wm_msgs::{
     action_msgs::{CancelGoalResponse, GoalInfo, GoalStatusArray},
     lifecycle_msgs::{ChangeState, ChangeStateRequest, Transition},
@@ -13,32 +16,13 @@ use wm_msgs::{
     },
 };
 use wm_ros::{
-    ActionClient, ActionServer, ClientGoal, Context, Environment, Error, GoalStatus, Lifecycle,
-    Managed, Node, NodeArgs, Qos, Reach, Role, ServerGoal,
+    ActionClient, ActionServer, ClientGoal, Context, Error, GoalStatus, Lifecycle, Managed, Node,
+    Qos, Role, ServerGoal,
 };
 
-/// Far above anything that discovery takes; it only ends a test that hangs.
-const PATIENCE: Duration = Duration::from_secs(20);
-
-/// A domain for each test, so that tests neither meet each other nor another run of them.
-fn context(test: u16) -> Context {
-    let domain_id = 20 + (std::process::id() as u16 % 16) * 5 + test;
-    Context::new(&Environment {
-        domain_id,
-        reach: Reach::Localhost,
-    })
-    .unwrap()
-}
-
-fn node(context: &Context, name: &str, line: &str) -> Node {
-    let args = NodeArgs::parse(line.split_whitespace()).unwrap();
-    Node::new(context, name, "/wm", &args).unwrap()
-}
-
-async fn soon<T>(what: &str, future: impl Future<Output = T>) -> T {
-    tokio::time::timeout(PATIENCE, future)
-        .await
-        .unwrap_or_else(|_| panic!("{what} took more than {PATIENCE:?}"))
+/// A domain for each test, which neither other tests nor another run of this one use.
+fn domain(test: u16) -> u16 {
+    20 + (std::process::id() as u16 % 16) * 5 + test
 }
 
 /// Two nodes, and the two ends of an action between them that know each other.
@@ -51,7 +35,7 @@ struct Pair {
 
 impl Pair {
     async fn new(test: u16) -> Self {
-        let contexts = [context(test), context(test)];
+        let contexts = [context(domain(test)), context(domain(test))];
         let planner = node(&contexts[0], "planner", "");
         let robot = node(&contexts[1], "robot", "");
         let server = planner.action_server::<Plan>("plan_to").unwrap();
@@ -279,8 +263,8 @@ impl Managed for Planner<'_> {
 }
 
 #[tokio::test(flavor = "current_thread")]
-async fn a_managed_node_rejects_goals_while_it_is_inactive_and_gives_up_those_it_had() {
-    let (here, there) = (context(4), context(4));
+async fn inactive_node_rejects_goals_and_aborts_those_under_way() {
+    let (here, there) = (context(domain(4)), context(domain(4)));
     let planner = node(&here, "planner", "--ros-args -p autostart:=false");
     let lifecycle = Lifecycle::new(&planner).unwrap();
     let robot = node(&there, "robot", "");
@@ -317,7 +301,7 @@ async fn a_managed_node_rejects_goals_while_it_is_inactive_and_gives_up_those_it
 
 #[tokio::test(flavor = "current_thread")]
 async fn an_action_goes_where_it_is_remapped_to() {
-    let here = context(4);
+    let here = context(domain(4));
     let line = "--ros-args -r __ns:=/arm -r plan_to:=reach -r /arm/reach/_action/status:=/status";
     let planner = node(&here, "mapped", line);
     let server = planner.action_server::<Plan>("plan_to").unwrap();

@@ -2,26 +2,16 @@
 
 #![allow(clippy::unwrap_used, reason = "a test's helpers may fail the test")]
 
+mod participants;
+
+use participants::{PATIENCE, context, node};
 use std::time::Duration;
 use wm_msgs::std_msgs::{Bool, String as Text};
-use wm_ros::{Context, Environment, Node, NodeArgs, Publisher, Qos, Reach, Subscription};
+use wm_ros::{Publisher, Qos, Subscription};
 
-/// Far above anything that discovery takes; it only ends a test that hangs.
-const PATIENCE: Duration = Duration::from_secs(20);
-
-fn context() -> Context {
-    // Apart from the domains of this crate's other tests, and from another run of this one.
-    let domain_id = 121 + (std::process::id() as u16 % 50);
-    Context::new(&Environment {
-        domain_id,
-        reach: Reach::Localhost,
-    })
-    .unwrap()
-}
-
-fn node(context: &Context, name: &str) -> Node {
-    let args = NodeArgs::parse(std::iter::empty::<&str>()).unwrap();
-    Node::new(context, name, "/wm", &args).unwrap()
+/// Apart from the domains of this crate's other tests, and from another run of this one.
+fn domain() -> u16 {
+    121 + (std::process::id() as u16 % 50)
 }
 
 /// Publishes until the subscription has received it.
@@ -41,8 +31,8 @@ async fn arrives(publisher: &Publisher<Bool>, subscription: &mut Subscription<Bo
 
 #[tokio::test(flavor = "current_thread")]
 async fn publishers_of_any_quality_of_service_are_received() {
-    let (there, here) = (context(), context());
-    let (sender, receiver) = (node(&there, "sender"), node(&here, "receiver"));
+    let (there, here) = (context(domain()), context(domain()));
+    let (sender, receiver) = (node(&there, "sender", ""), node(&here, "receiver", ""));
     let scenario = async {
         // Latched before the subscription is there.
         let latched: Publisher<Bool> = sender.publisher("stop", Qos::latched(1)).unwrap();

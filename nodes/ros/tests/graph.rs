@@ -3,7 +3,10 @@
 
 #![allow(clippy::unwrap_used, reason = "a test's helpers may fail the test")]
 
+mod participants;
+
 use bytes::Bytes;
+use participants::{PATIENCE, context, node, soon};
 use std::time::Duration;
 use wm_msgs::{
     builtin_interfaces::Time,
@@ -13,35 +16,11 @@ use wm_msgs::{
     std_msgs::{self, Bool},
     wm_msgs::{Reset, ResetRequest, ResetResponse},
 };
-use wm_ros::{Context, Descriptor, Environment, Node, NodeArgs, Qos, Reach, Subscription};
+use wm_ros::{Context, Descriptor, Environment, Qos, Reach, Subscription};
 
-/// Far above anything that discovery takes; it only ends a test that hangs.
-const PATIENCE: Duration = Duration::from_secs(20);
-
-/// A domain for each test, so that tests neither meet each other nor another run of them.
-fn context(test: u16) -> Context {
-    reaching(test, Reach::Localhost)
-}
-
-fn reaching(test: u16, reach: Reach) -> Context {
-    let domain_id = 120 + (std::process::id() as u16 % 16) * 6 + test;
-    Context::new(&Environment { domain_id, reach }).unwrap()
-}
-
-fn node(context: &Context, name: &str, line: &str) -> Node {
-    Node::new(
-        context,
-        name,
-        "/wm",
-        &NodeArgs::parse(line.split_whitespace()).unwrap(),
-    )
-    .unwrap()
-}
-
-async fn soon<T>(what: &str, future: impl Future<Output = T>) -> T {
-    tokio::time::timeout(PATIENCE, future)
-        .await
-        .unwrap_or_else(|_| panic!("{what} took more than {PATIENCE:?}"))
+/// A domain for each test, which neither other tests nor another run of this one use.
+fn domain(test: u16) -> u16 {
+    120 + (std::process::id() as u16 % 16) * 6 + test
 }
 
 fn text(data: &str) -> std_msgs::String {
@@ -53,7 +32,7 @@ fn text(data: &str) -> std_msgs::String {
 /// The topic's other subscription keeps what was sent in between in the participant.
 #[tokio::test(flavor = "current_thread")]
 async fn a_subscription_that_comes_anew_gets_nothing_of_before() {
-    let (here, there) = (context(0), context(0));
+    let (here, there) = (context(domain(0)), context(domain(0)));
     let (talker, listener) = (node(&here, "teller", ""), node(&there, "hearer", ""));
     let told = talker
         .publisher::<std_msgs::String>("told", Qos::reliable(10))
@@ -83,7 +62,7 @@ async fn a_subscription_that_comes_anew_gets_nothing_of_before() {
 /// A participant keeps what was latched for the subscriptions that it had, also when these and the publisher have gone.
 #[tokio::test(flavor = "current_thread")]
 async fn who_comes_late_gets_what_the_living_have_latched_and_once() {
-    let (here, there) = (context(1), context(1));
+    let (here, there) = (context(domain(1)), context(domain(1)));
     let (listener, talker) = (node(&here, "listener", ""), node(&there, "talker", ""));
     let latch = |data: &str| {
         let publisher = talker.publisher("map", Qos::latched(1)).unwrap();
@@ -134,7 +113,7 @@ async fn who_comes_late_gets_what_the_living_have_latched_and_once() {
 
 #[tokio::test(flavor = "current_thread")]
 async fn messages_reach_another_participant_typed_and_raw() {
-    let (here, there) = (context(0), context(0));
+    let (here, there) = (context(domain(0)), context(domain(0)));
     let (talker, listener) = (
         node(&here, "talker", ""),
         node(&there, "listener", "--ros-args -r heard:=said"),
@@ -207,8 +186,8 @@ async fn messages_reach_another_participant_typed_and_raw() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_topic_that_a_context_reads_and_publishes_goes_on() {
     const COUNT: usize = 700;
-    let both = node(&context(3), "both", "");
-    let there = context(3);
+    let both = node(&context(domain(3)), "both", "");
+    let there = context(domain(3));
     let other = node(&there, "other", "");
     let qos = Qos::reliable(2 * COUNT);
     let mut own = both.subscription::<Bool>("two_way", qos).unwrap();
@@ -242,7 +221,7 @@ async fn a_topic_that_a_context_reads_and_publishes_goes_on() {
 /// A goal, say: one is latched before anybody asks, another comes from a publisher that does not latch.
 #[tokio::test(flavor = "current_thread")]
 async fn who_catches_up_hears_publishers_that_latch_and_others() {
-    let (here, there) = (context(2), context(2));
+    let (here, there) = (context(domain(2)), context(domain(2)));
     let (talker, listener) = (node(&here, "setter", ""), node(&there, "seeker", ""));
     let latched = talker.publisher("goal", Qos::latched(1)).unwrap();
     latched.publish(&text("first")).unwrap();
@@ -269,8 +248,8 @@ async fn who_catches_up_hears_publishers_that_latch_and_others() {
 }
 
 #[tokio::test(flavor = "current_thread")]
-async fn nodes_of_one_context_hear_each_other_and_late_ones_get_what_is_latched() {
-    let here = context(1);
+async fn nodes_of_one_context_connect_and_late_ones_get_latched() {
+    let here = context(domain(1));
     let (early, late) = (node(&here, "early", ""), node(&here, "late", ""));
     let state = early.publisher::<Bool>("state", Qos::latched(1)).unwrap();
     state.publish(&Bool { data: false }).unwrap();
@@ -317,7 +296,7 @@ async fn nodes_of_one_context_hear_each_other_and_late_ones_get_what_is_latched(
 
 #[tokio::test(flavor = "current_thread")]
 async fn services_answer_and_parameters_hold_what_is_given() {
-    let (here, there) = (context(2), context(2));
+    let (here, there) = (context(domain(2)), context(domain(2)));
     let server = node(&here, "server", "--ros-args -p seed:=3");
     let seed = server
         .declare("seed", 0_i64, Descriptor::new("the seed").integers(0, 9))
@@ -389,7 +368,7 @@ async fn services_answer_and_parameters_hold_what_is_given() {
 
 #[tokio::test(flavor = "current_thread")]
 async fn a_node_follows_the_clock_of_another() {
-    let (here, there) = (context(3), context(3));
+    let (here, there) = (context(domain(3)), context(domain(3)));
     let player = node(&here, "player", "");
     let follower = node(&there, "follower", "--ros-args -p use_sim_time:=true");
     assert_eq!(follower.now(), Time::default());
@@ -425,7 +404,7 @@ async fn a_node_follows_the_clock_of_another() {
 
 #[tokio::test(flavor = "current_thread")]
 async fn incompatible_qos_is_told_by_policy() {
-    let (here, there) = (context(4), context(4));
+    let (here, there) = (context(domain(4)), context(domain(4)));
     let (talker, listener) = (node(&here, "talker", ""), node(&there, "listener", ""));
     let mut diagnostics = listener
         .subscription::<DiagnosticArray>("/diagnostics", Qos::reliable(10))
@@ -468,7 +447,12 @@ async fn incompatible_qos_is_told_by_policy() {
 
 #[tokio::test(flavor = "current_thread")]
 async fn a_context_that_is_off_meets_nobody() {
-    let (off, here, there) = (reaching(5, Reach::Process), context(5), context(5));
+    let (here, there) = (context(domain(5)), context(domain(5)));
+    let off = Context::new(&Environment {
+        domain_id: domain(5),
+        reach: Reach::Process,
+    })
+    .unwrap();
     let (alone, talker, listener) = (
         node(&off, "alone", ""),
         node(&here, "talker", ""),

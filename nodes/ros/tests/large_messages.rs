@@ -2,38 +2,25 @@
 
 #![allow(clippy::unwrap_used, reason = "a test's helpers may fail the test")]
 
-use bytes::Bytes;
-use std::time::Duration;
-use wm_ros::{Context, Environment, Node, NodeArgs, Qos, RawSubscription, Reach};
+mod participants;
 
-/// Far above anything that a message takes; it only ends a test that hangs.
-const PATIENCE: Duration = Duration::from_secs(30);
+use bytes::Bytes;
+use participants::{PATIENCE, context, node, soon};
+use std::time::Duration;
+use wm_ros::{Node, Qos, RawSubscription};
 
 const TYPE: &str = "std_msgs/msg/UInt8MultiArray";
 const TOPIC: &str = "large";
 
-/// A domain for each test, so that tests neither meet each other nor another run of them.
-fn context(test: u16) -> Context {
-    let domain_id = 216 + (std::process::id() as u16 % 4) * 4 + test;
-    let reach = Reach::Localhost;
-    Context::new(&Environment { domain_id, reach }).unwrap()
-}
-
-fn node(context: &Context, name: &str) -> Node {
-    let args = NodeArgs::parse(std::iter::empty::<&str>()).unwrap();
-    Node::new(context, name, "/wm", &args).unwrap()
+/// A domain for each test, which neither other tests nor another run of this one use.
+fn domain(test: u16) -> u16 {
+    216 + (std::process::id() as u16 % 4) * 4 + test
 }
 
 /// CDR's header and a pattern that no other message has.
 fn message(index: usize, len: usize) -> Bytes {
     let pattern = (0..len).map(|at| (at / 251 + index) as u8);
     [0, 1, 0, 0].into_iter().chain(pattern).collect()
-}
-
-async fn soon<T>(what: &str, future: impl Future<Output = T>) -> T {
-    tokio::time::timeout(PATIENCE, future)
-        .await
-        .unwrap_or_else(|_| panic!("{what} took more than {PATIENCE:?}"))
 }
 
 async fn next(subscription: &mut RawSubscription) -> Bytes {
@@ -44,9 +31,9 @@ async fn next(subscription: &mut RawSubscription) -> Bytes {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn of_a_reliable_publisher_all_come_in_order_whatever_their_size() {
-    let (here, there) = (context(0), context(0));
-    let (talker, listener) = (node(&here, "talker"), node(&there, "listener"));
+async fn reliable_messages_of_any_size_arrive_in_order() {
+    let (here, there) = (context(domain(0)), context(domain(0)));
+    let (talker, listener) = (node(&here, "talker", ""), node(&there, "listener", ""));
     let publisher = talker
         .raw_publisher(TOPIC, TYPE, Qos::reliable(10))
         .unwrap();
@@ -105,8 +92,8 @@ async fn of_a_reliable_publisher_all_come_in_order_whatever_their_size() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_publisher_tells_its_readers_apart() {
-    let (here, there, elsewhere) = (context(1), context(1), context(1));
-    let (talker, early) = (node(&here, "talker"), node(&there, "early"));
+    let (here, there, elsewhere) = (context(domain(1)), context(domain(1)), context(domain(1)));
+    let (talker, early) = (node(&here, "talker", ""), node(&there, "early", ""));
     let publisher = talker
         .raw_publisher(TOPIC, TYPE, Qos::best_effort(5))
         .unwrap();
@@ -125,7 +112,7 @@ async fn a_publisher_tells_its_readers_apart() {
     drop(own);
 
     // who comes late begins with what is sent then
-    let late = node(&elsewhere, "late");
+    let late = node(&elsewhere, "late", "");
     let mut second = subscribe(&late);
     soon("connecting", publisher.wait_for_subscribers(2)).await;
     soon("connecting", second.wait_for_publishers(1)).await;
@@ -168,8 +155,8 @@ async fn a_publisher_tells_its_readers_apart() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_subscription_that_is_not_read_costs_its_queue() {
     const LEN: usize = 4 << 20;
-    let (here, there) = (context(2), context(2));
-    let (talker, listener) = (node(&here, "talker"), node(&there, "listener"));
+    let (here, there) = (context(domain(2)), context(domain(2)));
+    let (talker, listener) = (node(&here, "talker", ""), node(&there, "listener", ""));
     let publisher = talker
         .raw_publisher(TOPIC, TYPE, Qos::best_effort(2))
         .unwrap();

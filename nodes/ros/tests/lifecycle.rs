@@ -2,10 +2,10 @@
 
 #![allow(clippy::unwrap_used, reason = "a test's helpers may fail the test")]
 
-use std::{
-    cell::{Cell, RefCell},
-    time::Duration,
-};
+mod participants;
+
+use participants::{PATIENCE, context, node};
+use std::cell::{Cell, RefCell};
 use wm_msgs::{
     lifecycle_msgs::{
         ChangeState, ChangeStateRequest, EmptyRequest, GetState, Transition, TransitionEvent,
@@ -14,26 +14,13 @@ use wm_msgs::{
     wm_msgs::{Reset, ResetRequest, ResetResponse},
 };
 use wm_ros::{
-    Client, Context, Environment, Error, Lifecycle, Managed, Node, NodeArgs, Publisher, Qos, Reach,
-    Received, Service, Subscription, answer,
+    Client, Error, Lifecycle, Managed, Node, Publisher, Qos, Received, Service, Subscription,
+    answer,
 };
 
-/// Far above anything that discovery takes; it only ends a test that hangs.
-const PATIENCE: Duration = Duration::from_secs(20);
-
-fn context(test: u16) -> Context {
-    // Apart from the domains of this crate's other tests, and from another run of this one.
-    let domain_id = 221 + (std::process::id() as u16 % 5) * 2 + test;
-    Context::new(&Environment {
-        domain_id,
-        reach: Reach::Localhost,
-    })
-    .unwrap()
-}
-
-fn node(context: &Context, name: &str, line: &str) -> Node {
-    let args = NodeArgs::parse(line.split_whitespace()).unwrap();
-    Node::new(context, name, "/wm", &args).unwrap()
+/// A domain for each test, which neither other tests nor another run of this one use.
+fn domain(test: u16) -> u16 {
+    221 + (std::process::id() as u16 % 5) * 2 + test
 }
 
 /// Writes down what it is told; its first configuration fails.
@@ -84,7 +71,7 @@ impl<'a> Managed for &'a Diary {
 
 #[tokio::test(flavor = "current_thread")]
 async fn a_managed_node_does_what_it_is_told() {
-    let (here, there) = (context(0), context(0));
+    let (here, there) = (context(domain(0)), context(domain(0)));
     let managed = node(&here, "managed", "--ros-args -p autostart:=false");
     let lifecycle = Lifecycle::new(&managed).unwrap();
     managed.seal_parameters().unwrap();
@@ -158,8 +145,8 @@ async fn a_managed_node_does_what_it_is_told() {
 }
 
 #[tokio::test(flavor = "current_thread")]
-async fn a_node_that_starts_by_itself_ends_with_what_keeps_it_from_that() {
-    let here = context(1);
+async fn failed_autostart_ends_the_node_with_its_error() {
+    let here = context(domain(1));
     let failing = node(&here, "failing", "");
     let diary = Diary::default();
     let error = Lifecycle::new(&failing).unwrap().run(&diary).await;
@@ -268,8 +255,8 @@ async fn next(subscription: &mut Subscription<Text>) -> String {
 }
 
 #[tokio::test(flavor = "current_thread")]
-async fn endpoints_live_from_configure_to_cleanup_and_are_silent_while_inactive() {
-    let (here, there) = (context(1), context(1));
+async fn endpoints_of_an_inactive_node_exist_and_are_silent() {
+    let (here, there) = (context(domain(1)), context(domain(1)));
     let echo = node(&here, "echo", "--ros-args -p autostart:=false");
     let lifecycle = Lifecycle::new(&echo).unwrap();
     let manager = node(&there, "manager", "");

@@ -2,19 +2,17 @@
 
 #![allow(clippy::unwrap_used, reason = "a test's helpers may fail the test")]
 
+mod participants;
+
+use participants::{PATIENCE, context, node};
 use std::{
     process::{Command, ExitCode},
     sync::Arc,
-    time::Duration,
 };
 use wm_msgs::std_srvs::{Outcome, SetBool, SetBoolRequest, Trigger, TriggerRequest};
 use wm_ros::{
-    Context, Environment, Error, Node, NodeArgs, NodeDefinition, NodeProgram, Reach, Requests,
-    Service, Setup, answer,
+    Error, Node, NodeArgs, NodeDefinition, NodeProgram, Requests, Service, Setup, answer,
 };
-
-/// Far above anything that discovery takes; it only ends a test that hangs.
-const PATIENCE: Duration = Duration::from_secs(20);
 
 wm_ros::parameters! {
     /// The node's parameters.
@@ -82,21 +80,14 @@ impl NodeProgram for Counter {
     }
 }
 
-fn context(test: u16) -> Context {
-    // Apart from the domains of this crate's other tests, and from another run of this one.
-    let domain_id = 100 + (std::process::id() as u16 % 10) * 2 + test;
-    let reach = Reach::Localhost;
-    Context::new(&Environment { domain_id, reach }).unwrap()
-}
-
-fn node(context: &Context, name: &str, line: &str) -> Node {
-    let args = NodeArgs::parse(line.split_whitespace()).unwrap();
-    Node::new(context, name, "/wm", &args).unwrap()
+/// A domain for each test, which neither other tests nor another run of this one use.
+fn domain(test: u16) -> u16 {
+    100 + (std::process::id() as u16 % 10) * 2 + test
 }
 
 #[tokio::test(flavor = "current_thread")]
 async fn a_node_answers_all_its_services_until_the_shutdown() {
-    let (here, there) = (context(0), context(0));
+    let (here, there) = (context(domain(0)), context(domain(0)));
     let counter = node(&here, "counter", "--ros-args -p has_step:=true");
     let client = node(&there, "client", "");
     let switch = client.client::<SetBool>("counter/switch").unwrap();
@@ -122,7 +113,7 @@ async fn a_node_answers_all_its_services_until_the_shutdown() {
 
 #[tokio::test(flavor = "current_thread")]
 async fn a_service_that_is_not_made_is_documented_but_absent() {
-    let (here, there) = (context(1), context(1));
+    let (here, there) = (context(domain(1)), context(domain(1)));
     let counter = node(&here, "counter", "");
     let client = node(&there, "client", "");
     let switch = client.client::<SetBool>("counter/switch").unwrap();

@@ -2,16 +2,16 @@
 
 #![allow(clippy::unwrap_used, reason = "a test's helpers may fail the test")]
 
+mod participants;
+
+use participants::{context, node, soon};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
-use std::{
-    sync::{
-        Arc,
-        atomic::{AtomicUsize, Ordering},
-    },
-    time::Duration,
+use std::sync::{
+    Arc,
+    atomic::{AtomicUsize, Ordering},
 };
 use wm_msgs::Message;
-use wm_ros::{Context, Environment, Node, NodeArgs, Qos, Reach};
+use wm_ros::{Node, Qos};
 
 static ENCODED: AtomicUsize = AtomicUsize::new(0);
 static DECODED: AtomicUsize = AtomicUsize::new(0);
@@ -51,27 +51,11 @@ fn counts() -> (usize, usize) {
     )
 }
 
-async fn soon<T>(future: impl Future<Output = T>) -> T {
-    let patience = Duration::from_secs(20);
-    tokio::time::timeout(patience, future).await.unwrap()
-}
-
-fn node(context: &Context, name: &str) -> Node {
-    let args = NodeArgs::parse(std::iter::empty::<&str>()).unwrap();
-    Node::new(context, name, "/wm", &args).unwrap()
-}
-
 #[tokio::test(flavor = "current_thread")]
 async fn a_message_is_encoded_only_for_those_who_need_bytes() {
-    let environment = Environment {
-        domain_id: 190 + (std::process::id() % 20) as u16,
-        reach: Reach::Localhost,
-    };
-    let (here, there) = (
-        Context::new(&environment).unwrap(),
-        Context::new(&environment).unwrap(),
-    );
-    let (talker, listener) = (node(&here, "talker"), node(&here, "listener"));
+    let domain = 190 + (std::process::id() % 20) as u16;
+    let (here, there) = (context(domain), context(domain));
+    let (talker, listener) = (node(&here, "talker", ""), node(&here, "listener", ""));
     let qos = Qos::reliable(10);
     let publisher = talker.publisher::<Counted>("counted", qos).unwrap();
     let subscribe = |node: &Node| node.subscription::<Counted>("counted", qos).unwrap();
@@ -84,12 +68,21 @@ async fn a_message_is_encoded_only_for_those_who_need_bytes() {
     let (mut one, mut two) = (subscribe(&talker), subscribe(&listener));
     publisher.publish(&Counted(1)).unwrap();
     for subscription in [&mut one, &mut two] {
-        assert_eq!(soon(subscription.recv()).await.unwrap().message, Counted(1));
+        assert_eq!(
+            soon("a message", subscription.recv())
+                .await
+                .unwrap()
+                .message,
+            Counted(1)
+        );
     }
     let message = Arc::new(Counted(2));
     publisher.publish_shared(Arc::clone(&message)).unwrap();
     for subscription in [&mut one, &mut two] {
-        let received = soon(subscription.recv_shared()).await.unwrap().message;
+        let received = soon("a message", subscription.recv_shared())
+            .await
+            .unwrap()
+            .message;
         assert!(Arc::ptr_eq(&received, &message), "the very same message");
     }
     assert_eq!(counts(), (0, 0));
@@ -99,19 +92,22 @@ async fn a_message_is_encoded_only_for_those_who_need_bytes() {
         .raw_subscription("counted", "std_msgs/msg/UInt8", qos)
         .unwrap();
     publisher.publish(&Counted(3)).unwrap();
-    soon(one.recv()).await.unwrap();
-    let bytes = soon(raw.recv()).await.unwrap().message;
+    soon("a message", one.recv()).await.unwrap();
+    let bytes = soon("a message", raw.recv()).await.unwrap().message;
     assert_eq!(bytes[..], [0, 1, 0, 0, 3]);
     assert_eq!(counts(), (1, 0));
 
     // and one is in another process, as it were
-    let elsewhere = node(&there, "elsewhere");
+    let elsewhere = node(&there, "elsewhere", "");
     let mut remote = subscribe(&elsewhere);
-    soon(publisher.wait_for_subscribers(4)).await;
-    soon(remote.wait_for_publishers(1)).await;
+    soon("connecting", publisher.wait_for_subscribers(4)).await;
+    soon("connecting", remote.wait_for_publishers(1)).await;
     publisher.publish(&Counted(4)).unwrap();
-    assert_eq!(soon(remote.recv()).await.unwrap().message, Counted(4));
-    soon(raw.recv()).await.unwrap();
+    assert_eq!(
+        soon("a message", remote.recv()).await.unwrap().message,
+        Counted(4)
+    );
+    soon("a message", raw.recv()).await.unwrap();
     assert_eq!(counts(), (1, 1));
     assert_eq!(
         (one.lost(), two.lost(), remote.lost(), raw.lost()),

@@ -22,7 +22,7 @@ const TOKEN_PROTOCOL: &str = "wm.token.";
 const TOKEN_LENGTHS: std::ops::RangeInclusive<usize> = 16..=256;
 
 #[derive(Debug)]
-pub struct Access {
+pub(crate) struct Access {
     hosts: Vec<String>,
     token: Option<String>,
     viewers: Vec<String>,
@@ -30,7 +30,7 @@ pub struct Access {
 
 /// Why a request is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Refusal {
+pub(crate) enum Refusal {
     /// The request names another host.
     Host,
     /// The request comes from another page.
@@ -40,7 +40,7 @@ pub enum Refusal {
 }
 
 impl Refusal {
-    pub const fn status(self) -> StatusCode {
+    pub(crate) const fn status(self) -> StatusCode {
         match self {
             Self::Host => StatusCode::MISDIRECTED_REQUEST,
             Self::Origin => StatusCode::FORBIDDEN,
@@ -48,7 +48,7 @@ impl Refusal {
         }
     }
 
-    pub const fn text(self) -> &'static str {
+    pub(crate) const fn text(self) -> &'static str {
         match self {
             Self::Host => {
                 "this name is not this host's: use its address, or list the name in the parameter hosts"
@@ -61,7 +61,7 @@ impl Refusal {
 
 impl Access {
     /// Allows these names besides addresses and localhost; requires `token` if given.
-    pub fn new(hosts: Vec<String>, token: Option<String>) -> Self {
+    pub(crate) fn new(hosts: Vec<String>, token: Option<String>) -> Self {
         Self {
             hosts,
             token,
@@ -73,7 +73,7 @@ impl Access {
     ///
     /// # Errors
     /// An entry is not an origin.
-    pub fn with_viewers(self, viewers: Vec<String>) -> Result<Self, ViewError> {
+    pub(crate) fn with_viewers(self, viewers: Vec<String>) -> Result<Self, ViewError> {
         // files have no authority
         let is_origin = |text: &String| {
             let parts = text.split_once("://");
@@ -89,7 +89,7 @@ impl Access {
     ///
     /// # Errors
     /// It does not.
-    pub fn check_viewer(&self, headers: &HeaderMap) -> Result<(), Refusal> {
+    pub(crate) fn check_viewer(&self, headers: &HeaderMap) -> Result<(), Refusal> {
         let origin = headers.get(header::ORIGIN);
         let is_listed = origin
             .and_then(|origin| origin.to_str().ok())
@@ -107,7 +107,7 @@ impl Access {
     ///
     /// # Errors
     /// It does not.
-    pub fn check_origin(&self, headers: &HeaderMap) -> Result<(), Refusal> {
+    pub(crate) fn check_origin(&self, headers: &HeaderMap) -> Result<(), Refusal> {
         let text = |name| headers.get(name).map(|value| value.to_str().unwrap_or(""));
         let host = text(header::HOST).ok_or(Refusal::Host)?;
         if !self.is_own(name_of(host)) {
@@ -130,7 +130,11 @@ impl Access {
     ///
     /// # Errors
     /// It is missing or wrong.
-    pub fn check_token(&self, headers: &HeaderMap, query: Option<&str>) -> Result<(), Refusal> {
+    pub(crate) fn check_token(
+        &self,
+        headers: &HeaderMap,
+        query: Option<&str>,
+    ) -> Result<(), Refusal> {
         let Some(token) = &self.token else {
             return Ok(());
         };
@@ -159,7 +163,7 @@ impl Access {
     }
 
     /// The address to open.
-    pub fn url(&self, address: SocketAddr) -> String {
+    pub(crate) fn url(&self, address: SocketAddr) -> String {
         let mut shown = address;
         if address.ip().is_unspecified() {
             // the unspecified address cannot be opened; loopback can, on this host
@@ -195,7 +199,7 @@ fn is_same(given: &str, token: &str) -> bool {
 ///
 /// # Errors
 /// The file cannot be read, or contains no token.
-pub fn token(address: IpAddr, file: &Path) -> Result<Option<String>, ViewError> {
+pub(crate) fn token(address: IpAddr, file: &Path) -> Result<Option<String>, ViewError> {
     if file.as_os_str().is_empty() {
         return Ok((!address.is_loopback()).then(new_token));
     }

@@ -7,14 +7,14 @@ use std::{
 };
 
 /// How long pictures are kept \[ns\].
-pub const SPAN_NS: i64 = 60_000_000_000;
+pub(crate) const SPAN_NS: i64 = 60_000_000_000;
 
 /// The source of a picture, and the step k of a predicted one.
-pub type Kind = (Source, u8);
+pub(crate) type Kind = (Source, u8);
 
 /// Pictures by arrival, bounded by age and bytes.
 #[derive(Debug)]
-pub struct Album {
+pub(crate) struct Album {
     /// With the time of arrival \[ns\].
     kept: VecDeque<(i64, Arc<Picture>)>,
     bytes: usize,
@@ -26,7 +26,7 @@ pub struct Album {
 
 impl Album {
     /// Keeps at most `limit` bytes.
-    pub fn new(limit: usize) -> Self {
+    pub(crate) fn new(limit: usize) -> Self {
         Self {
             kept: VecDeque::new(),
             bytes: 0,
@@ -37,7 +37,7 @@ impl Album {
     }
 
     /// Adds a picture that arrived at `now_ns`, and drops the oldest.
-    pub fn add(&mut self, picture: Arc<Picture>, now_ns: i64) {
+    pub(crate) fn add(&mut self, picture: Arc<Picture>, now_ns: i64) {
         self.arrivals += 1;
         let kind = (picture.label.source, picture.label.step);
         self.newest
@@ -55,7 +55,7 @@ impl Album {
     }
 
     /// The picture of this label, if kept.
-    pub fn find(&self, label: &Label) -> Option<&Arc<Picture>> {
+    pub(crate) fn find(&self, label: &Label) -> Option<&Arc<Picture>> {
         let is_it = |picture: &&Arc<Picture>| picture.label == *label;
         let mut pictures = self.kept.iter().rev().map(|(_, picture)| picture);
         // a goal stays valid: its picture may be older than the kept ones
@@ -65,7 +65,7 @@ impl Album {
 
     /// The newest pictures that a client lacks: returns the one that arrived first. `has`: the client's newest number
     /// of each kind.
-    pub fn next(&self, has: &BTreeMap<Kind, u64>) -> Option<(Kind, u64, &Arc<Picture>)> {
+    pub(crate) fn next(&self, has: &BTreeMap<Kind, u64>) -> Option<(Kind, u64, &Arc<Picture>)> {
         let is_new = |(kind, (number, _)): &(&Kind, &(u64, Arc<Picture>))| {
             has.get(kind).is_none_or(|had| had < number)
         };
@@ -74,12 +74,12 @@ impl Album {
         Some((*kind, *number, picture))
     }
 
-    pub fn bytes(&self) -> usize {
+    pub(crate) fn bytes(&self) -> usize {
         self.bytes
     }
 
     /// Time between the oldest and the newest picture \[ns\].
-    pub fn span_ns(&self) -> i64 {
+    pub(crate) fn span_ns(&self) -> i64 {
         match (self.kept.front(), self.kept.back()) {
             (Some((first, _)), Some((last, _))) => last.saturating_sub(*first).max(0),
             _ => 0,

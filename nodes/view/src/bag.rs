@@ -1,9 +1,9 @@
 //! A recorded bag instead of live topics. Reads all events; reads pictures on request.
 
 use crate::{
+    drop_reason::DropReason,
     picture::{Label, Picture, Source},
-    server::Shared,
-    state::{DropReason, State, Topic},
+    state::{State, Topic},
     status::InputTopic,
 };
 use anyhow::Result;
@@ -29,15 +29,17 @@ use wm_msgs::{
 
 /// Pictures read at a time: each needs a chunk of the bag in memory.
 const READERS: usize = 2;
-/// Clients are notified after so many messages.
-const STRIDE: usize = 500;
 
 const TRANSFORMS: &str = "/tf";
 const STATIC_TRANSFORMS: &str = "/tf_static";
 /// From the suite's namespace.
 const FIT: &str = "/wm/predicted/fit";
 
-pub struct Bag {
+mod reading;
+
+pub(crate) use reading::read;
+
+pub(crate) struct Bag {
     reader: BagReader,
     topics: BTreeMap<String, Topic>,
     /// The topic of the camera's calibration.
@@ -63,8 +65,8 @@ enum Unusable {
 }
 
 impl From<DropReason> for Unusable {
-    fn from(left: DropReason) -> Self {
-        Self::Dropped(left)
+    fn from(reason: DropReason) -> Self {
+        Self::Dropped(reason)
     }
 }
 
@@ -73,7 +75,7 @@ impl Bag {
     ///
     /// # Errors
     /// It cannot be read.
-    pub fn open(path: &Path, heard: &[InputTopic]) -> Result<Self, BagError> {
+    pub(crate) fn open(path: &Path, heard: &[InputTopic]) -> Result<Self, BagError> {
         let reader = BagReader::open(path)?;
         for warning in reader.warnings() {
             tracing::warn!("{warning}");
@@ -97,6 +99,7 @@ impl Bag {
         }
         let camera = heard.iter().find(|heard| heard.topic == Topic::Camera);
         let camera_info = camera.map(|camera| info_topic(&camera.name));
+        // no topic has an empty name
         let camera_info = camera_info.unwrap_or_default();
         // goals of another kind have a topic of their own, which counts as the same
         if let Some((name, _)) = topics.iter().find(|(_, topic)| **topic == Topic::Goal) {
@@ -114,7 +117,7 @@ impl Bag {
         })
     }
 
-    pub fn name(&self) -> String {
+    pub(crate) fn name(&self) -> String {
         self.reader.path().display().to_string()
     }
 
@@ -123,36 +126,7 @@ impl Bag {
         self.places.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Reads the whole bag and notifies the clients meanwhile.
-    pub fn read(&self, shared: &Shared) {
-        let mut unusable: BTreeMap<String, (u64, String)> = BTreeMap::new();
-        let scene = [&*self.camera_info, TRANSFORMS, STATIC_TRANSFORMS, FIT];
-        let topics = self.topics.keys().map(String::as_str).chain(scene);
-        let messages = self.reader.messages().only_topics(topics);
-        for (number, message) in messages.enumerate() {
-            let (topic, told) = match message {
-                Ok(message) => {
-                    let told = self.tell(&mut shared.known().state, &message);
-                    (message.topic.to_string(), told)
-                }
-                Err(error) => ("(the bag)".to_owned(), Err(error.into())),
-            };
-            if let Err(error) = told {
-                let entry = unusable.entry(topic);
-                entry.or_insert_with(|| (0, error.to_string())).0 += 1;
-            }
-            if number % STRIDE == 0 {
-                shared.wake();
-            }
-        }
-        for (topic, (number, reason)) in unusable {
-            tracing::warn!("{topic}: {number} messages are skipped: {reason}");
-        }
-        shared.renew_status();
-        shared.wake();
-    }
-
-    fn tell(&self, state: &mut State, message: &BagMessage) -> Result<(), Unusable> {
+    fn apply(&self, state: &mut State, message: &BagMessage) -> Result<(), Unusable> {
         // log times beyond the year 2262 are invalid
         let now_ns = i64::try_from(message.log_time_ns).unwrap_or(i64::MAX);
         let Some(topic) = self.topics.get(&*message.topic) else {
@@ -221,7 +195,10 @@ impl Bag {
     ///
     /// # Errors
     /// The fault of the bag, as text.
-    pub async fn picture(self: Arc<Self>, label: Label) -> Result<Option<Arc<Picture>>, String> {
+    pub(crate) async fn picture(
+        self: Arc<Self>,
+        label: Label,
+    ) -> Result<Option<Arc<Picture>>, String> {
         let Some(place) = self.places().get(&label).cloned() else {
             return Ok(None);
         };

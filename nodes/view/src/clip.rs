@@ -1,7 +1,7 @@
 //! Cuts texts and lists from outside before they are kept, so that the state is bounded.
 
 /// The first `limit` bytes of a text, cut between characters; an ellipsis marks the cut.
-pub fn text(text: &str, limit: usize) -> String {
+pub(crate) fn text(text: &str, limit: usize) -> String {
     if text.len() <= limit {
         return text.to_owned();
     }
@@ -9,7 +9,7 @@ pub fn text(text: &str, limit: usize) -> String {
     format!("{start}…")
 }
 
-pub fn list<T: Clone>(list: &[T], limit: usize) -> Vec<T> {
+pub(crate) fn list<T: Clone>(list: &[T], limit: usize) -> Vec<T> {
     list.iter().take(limit).cloned().collect()
 }
 

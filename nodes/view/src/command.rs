@@ -7,7 +7,7 @@ use thiserror::Error;
 
 /// What the page may do besides showing data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Permission {
+pub(crate) enum Permission {
     /// Only stop the executor, which only reduces motion.
     Nothing,
     /// Also set goals, choose candidates and reset the nodes' histories. If the executor is armed, this may move the
@@ -19,7 +19,7 @@ pub enum Permission {
 
 impl Permission {
     /// As sent to the page.
-    pub const fn name(self) -> &'static str {
+    pub(crate) const fn name(self) -> &'static str {
         match self {
             Self::Nothing => "none",
             Self::Goals => "goals",
@@ -29,7 +29,7 @@ impl Permission {
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Command {
+pub(crate) enum Command {
     /// Clears the histories of predictor, planner and evaluator.
     Reset,
     /// A shown picture becomes the goal.
@@ -52,7 +52,7 @@ const LONGEST_QUOTE: usize = 40;
 
 /// Why a message is not a command. Each text names the operation and the field, the expected and the found value.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
-pub enum CommandError {
+pub(crate) enum CommandError {
     /// Not JSON, or of another shape.
     #[error("not a command: {0}; expected {{\"number\":1,\"command\":{{\"op\":\"stop\"}}}}")]
     Shape(String),
@@ -153,7 +153,7 @@ impl fmt::Display for Command {
 
 impl Command {
     /// The required permission.
-    pub const fn needs(&self) -> Permission {
+    pub(crate) const fn needs(&self) -> Permission {
         match self {
             Self::Stop | Self::Arm { armed: false } => Permission::Nothing,
             Self::Reset | Self::Goal(_) | Self::Choose { .. } => Permission::Goals,
@@ -204,7 +204,7 @@ impl Command {
 
 /// A command with the number of its reply.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Numbered {
+pub(crate) struct Numbered {
     pub number: u32,
     pub command: Command,
 }
@@ -214,7 +214,7 @@ impl Numbered {
     ///
     /// # Errors
     /// The fault, and the number if there is one.
-    pub fn parse(text: &str) -> Result<Self, (Option<u32>, CommandError)> {
+    pub(crate) fn parse(text: &str) -> Result<Self, (Option<u32>, CommandError)> {
         let shape = |reason: String| (None, CommandError::Shape(reason));
         let message = serde_json::from_str(text).map_err(|error| shape(error.to_string()))?;
         let Value::Object(mut message) = message else {

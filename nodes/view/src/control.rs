@@ -3,7 +3,7 @@
 use crate::{
     command::{Command, Permission},
     picture::{Format, Picture},
-    server::Shared,
+    shared::Shared,
 };
 use futures::future::join_all;
 use std::{sync::Arc, time::Duration};
@@ -23,7 +23,7 @@ const SEARCH_LIMIT: Duration = Duration::from_secs(1);
 const HISTORIES: [&str; 3] = ["predictor", "planner", "evaluator"];
 
 /// Publishers and clients for the permitted commands.
-pub struct Control {
+pub(crate) struct Control {
     node: Node,
     steering: Option<Steering>,
     executor: Option<Arc<ExecutorClients>>,
@@ -43,14 +43,14 @@ struct ExecutorClients {
 }
 
 /// The result of a command, as text.
-pub type Answer = Result<String, String>;
+pub(crate) type Answer = Result<String, String>;
 
 impl Control {
     /// Creates only what is permitted: without permission, the view publishes nothing.
     ///
     /// # Errors
     /// An endpoint cannot be created.
-    pub fn new(node: &Node, permission: Permission) -> Result<Self, Error> {
+    pub(crate) fn new(node: &Node, permission: Permission) -> Result<Self, Error> {
         let steering = (permission >= Permission::Goals).then(|| Steering::new(node));
         Ok(Self {
             node: node.clone(),
@@ -63,7 +63,7 @@ impl Control {
     ///
     /// # Errors
     /// An endpoint cannot be created.
-    pub fn meet_executor(&mut self) -> Result<(), Error> {
+    pub(crate) fn meet_executor(&mut self) -> Result<(), Error> {
         if self.executor.is_none() {
             self.executor = Some(Arc::new(ExecutorClients {
                 arm: self.node.client("executor/arm")?,
@@ -75,7 +75,7 @@ impl Control {
     }
 
     /// Executes a command whose permission was checked. The returned future waits for other nodes.
-    pub fn run(
+    pub(crate) fn run(
         &self,
         command: Command,
         shared: &Arc<Shared>,

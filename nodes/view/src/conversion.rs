@@ -7,11 +7,11 @@ use tokio::task::JoinHandle;
 use wm_camera::camera_frame::CameraFrame;
 
 /// A picture or its error, and the image's arrival \[ns\].
-pub type Conversion = (Label, i64, Result<Picture, PictureError>);
+pub(crate) type Conversion = (Label, i64, Result<Picture, PictureError>);
 
 /// Images being encoded.
 #[derive(Default)]
-pub struct Conversions {
+pub(crate) struct Conversions {
     running: FuturesOrdered<JoinHandle<Conversion>>,
     waiting: BTreeMap<Source, usize>,
 }
@@ -26,7 +26,7 @@ const fn limit(source: Source) -> usize {
 
 impl Conversions {
     /// Starts encoding an image; false if too many are being encoded.
-    pub fn begin(&mut self, frame: CameraFrame, label: Label, now_ns: i64) -> bool {
+    pub(crate) fn begin(&mut self, frame: CameraFrame, label: Label, now_ns: i64) -> bool {
         let waiting = self.waiting.entry(label.source).or_default();
         if *waiting >= limit(label.source) {
             return false;
@@ -38,7 +38,7 @@ impl Conversions {
     }
 
     /// The next picture; waits forever if there are no images. Cancel safe.
-    pub async fn next(&mut self) -> Option<Conversion> {
+    pub(crate) async fn next(&mut self) -> Option<Conversion> {
         let Some(converted) = self.running.next().await else {
             return std::future::pending().await;
         };

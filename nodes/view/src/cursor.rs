@@ -6,7 +6,7 @@ use axum::extract::ws::Message;
 use std::collections::BTreeMap;
 
 #[derive(Debug, Default)]
-pub struct Cursor {
+pub(crate) struct Cursor {
     pictures: BTreeMap<Kind, u64>,
     events: u64,
     status: u64,
@@ -34,7 +34,7 @@ impl Turn {
 
 /// The last message `status`, with its number.
 #[derive(Debug, Default)]
-pub struct Status {
+pub(crate) struct Status {
     /// Counts up.
     pub number: u64,
     /// JSON.
@@ -43,7 +43,7 @@ pub struct Status {
 
 impl Cursor {
     /// The next message, which counts as sent; `None` if the client has everything.
-    pub fn next(&mut self, state: &State, status: &Status) -> Option<Message> {
+    pub(crate) fn next(&mut self, state: &State, status: &Status) -> Option<Message> {
         let mut turn = self.last;
         for _ in 0..3 {
             turn = turn.next();

@@ -5,7 +5,7 @@ use thiserror::Error;
 
 #[derive(Debug, Error)]
 #[non_exhaustive]
-pub enum ViewError {
+pub(crate) enum ViewError {
     /// The address is taken, or not of this machine.
     #[error(
         "cannot serve the page on {address}: {reason}; choose another port with `--port PORT` (in a launch file `view_port:=PORT`); 0 is any free one"

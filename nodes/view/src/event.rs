@@ -21,7 +21,7 @@ const AN_HOUR_NS: u64 = 3_600_000_000_000;
 
 /// A time \[ns\].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Stamp(pub i64);
+pub(crate) struct Stamp(pub i64);
 
 impl Serialize for Stamp {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
@@ -31,7 +31,7 @@ impl Serialize for Stamp {
 
 /// Consecutive actions.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Actions {
+pub(crate) struct Actions {
     /// When the first one begins.
     begin: Stamp,
     /// Duration of each \[ms\].
@@ -41,7 +41,7 @@ pub struct Actions {
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(tag = "t", rename_all = "lowercase")]
-pub enum Event {
+pub(crate) enum Event {
     /// A picture arrived. Clients can request it by these fields.
     Picture {
         source: &'static str,
@@ -147,7 +147,7 @@ fn of_chunk(chunk: &ActionChunk) -> Actions {
 }
 
 impl Event {
-    pub fn picture(label: &Label) -> Self {
+    pub(crate) fn picture(label: &Label) -> Self {
         Self::Picture {
             source: label.source.name(),
             stamp: Stamp(label.stamp_ns),
@@ -156,7 +156,7 @@ impl Event {
         }
     }
 
-    pub fn prediction(prediction: &Prediction) -> Self {
+    pub(crate) fn prediction(prediction: &Prediction) -> Self {
         let observed_ns = prediction.observed_stamp.to_nanos();
         let ready_ns = prediction.ready_stamp.to_nanos();
         let is_current = ready_ns.abs_diff(observed_ns) < AN_HOUR_NS;
@@ -171,7 +171,7 @@ impl Event {
         }
     }
 
-    pub fn error(error: &PredictionError) -> Self {
+    pub(crate) fn error(error: &PredictionError) -> Self {
         Self::Error {
             stamp: Stamp(error.header.stamp.to_nanos()),
             observed: Stamp(error.observed_stamp.to_nanos()),
@@ -182,21 +182,21 @@ impl Event {
         }
     }
 
-    pub fn action(action: &Action) -> Self {
+    pub(crate) fn action(action: &Action) -> Self {
         Self::Action {
             stamp: Stamp(action.header.stamp.to_nanos()),
             values: values(action),
         }
     }
 
-    pub fn chunk(chunk: &ActionChunk) -> Self {
+    pub(crate) fn chunk(chunk: &ActionChunk) -> Self {
         Self::Chunk {
             stamp: Stamp(chunk.header.stamp.to_nanos()),
             actions: of_chunk(chunk),
         }
     }
 
-    pub fn plan(plan: &Plan) -> Self {
+    pub(crate) fn plan(plan: &Plan) -> Self {
         let stamp_ns = plan.header.stamp.to_nanos();
         let first = plan.actions.first();
         let begin_ns = first.map_or(stamp_ns, |action| action.header.stamp.to_nanos());
@@ -221,14 +221,14 @@ impl Event {
         }
     }
 
-    pub fn way(way: PlannedPath) -> Self {
+    pub(crate) fn way(way: PlannedPath) -> Self {
         Self::Way {
             stamp: Stamp(way.begin_ns),
             points: way.points,
         }
     }
 
-    pub fn candidates(candidates: &ActionCandidates) -> Self {
+    pub(crate) fn candidates(candidates: &ActionCandidates) -> Self {
         let chunks = candidates.chunks.iter().take(MAX_CANDIDATES);
         Self::Candidates {
             stamp: Stamp(candidates.header.stamp.to_nanos()),
@@ -237,7 +237,7 @@ impl Event {
         }
     }
 
-    pub fn assessment(assessment: &Assessment) -> Self {
+    pub(crate) fn assessment(assessment: &Assessment) -> Self {
         let candidates = assessment.candidates.iter().take(MAX_CANDIDATES);
         Self::Assessment {
             stamp: Stamp(assessment.header.stamp.to_nanos()),
@@ -250,7 +250,7 @@ impl Event {
         }
     }
 
-    pub fn goal(goal: &Goal) -> Self {
+    pub(crate) fn goal(goal: &Goal) -> Self {
         Self::Goal {
             stamp: Stamp(goal.header.stamp.to_nanos()),
             pictures: goal.images.len(),
@@ -259,7 +259,7 @@ impl Event {
         }
     }
 
-    pub fn log(log: &wm_ros::Log) -> Self {
+    pub(crate) fn log(log: &wm_ros::Log) -> Self {
         Self::Log {
             stamp: Stamp(log.stamp.to_nanos()),
             level: log.level,

@@ -13,12 +13,12 @@
 //! existing socket: its server has its own listener and handshake, and the types of its messages are private.
 
 mod channel;
-pub mod client;
+pub(crate) mod client;
 mod feed;
-pub mod hub;
+pub(crate) mod hub;
 mod message;
-pub mod offer;
+pub(crate) mod offer;
 mod outbox;
 
 /// The subprotocols, the newer one first. Foxglove requests both, Lichtblick the older one.
-pub const PROTOCOLS: [&str; 2] = ["foxglove.sdk.v1", "foxglove.websocket.v1"];
+pub(crate) const PROTOCOLS: [&str; 2] = ["foxglove.sdk.v1", "foxglove.websocket.v1"];

@@ -2,7 +2,7 @@
 
 use crate::{
     picture_subscription::{PictureSubscription, Publishers},
-    server::Shared,
+    shared::Shared,
     state::Topic,
     status::InputTopic,
 };
@@ -31,11 +31,11 @@ const STATIC: Qos = Qos::reliable(64);
 const NEWEST: Qos = Qos::sensor_data();
 
 /// The camera's topic, unless a parameter names another.
-pub const CAMERA: &str = "/camera/image_raw";
+pub(crate) const CAMERA: &str = "/camera/image_raw";
 
 wm_ros::endpoints! {
     /// Topics.
-    pub struct Inputs {
+    pub(crate) struct Inputs {
         /// The camera's frames. The parameter camera_topic sets the topic.
         pub camera: PictureSubscription = CAMERA, qos(NEWEST), made(|node, _, qos| {
             let topic: String = node.parameter("camera_topic")?;
@@ -88,7 +88,7 @@ wm_ros::endpoints! {
 }
 
 /// The topics of a live view; `None` if it shows a bag.
-pub struct LiveInputs(pub Option<Inputs>);
+pub(crate) struct LiveInputs(pub Option<Inputs>);
 
 impl EndpointSet for LiveInputs {
     fn specs() -> Vec<EndpointSpec> {
@@ -105,7 +105,7 @@ impl EndpointSet for LiveInputs {
 }
 
 /// The topics by their names in this node, without the siblings.
-pub fn topics(node: &Node, camera_topic: &str, is_live: bool) -> Result<Vec<InputTopic>> {
+pub(crate) fn topics(node: &Node, camera_topic: &str, is_live: bool) -> Result<Vec<InputTopic>> {
     let names = [
         (Topic::Camera, camera_topic),
         (Topic::Predicted, "predicted"),
@@ -137,7 +137,7 @@ pub fn topics(node: &Node, camera_topic: &str, is_live: bool) -> Result<Vec<Inpu
 
 impl Inputs {
     /// Follows a change of the graph: the transports of pictures, and the number of publishers.
-    pub fn look(&mut self, publishers: &Publishers, shared: &Shared) -> Result<()> {
+    pub(crate) fn look(&mut self, publishers: &Publishers, shared: &Shared) -> Result<()> {
         let pictures = [
             (Topic::Camera, &mut self.camera),
             (Topic::Pictures, &mut self.pictures),

@@ -5,7 +5,7 @@ use serde::Serialize;
 use std::collections::VecDeque;
 
 #[derive(Clone, Copy, Debug)]
-pub struct Limits {
+pub(crate) struct Limits {
     /// Age \[ns\].
     pub span_ns: i64,
     /// Bytes of JSON.
@@ -17,7 +17,7 @@ const BATCH: usize = 400;
 
 /// Events in order of arrival.
 #[derive(Debug)]
-pub struct Journal {
+pub(crate) struct Journal {
     limits: Limits,
     /// With the time of arrival \[ns\].
     entries: VecDeque<(i64, Box<str>)>,
@@ -35,7 +35,7 @@ struct Entry<'a> {
 }
 
 impl Journal {
-    pub fn new(limits: Limits) -> Self {
+    pub(crate) fn new(limits: Limits) -> Self {
         Self {
             limits,
             entries: VecDeque::new(),
@@ -45,7 +45,7 @@ impl Journal {
     }
 
     /// Adds an event that arrived at `now_ns`, and drops the oldest.
-    pub fn add(&mut self, event: &Event, now_ns: i64) {
+    pub(crate) fn add(&mut self, event: &Event, now_ns: i64) {
         let entry = Entry {
             at: Stamp(now_ns),
             event,
@@ -67,18 +67,18 @@ impl Journal {
     }
 
     /// The number of the next event.
-    pub fn end(&self) -> u64 {
+    pub(crate) fn end(&self) -> u64 {
         self.first + self.entries.len() as u64
     }
 
     /// The number of the oldest event.
-    pub fn first(&self) -> u64 {
+    pub(crate) fn first(&self) -> u64 {
         self.first
     }
 
     /// A message with the events from number `next` on, as far as they fit, and the number after them; `None` without
     /// events. Contains the number of events that this client has missed.
-    pub fn batch(&self, next: u64) -> Option<(String, u64)> {
+    pub(crate) fn batch(&self, next: u64) -> Option<(String, u64)> {
         let lost = self.first.saturating_sub(next);
         // at most as many as there are entries
         let skip = next.saturating_sub(self.first) as usize;

@@ -29,7 +29,7 @@ const SEND_BUFFER: usize = 256 << 10;
 /// The pause after an error, for example without file descriptors.
 const PAUSE: Duration = Duration::from_millis(100);
 
-pub struct Connections {
+pub(crate) struct Connections {
     listener: TcpListener,
     permits: Arc<Semaphore>,
     refused: Arc<AtomicU64>,
@@ -37,7 +37,7 @@ pub struct Connections {
 
 impl Connections {
     /// Accepts at most `limit` connections at a time, closes others at once, and counts them in `refused`.
-    pub fn new(listener: TcpListener, limit: usize, refused: Arc<AtomicU64>) -> Self {
+    pub(crate) fn new(listener: TcpListener, limit: usize, refused: Arc<AtomicU64>) -> Self {
         Self {
             listener,
             permits: Arc::new(Semaphore::new(limit)),
@@ -84,7 +84,7 @@ impl Listener for Connections {
 }
 
 /// A connection; frees its place when dropped.
-pub struct Connection {
+pub(crate) struct Connection {
     stream: TcpStream,
     silence: Pin<Box<Sleep>>,
     _permit: OwnedSemaphorePermit,

@@ -4,18 +4,20 @@ use crate::{
     ViewError,
     access::{self, Access},
     album::SPAN_NS,
-    bag::Bag,
+    bag::{self, Bag},
     control::{Answer, Control},
     conversion::Conversions,
+    drop_reason::DropReason,
     foxglove::{hub::Hub, offer::Offer},
     inputs::{Inputs, LiveInputs, topics},
     parameters::{AXES, Parameters},
     picture::{Label, Picture, PictureError, Source},
     picture_subscription::publishers,
     scene::Scene,
-    server::{self, ClientCommand, Settings, Shared},
+    server,
+    shared::{ClientCommand, Settings, Shared},
     socket,
-    state::{DropReason, State},
+    state::State,
     status::InputTopic,
 };
 use anyhow::{Context as _, Result};
@@ -140,7 +142,7 @@ impl NodeProgram for ViewProgram {
         }
         if let Some(bag) = bag {
             let shared = Arc::clone(&shared);
-            tokio::task::spawn_blocking(move || bag.read(&shared));
+            tokio::task::spawn_blocking(move || bag::read(&bag, &shared));
         }
         let control = Control::new(&at.node, at.parameters.control)?;
         let Some(inputs) = &mut at.endpoints.0 else {

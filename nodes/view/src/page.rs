@@ -1,6 +1,6 @@
 //! The page's files: plain HTML, CSS and JavaScript.
 
-pub struct File {
+pub(crate) struct File {
     pub path: &'static str,
     pub media_type: &'static str,
     pub text: &'static str,
@@ -18,7 +18,7 @@ macro_rules! files {
     };
 }
 
-pub const FILES: &[File] = files! {
+pub(crate) const FILES: &[File] = files! {
     "/" => "text/html; charset=utf-8", "index.html";
     "/view.css" => "text/css; charset=utf-8", "view.css";
     "/icon.svg" => "image/svg+xml", "icon.svg";
@@ -33,7 +33,7 @@ pub const FILES: &[File] = files! {
 
 /// The page may only load its own files and connect to its own host. No other page may frame it, where a click could be
 /// misdirected.
-pub const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; \
+pub(crate) const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; \
     base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
 #[cfg(test)]

@@ -4,13 +4,13 @@ use crate::{command::Permission, inputs::CAMERA};
 use std::path::PathBuf;
 
 /// Where the axes of the bundled bag's actions point in its pictures: right and down for x, y and z \[picture widths per m\].
-pub const AXES: [f64; 6] = [2.93, -0.15, -0.23, -1.84, 0.0, -2.29];
+pub(crate) const AXES: [f64; 6] = [2.93, -0.15, -0.23, -1.84, 0.0, -2.29];
 
 /// The page's port, unless a parameter names another.
 pub(crate) const PORT: u16 = 8765;
 wm_ros::parameters! {
     /// The node's parameters.
-    pub struct Parameters {
+    pub(crate) struct Parameters {
         /// Bag to show instead of what the nodes publish; empty: live.
         pub bag: PathBuf = "";
         /// Address that the page is served on. On another one than loopback, a token is needed, which the node prints.

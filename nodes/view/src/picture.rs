@@ -11,7 +11,7 @@ use wm_camera::{
 /// What a picture shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[repr(u8)]
-pub enum Source {
+pub(crate) enum Source {
     /// The camera's frame.
     Camera = 0,
     /// The prediction, k steps after an observation.
@@ -25,7 +25,7 @@ pub enum Source {
 }
 
 impl Source {
-    pub const ALL: [Self; 5] = [
+    pub(crate) const ALL: [Self; 5] = [
         Self::Camera,
         Self::Predicted,
         Self::Plan,
@@ -34,7 +34,7 @@ impl Source {
     ];
 
     /// In addresses and events.
-    pub const fn name(self) -> &'static str {
+    pub(crate) const fn name(self) -> &'static str {
         match self {
             Self::Camera => "camera",
             Self::Predicted => "predicted",
@@ -44,7 +44,7 @@ impl Source {
         }
     }
 
-    pub fn named(name: &str) -> Option<Self> {
+    pub(crate) fn named(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|source| source.name() == name)
     }
 }
@@ -52,13 +52,13 @@ impl Source {
 /// The compression of a picture. Browsers show both.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
-pub enum Format {
+pub(crate) enum Format {
     Jpeg = 0,
     Png = 1,
 }
 
 impl Format {
-    pub const fn media_type(self) -> &'static str {
+    pub(crate) const fn media_type(self) -> &'static str {
         match self {
             Self::Jpeg => "image/jpeg",
             Self::Png => "image/png",
@@ -68,7 +68,7 @@ impl Format {
 
 /// Identifies a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct Label {
+pub(crate) struct Label {
     pub source: Source,
     /// k of a predicted picture; otherwise 0.
     pub step: u8,
@@ -80,7 +80,7 @@ pub struct Label {
 
 impl Label {
     /// A picture that is not a prediction.
-    pub const fn of(source: Source, stamp_ns: i64) -> Self {
+    pub(crate) const fn of(source: Source, stamp_ns: i64) -> Self {
         Self {
             source,
             step: 0,
@@ -92,7 +92,7 @@ impl Label {
 
 /// Why an image message is not a picture for the page.
 #[derive(Debug, Error)]
-pub enum PictureError {
+pub(crate) enum PictureError {
     #[error("has {actual} bytes, expected at most {MAX_BYTES}")]
     Size { actual: usize },
     /// An incomplete picture, one that is neither JPEG nor PNG, or a raw image that cannot be encoded.
@@ -101,7 +101,7 @@ pub enum PictureError {
 }
 
 /// Largest picture \[byte\]: an 8K JPEG of good quality.
-pub const MAX_BYTES: usize = 16 << 20;
+pub(crate) const MAX_BYTES: usize = 16 << 20;
 
 /// Largest JPEG that is checked in less than about 2 ms \[byte\].
 const QUICK_BYTES: usize = 256 << 10;
@@ -113,11 +113,11 @@ const QUALITY: u8 = 85;
 const VERSION: u8 = 1;
 
 /// Bytes of the header: version, source, format, step, then three stamps, little endian.
-pub const HEADER_LEN: usize = 4 + 3 * 8;
+pub(crate) const HEADER_LEN: usize = 4 + 3 * 8;
 
 /// A picture that can be sent. Clones share the bytes.
 #[derive(Clone, Debug)]
-pub struct Picture {
+pub(crate) struct Picture {
     pub label: Label,
     pub format: Format,
     /// Columns and rows.
@@ -130,7 +130,7 @@ pub struct Picture {
 impl Picture {
     /// Whether conversion takes milliseconds: raw images are encoded, and PNGs are decoded to check that they are
     /// complete.
-    pub fn is_slow(frame: &CameraFrame) -> bool {
+    pub(crate) fn is_slow(frame: &CameraFrame) -> bool {
         match frame {
             CameraFrame::Raw(_) => true,
             CameraFrame::Compressed(image) => {
@@ -143,7 +143,11 @@ impl Picture {
     ///
     /// # Errors
     /// Names the fault of the image.
-    pub fn of(frame: &CameraFrame, label: Label, received_ns: i64) -> Result<Self, PictureError> {
+    pub(crate) fn of(
+        frame: &CameraFrame,
+        label: Label,
+        received_ns: i64,
+    ) -> Result<Self, PictureError> {
         let encoded;
         let image = match frame {
             CameraFrame::Compressed(image) => image,
@@ -177,16 +181,16 @@ impl Picture {
     }
 
     /// Header and data.
-    pub fn message(&self) -> Bytes {
+    pub(crate) fn message(&self) -> Bytes {
         self.message.clone()
     }
 
     /// The JPEG or PNG alone.
-    pub fn data(&self) -> Bytes {
+    pub(crate) fn data(&self) -> Bytes {
         self.message.slice(HEADER_LEN..)
     }
 
-    pub fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.message.len()
     }
 }
@@ -199,7 +203,7 @@ pub(crate) mod tests {
     use wm_camera::image_message::encode_image;
     use wm_msgs::{builtin_interfaces::Time, sensor_msgs::CompressedImage, std_msgs::Header};
 
-    pub fn header(stamp_ns: i64) -> Header {
+    pub(crate) fn header(stamp_ns: i64) -> Header {
         Header {
             stamp: Time::from_nanos(stamp_ns),
             frame_id: "camera".to_owned(),
@@ -207,12 +211,12 @@ pub(crate) mod tests {
     }
 
     /// A small JPEG of one grey level.
-    pub fn jpeg(stamp_ns: i64, level: u8) -> CameraFrame {
+    pub(crate) fn jpeg(stamp_ns: i64, level: u8) -> CameraFrame {
         let rgb = RgbImage::from_pixel(16, 16, Rgb([level; 3]));
         CameraFrame::Compressed(encode_jpeg(&rgb, header(stamp_ns), 90).unwrap())
     }
 
-    pub fn picture(label: Label) -> Picture {
+    pub(crate) fn picture(label: Label) -> Picture {
         Picture::of(&jpeg(label.stamp_ns, 100), label, 7).unwrap()
     }
 

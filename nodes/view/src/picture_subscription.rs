@@ -9,7 +9,7 @@ use wm_ros::{
 
 /// Pictures of an image topic. It subscribes to raw images only if there are no compressed ones: they are much larger
 /// and cost their publishers time.
-pub struct PictureSubscription {
+pub(crate) struct PictureSubscription {
     node: Node,
     topic: String,
     qos: Qos,
@@ -20,9 +20,9 @@ pub struct PictureSubscription {
 }
 
 /// The number of publishers per topic, by absolute name.
-pub type Publishers = BTreeMap<String, usize>;
+pub(crate) type Publishers = BTreeMap<String, usize>;
 
-pub fn publishers(topics: Vec<TopicInfo>) -> Publishers {
+pub(crate) fn publishers(topics: Vec<TopicInfo>) -> Publishers {
     let mut publishers = Publishers::new();
     for topic in topics {
         *publishers.entry(topic.name).or_default() += topic.publishers.len();
@@ -35,7 +35,7 @@ impl PictureSubscription {
     ///
     /// # Errors
     /// The subscription cannot be created.
-    pub fn new(node: &Node, topic: &str, qos: Qos) -> Result<Self, Error> {
+    pub(crate) fn new(node: &Node, topic: &str, qos: Qos) -> Result<Self, Error> {
         Self::made(node, topic, qos, false)
     }
 
@@ -43,7 +43,7 @@ impl PictureSubscription {
     ///
     /// # Errors
     /// The subscription cannot be created.
-    pub fn of_latched(node: &Node, topic: &str, qos: Qos) -> Result<Self, Error> {
+    pub(crate) fn of_latched(node: &Node, topic: &str, qos: Qos) -> Result<Self, Error> {
         Self::made(node, topic, qos, true)
     }
 
@@ -64,7 +64,8 @@ impl PictureSubscription {
     }
 
     /// Publishers of both transports.
-    pub fn publishers(&self, publishers: &Publishers) -> usize {
+    pub(crate) fn publishers(&self, publishers: &Publishers) -> usize {
+        // a topic without publishers has no entry
         let count = |topic: &str| publishers.get(topic).copied().unwrap_or(0);
         count(&self.topic) + count(self.compressed.topic())
     }
@@ -73,7 +74,7 @@ impl PictureSubscription {
     ///
     /// # Errors
     /// The subscription cannot be created.
-    pub fn look(&mut self, publishers: &Publishers) -> Result<(), Error> {
+    pub(crate) fn look(&mut self, publishers: &Publishers) -> Result<(), Error> {
         let has = |topic: &str| publishers.get(topic).is_some_and(|number| *number > 0);
         let wants_raw = has(&self.topic) && !has(self.compressed.topic());
         if wants_raw && self.raw.is_none() {
@@ -90,7 +91,7 @@ impl PictureSubscription {
     }
 
     /// The next picture; `None` after shutdown. Cancel safe.
-    pub async fn recv(&mut self) -> Option<Received<CameraFrame>> {
+    pub(crate) async fn recv(&mut self) -> Option<Received<CameraFrame>> {
         let raw = async {
             match &mut self.raw {
                 Some(raw) => raw.recv().await,

@@ -9,13 +9,13 @@ const WINDOW_NS: i64 = 4_000_000_000;
 const LIMIT: usize = 1000;
 
 #[derive(Debug, Default)]
-pub struct Rate {
+pub(crate) struct Rate {
     arrivals: VecDeque<i64>,
     count: u64,
 }
 
 impl Rate {
-    pub fn arrived(&mut self, now_ns: i64) {
+    pub(crate) fn arrived(&mut self, now_ns: i64) {
         if self.arrivals.len() == LIMIT {
             self.arrivals.pop_front();
         }
@@ -23,12 +23,12 @@ impl Rate {
         self.count += 1;
     }
 
-    pub fn count(&self) -> u64 {
+    pub(crate) fn count(&self) -> u64 {
         self.count
     }
 
     /// Recent arrivals per second; 0 if they have ceased.
-    pub fn hertz(&mut self, now_ns: i64) -> f64 {
+    pub(crate) fn hertz(&mut self, now_ns: i64) -> f64 {
         while let Some(first) = self.arrivals.front()
             && now_ns.saturating_sub(*first) > WINDOW_NS
         {
@@ -46,7 +46,7 @@ impl Rate {
     }
 
     /// Time since the last arrival \[ns\].
-    pub fn age_ns(&self, now_ns: i64) -> Option<i64> {
+    pub(crate) fn age_ns(&self, now_ns: i64) -> Option<i64> {
         let last = self.arrivals.back()?;
         Some(now_ns.saturating_sub(*last).max(0))
     }

@@ -1,6 +1,6 @@
 //! Projects a plan's path into the camera's picture.
 
-use crate::state::DropReason;
+use crate::drop_reason::DropReason;
 use nalgebra::Point3;
 use wm_camera::camera_info::{check, scale};
 use wm_msgs::{
@@ -20,7 +20,7 @@ const NEAREST_M: f64 = 0.01;
 
 /// The camera's calibration and position.
 #[derive(Debug, Default)]
-pub struct Scene {
+pub(crate) struct Scene {
     frames: Frames,
     camera: Option<(CameraInfo, Pinhole)>,
     /// Columns and rows of the camera's newest picture.
@@ -65,7 +65,7 @@ impl Pinhole {
 /// The end effector's positions before the first action of a plan and after each action, in fractions of the picture's
 /// width and height.
 #[derive(Clone, Debug, PartialEq)]
-pub struct PlannedPath {
+pub(crate) struct PlannedPath {
     /// When the first action begins \[ns\].
     pub begin_ns: i64,
     /// From left and top.
@@ -74,12 +74,12 @@ pub struct PlannedPath {
 
 impl Scene {
     /// Takes the calibration; uncalibrated cameras project nothing.
-    pub fn camera(&mut self, info: &CameraInfo) {
+    pub(crate) fn camera(&mut self, info: &CameraInfo) {
         self.camera = Pinhole::of(info).map(|pinhole| (info.clone(), pinhole));
     }
 
     /// Takes the size of the camera's pictures, which must match the calibration.
-    pub fn picture(&mut self, size: (u32, u32)) {
+    pub(crate) fn picture(&mut self, size: (u32, u32)) {
         self.size = Some(size);
     }
 
@@ -93,7 +93,11 @@ impl Scene {
     ///
     /// # Errors
     /// Some of them are left out; the others count.
-    pub fn transforms(&mut self, message: &TFMessage, is_static: bool) -> Result<(), DropReason> {
+    pub(crate) fn transforms(
+        &mut self,
+        message: &TFMessage,
+        is_static: bool,
+    ) -> Result<(), DropReason> {
         let mut taken = Ok(());
         for one in &message.transforms {
             let names = (&*one.header.frame_id, &*one.child_frame_id);
@@ -114,7 +118,7 @@ impl Scene {
 
     /// The path of the plan among these markers. `None` without a plan, without the camera's position, or if a part of
     /// the path is behind the camera.
-    pub fn way(&self, markers: &MarkerArray) -> Option<PlannedPath> {
+    pub(crate) fn way(&self, markers: &MarkerArray) -> Option<PlannedPath> {
         let is_way = |marker: &&Marker| {
             marker.ns == PLAN && marker.r#type == Marker::LINE_STRIP && marker.action == Marker::ADD
         };

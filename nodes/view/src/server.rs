@@ -2,20 +2,13 @@
 
 use crate::{
     ViewError,
-    access::{Access, Refusal},
-    bag::Bag,
-    command::{Command, Permission},
-    cursor::Status,
-    foxglove::{
-        client,
-        hub::{Hub, MAX_MESSAGE},
-    },
+    access::Refusal,
+    foxglove::{client, hub::MAX_MESSAGE},
     listener::Connections,
     page,
     picture::{Label, MAX_BYTES, Picture, Source},
+    shared::{Settings, Shared},
     socket,
-    state::State,
-    status::{self, InputTopic, View},
     subprotocol::Subprotocol,
 };
 use axum::{
@@ -29,18 +22,8 @@ use axum::{
     response::{IntoResponse as _, Response},
     routing::get,
 };
-use std::{
-    net::SocketAddr,
-    sync::{
-        Arc, Mutex, MutexGuard, PoisonError,
-        atomic::{AtomicU64, AtomicUsize, Ordering},
-    },
-};
-use tokio::{
-    net::TcpListener,
-    sync::{mpsc, watch},
-};
-use wm_ros::Clock;
+use std::{net::SocketAddr, sync::Arc};
+use tokio::net::TcpListener;
 
 /// Longest message of a client \[byte\]: a command has some hundred.
 const MAX_COMMAND: usize = 4 << 10;
@@ -50,133 +33,11 @@ const CONNECTIONS: usize = 8;
 const NO_PROTOCOL: &str = "expected the subprotocol wm.view.v1, or one of Foxglove's where the parameter foxglove_regex offers \
     topics";
 
-/// State shared by the node and the clients' tasks.
-pub struct Shared {
-    known: Mutex<SharedState>,
-    /// Changes when clients may have something to send.
-    news: watch::Sender<u64>,
-    /// Commands for the node.
-    commands: mpsc::Sender<ClientCommand>,
-    clients: AtomicUsize,
-    refused: Arc<AtomicU64>,
-    settings: Settings,
-}
-
-pub struct Settings {
-    pub access: Access,
-    pub permission: Permission,
-    pub max_clients: usize,
-    /// The first message of each client.
-    pub hello: String,
-    pub bag: Option<Arc<Bag>>,
-    pub clock: Clock,
-    /// Topics for viewers with Foxglove's protocol; `None` if the user offers none.
-    pub foxglove: Option<Arc<Hub>>,
-}
-
-pub struct SharedState {
-    pub state: State,
-    /// The topics that are heard.
-    pub heard: Vec<InputTopic>,
-    /// The last message `status`.
-    pub status: Status,
-}
-
-/// A command that a client has sent.
-pub struct ClientCommand {
-    /// The number of its answer.
-    pub number: u32,
-    pub command: Command,
-    /// Receives the reply.
-    pub answers: mpsc::Sender<String>,
-}
-
-impl Shared {
-    pub fn new(
-        state: State,
-        heard: Vec<InputTopic>,
-        settings: Settings,
-        commands: mpsc::Sender<ClientCommand>,
-    ) -> Self {
-        Self {
-            known: Mutex::new(SharedState {
-                state,
-                heard,
-                status: Status::default(),
-            }),
-            news: watch::Sender::new(0),
-            commands,
-            clients: AtomicUsize::new(0),
-            refused: Arc::default(),
-            settings,
-        }
-    }
-
-    /// Each message leaves the state consistent, so it outlives a panic.
-    pub fn known(&self) -> MutexGuard<'_, SharedState> {
-        self.known.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    pub fn wake(&self) {
-        self.news.send_modify(|number| *number += 1);
-    }
-
-    /// Wakes a client.
-    pub fn news(&self) -> watch::Receiver<u64> {
-        self.news.subscribe()
-    }
-
-    pub fn settings(&self) -> &Settings {
-        &self.settings
-    }
-
-    /// Where commands go.
-    pub fn commands(&self) -> &mpsc::Sender<ClientCommand> {
-        &self.commands
-    }
-
-    /// The number of connected clients.
-    pub fn clients(&self) -> usize {
-        self.clients.load(Ordering::Relaxed)
-    }
-
-    /// Updates the message `status`.
-    pub fn renew_status(&self) {
-        let view = View {
-            clients: self.clients(),
-            refused: self.refused.load(Ordering::Relaxed),
-        };
-        let now_ns = self.settings.clock.now().to_nanos();
-        let mut known = self.known();
-        let known = &mut *known;
-        known.status.message = status::message(&mut known.state, &known.heard, &view, now_ns);
-        known.status.number += 1;
-    }
-
-    /// A place for one more client, if free.
-    pub fn admit(self: &Arc<Self>) -> Option<Place> {
-        let limit = self.settings.max_clients;
-        let next = |clients: usize| (clients < limit).then_some(clients + 1);
-        let order = Ordering::Relaxed;
-        self.clients.fetch_update(order, order, next).ok()?;
-        Some(Place(Arc::clone(self)))
-    }
-}
-
-/// Freed when dropped.
-pub struct Place(Arc<Shared>);
-
-impl Drop for Place {
-    fn drop(&mut self) {
-        self.0.clients.fetch_sub(1, Ordering::Relaxed);
-    }
-}
-
 /// Listens on an address.
 ///
 /// # Errors
 /// The address is taken, or not of this machine.
-pub async fn listen(address: SocketAddr) -> Result<(TcpListener, SocketAddr), ViewError> {
+pub(crate) async fn listen(address: SocketAddr) -> Result<(TcpListener, SocketAddr), ViewError> {
     let refused = |reason| ViewError::Listen { address, reason };
     let listener = TcpListener::bind(address).await.map_err(refused)?;
     let bound = listener.local_addr().map_err(refused)?;
@@ -184,9 +45,9 @@ pub async fn listen(address: SocketAddr) -> Result<(TcpListener, SocketAddr), Vi
 }
 
 /// Serves the page until the task is dropped.
-pub async fn serve(listener: TcpListener, shared: Arc<Shared>) {
-    let limit = shared.settings.max_clients * CONNECTIONS;
-    let connections = Connections::new(listener, limit, Arc::clone(&shared.refused));
+pub(crate) async fn serve(listener: TcpListener, shared: Arc<Shared>) {
+    let limit = shared.settings().max_clients * CONNECTIONS;
+    let connections = Connections::new(listener, limit, shared.refused());
     if let Err(error) = axum::serve(connections, router(shared)).await {
         tracing::error!("the page is no longer served: {error}");
     }
@@ -233,7 +94,7 @@ type Upgrade = Result<WebSocketUpgrade, WebSocketUpgradeRejection>;
 
 /// Refuses requests to other hosts and of other pages, and makes browsers strict.
 async fn of_own_page(Extracted(shared): Sharing, request: Request, next: Next) -> Response {
-    let mut response = match check_origin(&shared.settings, request.headers()) {
+    let mut response = match check_origin(shared.settings(), request.headers()) {
         Ok(()) => next.run(request).await,
         Err(refusal) => refusal.into(),
     };
@@ -274,7 +135,11 @@ fn check_origin(settings: &Settings, headers: &HeaderMap) -> Result<(), Refusal>
 }
 
 async fn with_token(Extracted(shared): Sharing, request: Request, next: Next) -> Response {
-    match shared.settings.access.check_token(request.headers(), None) {
+    match shared
+        .settings()
+        .access
+        .check_token(request.headers(), None)
+    {
         Ok(()) => next.run(request).await,
         Err(refusal) => refusal.into(),
     }
@@ -308,8 +173,8 @@ async fn picture(
 ///
 /// # Errors
 /// The bag cannot be read there; the reason as text.
-pub async fn find(shared: &Shared, label: Label) -> Result<Option<Arc<Picture>>, String> {
-    match &shared.settings.bag {
+pub(crate) async fn find(shared: &Shared, label: Label) -> Result<Option<Arc<Picture>>, String> {
+    match &shared.settings().bag {
         Some(bag) => Arc::clone(bag).picture(label).await,
         None => Ok(shared.known().state.album.find(&label).cloned()),
     }
@@ -326,10 +191,10 @@ async fn connect(
         Some(Subprotocol::Foxglove(_)) => uri.query(),
         _ => None,
     };
-    if let Err(refusal) = shared.settings.access.check_token(&headers, query) {
+    if let Err(refusal) = shared.settings().access.check_token(&headers, query) {
         return refusal.into();
     }
-    let (spoken, hub) = match (spoken, &shared.settings.foxglove) {
+    let (spoken, hub) = match (spoken, &shared.settings().foxglove) {
         (Some(spoken @ Subprotocol::View), _) => (spoken, None),
         (Some(spoken @ Subprotocol::Foxglove(_)), Some(hub)) => (spoken, Some(Arc::clone(hub))),
         _ => {
@@ -358,7 +223,7 @@ async fn connect(
     };
     upgrade.on_upgrade(async move |socket| {
         match hub {
-            Some(hub) => client::serve(socket, &hub, shared.settings.bag.is_some()).await,
+            Some(hub) => client::serve(socket, &hub, shared.settings().bag.is_some()).await,
             None => socket::serve(socket, &shared).await,
         }
         drop(place);

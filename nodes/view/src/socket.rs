@@ -3,7 +3,7 @@
 use crate::{
     command::Numbered,
     cursor::Cursor,
-    server::{ClientCommand, Shared},
+    shared::{ClientCommand, Shared},
 };
 use axum::{
     Error,
@@ -20,7 +20,7 @@ use tokio::{sync::mpsc, time::MissedTickBehavior};
 /// it wakes.
 const SEND_LIMIT: Duration = Duration::from_secs(10);
 /// How often clients are pinged.
-pub const PING_PERIOD: Duration = Duration::from_secs(10);
+pub(crate) const PING_PERIOD: Duration = Duration::from_secs(10);
 /// The most waiting replies to commands.
 const ANSWERS: usize = 16;
 /// The shortest time between deliveries: 60 pictures a second, even with a camera of 200 Hz.
@@ -30,7 +30,7 @@ const PACE: Duration = Duration::from_millis(16);
 const MALFORMED: usize = 20;
 
 /// Serves a client until it leaves, stalls, or has sent too many invalid messages.
-pub async fn serve(socket: WebSocket, shared: &Shared) {
+pub(crate) async fn serve(socket: WebSocket, shared: &Shared) {
     // so that it does not wait for the next one
     shared.renew_status();
     let (sink, stream) = socket.split();
@@ -48,7 +48,7 @@ pub async fn serve(socket: WebSocket, shared: &Shared) {
 ///
 /// # Errors
 /// The client has gone or stalled; the reason as text.
-pub async fn deliver(
+pub(crate) async fn deliver(
     sink: &mut SplitSink<WebSocket, Message>,
     message: Message,
 ) -> Result<(), String> {
@@ -142,7 +142,7 @@ async fn receive(
 }
 
 /// The reply to a command; without a number if the message had none.
-pub fn answer(number: Option<u32>, result: Result<&str, &str>) -> String {
+pub(crate) fn answer(number: Option<u32>, result: Result<&str, &str>) -> String {
     let (is_done, text) = match result {
         Ok(text) => (true, text),
         Err(text) => (false, text),

@@ -3,12 +3,14 @@
 use crate::report::pairing::{Awaited, Pairing, Pairings};
 use crate::{
     album::{Album, SPAN_NS},
+    diagnostics::Nodes,
+    drop_reason::DropReason,
     event::Event,
+    executor::Executor,
     journal::{Journal, Limits},
     picture::{Label, Picture, Source},
     rate::Rate,
     scene::Scene,
-    status::{Executor, Nodes},
 };
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -29,7 +31,7 @@ use wm_ros::Log;
 
 /// A subscribed topic, in the order of the page's table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Topic {
+pub(crate) enum Topic {
     Camera,
     Predicted,
     Pictures,
@@ -50,7 +52,7 @@ pub enum Topic {
 
 impl Topic {
     /// The topic of pictures of this source.
-    pub const fn of(source: Source) -> Self {
+    pub(crate) const fn of(source: Source) -> Self {
         match source {
             Source::Camera => Self::Camera,
             Source::Predicted => Self::Pictures,
@@ -74,53 +76,8 @@ const LIVE_BYTES: usize = 8 << 20;
 /// Events of a bag: an hour at 5 Hz.
 const BAG_BYTES: usize = 64 << 20;
 
-/// Why a message is dropped.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum DropReason {
-    /// A predicted picture of which it cannot be told of which prediction it is.
-    Unpaired,
-    /// A prediction whose step or period is out of bounds.
-    BadPrediction,
-    /// Candidates with too many actions.
-    LargeOffer,
-    /// An invalid or outdated transform, or too many frames.
-    BadTransform,
-    /// An unknown fit.
-    BadFit,
-}
-
-impl DropReason {
-    /// As it is counted in the diagnostics.
-    pub const fn reason(self) -> &'static str {
-        match self {
-            Self::Unpaired => "unpaired_picture",
-            Self::BadPrediction => "bad_prediction",
-            Self::LargeOffer => "large_offer",
-            Self::BadTransform => "bad_transform",
-            Self::BadFit => "bad_fit",
-        }
-    }
-
-    /// For the log.
-    pub const fn text(self) -> &'static str {
-        match self {
-            Self::Unpaired => {
-                "a predicted picture came so late that nobody can tell of which prediction it is"
-            }
-            Self::BadPrediction => {
-                "a prediction whose step is not 1 to 64, or whose step period is not positive"
-            }
-            Self::LargeOffer => "candidates with more actions than are kept",
-            Self::BadTransform => {
-                "a transform that is none, or older than the last one of its frame"
-            }
-            Self::BadFit => "the decoder's fit is not stretch, crop or pad",
-        }
-    }
-}
-
 #[derive(Debug)]
-pub struct State {
+pub(crate) struct State {
     /// Empty if pictures are read from a bag.
     pub album: Album,
     pub journal: Journal,
@@ -139,7 +96,7 @@ pub struct State {
 
 impl State {
     /// For live topics: the last minute, and at most `bytes` of pictures.
-    pub fn live(bytes: usize) -> Self {
+    pub(crate) fn live(bytes: usize) -> Self {
         Self::new(
             bytes,
             Limits {
@@ -150,7 +107,7 @@ impl State {
     }
 
     /// For a bag: all events, without pictures.
-    pub fn of_bag() -> Self {
+    pub(crate) fn of_bag() -> Self {
         Self::new(
             0,
             Limits {
@@ -177,12 +134,12 @@ impl State {
     }
 
     /// Counts a message of a topic.
-    pub fn heard(&mut self, topic: Topic, now_ns: i64) {
+    pub(crate) fn heard(&mut self, topic: Topic, now_ns: i64) {
         self.rates.entry(topic).or_default().arrived(now_ns);
     }
 
     /// The rate of messages on a topic.
-    pub fn rate(&mut self, topic: Topic) -> &mut Rate {
+    pub(crate) fn rate(&mut self, topic: Topic) -> &mut Rate {
         self.rates.entry(topic).or_default()
     }
 
@@ -191,7 +148,7 @@ impl State {
     ///
     /// # Errors
     /// Why it is dropped, if that counts as a loss.
-    pub fn label(
+    pub(crate) fn label(
         &mut self,
         source: Source,
         stamp_ns: i64,
@@ -223,7 +180,7 @@ impl State {
     }
 
     /// Adds a labelled picture.
-    pub fn picture(&mut self, picture: Arc<Picture>, now_ns: i64) {
+    pub(crate) fn picture(&mut self, picture: Arc<Picture>, now_ns: i64) {
         self.seen(&picture.label, now_ns);
         if picture.label.source == Source::Camera {
             self.scene.picture(picture.size);
@@ -232,7 +189,7 @@ impl State {
     }
 
     /// Records a picture that the bag holds.
-    pub fn seen(&mut self, label: &Label, now_ns: i64) {
+    pub(crate) fn seen(&mut self, label: &Label, now_ns: i64) {
         self.journal.add(&Event::picture(label), now_ns);
     }
 
@@ -240,7 +197,11 @@ impl State {
     ///
     /// # Errors
     /// Its step or period is out of bounds, or a time is invalid.
-    pub fn prediction(&mut self, prediction: &Prediction, now_ns: i64) -> Result<(), DropReason> {
+    pub(crate) fn prediction(
+        &mut self,
+        prediction: &Prediction,
+        now_ns: i64,
+    ) -> Result<(), DropReason> {
         self.heard(Topic::Predicted, now_ns);
         // A message of a node of this process was not decoded.
         let nanos = |stamp: Time| stamp.checked_nanos().map_err(|_| DropReason::BadPrediction);
@@ -262,14 +223,14 @@ impl State {
         Ok(())
     }
 
-    pub fn error(&mut self, error: &PredictionError, now_ns: i64) {
+    pub(crate) fn error(&mut self, error: &PredictionError, now_ns: i64) {
         self.heard(Topic::Errors, now_ns);
         if (1..=STEP_LIMIT).contains(&error.step) {
             self.journal.add(&Event::error(error), now_ns);
         }
     }
 
-    pub fn action(&mut self, action: &Action, now_ns: i64) {
+    pub(crate) fn action(&mut self, action: &Action, now_ns: i64) {
         self.heard(Topic::Action, now_ns);
         let is_soon = |last_ns: i64| (0..ACTION_GAP_NS).contains(&now_ns.saturating_sub(last_ns));
         if !self.last_action_ns.is_some_and(is_soon) {
@@ -279,18 +240,18 @@ impl State {
     }
 
     /// A policy's next actions.
-    pub fn chunk(&mut self, chunk: &ActionChunk, now_ns: i64) {
+    pub(crate) fn chunk(&mut self, chunk: &ActionChunk, now_ns: i64) {
         self.heard(Topic::Chunk, now_ns);
         self.journal.add(&Event::chunk(chunk), now_ns);
     }
 
-    pub fn plan(&mut self, plan: &Plan, now_ns: i64) {
+    pub(crate) fn plan(&mut self, plan: &Plan, now_ns: i64) {
         self.heard(Topic::Plan, now_ns);
         self.journal.add(&Event::plan(plan), now_ns);
     }
 
     /// Markers, among them a plan's path.
-    pub fn markers(&mut self, markers: &MarkerArray, now_ns: i64) {
+    pub(crate) fn markers(&mut self, markers: &MarkerArray, now_ns: i64) {
         self.heard(Topic::Markers, now_ns);
         if let Some(way) = self.scene.way(markers) {
             self.journal.add(&Event::way(way), now_ns);
@@ -301,12 +262,12 @@ impl State {
     ///
     /// # Errors
     /// There is no such fit.
-    pub fn fit(&mut self, fit: &Text) -> Result<(), DropReason> {
+    pub(crate) fn fit(&mut self, fit: &Text) -> Result<(), DropReason> {
         self.fit = fit.data.parse().map_err(|_| DropReason::BadFit)?;
         Ok(())
     }
 
-    pub fn goal(&mut self, goal: &Goal, now_ns: i64) {
+    pub(crate) fn goal(&mut self, goal: &Goal, now_ns: i64) {
         self.heard(Topic::Goal, now_ns);
         self.journal.add(&Event::goal(goal), now_ns);
     }
@@ -315,7 +276,7 @@ impl State {
     ///
     /// # Errors
     /// They have too many actions.
-    pub fn candidates(
+    pub(crate) fn candidates(
         &mut self,
         candidates: Arc<ActionCandidates>,
         now_ns: i64,
@@ -334,29 +295,29 @@ impl State {
     }
 
     /// The chunk of an offered candidate.
-    pub fn offered(&self, stamp_ns: i64, index: usize) -> Option<&ActionChunk> {
+    pub(crate) fn offered(&self, stamp_ns: i64, index: usize) -> Option<&ActionChunk> {
         let is_it = |offer: &&Arc<ActionCandidates>| offer.header.stamp.to_nanos() == stamp_ns;
         let offer = self.offers.iter().rev().find(is_it)?;
         offer.chunks.get(index)
     }
 
     /// The predicted outcomes of the candidates.
-    pub fn assessment(&mut self, assessment: &Assessment, now_ns: i64) {
+    pub(crate) fn assessment(&mut self, assessment: &Assessment, now_ns: i64) {
         self.heard(Topic::Assessment, now_ns);
         self.journal.add(&Event::assessment(assessment), now_ns);
     }
 
-    pub fn executor(&mut self, status: &ExecutorStatus, now_ns: i64) {
+    pub(crate) fn executor(&mut self, status: &ExecutorStatus, now_ns: i64) {
         self.heard(Topic::Executor, now_ns);
         self.executor = Some(Executor::of(status, now_ns));
     }
 
-    pub fn diagnostics(&mut self, array: &DiagnosticArray, now_ns: i64) {
+    pub(crate) fn diagnostics(&mut self, array: &DiagnosticArray, now_ns: i64) {
         self.heard(Topic::Diagnostics, now_ns);
         self.nodes.update(array, now_ns);
     }
 
-    pub fn log(&mut self, log: &Log, now_ns: i64) {
+    pub(crate) fn log(&mut self, log: &Log, now_ns: i64) {
         self.heard(Topic::Log, now_ns);
         self.journal.add(&Event::log(log), now_ns);
     }
@@ -368,9 +329,9 @@ pub(crate) mod tests {
     use crate::picture::tests::{header, picture};
     use wm_msgs::builtin_interfaces::Duration;
 
-    pub const STEP_NS: i64 = 400_000_000;
+    pub(crate) const STEP_NS: i64 = 400_000_000;
 
-    pub fn prediction(observed_ns: i64, step: u32) -> Prediction {
+    pub(crate) fn prediction(observed_ns: i64, step: u32) -> Prediction {
         Prediction {
             header: header(observed_ns + i64::from(step) * STEP_NS),
             observed_stamp: Time::from_nanos(observed_ns),

@@ -1,131 +1,15 @@
 //! The current status as JSON: rates, nodes, executor, and missing inputs.
 
 use crate::{
-    clip,
+    diagnostics::NodeJson,
+    executor::Executor,
     state::{State, Topic},
 };
 use serde::Serialize;
-use std::collections::BTreeMap;
 use wm_model::Fit;
-use wm_msgs::{
-    diagnostic_msgs::{DiagnosticArray, DiagnosticStatus},
-    wm_msgs::ExecutorStatus,
-};
 
-/// The most nodes.
-const MAX_NODES: usize = 64;
-/// The most values of a node.
-const MAX_VALUES: usize = 80;
-/// Bytes of a text of the diagnostics.
-const MAX_TEXT: usize = 600;
-/// A node that is silent for this long is forgotten \[ns\].
-const FORGOTTEN_NS: i64 = 60_000_000_000;
 /// A camera that is silent for this long is missing \[ns\].
 const SILENT_NS: i64 = 3_000_000_000;
-
-/// The newest diagnostics of each node.
-#[derive(Debug, Default)]
-pub struct Nodes(BTreeMap<String, Node>);
-
-#[derive(Debug)]
-struct Node {
-    level: u8,
-    message: String,
-    values: Vec<(String, String)>,
-    heard_ns: i64,
-}
-
-impl Nodes {
-    pub fn update(&mut self, array: &DiagnosticArray, now_ns: i64) {
-        self.0
-            .retain(|_, node| now_ns.saturating_sub(node.heard_ns) < FORGOTTEN_NS);
-        for status in &array.status {
-            let name = clip::text(&status.name, MAX_TEXT);
-            if self.0.len() < MAX_NODES || self.0.contains_key(&name) {
-                self.0.insert(name, Node::of(status, now_ns));
-            }
-        }
-    }
-
-    /// Whether a node of this name has reported, in any namespace.
-    fn has(&self, name: &str) -> bool {
-        let is_it = |node: &String| node.rsplit('/').next() == Some(name);
-        self.0.keys().any(is_it)
-    }
-
-    fn json(&self, now_ns: i64) -> Vec<NodeJson<'_>> {
-        let nodes = self.0.iter().map(|(name, node)| NodeJson {
-            name,
-            level: node.level,
-            message: &node.message,
-            values: &node.values,
-            age_ms: now_ns.saturating_sub(node.heard_ns) / 1_000_000,
-        });
-        nodes.collect()
-    }
-}
-
-impl Node {
-    fn of(status: &DiagnosticStatus, heard_ns: i64) -> Self {
-        let values = status.values.iter().take(MAX_VALUES);
-        Self {
-            level: status.level,
-            message: clip::text(&status.message, MAX_TEXT),
-            values: values
-                .map(|pair| {
-                    (
-                        clip::text(&pair.key, MAX_TEXT),
-                        clip::text(&pair.value, MAX_TEXT),
-                    )
-                })
-                .collect(),
-            heard_ns,
-        }
-    }
-}
-
-/// The state of the executor.
-#[derive(Debug, Serialize)]
-pub struct Executor {
-    state: &'static str,
-    reason: String,
-    begun: u64,
-    refused: u64,
-    vetoed: u64,
-    interrupted: u64,
-    #[serde(skip)]
-    heard_ns: i64,
-}
-
-impl Executor {
-    pub fn of(status: &ExecutorStatus, heard_ns: i64) -> Self {
-        Self {
-            state: match status.state {
-                ExecutorStatus::DRY_RUN => "dry run",
-                ExecutorStatus::IDLE => "idle",
-                ExecutorStatus::EXECUTING => "executing",
-                ExecutorStatus::STOPPING => "stopping",
-                ExecutorStatus::STOPPED => "stopped",
-                _ => "unknown",
-            },
-            reason: clip::text(&status.reason, MAX_TEXT),
-            begun: status.begun,
-            refused: status.refused,
-            vetoed: status.vetoed,
-            interrupted: status.interrupted,
-            heard_ns,
-        }
-    }
-}
-
-#[derive(Serialize)]
-struct NodeJson<'a> {
-    name: &'a str,
-    level: u8,
-    message: &'a str,
-    values: &'a [(String, String)],
-    age_ms: i64,
-}
 
 #[derive(Serialize)]
 struct TopicJson<'a> {
@@ -138,7 +22,7 @@ struct TopicJson<'a> {
 
 /// An input of the page that is missing.
 #[derive(Debug, PartialEq, Eq, Serialize)]
-pub struct MissingInput {
+pub(crate) struct MissingInput {
     /// Its panel.
     panel: &'static str,
     /// The fault and the remedy.
@@ -147,7 +31,7 @@ pub struct MissingInput {
 
 /// A topic that the view subscribes to, or reads from a bag.
 #[derive(Clone, Debug)]
-pub struct InputTopic {
+pub(crate) struct InputTopic {
     /// Which.
     pub topic: Topic,
     /// Its absolute name.
@@ -158,7 +42,7 @@ pub struct InputTopic {
 
 /// Status that does not come from messages.
 #[derive(Clone, Debug, Default, Serialize)]
-pub struct View {
+pub(crate) struct View {
     pub clients: usize,
     /// Connections refused because there were too many.
     pub refused: u64,
@@ -180,7 +64,7 @@ struct Message<'a> {
 }
 
 /// The message `status`.
-pub fn message(state: &mut State, heard: &[InputTopic], view: &View, now_ns: i64) -> String {
+pub(crate) fn message(state: &mut State, heard: &[InputTopic], view: &View, now_ns: i64) -> String {
     let missing = missing(state, heard, now_ns);
     let topics = heard.iter().map(|heard| {
         let rate = state.rate(heard.topic);
@@ -200,8 +84,7 @@ pub fn message(state: &mut State, heard: &[InputTopic], view: &View, now_ns: i64
         topics,
         nodes: state.nodes.json(now_ns),
         executor,
-        executor_age_ms: executor
-            .map(|executor| now_ns.saturating_sub(executor.heard_ns) / 1_000_000),
+        executor_age_ms: executor.map(|executor| executor.age_ms(now_ns)),
         missing,
         fit: state.fit,
         kept_bytes: state.album.bytes(),
@@ -304,7 +187,6 @@ fn missing(state: &mut State, heard: &[InputTopic], now_ns: i64) -> Vec<MissingI
 mod tests {
     use super::*;
     use crate::{picture::Source, state::tests::prediction};
-    use wm_msgs::diagnostic_msgs::KeyValue;
 
     fn heard(publishers: Option<usize>) -> Vec<InputTopic> {
         let topics = [
@@ -358,37 +240,6 @@ mod tests {
         assert!(text_of(&found, "camera").contains("59 s ago"), "{found:?}");
         let found = missing(&mut State::of_bag(), &heard(None), 0);
         assert!(text_of(&found, "predicted").contains("the bag has no predictions"));
-    }
-
-    #[test]
-    fn nodes_are_bounded_and_forgotten() {
-        let status = |name: String| DiagnosticStatus {
-            name,
-            message: "x".repeat(10_000),
-            values: vec![KeyValue::default(); 1000],
-            ..DiagnosticStatus::default()
-        };
-        let array = |status| DiagnosticArray {
-            status,
-            ..DiagnosticArray::default()
-        };
-        let mut state = State::live(1 << 20);
-        let many = (0..1000)
-            .map(|number| status(format!("wm/{number}")))
-            .collect();
-        state.diagnostics(&array(many), 1);
-        assert_eq!(state.nodes.0.len(), MAX_NODES);
-        assert!(state.nodes.has("0") && !state.nodes.has("999"));
-        let text = message(&mut state, &heard(Some(1)), &View::default(), 2);
-        assert!(
-            text.len() < MAX_NODES * (MAX_TEXT + 20 * MAX_VALUES + 200),
-            "{}",
-            text.len()
-        );
-        let json: serde_json::Value = serde_json::from_str(&text).unwrap();
-        assert_eq!(json["nodes"].as_array().unwrap().len(), MAX_NODES);
-        state.diagnostics(&array(vec![status("wm/new".to_owned())]), 2 + FORGOTTEN_NS);
-        assert_eq!(state.nodes.0.len(), 1);
     }
 
     #[test]

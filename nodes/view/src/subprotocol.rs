@@ -4,7 +4,7 @@ use crate::foxglove;
 use axum::http::{HeaderMap, header};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Subprotocol {
+pub(crate) enum Subprotocol {
     /// The page's own.
     View,
     /// One of Foxglove's, by its name.
@@ -13,7 +13,7 @@ pub enum Subprotocol {
 
 impl Subprotocol {
     /// Chooses one of the subprotocols that a client offers, the page's first; `None` if all are unknown.
-    pub fn of(headers: &HeaderMap) -> Option<Self> {
+    pub(crate) fn of(headers: &HeaderMap) -> Option<Self> {
         let offers = |name: &str| offered(headers).any(|offered| offered == name);
         if offers(Self::View.name()) {
             return Some(Self::View);
@@ -22,7 +22,7 @@ impl Subprotocol {
         foxglove.find(|name| offers(name)).map(Self::Foxglove)
     }
 
-    pub const fn name(self) -> &'static str {
+    pub(crate) const fn name(self) -> &'static str {
         match self {
             Self::View => "wm.view.v1",
             Self::Foxglove(name) => name,
@@ -31,7 +31,7 @@ impl Subprotocol {
 }
 
 /// The subprotocols that a client offers.
-pub fn offered(headers: &HeaderMap) -> impl Iterator<Item = &str> {
+pub(crate) fn offered(headers: &HeaderMap) -> impl Iterator<Item = &str> {
     let lists = headers.get_all(header::SEC_WEBSOCKET_PROTOCOL).into_iter();
     let lists = lists.filter_map(|value| value.to_str().ok());
     lists.flat_map(|list| list.split(',')).map(str::trim)

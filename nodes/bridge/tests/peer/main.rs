@@ -10,5 +10,8 @@ mod cyclone_node;
 mod harness;
 mod pair;
 mod ros2;
+#[path = "../../../../tests/ros2_peer.rs"]
+#[allow(dead_code, reason = "other tests need more of it")]
+mod ros2_peer;
 mod services;
 mod topics;

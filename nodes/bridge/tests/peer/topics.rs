@@ -1,7 +1,7 @@
 //! Topics.
 
 use crate::{
-    harness::{Process, Site, bridge, fresh_domain, fresh_endpoint, gone, soon, text},
+    harness::{Process, Site, bridge, fresh_domain, fresh_endpoint, gone, no_echo, soon, text},
     pair::{Pair, next, real_bridge},
 };
 use std::time::Duration;
@@ -66,37 +66,7 @@ async fn topic_crosses_both_ways_without_echo() {
     .await;
     arrives(&out, &text("hello from here"), &mut heard_there).await;
     arrives(&back, &text("hello from there"), &mut heard_here).await;
-    for number in 0..20 {
-        out.publish(&text(&format!("here {number}"))).unwrap();
-        back.publish(&text(&format!("there {number}"))).unwrap();
-    }
-    for heard in [&mut heard_here, &mut heard_there] {
-        let mut said = Vec::new();
-        while said.len() < 40 {
-            said.push(word(heard).await);
-        }
-        for side in ["here", "there"] {
-            let of_side: Vec<_> = said.iter().filter(|text| text.starts_with(side)).collect();
-            let expected: Vec<_> = (0..20).map(|number| format!("{side} {number}")).collect();
-            assert_eq!(of_side, expected.iter().collect::<Vec<_>>());
-        }
-    }
-    // one more of each: a message that came back would arrive before it
-    for (publisher, words) in [(&out, "last"), (&back, "very last")] {
-        publisher.publish(&text(words)).unwrap();
-        assert_eq!(word(&mut heard_here).await, words);
-        assert_eq!(word(&mut heard_there).await, words);
-    }
-}
-
-/// The next message after those published until the first arrival.
-async fn word(heard: &mut Subscription<Text>) -> String {
-    loop {
-        let word = next(heard).await;
-        if !word.starts_with("hello") {
-            return word;
-        }
-    }
+    no_echo([&out, &back], [&mut heard_here, &mut heard_there]).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -179,6 +149,18 @@ impl Latched {
     fn late(&self) -> Subscription<Text> {
         self.to.node.subscription("map", Qos::latched(1)).unwrap()
     }
+
+    /// Two late subscribers, one after the other: each gets the state before and after an update.
+    async fn two_late(&self, map: &Publisher<Text>) -> (Subscription<Text>, Subscription<Text>) {
+        let mut first = self.late();
+        assert_eq!(next(&mut first).await, "new");
+        let mut second = self.late();
+        assert_eq!(next(&mut second).await, "new");
+        map.publish(&text("newer")).unwrap();
+        assert_eq!(next(&mut first).await, "newer");
+        assert_eq!(next(&mut second).await, "newer");
+        (first, second)
+    }
 }
 
 /// Waits for the last latched state: a restarted bridge may repeat earlier ones.
@@ -195,14 +177,7 @@ async fn late_subscriber_behind_the_real_bridge_gets_latched_state() {
     let [domain_here, domain_there] = latched.domains;
     let _bridge = bridge(domain_here, &["--listen", &latched.endpoint]);
     let real = latched.real_bridge(domain_there);
-    let mut first = latched.late();
-    assert_eq!(next(&mut first).await, "new");
-    // a second subscriber later
-    let mut second = latched.late();
-    assert_eq!(next(&mut second).await, "new");
-    map.publish(&text("newer")).unwrap();
-    assert_eq!(next(&mut first).await, "newer");
-    assert_eq!(next(&mut second).await, "newer");
+    let (first, second) = latched.two_late(&map).await;
     // a third one after a restart of the real bridge
     drop((first, second, real));
     let _real = latched.real_bridge(domain_there);
@@ -220,13 +195,7 @@ async fn late_subscriber_gets_latched_state_of_the_real_bridge() {
     let [domain_there, domain_here] = latched.domains;
     let _bridge = bridge(domain_here, &["--listen", &latched.endpoint]);
     let real = latched.real_bridge(domain_there);
-    let mut first = latched.late();
-    assert_eq!(next(&mut first).await, "new");
-    let mut second = latched.late();
-    assert_eq!(next(&mut second).await, "new");
-    map.publish(&text("newer")).unwrap();
-    assert_eq!(next(&mut first).await, "newer");
-    assert_eq!(next(&mut second).await, "newer");
+    let (mut first, _second) = latched.two_late(&map).await;
     drop(real);
     let _real = latched.real_bridge(domain_there);
     map.publish(&text("newest")).unwrap();

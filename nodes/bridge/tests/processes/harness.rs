@@ -1,17 +1,18 @@
 //! Bridges as processes, and nodes of a domain in this process.
 
+pub use crate::ros2_peer::{in_domain, root};
 use rustix::process::{Pid, Signal};
 use std::{
     ffi::OsStr,
     net::TcpListener,
     os::unix::process::CommandExt as _,
-    path::{Path, PathBuf},
+    path::PathBuf,
     process::{Child, Command, ExitStatus, Stdio},
     sync::atomic::{AtomicU16, Ordering},
     time::{Duration, Instant},
 };
-use wm_msgs::std_msgs;
-use wm_ros::{Context, Environment, Node, NodeArgs, Reach, Role};
+use wm_msgs::std_msgs::String as Text;
+use wm_ros::{Context, Environment, Node, NodeArgs, Publisher, Reach, Role, Subscription};
 
 /// Far longer than anything on one host; only ends a hanging test.
 pub const PATIENCE: Duration = Duration::from_secs(60);
@@ -23,11 +24,6 @@ pub const BRIDGE: &str = "wm-bridge";
 pub fn program(name: &str) -> PathBuf {
     let tests = std::env::current_exe().unwrap();
     tests.parent().unwrap().with_file_name(name)
-}
-
-/// The root of the repository.
-pub fn root() -> &'static Path {
-    Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."))
 }
 
 /// A ROS domain that no other test of this run uses.
@@ -49,8 +45,8 @@ pub async fn soon<T>(what: &str, future: impl Future<Output = T>) -> T {
         .unwrap_or_else(|_| panic!("{what} took more than {PATIENCE:?}"))
 }
 
-pub fn text(data: &str) -> std_msgs::String {
-    std_msgs::String {
+pub fn text(data: &str) -> Text {
+    Text {
         data: data.to_owned(),
     }
 }
@@ -97,14 +93,6 @@ impl Drop for Process {
             self.child.wait().ok();
         }
     }
-}
-
-/// Sets the ROS domain of `command`, on loopback.
-pub fn in_domain(command: &mut Command, domain: u16) {
-    command
-        .env("ROS_DOMAIN_ID", domain.to_string())
-        .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-        .env_remove("ROS_LOCALHOST_ONLY");
 }
 
 /// The bridge of a domain on loopback.
@@ -171,5 +159,51 @@ pub async fn gone(domain: u16, topic: &str) {
 impl Drop for Site {
     fn drop(&mut self) {
         self.context.close();
+    }
+}
+
+/// Publishes numbered messages from both sides; each subscription must get each of them once and in order.
+pub async fn no_echo(
+    publishers: [&Publisher<Text>; 2],
+    mut subscriptions: [&mut Subscription<Text>; 2],
+) {
+    for number in 0..20 {
+        for (publisher, side) in publishers.iter().zip(["here", "there"]) {
+            publisher
+                .publish(&text(&format!("{side} {number}")))
+                .unwrap();
+        }
+    }
+    for subscription in &mut subscriptions {
+        let mut messages = Vec::new();
+        while messages.len() < 40 {
+            messages.push(after_greetings(subscription).await);
+        }
+        for side in ["here", "there"] {
+            let of_side: Vec<_> = messages
+                .iter()
+                .filter(|text| text.starts_with(side))
+                .collect();
+            let expected: Vec<_> = (0..20).map(|number| format!("{side} {number}")).collect();
+            assert_eq!(of_side, expected.iter().collect::<Vec<_>>());
+        }
+    }
+    // one more of each: an echo would arrive before it
+    for (publisher, words) in publishers.iter().zip(["last", "very last"]) {
+        publisher.publish(&text(words)).unwrap();
+        for subscription in &mut subscriptions {
+            assert_eq!(after_greetings(subscription).await, words);
+        }
+    }
+}
+
+/// The next message after those that a test repeats until the first of them arrives.
+async fn after_greetings(subscription: &mut Subscription<Text>) -> String {
+    loop {
+        let received = soon("a message", subscription.recv()).await;
+        let text = received.unwrap().message.data;
+        if !text.starts_with("hello") {
+            return text;
+        }
     }
 }

@@ -8,4 +8,7 @@ mod harness;
 mod link;
 mod lossy_link;
 mod python_peer;
+#[path = "../../../../tests/ros2_peer.rs"]
+#[allow(dead_code, reason = "other tests need more of it")]
+mod ros2_peer;
 mod two_bridges;

@@ -54,37 +54,37 @@ pub struct ActionClient<A: Action> {
     parts: Arc<Parts<A>>,
 }
 
-/// A goal that a server has accepted. Dropping it does not cancel the goal, but nothing more is heard of it.
+/// A goal that a server has accepted. Dropping it does not cancel the goal, but ends its feedback and status.
 pub struct ClientGoal<A: Action> {
     id: GoalId,
     accepted: Time,
-    followed: Arc<Followed<A>>,
+    followed: Arc<GoalUpdates<A>>,
     parts: Arc<Parts<A>>,
 }
 
-/// The parts of a client that its node makes.
+/// The endpoints of a client, made by its node.
 pub(crate) struct Parts<A: Action> {
     pub(crate) name: String,
     pub(crate) send_goal: RawClient,
     pub(crate) cancel_goal: Client<CancelGoal>,
     pub(crate) get_result: RawClient,
     pub(crate) goals: Arc<Goals<A>>,
-    /// What hears feedback and status.
+    /// Readers of feedback and status.
     pub(crate) readers: [Box<dyn Reader>; 2],
     pub(crate) backend: Arc<dyn Backend>,
     pub(crate) shutdown: Shutdown,
 }
 
-/// The goals of a client that somebody follows.
+/// The goals that a client follows.
 pub(crate) struct Goals<A: Action> {
-    followed: Mutex<BTreeMap<GoalId, Arc<Followed<A>>>>,
-    /// Whether a sample was skipped, which is told once and counted from then on.
+    followed: Mutex<BTreeMap<GoalId, Arc<GoalUpdates<A>>>>,
+    /// Whether a sample was skipped: the first is logged, further ones are only counted.
     has_refused: AtomicBool,
     diagnostics: Diagnostics,
 }
 
-/// What is heard of a goal.
-struct Followed<A: Action> {
+/// Feedback and status of a goal.
+struct GoalUpdates<A: Action> {
     feedback: Mailbox<A::Feedback>,
     status: watch::Sender<Option<GoalStatus>>,
 }
@@ -99,15 +99,15 @@ impl<A: Action> Goals<A> {
     }
 
     /// No invariant spans the lock.
-    fn followed(&self) -> MutexGuard<'_, BTreeMap<GoalId, Arc<Followed<A>>>> {
+    fn followed(&self) -> MutexGuard<'_, BTreeMap<GoalId, Arc<GoalUpdates<A>>>> {
         self.followed.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn get(&self, id: GoalId) -> Option<Arc<Followed<A>>> {
+    fn get(&self, id: GoalId) -> Option<Arc<GoalUpdates<A>>> {
         self.followed().get(&id).cloned()
     }
 
-    /// What hands feedback to the goals; that of other clients' goals comes along and is none of ours.
+    /// Hands feedback to the goals; ignores feedback for goals of other clients.
     pub(crate) fn feedback_sink(self: &Arc<Self>, topic: String) -> Sink {
         let goals = Arc::clone(self);
         Box::new(move |sample| {
@@ -158,7 +158,7 @@ impl<A: Action> Goals<A> {
     }
 }
 
-impl<A: Action> Followed<A> {
+impl<A: Action> GoalUpdates<A> {
     fn hear(&self, status: Option<GoalStatus>) {
         self.status.send_if_modified(|known| {
             let is_news = *known != status && !known.is_some_and(GoalStatus::is_end);
@@ -208,8 +208,8 @@ impl<A: Action> ActionClient<A> {
         }
     }
 
-    /// Requests a goal, and waits for as long as it takes until the server accepts it: bring a timeout. None where the
-    /// server rejects it.
+    /// Requests a goal, and waits without a limit until the server accepts it: add a timeout. `None` if the server
+    /// rejects it.
     ///
     /// # Errors
     /// The goal has no CDR form, the middleware failed, the answer is not of the type, or the context is shut down.
@@ -222,11 +222,11 @@ impl<A: Action> ActionClient<A> {
             goal_id: id.into(),
             goal,
         })?;
-        let followed = Arc::new(Followed {
+        let followed = Arc::new(GoalUpdates {
             feedback: Mailbox::new(super::FEEDBACK_QOS.depth),
             status: watch::Sender::new(None),
         });
-        // Before the request, so that nothing is missed; dropped, and no longer followed, where the goal is not accepted.
+        // Before the request, so that no feedback is missed; dropped if the goal is rejected.
         goals.followed().insert(id, Arc::clone(&followed));
         let mut goal = ClientGoal {
             id,
@@ -240,8 +240,8 @@ impl<A: Action> ActionClient<A> {
         Ok(accepted.then_some(goal))
     }
 
-    /// Requests that goals be canceled, those of other clients too: the one with this id, and those that were accepted at
-    /// this time or before; with neither (the default), all of them.
+    /// Requests the cancellation of goals, including those of other clients: the goal with this id, and goals accepted
+    /// at this time or earlier. With neither (the default), all goals.
     ///
     /// # Errors
     /// The middleware failed, the answer is not of the type, or the context is shut down.
@@ -276,18 +276,17 @@ impl<A: Action> ClientGoal<A> {
         }
     }
 
-    /// Feedback that was dropped so far because it was not read in time.
+    /// Number of feedback messages dropped because they were not read in time.
     pub fn dropped(&self) -> u64 {
         self.followed.feedback.dropped()
     }
 
-    /// The newest status that was heard; changes wake who waits for them.
+    /// The newest status received; `changed()` waits for the next.
     pub fn status(&self) -> watch::Receiver<Option<GoalStatus>> {
         self.followed.status.subscribe()
     }
 
-    /// Requests that the goal be canceled; whether the server does so. It does not where the goal has ended, or is being
-    /// canceled already.
+    /// Requests the cancellation of the goal; `false` if the goal has ended or is being canceled already.
     ///
     /// # Errors
     /// As [`ActionClient::cancel`].
@@ -300,7 +299,7 @@ impl<A: Action> ClientGoal<A> {
         Ok(response.return_code == CancelGoalResponse::ERROR_NONE)
     }
 
-    /// Waits until the goal has ended, for as long as it takes: bring a timeout. How it ended, and with what.
+    /// Waits without a limit until the goal has ended: add a timeout. Returns its last status and its result.
     ///
     /// # Errors
     /// The server does not know the goal (any more), the middleware failed, the answer is not of the type, or the context

@@ -1,4 +1,4 @@
-//! The goals of an action server: what becomes of them, who waits for their results, and which are still known. The
+//! The goals of an action server: their states, the clients that wait for results, and how long results are kept. The
 //! rules are rcl_action's; no DDS and no clock.
 
 use super::{GoalId, GoalStatus};
@@ -12,19 +12,20 @@ use wm_msgs::{
     unique_identifier_msgs::UUID,
 };
 
-/// Goals that may be under way at once; more are refused. Bounds the memory.
+/// Most goals under way; more are rejected. Bounds the memory.
 pub(super) const MOST_LIVE: usize = 64;
-/// Results that are kept; the oldest goes first. Bounds the memory.
+/// Most results kept; the oldest is dropped first. Bounds the memory.
 pub(super) const MOST_ENDED: usize = 64;
-/// How long a result is kept: what the design of actions recommends. (rcl has 10 s, which a client that comes back over a
-/// bad link would miss.)
+/// How long a result is kept, as the design of actions recommends. rcl has 10 s, too short for a client that reconnects
+/// over a bad link.
 pub(super) const RESULT_TIMEOUT: Duration = Duration::from_secs(15 * 60);
-/// Requests that may wait for one goal's result; the oldest, whose client has most likely given up, goes first.
+/// Most requests that wait for one goal's result; the oldest is dropped first, since its client has most likely given
+/// up.
 pub(super) const MOST_WAITING: usize = 64;
 
-/// The goals that a server knows. `R`: a result, `W`: who waits for one.
+/// The goals that a server knows. `R`: a result, `W`: a client that waits for one.
 pub(super) struct Goals<R, W> {
-    /// In the order in which they were accepted.
+    /// In order of acceptance.
     goals: Vec<Goal<R, W>>,
 }
 
@@ -64,16 +65,16 @@ impl End {
     }
 }
 
-/// Why a goal is not taken on.
+/// Why a goal is rejected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Refused {
-    /// There is one with its id.
+pub(super) enum RejectReason {
+    /// Another goal has its id.
     Known,
     /// [`MOST_LIVE`] are under way.
     Full,
 }
 
-impl Refused {
+impl RejectReason {
     pub(super) const fn reason(self) -> &'static str {
         match self {
             Self::Known => "there is a goal with its id",
@@ -82,14 +83,14 @@ impl Refused {
     }
 }
 
-/// What a request for a result leads to.
+/// The reply to a request for a result.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Availability<R> {
     /// The goal has ended.
     Ended(R),
-    /// It is answered when the goal ends; whether an older request was forgotten for it.
+    /// The reply follows when the goal ends. `forgot`: an older request was dropped for it.
     Later { forgot: bool },
-    /// There is no such goal, or no longer.
+    /// The goal is unknown, or no longer kept.
     Unknown,
 }
 
@@ -139,30 +140,30 @@ impl<R: Clone, W> Goals<R, W> {
         self.goals.iter_mut().find(|goal| goal.id == id)
     }
 
-    /// How far a goal is; none where it is not known.
+    /// The status of a goal; `None` if it is unknown.
     pub(super) fn status(&self, id: GoalId) -> Option<GoalStatus> {
         self.find(id).map(Goal::status)
     }
 
-    /// Whether [`accept`](Self::accept) would refuse it.
-    pub(super) fn refuses(&self, id: GoalId) -> Option<Refused> {
+    /// Checks whether [`accept`](Self::accept) would reject it.
+    pub(super) fn refuses(&self, id: GoalId) -> Option<RejectReason> {
         let is_live = |goal: &&Goal<R, W>| !goal.status().is_end();
         if self.find(id).is_some() {
-            Some(Refused::Known)
+            Some(RejectReason::Known)
         } else if self.goals.iter().filter(is_live).count() >= MOST_LIVE {
-            Some(Refused::Full)
+            Some(RejectReason::Full)
         } else {
             None
         }
     }
 
-    /// Takes a goal on.
+    /// Accepts a goal.
     pub(super) fn accept(
         &mut self,
         id: GoalId,
         accepted: Time,
         now: Instant,
-    ) -> Result<(), Refused> {
+    ) -> Result<(), RejectReason> {
         self.expire(now);
         if let Some(refused) = self.refuses(id) {
             return Err(refused);
@@ -190,7 +191,7 @@ impl<R: Clone, W> Goals<R, W> {
         }
     }
 
-    /// Cancels the goals that the request means.
+    /// Cancels the goals that the request selects.
     pub(super) fn cancel(&mut self, request: &CancelGoalRequest) -> CancelGoalResponse {
         let GoalInfo { goal_id, stamp } = request.goal_info;
         let answer = |return_code, goals_canceling| CancelGoalResponse {
@@ -203,7 +204,7 @@ impl<R: Clone, W> Goals<R, W> {
                 None => answer(CancelGoalResponse::ERROR_UNKNOWN_GOAL_ID, Vec::new()),
                 Some(goal) => match goal.cancel() {
                     true => answer(CancelGoalResponse::ERROR_NONE, vec![goal.info()]),
-                    // also where it is being canceled already: rcl_action says the same
+                    // also for goals that are being canceled already, as in rcl_action
                     false => answer(CancelGoalResponse::ERROR_GOAL_TERMINATED, Vec::new()),
                 },
             };
@@ -221,7 +222,7 @@ impl<R: Clone, W> Goals<R, W> {
         answer(CancelGoalResponse::ERROR_NONE, canceling)
     }
 
-    /// Asks for the result of a goal.
+    /// Requests the result of a goal.
     pub(super) fn ask(&mut self, id: GoalId, who: W, now: Instant) -> Availability<R> {
         self.expire(now);
         match self.find_mut(id).map(|goal| &mut goal.state) {
@@ -238,12 +239,11 @@ impl<R: Clone, W> Goals<R, W> {
         }
     }
 
-    /// Ends a goal: its result, of which `result` makes what is kept, and who waits for it. As the rules have it, only a
-    /// goal that was to be canceled ends as canceled; another is aborted instead. None where there is no such goal under
-    /// way.
+    /// Ends a goal; `result` encodes its result. Returns the result and the clients that wait for it. Only a goal whose
+    /// cancellation was requested can end as canceled; others are aborted instead. `None` if no such goal is under way.
     ///
     /// # Errors
-    /// That of `result`; the goal is then still under way.
+    /// The error of `result`; the goal is then still under way.
     pub(super) fn end<E>(
         &mut self,
         id: GoalId,
@@ -272,7 +272,7 @@ impl<R: Clone, W> Goals<R, W> {
         Ok(Some((result, waiting)))
     }
 
-    /// Forgets results that are too old, and the oldest of those that are too many.
+    /// Drops expired results, and the oldest if there are too many.
     fn expire(&mut self, now: Instant) {
         let ended = |goal: &Goal<R, W>| match goal.state {
             State::Ended { at, .. } => Some(at),
@@ -289,7 +289,7 @@ impl<R: Clone, W> Goals<R, W> {
         }
     }
 
-    /// How far all of them are.
+    /// The status of every goal.
     pub(super) fn statuses(&self) -> GoalStatusArray {
         let status = |goal: &Goal<R, W>| StatusMessage {
             goal_info: goal.info(),

@@ -7,7 +7,7 @@ use wm_msgs::unique_identifier_msgs::UUID;
 pub struct GoalId(pub [u8; 16]);
 
 impl GoalId {
-    /// One that nobody else has: a random UUID (version 4).
+    /// A unique id: a random UUID (version 4).
     pub(crate) fn new() -> Self {
         Self(Uuid::new_v4().into_bytes())
     }

@@ -1,4 +1,4 @@
-//! The end of an action that takes goals on.
+//! The end of an action that executes goals.
 
 use super::{
     GoalId, GoalStatus,
@@ -7,8 +7,8 @@ use super::{
 use crate::{
     Clock, Error, Publisher, RawPublisher,
     backend::{Reader, RequestId, Sample, Sink, Writer},
-    requests::Arrival,
     service::{self, RawCall, RawService},
+    waiting_call::Arrival,
 };
 use bytes::Bytes;
 use std::{
@@ -26,10 +26,10 @@ use wm_msgs::{
     cdr::{self, CdrError},
 };
 
-/// The serving end of an action `A`. Requests to cancel goals and for their results are answered as long as it lives.
+/// The serving end of an action `A`. It answers requests to cancel goals and for results until it is dropped.
 ///
-/// At most 64 goals are under way at once, and more are rejected; 64 results are kept, for 15 minutes each. Every request to
-/// cancel a goal is accepted: the goal hears of it ([`ServerGoal::canceling`]), and its node ends it when it can.
+/// At most 64 goals are under way, and more are rejected; 64 results are kept, for 15 minutes each. Every request to
+/// cancel a goal is accepted: [`ServerGoal::canceling`] returns, and the node ends the goal when it can.
 ///
 /// ```no_run
 /// use wm_msgs::wm_msgs::action::{Plan, PlanFeedback, PlanResult};
@@ -59,17 +59,17 @@ use wm_msgs::{
 pub struct ActionServer<A> {
     core: Arc<Core>,
     requests: RawService,
-    /// What answers requests to cancel goals, and for results.
+    /// Readers of requests to cancel goals and for results.
     _answering: [Box<dyn Reader>; 2],
     of: PhantomData<fn(A)>,
 }
 
-/// What a server and the goals that it has taken on share.
+/// State shared by a server and its goals.
 pub(crate) struct Core {
     name: String,
     /// Each result as its answer, in CDR.
     goals: Mutex<Goals<Bytes, RequestId>>,
-    /// Wakes who waits for a goal to be canceled.
+    /// Wakes tasks that wait for a cancellation.
     changes: watch::Sender<()>,
     clock: Clock,
     statuses: Publisher<GoalStatusArray>,
@@ -78,7 +78,7 @@ pub(crate) struct Core {
     results: Arc<dyn Writer>,
 }
 
-/// A goal that a client requests, to be accepted or rejected; it is rejected where this is dropped.
+/// A goal that a client requests, to be accepted or rejected; dropping it rejects the goal.
 #[must_use = "it is rejected where it is dropped"]
 pub struct GoalRequest<A: Action> {
     /// What the client requests.
@@ -88,7 +88,7 @@ pub struct GoalRequest<A: Action> {
     core: Arc<Core>,
 }
 
-/// A goal that was taken on, and has not ended. Dropping it aborts the goal with an empty result.
+/// An accepted goal that has not ended. Dropping it aborts the goal with an empty result.
 #[must_use = "the goal is aborted where it is dropped"]
 pub struct ServerGoal<A: Action> {
     /// What the client requests.
@@ -97,7 +97,7 @@ pub struct ServerGoal<A: Action> {
     core: Arc<Core>,
 }
 
-/// The parts of a server that its node makes.
+/// The endpoints of a server, made by its node.
 pub(crate) struct Parts {
     pub(crate) name: String,
     pub(crate) clock: Clock,
@@ -131,7 +131,8 @@ impl Core {
         self.goals.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Tells everybody. The lock is held, so that the news go out in the order of the changes.
+    /// Publishes the status of all goals. The caller holds the lock, so that statuses are published in the order of the
+    /// changes.
     fn tell(&self, goals: &Goals<Bytes, RequestId>) {
         if let Err(error) = self.statuses.publish(&goals.statuses()) {
             tracing::warn!("{}: cannot publish a status: {error}", self.name);
@@ -150,7 +151,7 @@ impl Core {
         cdr::to_bytes(&response)
     }
 
-    /// What answers requests for results; `unknown` goes to those for goals that are not known.
+    /// Answers requests for results; `unknown` is the reply for unknown goals.
     pub(crate) fn result_sink(self: &Arc<Self>, unknown: Bytes) -> Sink {
         let core = Arc::clone(self);
         Box::new(move |sample| {
@@ -213,7 +214,7 @@ impl Core {
         self.tell(&goals);
     }
 
-    /// Ends a goal, where it has not ended yet.
+    /// Ends a goal, unless it has ended already.
     fn end<A: Action>(&self, id: GoalId, end: End, result: A::Result) -> Result<(), Error> {
         let response = |status: GoalStatus| -> Result<Bytes, CdrError> {
             let status = status.number();
@@ -232,7 +233,7 @@ impl Core {
     }
 }
 
-/// The answer to requests for the result of a goal that is not known.
+/// The reply to a request for the result of an unknown goal.
 pub(crate) fn unknown<A: Action>() -> Result<Bytes, CdrError> {
     let response = GetResultResponse {
         status: StatusMessage::STATUS_UNKNOWN,
@@ -241,13 +242,13 @@ pub(crate) fn unknown<A: Action>() -> Result<Bytes, CdrError> {
     Ok(cdr::to_bytes(&response)?.into())
 }
 
-/// The answer that rejects a goal.
+/// The reply that rejects a goal.
 pub(crate) fn rejection() -> Result<Vec<u8>, CdrError> {
     cdr::to_bytes(&SendGoalResponse::default())
 }
 
 impl<A: Action> ActionServer<A> {
-    /// `requests` rejects what is dropped without an answer.
+    /// `requests` rejects goals that are dropped without a reply.
     pub(crate) fn new(
         core: Arc<Core>,
         requests: RawService,
@@ -261,8 +262,8 @@ impl<A: Action> ActionServer<A> {
         }
     }
 
-    /// Waits for a goal; `None` once the context is shut down. Cancel safe. A request that cannot be taken on, since it
-    /// is not of the type, has the id of another goal, or there are too many, is rejected, reported and skipped.
+    /// Waits for a goal; `None` once the context is shut down. Cancel safe. A request of another type, with the id of
+    /// another goal, or beyond the limit is rejected, reported and skipped.
     pub async fn recv(&mut self) -> Option<GoalRequest<A>> {
         loop {
             let call = self.requests.recv().await?;
@@ -305,17 +306,17 @@ impl<A: Action> GoalRequest<A> {
         self.id
     }
 
-    /// Takes the goal on, and begins to execute it.
+    /// Accepts the goal, and begins to execute it.
     ///
     /// # Errors
-    /// A goal with its id, or too many, were taken on since it came, or the middleware failed.
+    /// A goal with its id, or too many goals, were accepted since it arrived, or the middleware failed.
     pub fn accept(self) -> Result<ServerGoal<A>, Error> {
         let goal = self.defer()?;
         goal.execute();
         Ok(goal)
     }
 
-    /// Takes the goal on; it waits for [`ServerGoal::execute`].
+    /// Accepts the goal; it waits for [`ServerGoal::execute`].
     ///
     /// # Errors
     /// As [`accept`](Self::accept).
@@ -327,7 +328,7 @@ impl<A: Action> GoalRequest<A> {
             core,
         } = self;
         let response = core.accept(id)?;
-        // aborted where the answer fails
+        // aborted if the reply fails
         let goal = ServerGoal { goal, id, core };
         call.respond(cdr::to_bytes(&response)?.into())?;
         goal.core.tell(&goal.core.goals());
@@ -349,7 +350,7 @@ impl<A: Action> ServerGoal<A> {
         self.core.execute(self.id);
     }
 
-    /// Tells the clients how it goes. Never blocks.
+    /// Publishes feedback. Never blocks.
     ///
     /// # Errors
     /// The feedback has no CDR form, or the middleware failed.
@@ -362,12 +363,12 @@ impl<A: Action> ServerGoal<A> {
         self.core.feedback.publish(bytes.into())
     }
 
-    /// Whether a client wants the goal canceled.
+    /// Whether a client requested the cancellation of the goal.
     pub fn is_canceling(&self) -> bool {
         self.core.goals().status(self.id) == Some(GoalStatus::Canceling)
     }
 
-    /// Waits until a client wants the goal canceled. Cancel safe.
+    /// Waits until a client requests the cancellation of the goal. Cancel safe.
     pub async fn canceling(&self) {
         let mut changes = self.core.changes.subscribe();
         while !self.is_canceling() {
@@ -378,7 +379,7 @@ impl<A: Action> ServerGoal<A> {
         }
     }
 
-    /// Ends the goal: it was achieved.
+    /// Ends the goal as succeeded.
     ///
     /// # Errors
     /// The result has no CDR form; the goal is aborted then.
@@ -386,7 +387,7 @@ impl<A: Action> ServerGoal<A> {
         self.core.end::<A>(self.id, End::Succeeded, result)
     }
 
-    /// Ends the goal: it was given up.
+    /// Ends the goal as aborted.
     ///
     /// # Errors
     /// As [`succeed`](Self::succeed).
@@ -394,7 +395,7 @@ impl<A: Action> ServerGoal<A> {
         self.core.end::<A>(self.id, End::Aborted, result)
     }
 
-    /// Ends the goal as a client wants it to. Where none does, the goal is aborted: no other has a goal canceled.
+    /// Ends the goal as canceled; as aborted if no client requested its cancellation.
     ///
     /// # Errors
     /// As [`succeed`](Self::succeed).

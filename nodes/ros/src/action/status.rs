@@ -1,20 +1,20 @@
 use std::fmt;
 use wm_msgs::action_msgs;
 
-/// How far a goal is.
+/// The status of a goal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GoalStatus {
-    /// Taken on; it waits for its execution.
+    /// Accepted; it waits for its execution.
     Accepted,
-    /// It is being executed.
+    /// Under execution.
     Executing,
-    /// A client wants it canceled, and the server has not ended it yet.
+    /// A client requested its cancellation, and the server has not ended it yet.
     Canceling,
-    /// It has ended: it was achieved.
+    /// Ended: achieved.
     Succeeded,
-    /// It has ended, as a client wanted.
+    /// Ended at the request of a client.
     Canceled,
-    /// It has ended: the server gave it up.
+    /// Ended by the server without success.
     Aborted,
 }
 
@@ -41,7 +41,7 @@ impl GoalStatus {
         }
     }
 
-    /// None for a number that says nothing.
+    /// `None` for an unknown number.
     #[must_use]
     pub fn from_number(number: i8) -> Option<Self> {
         Self::ALL

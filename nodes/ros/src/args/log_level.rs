@@ -2,7 +2,7 @@
 
 use tracing::level_filters::LevelFilter;
 
-/// Which log records are kept: a level for all, and levels for single loggers.
+/// The levels of log records: one for all loggers, and levels of single loggers.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct LogLevels {
     pub(crate) default: Option<LevelFilter>,

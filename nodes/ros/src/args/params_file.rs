@@ -1,8 +1,7 @@
 //! `--params-file`: YAML of the form `node: {ros__parameters: {name: value}}`.
 //!
-//! The key is a node's full name (`/wm/encoder`), its parts may be nested, `/*` stands for one part and `/**` for
-//! any number. One part alone (`encoder`) matches that node in every namespace, which rcl would ask `/**/encoder`
-//! for: a file that names `encoder` means it.
+//! The key is a node's full name (`/wm/encoder`), its parts may be nested, `/*` stands for one part and `/**` for any
+//! number. A single part (`encoder`) matches that node in every namespace; rcl needs `/**/encoder` for that.
 
 use super::{ArgsError, Override};
 use crate::value::Value;
@@ -11,10 +10,10 @@ use std::path::Path;
 
 /// The key under which a node's parameters stand.
 const PARAMETERS: &str = "ros__parameters";
-/// A parameter file is written by a person; one larger than this is something else.
+/// Parameter files are written by hand; a larger file is something else.
 const MAX_FILE_BYTES: u64 = 4 * 1024 * 1024;
 
-/// Which nodes a section is for.
+/// The nodes that a section applies to.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Section {
     parts: Vec<String>,
@@ -45,7 +44,7 @@ impl Section {
         Ok(Self { parts })
     }
 
-    /// Whether the section holds for the node of this full name.
+    /// Whether the section applies to the node of this full name.
     pub(crate) fn matches(&self, fully_qualified_name: &str) -> bool {
         let name: Vec<_> = fully_qualified_name
             .trim_start_matches('/')
@@ -54,7 +53,7 @@ impl Section {
         matches(&self.parts, &name)
     }
 
-    /// Whether several nodes may share the section, so that a parameter that one of them does not know is no error.
+    /// Whether several nodes may share the section; an unknown parameter is then no error.
     pub(crate) fn is_shared(&self) -> bool {
         self.parts
             .last()
@@ -254,7 +253,7 @@ mod tests {
     }
 
     proptest! {
-        /// Any text is answered, never with a panic.
+        /// Any text gives overrides or an error, never a panic.
         #[test]
         fn any_text_is_answered(text in "[a-z0-9:{}\\[\\] \n'\"&*!~/_.-]{0,80}") {
             parse(&text, "file").ok();

@@ -169,7 +169,7 @@ mod tests {
             name: name.into(),
             type_name,
             qos,
-            hears_own: true,
+            receives_own: true,
             has_siblings: false,
         }
     }

@@ -72,7 +72,7 @@ pub(super) mod tests {
                 Channel::Request | Channel::Response => TypeName::service("wm_msgs", "Reset"),
             },
             qos: Qos::reliable(10),
-            hears_own: true,
+            receives_own: true,
             has_siblings: false,
         }
     }

@@ -8,7 +8,7 @@ use super::{
 };
 use crate::{
     Error,
-    backend::{Channel, Endpoint, EndpointId, Seen},
+    backend::{Channel, DiscoveredEndpoint, Endpoint, EndpointId},
 };
 use bytes::Bytes;
 use ros2_client::{
@@ -22,7 +22,7 @@ use std::{collections::BTreeMap, sync::Mutex};
 struct NodeEndpoint {
     /// The full name.
     node: String,
-    seen: Option<Seen>,
+    seen: Option<DiscoveredEndpoint>,
     is_writer: bool,
 }
 
@@ -98,7 +98,7 @@ impl Nodes {
         is_writer: bool,
     ) {
         let seen = ros_names(&dds_name(endpoint), &dds_type(endpoint)).map(
-            |(channel, name, type_name)| Seen {
+            |(channel, name, type_name)| DiscoveredEndpoint {
                 channel,
                 name,
                 type_name,
@@ -125,7 +125,7 @@ impl Nodes {
         self.announce();
     }
 
-    pub(super) fn own_endpoints(&self) -> Vec<Seen> {
+    pub(super) fn own_endpoints(&self) -> Vec<DiscoveredEndpoint> {
         lock(&self.table)
             .endpoints
             .values()

@@ -55,6 +55,7 @@ fn profile(qos: Qos, max_samples: usize) -> QosPolicies {
 /// The QoS of a discovered endpoint. Discovery does not announce the history; the depth is then 10, ROS' default.
 pub(super) fn from_dds(qos: &QosPolicies) -> Qos {
     let depth = match qos.history() {
+        // a negative depth reads as the default
         Some(policy::History::KeepLast { depth }) => usize::try_from(depth).unwrap_or(10),
         _ => 10,
     };

@@ -36,7 +36,7 @@ impl DdsReader {
         runtime: &Handle,
     ) -> Self {
         let id = reader.guid().to_bytes();
-        let inbox = if endpoint.hears_own {
+        let inbox = if endpoint.receives_own {
             shared.local.add_reader(id, endpoint)
         } else {
             Arc::new(Mailbox::new(WAITING))

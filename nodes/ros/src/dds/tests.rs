@@ -46,7 +46,7 @@ async fn response_waits_until_its_client_is_connected() {
     let written = answers
         .write(&payload, Some(request), WhenFull::DropOldest)
         .unwrap();
-    assert_eq!(written, crate::backend::Written::Held);
+    assert_eq!(written, crate::backend::WriteOutcome::Held);
 
     let (heard, mut hears) = tokio::sync::mpsc::unbounded_channel();
     let sink = move |sample: Result<crate::backend::Sample, String>| {

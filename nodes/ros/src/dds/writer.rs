@@ -23,7 +23,7 @@ use super::{
 use crate::{
     Durability, Error, Reliability,
     backend::{
-        Audience, Channel, Endpoint, EndpointId, RequestId, WhenFull, Writer, Written,
+        Audience, Channel, Endpoint, EndpointId, RequestId, WhenFull, WriteOutcome, Writer,
         participant_of,
     },
     clock::system_nanos,
@@ -121,7 +121,7 @@ impl WriterCore {
         payload: &Payload,
         answers: Option<RequestId>,
         when_full: WhenFull,
-    ) -> Result<Written, Error> {
+    ) -> Result<WriteOutcome, Error> {
         let mut sent = lock(&self.sent);
         // the number on the wire identifies a call
         let written = if !self.is_topic || self.has_remote_readers() {
@@ -129,12 +129,12 @@ impl WriterCore {
             sent.last = Some(Instant::now());
             self.send_elsewhere(&sample, answers, when_full, &mut sent)?
         } else {
-            Written::Sent {
+            WriteOutcome::Sent {
                 number: sent.line.window.last(),
                 dropped: 0,
             }
         };
-        let Written::Sent { number, .. } = written else {
+        let WriteOutcome::Sent { number, .. } = written else {
             return Ok(written);
         };
         sent.here += 1;
@@ -162,13 +162,13 @@ impl WriterCore {
         answers: Option<RequestId>,
         when_full: WhenFull,
         sent: &mut SendState,
-    ) -> Result<Written, Error> {
+    ) -> Result<WriteOutcome, Error> {
         if self.shared.is_alone {
             // without remote readers nothing is acknowledged
             let number = sent.line.window.last() + 1;
             sent.line.window.wrote(number, 0);
             sent.line.window.acknowledged(number);
-            return Ok(Written::Sent { number, dropped: 0 });
+            return Ok(WriteOutcome::Sent { number, dropped: 0 });
         }
         if let Some(keep) = self.keep
             && self.shared.parts.takes(&sent.line.id(), sample.len())
@@ -187,18 +187,18 @@ impl WriterCore {
         keep: Retention,
         when_full: WhenFull,
         sent: &mut SendState,
-    ) -> Result<Written, Error> {
+    ) -> Result<WriteOutcome, Error> {
         let (id, parts) = (sent.line.id(), &self.shared.parts);
         self.check_len(sample.len(), LARGEST)?;
         parts.open(id, keep, sent.line.window.last());
         if when_full == WhenFull::Refuse && parts.is_full(&id) {
-            return Ok(Written::WindowFull);
+            return Ok(WriteOutcome::WindowFull);
         }
         let (peers, has_others) = self.shared.readers_in_parts(&id);
         let (copy, dropped_elsewhere) = match has_others {
             false => (0, 0),
             true => match self.send_whole(sample, None, when_full, sent)? {
-                Written::Sent { number, dropped } => (number, dropped),
+                WriteOutcome::Sent { number, dropped } => (number, dropped),
                 not_sent => return Ok(not_sent),
             },
         };
@@ -208,7 +208,7 @@ impl WriterCore {
         let Some(OfferOutcome { number, dropped }) = offered else {
             return Err(Error::ShutDown(self.endpoint.name.clone()));
         };
-        Ok(Written::Sent {
+        Ok(WriteOutcome::Sent {
             number,
             dropped: dropped + dropped_elsewhere,
         })
@@ -233,7 +233,7 @@ impl WriterCore {
         request: RequestId,
         when_full: WhenFull,
         sent: &mut SendState,
-    ) -> Result<Written, Error> {
+    ) -> Result<WriteOutcome, Error> {
         let (id, shared) = (self.id, &self.shared);
         let clients = shared.matched(&id);
         if sample.len() <= shared.largest_answer(&id, &clients) {
@@ -290,9 +290,9 @@ impl WriterCore {
         answers: Option<RequestId>,
         when_full: WhenFull,
         sent: &mut SendState,
-    ) -> Result<Written, Error> {
+    ) -> Result<WriteOutcome, Error> {
         if self.is_reliable && !self.has_room(when_full, sent) {
-            return Ok(Written::WindowFull);
+            return Ok(WriteOutcome::WindowFull);
         }
         let mut now = Timestamp::now();
         if self.is_latched {
@@ -307,7 +307,7 @@ impl WriterCore {
         }
         let number = match sent.line.write(sample, answers, now) {
             Ok(number) => number,
-            Err(WriteError::WouldBlock { .. }) => return Ok(Written::WindowFull),
+            Err(WriteError::WouldBlock { .. }) => return Ok(WriteOutcome::WindowFull),
             Err(error) => {
                 let action = format!("publish {}", self.endpoint.name);
                 return Err(Error::middleware(action, error));
@@ -326,7 +326,7 @@ impl WriterCore {
             }
         }
         let dropped = self.given_up.swap(0, Ordering::Relaxed);
-        Ok(Written::Sent { number, dropped })
+        Ok(WriteOutcome::Sent { number, dropped })
     }
 
     /// Checks for slow readers, and lets the next DDS writer take over if possible. Returns whether a sample may be
@@ -494,7 +494,7 @@ impl DdsWriter {
                 return;
             }
             match core.send(&payload, Some(request), WhenFull::DropOldest) {
-                Ok(Written::WindowFull) => {
+                Ok(WriteOutcome::WindowFull) => {
                     tracing::warn!("{topic}: a call is not answered: clients do not take answers");
                 }
                 Ok(_) => {}
@@ -543,7 +543,7 @@ impl Writer for DdsWriter {
         payload: &Payload,
         answers: Option<RequestId>,
         when_full: WhenFull,
-    ) -> Result<Written, Error> {
+    ) -> Result<WriteOutcome, Error> {
         if let Payload::Cdr(sample) = payload {
             self.core.check(sample)?;
         }
@@ -551,7 +551,7 @@ impl Writer for DdsWriter {
             && !self.core.shared.reaches(&self.id(), &request.client)
             && self.hold(payload, request)
         {
-            return Ok(Written::Held);
+            return Ok(WriteOutcome::Held);
         }
         self.core.send(payload, answers, when_full)
     }

@@ -1,4 +1,4 @@
-//! What `wm NODE --help` prints about a node.
+//! The help text of a node, `wm NODE --help`.
 
 use super::NodeDefinition;
 use crate::{Direction, EndpointSpec, ParameterSpec, parameters::Range};
@@ -8,7 +8,7 @@ use std::fmt::Write as _;
 const WIDTH: usize = 100;
 
 impl<E> NodeDefinition<E> {
-    /// Topics, services, actions and parameters, for people.
+    /// Topics, services, actions and parameters, as text.
     #[must_use]
     pub fn help(&self) -> String {
         let mut text = String::new();
@@ -73,7 +73,7 @@ impl<E> NodeDefinition<E> {
     }
 }
 
-/// Writing to a `String` does not fail.
+/// Writing to a `String` cannot fail.
 fn line(text: &mut String, line: &str) {
     writeln!(text, "{line}").ok();
 }
@@ -111,12 +111,12 @@ fn parameter(text: &mut String, spec: &ParameterSpec) {
     wrapped(text, "      ", &descriptor.description);
 }
 
-/// Only the ends that say something: a type's own limit does not.
+/// Only limits that are narrower than the type's own.
 pub(super) fn range_in_words(range: &Range) -> Option<String> {
     let (from, to) = match range {
         Range::Integers { from, to } => (
             (*from != i64::MIN).then(|| from.to_string()),
-            // what a 32 or 64 bit number can hold is nobody's choice
+            // the limits of 32 and 64 bit numbers
             (*to < i64::from(i32::MAX)).then(|| to.to_string()),
         ),
         Range::Doubles { from, to } => (Some(format!("{from:?}")), Some(format!("{to:?}"))),

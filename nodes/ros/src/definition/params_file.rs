@@ -8,7 +8,7 @@ use crate::{ParameterSpec, value::Value};
 use std::fmt::Write as _;
 
 impl<E> NodeDefinition<E> {
-    /// A parameter file in which every parameter has its default, with what `ros2 param describe` says of it.
+    /// A parameter file with every parameter at its default, each with the description of `ros2 param describe`.
     #[must_use]
     pub fn params_file(&self) -> String {
         let mut text = String::new();
@@ -65,7 +65,7 @@ fn yaml_double(value: f64) -> String {
     }
 }
 
-/// Quoted where YAML needs it.
+/// Quotes the text if YAML needs it.
 fn yaml_text(value: &str) -> String {
     let quoted = || format!("{value:?}");
     serde_yaml_ng::to_string(value).map_or_else(|_| quoted(), |text| text.trim_end().to_owned())

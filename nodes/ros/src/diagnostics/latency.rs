@@ -1,4 +1,4 @@
-//! How long a stage takes: percentiles over the last half minute to minute.
+//! The latency of a stage: percentiles over the last 30 to 60 s.
 
 use hdrhistogram::Histogram;
 use std::{
@@ -9,7 +9,7 @@ use std::{
 /// After this time a new histogram is begun; reports cover it and the one before.
 const GENERATION: Duration = Duration::from_secs(30);
 
-/// Records how long a stage takes. Clones record together.
+/// Records the latency of a stage. Clones share the record.
 #[derive(Clone, Debug, Default)]
 pub struct Latency {
     state: Arc<Mutex<State>>,
@@ -39,6 +39,7 @@ impl Latency {
     /// Records one duration.
     pub fn record(&self, duration: Duration) {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        // longer ones count as the longest
         let micros = u64::try_from(duration.as_micros()).unwrap_or(MAX_US);
         let current = &mut state.current;
         if current.is_none() {

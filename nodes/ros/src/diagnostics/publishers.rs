@@ -1,19 +1,19 @@
-//! Who publishes a node's inputs, and what could be meant instead.
+//! The publishers of a node's inputs, and topics that could replace a missing input.
 
 use super::{Graph, watchdog::Publishers};
 use crate::backend::EndpointId;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// What the watchdog asks of the graph, by the names of the node's inputs.
+/// The graph for the watchdog, by the names of the node's inputs.
 pub(super) struct PublishersOf<'a> {
     endpoints: &'a BTreeMap<EndpointId, (String, bool)>,
-    /// The node's, which its suite shares; empty for none.
+    /// The node's namespace, which its suite shares; empty for none.
     namespace: &'a str,
     graph: &'a dyn Graph,
 }
 
 impl<'a> PublishersOf<'a> {
-    /// Of the node `name` (`wm/encoder`) with these endpoints: topics, and whether it publishes them.
+    /// For the node `name` (`wm/encoder`) with these endpoints: topics, and whether it publishes them.
     pub(super) fn new(
         name: &'a str,
         endpoints: &'a BTreeMap<EndpointId, (String, bool)>,

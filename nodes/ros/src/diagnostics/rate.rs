@@ -8,7 +8,7 @@ use std::{
 /// The rate is taken over this time, so that 5 Hz does not read 4 or 6 from one second to the next.
 const WINDOW: Duration = Duration::from_secs(10);
 
-/// Counts events and says how many a second there were lately.
+/// Counts events and computes their rate.
 #[derive(Debug, Default)]
 pub(super) struct Rate {
     total: u64,
@@ -28,10 +28,10 @@ impl Rate {
         self.total
     }
 
-    /// Events a second over the last ten, or since the first event; marks the moment for later calls.
+    /// Events per second over the last ten seconds, or since the first event; records the total for later calls.
     pub(super) fn per_second(&mut self, now: Instant) -> f64 {
         let is_old = |(then, _): &(Instant, u64)| now.saturating_duration_since(*then) > WINDOW;
-        // the newest of the old marks stays: it begins the window
+        // keep the newest of the expired marks: it begins the window
         while self.marks.get(1).is_some_and(is_old) {
             self.marks.pop_front();
         }

@@ -1,6 +1,5 @@
-//! What an operator must know about a running node, determined only from counts and times: inputs that are missing,
-//! deadlines that are missed, memory that grows, and conditions that the node names itself. Each has a level and a
-//! sentence that says what to do.
+//! Faults of a running node, determined only from counts and times: missing inputs, missed deadlines, growing memory,
+//! and conditions that the node reports. Each has a level and a sentence with the remedy.
 
 mod deadline;
 mod input;
@@ -19,20 +18,20 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// How long a condition holds after it was last seen: longer than a second, so that every report of one that goes on has
-/// it.
+/// How long a condition holds after its last report: longer than a second, so that each report includes every lasting
+/// condition.
 const HOLD: Duration = Duration::from_secs(5);
 
-/// Conditions that are distinguished; their subjects hold topics, and could be many.
+/// The most conditions; their subjects contain topics and could be many.
 const MAX_CONDITIONS: usize = 64;
 
-/// What the watchdog has found of one subject.
+/// A finding of the watchdog on one subject.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Finding {
     /// `input latent`
     pub(super) subject: String,
     pub(super) level: Level,
-    /// What is so, and where it is not well, what to do about it.
+    /// The state, and for a fault the remedy.
     pub(super) message: String,
 }
 
@@ -43,9 +42,9 @@ struct Condition {
     seen: Instant,
 }
 
-/// Who publishes what, as the watchdog asks of it.
+/// The publishers in the graph.
 pub(super) trait Publishers {
-    /// How many are connected to the node's subscription of `topic`.
+    /// The number of publishers connected to the node's subscription of `topic`.
     fn connected(&self, topic: &str) -> usize;
     /// Topics of the same type from outside the suite.
     fn elsewhere(&self, topic: &str) -> BTreeSet<String>;
@@ -53,14 +52,14 @@ pub(super) trait Publishers {
     fn is_from_outside(&self, topic: &str) -> bool;
 }
 
-/// The watches of one node. It has no clock: every call brings the time.
+/// The watches of one node. It has no clock: each call passes the time.
 #[derive(Debug, Default)]
 pub(super) struct Watchdog {
     inputs: BTreeMap<&'static str, InputWatch>,
     deadlines: BTreeMap<&'static str, DeadlineWatch>,
     memory: MemoryWatch,
     conditions: BTreeMap<String, Condition>,
-    /// What the log has not said yet.
+    /// Findings that are not logged yet.
     news: Vec<Finding>,
 }
 
@@ -78,14 +77,14 @@ impl Watchdog {
         self.memory = MemoryWatch::default();
     }
 
-    /// A message of this topic came.
+    /// Counts a message of this topic.
     pub(super) fn arrived(&mut self, topic: &str, now: Instant) {
         for input in self.inputs.values_mut() {
             input.arrived(topic, now);
         }
     }
 
-    /// A stage with a deadline, which may be another than before, took this long.
+    /// Counts a run of a stage; its deadline may change between calls.
     pub(super) fn took(&mut self, deadline: Deadline, taken: Duration) {
         self.deadlines
             .entry(deadline.stage)
@@ -93,7 +92,7 @@ impl Watchdog {
             .took(deadline, taken);
     }
 
-    /// Something is so at this moment; it counts as over when it is not said again for five seconds.
+    /// Reports a condition that holds now. Without a further report within five seconds it counts as over.
     pub(super) fn raise(&mut self, subject: &str, level: Level, message: String, now: Instant) {
         if self.conditions.len() >= MAX_CONDITIONS && !self.conditions.contains_key(subject) {
             return;
@@ -106,13 +105,13 @@ impl Watchdog {
         self.conditions.insert(subject.to_owned(), condition);
     }
 
-    /// Inputs from outside the suite that are missing or back since the report before the last. The others are missing
-    /// because another node of the suite misses something, and that one says so.
+    /// Inputs from outside the suite that are missing or back since the report before the last. Inputs from nodes of
+    /// the suite are omitted: the node that publishes them reports the cause.
     pub(super) fn take_news(&mut self) -> Vec<Finding> {
         std::mem::take(&mut self.news)
     }
 
-    /// Everything that is watched, well or not. `resident`: the process's memory \[byte\], where it is known.
+    /// The state of every watch. `resident`: the process's memory \[byte\], if known.
     pub(super) fn report(
         &mut self,
         now: Instant,
@@ -166,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn the_log_has_what_comes_from_outside_once_and_again_when_it_is_back() {
+    fn missing_outside_input_is_logged_once_and_again_on_return() {
         let (mut watchdog, start) = (Watchdog::default(), Instant::now());
         watchdog.expect(Input::new("images", ["/image"], "start the camera"), start);
         watchdog.expect(Input::new("latents", ["/wm/latent"], "start it"), start);
@@ -185,7 +184,7 @@ mod tests {
         assert_eq!(news(&mut watchdog, 10), [""; 0]);
         watchdog.arrived("/image", start + Duration::from_secs(11));
         assert_eq!(news(&mut watchdog, 11), ["images come"]);
-        // A hiccup is on /diagnostics alone.
+        // A short gap is only on /diagnostics.
         assert_eq!(news(&mut watchdog, 12), [""; 0]);
         assert!(news(&mut watchdog, 17)[0].contains("no images on /image for 6.0 s"));
     }

@@ -1,5 +1,5 @@
-//! The gate of a managed node's endpoints. They exist from configure to cleanup, as in rclcpp; the gate is open while the
-//! node is active. Behind a closed gate publishers send nothing, subscriptions skip what arrives, and services refuse.
+//! The gate of a managed node's endpoints. They exist from configure to cleanup, as in rclcpp; the gate is open while
+//! the node is active. With a closed gate publishers send nothing, subscriptions skip samples, and services refuse.
 
 use crate::backend::Backend;
 use std::sync::{
@@ -7,11 +7,11 @@ use std::sync::{
     atomic::{AtomicBool, Ordering},
 };
 
-/// What an endpoint does when the gate changes.
-pub(crate) trait Gated: Send + Sync {
-    /// The node becomes active: begin with an empty queue, and with what is latched now.
+/// The reaction of an endpoint to a change of the gate.
+pub(crate) trait GatedEndpoint: Send + Sync {
+    /// The node becomes active: start with an empty queue and the latched samples.
     fn opened(&self, backend: &dyn Backend);
-    /// The node is no longer active: drop what waits.
+    /// The node becomes inactive: drop waiting samples.
     fn closed(&self);
 }
 
@@ -22,7 +22,7 @@ pub(crate) struct Gate(Arc<Inner>);
 #[derive(Default)]
 struct Inner {
     is_open: AtomicBool,
-    endpoints: Mutex<Vec<Weak<dyn Gated>>>,
+    endpoints: Mutex<Vec<Weak<dyn GatedEndpoint>>>,
 }
 
 impl Gate {
@@ -30,7 +30,7 @@ impl Gate {
         self.0.is_open.load(Ordering::Acquire)
     }
 
-    pub(crate) fn add(&self, endpoint: Weak<dyn Gated>) {
+    pub(crate) fn add(&self, endpoint: Weak<dyn GatedEndpoint>) {
         self.endpoints().push(endpoint);
     }
 
@@ -49,14 +49,14 @@ impl Gate {
     }
 
     /// The endpoints that still exist; the others are forgotten. They are called without the lock.
-    fn live(&self) -> Vec<Arc<dyn Gated>> {
+    fn live(&self) -> Vec<Arc<dyn GatedEndpoint>> {
         let mut endpoints = self.endpoints();
         endpoints.retain(|endpoint| endpoint.strong_count() > 0);
         endpoints.iter().filter_map(Weak::upgrade).collect()
     }
 
     /// No invariant spans the lock.
-    fn endpoints(&self) -> std::sync::MutexGuard<'_, Vec<Weak<dyn Gated>>> {
+    fn endpoints(&self) -> std::sync::MutexGuard<'_, Vec<Weak<dyn GatedEndpoint>>> {
         self.0
             .endpoints
             .lock()

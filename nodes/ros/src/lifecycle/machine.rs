@@ -1,20 +1,20 @@
-//! The state machine: which transition may be made when. It knows neither the graph nor what a node does.
+//! The state machine of a managed node: the allowed transitions. It knows neither the graph nor the node's work.
 
 use super::{Outcome, State, Transition};
 
-/// The state that a managed node is in.
+/// The state of a managed node.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Machine {
     state: State,
 }
 
-/// A transition that cannot be made from where the node is.
+/// A transition that is impossible in the node's state.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("in state {}: expected {expected}, got {asked}", .state.label())]
 pub struct Refused {
-    /// Where the node is.
+    /// The node's state.
     pub state: State,
-    /// What could be asked for.
+    /// The possible transitions.
     pub expected: String,
     /// What was requested.
     pub asked: String,
@@ -35,7 +35,7 @@ impl Machine {
         self.state
     }
 
-    /// The transitions that begin where the node is.
+    /// The transitions from the node's state.
     pub fn available(&self) -> impl Iterator<Item = &'static Transition> + use<> {
         let state = self.state;
         Transition::GRAPH
@@ -43,11 +43,11 @@ impl Machine {
             .filter(move |transition| transition.start == state)
     }
 
-    /// Begins the transition that somebody asks for: by its label, or, where that is empty, by its id. (A client that
-    /// gives a label alone sends the id 0; so rclcpp_lifecycle does it too.)
+    /// Begins the requested transition: by its label, or by its id if the label is empty, as in rclcpp_lifecycle:
+    /// clients that set only a label send the id 0.
     ///
     /// # Errors
-    /// Nobody may ask for such a transition where the node is.
+    /// The transition is impossible in the node's state, or not public.
     pub fn begin(&mut self, id: u8, label: &str) -> Result<&'static Transition, Refused> {
         let is_asked = |transition: &&Transition| match label {
             "" => transition.id == id,
@@ -76,7 +76,7 @@ impl Machine {
         Ok(transition)
     }
 
-    /// Ends the transition that is under way; none where none is.
+    /// Ends the transition under way; `None` without one.
     pub fn finish(&mut self, outcome: Outcome) -> Option<&'static Transition> {
         let transition = self
             .available()
@@ -155,7 +155,7 @@ mod tests {
         assert_eq!(machine.state(), State::Unconfigured);
         assert_eq!(machine.finish(Outcome::Success), None);
         machine.begin(1, "").unwrap();
-        // The node's own transitions are not for others.
+        // The node's own transitions are not public.
         for (id, label) in [(10, ""), (0, "transition_success"), (1, "")] {
             let refused = machine.begin(id, label).unwrap_err();
             assert_eq!(refused.expected, "no transition");
@@ -163,7 +163,7 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever is asked, every step is one of the graph.
+        /// For any requests, every step is one of the graph.
         #[test]
         fn every_step_is_in_the_graph(steps in prop::collection::vec((0u8..70, 0usize..4), 0..40)) {
             let mut machine = Machine::default();

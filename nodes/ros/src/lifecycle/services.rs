@@ -1,5 +1,5 @@
-//! The services that ask for states and transitions. They answer on the receiving thread, so also while the node is
-//! busy with a transition.
+//! The services that report states and transitions. They run on the receiving thread, so they also answer during a
+//! transition.
 
 use super::{Machine, State, Transition};
 use crate::{Error, Node};
@@ -9,7 +9,7 @@ use wm_msgs::lifecycle_msgs::{
     GetAvailableTransitionsResponse, GetState, GetStateResponse,
 };
 
-/// Serves them for as long as the node lives.
+/// Serves them until the node ends.
 pub(super) fn serve(node: &Node, machine: &Arc<Mutex<Machine>>) -> Result<(), Error> {
     let now = Arc::clone(machine);
     node.serve::<GetState>("~/get_state", move |_| GetStateResponse {

@@ -1,14 +1,14 @@
 use wm_msgs::lifecycle_msgs;
 
-/// A state of a managed node: four primary ones, in which it waits to be told, and the transition states between.
-/// The numbers are those of `lifecycle_msgs/msg/State`.
+/// A state of a managed node: the four primary states, in which it waits for requests, and the transition states. The
+/// numbers are those of `lifecycle_msgs/msg/State`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum State {
-    /// In the list of states, since rcl lists it; no node is ever in it.
+    /// Listed because rcl lists it; no node is ever in it.
     Unknown = 0,
-    /// Holds nothing but its parameters.
+    /// Has only its parameters.
     Unconfigured = 1,
-    /// Holds what it needs for its work, and does not work.
+    /// Has its resources, and does not work.
     Inactive = 2,
     /// Works.
     Active = 3,
@@ -24,12 +24,12 @@ pub enum State {
     Activating = 13,
     /// From active to inactive.
     Deactivating = 14,
-    /// A transition went wrong.
+    /// A transition failed.
     ErrorProcessing = 15,
 }
 
 impl State {
-    /// All of them, in the order in which rcl lists them.
+    /// All states, in rcl's order.
     pub const ALL: [Self; 11] = [
         Self::Unknown,
         Self::Unconfigured,

@@ -1,33 +1,33 @@
 use super::State;
 use wm_msgs::lifecycle_msgs;
 
-/// A way from one state to another.
+/// A transition from one state to another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Transition {
-    /// The number in messages (`lifecycle_msgs/msg/Transition`). Those below 10 are for others to ask for; the node
-    /// makes the rest itself, when it is done with what a transition asks of it.
+    /// The number in messages (`lifecycle_msgs/msg/Transition`). Those below 10 are public; the node makes the others
+    /// itself, when the work of a transition has ended.
     pub id: u8,
     /// The name in messages.
     pub label: &'static str,
-    /// Where it begins.
+    /// The state in which it begins.
     pub start: State,
-    /// Where it leads.
+    /// The state in which it ends.
     pub goal: State,
 }
 
-/// How what a transition asks of the node went.
+/// The outcome of the node's work in a transition.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Outcome {
-    /// As asked.
+    /// Done.
     Success,
-    /// Not as asked; the node is as it was before.
+    /// Not done; the node is unchanged.
     Failure,
-    /// Not as asked, and the node is not as it was.
+    /// Failed, with the node in an unknown state.
     Error,
 }
 
 impl Outcome {
-    /// The label of the transitions that it leads to.
+    /// The label of the resulting transitions.
     pub(super) const fn label(self) -> &'static str {
         match self {
             Self::Success => "transition_success",
@@ -51,7 +51,7 @@ const FAILURE: &str = Outcome::Failure.label();
 const ERROR: &str = Outcome::Error.label();
 
 impl Transition {
-    /// All that there are: rcl_lifecycle's default state machine, in its order. A test holds it against rclpy's own.
+    /// All transitions: rcl_lifecycle's default state machine, in its order. A test compares it with rclpy's.
     pub const GRAPH: [Self; 25] = {
         use State::{
             Activating, Active, CleaningUp, Configuring, Deactivating, ErrorProcessing, Finalized,
@@ -86,7 +86,7 @@ impl Transition {
         ]
     };
 
-    /// Whether others may ask for it.
+    /// Whether clients may request it.
     #[must_use]
     pub const fn is_public(&self) -> bool {
         self.id < 10

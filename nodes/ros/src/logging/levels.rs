@@ -1,4 +1,4 @@
-//! Which records are kept, and the two services that ask for it and change it while the node runs.
+//! The levels of log records, and the two services that report and change them while the node runs.
 
 use crate::args::LogLevels;
 use std::sync::{Mutex, PoisonError};
@@ -8,10 +8,10 @@ use wm_msgs::rcl_interfaces::{
     GetLoggerLevelsResponse, LoggerLevel, SetLoggerLevelsResponse, SetLoggerLevelsResult,
 };
 
-/// Loggers whose levels are remembered, and that one request may name: it is served on the thread that receives for all.
+/// The most loggers with a level, and the most per request: requests run on the receiving thread.
 const MAX_LOGGERS: usize = 256;
 
-/// The longest name of a logger \[byte\]: that of a node, which rmw bounds to 255.
+/// The longest name of a logger \[byte\]: rmw limits names of nodes to 255.
 const MAX_NAME: usize = 255;
 
 /// The levels of this process.
@@ -22,8 +22,8 @@ struct Levels {
     filter: reload::Handle<Targets, Registry>,
 }
 
-/// `--log-level` as a filter. A name that begins with `wm_` is a Rust module of this suite, dots for colons; any
-/// other is a node's logger (`wm.encoder`) and means all that its process logs, since a process runs one node.
+/// `--log-level` as a filter. A name that begins with `wm_` is a Rust module of this suite, dots for colons; any other
+/// is a node's logger (`wm.encoder`) and applies to all records of its process, since a process runs one node.
 pub(super) fn filter(levels: &LogLevels) -> Targets {
     let default = levels.default.unwrap_or(LevelFilter::INFO);
     levels.loggers.iter().fold(
@@ -38,7 +38,7 @@ pub(super) fn filter(levels: &LogLevels) -> Targets {
     )
 }
 
-/// The filter of these levels, which the services change from now on.
+/// The filter of these levels; the services change it.
 pub(super) fn install(levels: &LogLevels) -> reload::Layer<Targets, Registry> {
     let (layer, handle) = reload::Layer::new(filter(levels));
     let mut installed = LEVELS.lock().unwrap_or_else(PoisonError::into_inner);
@@ -51,8 +51,8 @@ pub(super) fn install(levels: &LogLevels) -> reload::Layer<Targets, Registry> {
     layer
 }
 
-/// `get_logger_levels`, as rclcpp answers it: 0 for a logger whose level was not set. The empty name is the root. A
-/// request for too many is answered for the first of them.
+/// `get_logger_levels`, as rclcpp answers it: 0 for a logger whose level was not set. The empty name is the root. With
+/// too many names, only the first are answered.
 pub(crate) fn get(names: &[String]) -> GetLoggerLevelsResponse {
     let installed = LEVELS.lock().unwrap_or_else(PoisonError::into_inner);
     let level = |name: &String| LoggerLevel {
@@ -66,9 +66,9 @@ pub(crate) fn get(names: &[String]) -> GetLoggerLevelsResponse {
     }
 }
 
-/// `set_logger_levels`: each on its own; level 0 takes a logger's own level back. The filter changes once, when all are
-/// set, since every change makes it judge all that can be logged anew. A request that names too many is refused whole,
-/// with one result.
+/// `set_logger_levels`: each on its own; level 0 removes a logger's own level. The filter changes once, after all are
+/// set, since each change evaluates all callsites again. A request with too many names is refused as a whole, with one
+/// result.
 pub(crate) fn set(wanted: &[LoggerLevel]) -> SetLoggerLevelsResponse {
     let mut installed = LEVELS.lock().unwrap_or_else(PoisonError::into_inner);
     let results = match installed.as_mut() {
@@ -80,7 +80,7 @@ pub(crate) fn set(wanted: &[LoggerLevel]) -> SetLoggerLevelsResponse {
         filter: handle,
     }) = installed.as_ref()
     {
-        // It fails only once the subscriber is gone, and with it all that could be filtered.
+        // It fails only after the subscriber is dropped, when there are no records to filter.
         handle.reload(filter(levels)).ok();
     }
     let result = |outcome: Result<(), String>| SetLoggerLevelsResult {
@@ -93,7 +93,7 @@ pub(crate) fn set(wanted: &[LoggerLevel]) -> SetLoggerLevelsResponse {
 }
 
 impl LogLevels {
-    /// The level of a logger in the numbers of `rcl_interfaces/msg/LoggerLevel`; 0 where none was set for it.
+    /// The level of a logger in the numbers of `rcl_interfaces/msg/LoggerLevel`; 0 if it has none of its own.
     fn number(&self, logger: &str) -> u32 {
         let level = match logger {
             "" => Some(self.default.unwrap_or(LevelFilter::INFO)),

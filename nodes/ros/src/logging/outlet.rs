@@ -1,8 +1,8 @@
-//! Standard output and standard error behind a queue, so that a terminal that nobody reads stops no node.
+//! Standard output and standard error with a queue each, so that an unread terminal stops no node.
 //!
-//! A full pipe blocks whoever writes to it. Here that is one thread per stream; everybody else puts text into its queue,
-//! which is bounded: the oldest text goes first, is counted, and the next text that can be written says how much is
-//! missing. The lock of [`std::io::stderr`] is not taken, since whoever holds it in a blocked write stops the others.
+//! A full pipe blocks its writer. Here that is one thread per stream; other threads add text to its bounded queue. If
+//! the queue is full, the oldest text is dropped and counted, and the next written text is preceded by the number of
+//! dropped texts. The lock of [`std::io::stderr`] is not taken, since a blocked write under it would stop all threads.
 
 use super::{seconds, system_nanos};
 use rustix::{fd::BorrowedFd, io::Errno};
@@ -16,22 +16,22 @@ use std::{
     time::Duration,
 };
 
-/// Text that may wait for a reader \[byte\]; some thousand lines.
+/// The most text in the queue \[byte\]; some thousand lines.
 const MOST_BYTES: usize = 256 * 1024;
 
-/// How long a stream in non-blocking mode that is full is left alone.
+/// The pause before the next write to a full stream in non-blocking mode.
 const PAUSE: Duration = Duration::from_millis(20);
 
 pub(super) static STDERR: Outlet = Outlet::new("standard error", rustix::stdio::stderr);
 pub(super) static STDOUT: Outlet = Outlet::new("standard output", rustix::stdio::stdout);
 
-/// A stream of the process and the text that waits for it.
+/// A stream of the process and its queue.
 pub(super) struct Outlet {
     name: &'static str,
     stream: fn() -> BorrowedFd<'static>,
     queue: Mutex<Queue>,
     changed: Condvar,
-    /// Texts that were dropped and that no report has counted yet.
+    /// Texts dropped since the last report.
     uncounted: AtomicU64,
 }
 
@@ -40,12 +40,12 @@ struct Queue {
     texts: VecDeque<Vec<u8>>,
     /// All texts together \[byte\].
     len: usize,
-    /// Texts that were dropped since something was last written.
+    /// Texts dropped since the last write.
     dropped: u64,
     thread: Thread,
-    /// Whether the thread holds text that is not written yet.
+    /// Whether the thread is writing a text.
     is_writing: bool,
-    /// Whether a write failed: there is nobody to read, and never will be.
+    /// Whether a write failed: the reader is gone for good.
     is_gone: bool,
 }
 
@@ -53,7 +53,7 @@ struct Queue {
 enum Thread {
     NotStarted,
     Running,
-    /// The system gives no thread: whoever has something to say writes it.
+    /// The system refused the thread: the callers write.
     None,
 }
 
@@ -69,7 +69,7 @@ impl Queue {
         }
     }
 
-    /// Adds a text; gives how many older ones were dropped for it.
+    /// Adds a text; returns the number of older texts dropped for it.
     fn push(&mut self, text: Vec<u8>) -> u64 {
         let mut dropped = 0;
         while self.len + text.len() > MOST_BYTES
@@ -84,7 +84,7 @@ impl Queue {
         dropped
     }
 
-    /// The oldest text, after word of those that are missing before it.
+    /// The oldest text, preceded by the number of dropped texts, if any.
     fn pop(&mut self, stream: &str) -> Option<Vec<u8>> {
         if self.dropped > 0 {
             let dropped = std::mem::take(&mut self.dropped);
@@ -111,7 +111,7 @@ impl Outlet {
         }
     }
 
-    /// Queues a text, whole lines at best. Never waits for the stream's reader.
+    /// Queues a text, preferably of whole lines. Never waits for the stream's reader.
     ///
     /// # Errors
     /// The stream is closed.
@@ -147,12 +147,12 @@ impl Outlet {
         drop(waited.unwrap_or_else(PoisonError::into_inner));
     }
 
-    /// Texts that were dropped since this was last asked.
+    /// Returns the number of texts dropped since the last call.
     pub(super) fn take_dropped(&self) -> u64 {
         self.uncounted.swap(0, Ordering::Relaxed)
     }
 
-    /// Writes what is queued, as long as there is a reader.
+    /// Writes the queue until a write fails.
     fn write_all(&self) {
         let mut queue = self.queue();
         while !queue.is_gone {
@@ -190,9 +190,10 @@ impl Outlet {
 fn write(stream: fn() -> BorrowedFd<'static>, mut text: &[u8]) -> io::Result<()> {
     while !text.is_empty() {
         match rustix::io::write(stream(), text) {
+            // the system writes no more than `text`
             Ok(written) => text = text.get(written..).unwrap_or_default(),
             Err(Errno::INTR) => {}
-            // Somebody who shares the stream has put it into non-blocking mode.
+            // Another process with this stream has set it to non-blocking mode.
             Err(Errno::AGAIN) => std::thread::sleep(PAUSE),
             Err(error) => return Err(error.into()),
         }
@@ -200,7 +201,7 @@ fn write(stream: fn() -> BorrowedFd<'static>, mut text: &[u8]) -> io::Result<()>
     Ok(())
 }
 
-/// A stream that takes text at once; what is written goes into the queue when it is flushed.
+/// A writer that never blocks; flushing moves its text into the queue.
 pub struct Unblocked {
     outlet: &'static Outlet,
     text: Vec<u8>,

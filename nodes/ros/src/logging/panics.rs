@@ -1,9 +1,10 @@
-//! A panic ends the process, in order where it can: a thread or task that ends silently leaves a node that looks alive
-//! but does nothing.
+//! A panic ends the process, in order if possible: without this, a node whose thread or task has panicked would look
+//! alive but do nothing.
 //!
-//! The body is asked to end as by a signal, so that a recorder still closes its bag, and `run` returns
-//! [`Error::ThreadPanicked`](crate::Error::ThreadPanicked). A process that does not end in time ends with code 101, which is that of
-//! a panic in `main`. Where a panic becomes an error of its own, as in a job of a node, that error is returned instead.
+//! The body ends as after a signal, so that a recorder still closes its bag, and `run` returns
+//! [`Error::ThreadPanicked`](crate::Error::ThreadPanicked). A process that does not end in time ends with code 101, as
+//! after a panic in `main`. If a panic becomes an error of its own, as in a job of a node, that error is returned
+//! instead.
 
 use super::outlet::STDERR;
 use crate::Shutdown;
@@ -15,7 +16,7 @@ use std::{
 
 /// How long the process may take to end in order.
 const ORDERLY: Duration = Duration::from_secs(10);
-/// How long the panicking thread waits for its record to be logged; it may hold what logging needs.
+/// How long the panicking thread waits for its record to be logged; it may own a lock that logging needs.
 const LOGGED: Duration = Duration::from_millis(500);
 const EXIT_CODE: i32 = 101;
 
@@ -25,20 +26,20 @@ static STATE: Mutex<State> = Mutex::new(State {
 });
 
 struct State {
-    /// What ends the node that runs.
+    /// The shutdown of the running node.
     shutdown: Option<Shutdown>,
-    /// The first panic, in words.
+    /// The first panic, as text.
     first: Option<String>,
 }
 
-/// From now on a panic in any thread ends the process, and asks `shutdown` first.
+/// From now on a panic in any thread triggers `shutdown` and ends the process.
 pub(crate) fn end_process(shutdown: Shutdown) {
     static HOOK: Once = Once::new();
     state().shutdown = Some(shutdown);
     HOOK.call_once(|| std::panic::set_hook(Box::new(hook)));
 }
 
-/// The first panic of the process, in words.
+/// The first panic of the process, as text.
 pub(crate) fn first() -> Option<String> {
     state().first.clone()
 }
@@ -56,7 +57,7 @@ fn hook(info: &PanicHookInfo<'_>) {
         state.first.get_or_insert_with(|| text.clone());
         state.shutdown.clone()
     };
-    // On a thread of its own: this one may have panicked while it logged, and hold what logging needs.
+    // On a thread of its own: this one may have panicked while logging, and own a lock that logging needs.
     let (logged, is_logged) = mpsc::channel();
     let in_order = {
         let text = text.clone();

@@ -1,16 +1,15 @@
-//! Text of others made safe to print: a peer's string must not move the cursor, forge a line of the log or fill the
-//! screen.
+//! Makes text of peers safe to print: it must not move the cursor, forge a line of the log or fill the screen.
 
 use std::fmt::Write as _;
 
-/// What is kept of a text that a peer or a file gave \[character\].
+/// The longest printed text of a peer or a file \[character\].
 pub(crate) const OF_OTHERS: usize = 512;
 
-/// What is kept of a whole record \[character\]. Larger than any of our own, whatever text of others is in it.
+/// The longest printed record \[character\]. Larger than our own records with any text of peers.
 pub(super) const RECORD: usize = 4096;
 
-/// A text that a peer gave, safe to print on a terminal: control characters as escape sequences, and no more than 512
-/// characters.
+/// Makes a peer's text safe to print on a terminal: control characters become escape sequences, and at most 512
+/// characters are kept.
 #[must_use]
 pub fn of_others(text: &str) -> String {
     printable(text, OF_OTHERS)

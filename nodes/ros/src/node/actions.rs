@@ -21,8 +21,8 @@ use wm_msgs::{
 };
 
 impl Node {
-    /// Serves the action `A`; goals are read from what this returns. On a managed node that is not active every goal is
-    /// rejected.
+    /// Serves the action `A`; read the goals from the returned server. A managed node that is not active rejects every
+    /// goal.
     ///
     /// # Errors
     /// A name that ROS does not allow, or the middleware failed.
@@ -30,7 +30,7 @@ impl Node {
         let inner = &self.inner;
         let name = inner.name.resolve(name, "action")?;
         inner.interfaces.action::<A>();
-        // what a goal comes to is told whatever the node's state is
+        // results are sent in any state of the node
         let told = self.ungated();
         let get_result = TypeName::of_action::<A>("GetResult");
         let result_name = inner.name.resolve(&part(&name, "get_result"), "service")?;
@@ -70,7 +70,7 @@ impl Node {
         Ok(ActionServer::new(core, requests, [canceling, results]))
     }
 
-    /// Sets goals of the action `A` of this name.
+    /// A client of the action `A` of this name.
     ///
     /// # Errors
     /// A name that ROS does not allow, or the middleware failed.
@@ -106,7 +106,7 @@ impl Node {
         }))
     }
 
-    /// Subscribes to a topic; what comes goes to the sink that is made of the topic's absolute name.
+    /// Subscribes to a topic; `sink` makes the sink from the topic's absolute name.
     fn hear(
         &self,
         topic: &str,
@@ -123,7 +123,7 @@ impl Node {
             name: name.clone(),
             type_name,
             qos,
-            hears_own: true,
+            receives_own: true,
             has_siblings: false,
         };
         self.inner.backend().reader(node, &endpoint, sink(name))

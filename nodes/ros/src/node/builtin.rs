@@ -1,10 +1,10 @@
-//! What every ROS 2 node has: services of parameters, loggers and types, `/parameter_events`, `/rosout`, sim time; and what every node of
-//! this suite has: diagnostics once a second.
+//! The endpoints of every ROS 2 node (services of parameters, loggers and types, `/parameter_events`, `/rosout`,
+//! `/clock`), and the diagnostics of every node of this suite, once a second.
 
 use super::Node;
 use crate::{
     Clock, Descriptor, Error, NodeArgs, Qos,
-    backend::{Backend, Channel, Endpoint, EndpointId, Reader, Seen, WhenFull},
+    backend::{Backend, Channel, DiscoveredEndpoint, Endpoint, EndpointId, Reader, WhenFull},
     diagnostics::Graph,
     logging::{self, levels},
     names::TypeName,
@@ -29,14 +29,14 @@ use wm_msgs::{
     std_msgs::Header,
 };
 
-/// The QoS of `/parameter_events` and `/rosout` is rclcpp's, with a depth that a node of this suite fills in minutes.
+/// The QoS of rclcpp for `/parameter_events` and `/rosout`, with a depth that a node of this suite fills in minutes.
 const PARAMETER_EVENTS_QOS: Qos = Qos::reliable(100);
 const ROSOUT_QOS: Qos = Qos::latched(100);
 const CLOCK_QOS: Qos = Qos::best_effort(1);
 const DIAGNOSTICS_QOS: Qos = Qos::reliable(10);
 const DIAGNOSTICS_PERIOD: Duration = Duration::from_secs(1);
 
-/// Starts all of it.
+/// Starts them.
 pub(super) fn start(node: &Node, args: &NodeArgs) -> Result<(), Error> {
     rosout(node, args)?;
     parameter_events(node)?;
@@ -128,7 +128,7 @@ fn follow_clock(node: &Node) {
                     name: "/clock".to_owned(),
                     type_name,
                     qos: CLOCK_QOS,
-                    hears_own: true,
+                    receives_own: true,
                     has_siblings: false,
                 };
                 match backend.reader(&name, &endpoint, clock_sink(clock.clone())) {
@@ -181,7 +181,7 @@ fn serve<S: Service>(
     node.serve::<S>(name, move |request| handler(&parameters, request))
 }
 
-/// The services that rclcpp offers as `enable_logger_service`. Here every node has them, since they cost nothing.
+/// The services of rclcpp's option `enable_logger_service`. Every node has them, since they cost nothing.
 fn logger_services(node: &Node) -> Result<(), Error> {
     node.serve::<GetLoggerLevels>("~/get_logger_levels", |request| levels::get(&request.names))?;
     node.serve::<SetLoggerLevels>("~/set_logger_levels", |request| {
@@ -208,7 +208,7 @@ fn type_service(node: &Node) -> Result<(), Error> {
         .serve_bytes("~/get_type_description", type_name, answer)
 }
 
-/// What the diagnostics ask of the graph.
+/// The graph for the diagnostics.
 struct Of<'a>(&'a dyn Backend);
 
 impl Graph for Of<'_> {
@@ -229,7 +229,7 @@ impl Graph for Of<'_> {
         let Some(own) = seen.iter().find(|seen| seen.id == *endpoint) else {
             return BTreeSet::new();
         };
-        let is_alike = |seen: &&Seen| {
+        let is_alike = |seen: &&DiscoveredEndpoint| {
             let is_its_type = seen.channel == own.channel && seen.type_name == own.type_name;
             seen.is_writer && is_its_type && seen.name != own.name
         };

@@ -1,4 +1,4 @@
-//! What the types of other nodes are made of, by their service `~/get_type_description` (REP 2016).
+//! The definitions of other nodes' types, by their service `~/get_type_description` (REP 2016).
 
 use std::collections::BTreeSet;
 
@@ -14,8 +14,8 @@ use crate::{
 };
 
 impl Node {
-    /// The publishers of a topic in other participants that announce the hash of their type: GUID prefix of the participant,
-    /// and hash. `topic` is the absolute name.
+    /// The publishers of a topic in other participants that announce the hash of their type: GUID prefix of the
+    /// participant, and hash. `topic` is absolute.
     pub fn type_hashes(&self, topic: &str) -> BTreeSet<([u8; 12], String)> {
         let seen = self.inner.backend().seen().into_iter();
         let publishers = seen.filter(|seen| {
@@ -26,8 +26,8 @@ impl Node {
             .collect()
     }
 
-    /// The description of the type of this name and hash, `package/msg/Type` and `RIHS01_...`, from a node that uses it. Waits
-    /// for as long as the node takes: bring a timeout. The inner error says why there is none.
+    /// The description of the type of this name and hash, `package/msg/Type` and `RIHS01_...`, from a node that uses
+    /// it. Waits without a limit: add a timeout. The inner error is the node's reason.
     ///
     /// # Errors
     /// As [`RawClient::call`](crate::RawClient::call), or an answer of another type.

@@ -3,24 +3,24 @@
 use super::Node;
 use crate::{
     Error, Qos,
-    backend::{Channel, Seen, participant_of},
+    backend::{Channel, DiscoveredEndpoint, participant_of},
 };
 use std::collections::{BTreeMap, BTreeSet};
 
-/// A topic of the graph with one of its types (which, in a graph that is in order, is the only one).
+/// A topic of the graph with one of its types (in a consistent graph its only type).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TopicInfo {
     /// The absolute name.
     pub name: String,
     /// `package/msg/Type`
     pub type_name: String,
-    /// What each publisher offers. Depths are not announced by remote publishers and read as 10.
+    /// The offered QoS of each publisher. Remote publishers do not announce depths; they read as 10.
     pub publishers: Vec<Qos>,
-    /// How many subscriptions there are.
+    /// The number of subscriptions.
     pub subscribers: usize,
 }
 
-/// What an endpoint does.
+/// The role of an endpoint.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Role {
     /// Publishes a topic.
@@ -36,20 +36,20 @@ pub enum Role {
 /// An endpoint in another participant.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RemoteEndpoint {
-    /// What it does.
+    /// Its role.
     pub role: Role,
     /// The absolute name of its topic or service.
     pub name: String,
     /// `package/msg/Type`, or `package/srv/Type` for a service.
     pub type_name: String,
-    /// What it offers or requests. The depth is not announced and reads as 10.
+    /// The offered or requested QoS. The depth is not announced and reads as 10.
     pub qos: Qos,
     /// The GUID prefix of its participant.
     pub participant: [u8; 12],
 }
 
 impl RemoteEndpoint {
-    fn of(seen: Seen) -> Option<Self> {
+    fn of(seen: DiscoveredEndpoint) -> Option<Self> {
         let role = match (seen.channel, seen.is_writer) {
             (Channel::Topic, true) => Role::Publisher,
             (Channel::Topic, false) => Role::Subscription,
@@ -73,14 +73,14 @@ impl Node {
         participant_of(&self.inner.backend().participant())
     }
 
-    /// Every endpoint of topics and services that the other participants have; none of this context's.
+    /// Every endpoint of topics and services of the other participants.
     pub fn remote_endpoints(&self) -> Vec<RemoteEndpoint> {
         let seen = self.inner.backend().seen();
         seen.into_iter().filter_map(RemoteEndpoint::of).collect()
     }
 
-    /// The full name of the node of a participant, this context's included. Nodes tell of themselves by the services of
-    /// their parameters; `None` where the participant has several nodes, or none that has these services.
+    /// The full name of the node of a participant, this context's included. Nodes are identified by their parameter
+    /// services; `None` if the participant has several nodes, or none with these services.
     pub fn node_of(&self, participant: [u8; 12]) -> Option<String> {
         let nodes = self.nodes_of(participant);
         (nodes.len() == 1)
@@ -88,7 +88,7 @@ impl Node {
             .flatten()
     }
 
-    /// The full names of the nodes of a participant that have the services of their parameters.
+    /// The full names of a participant's nodes with parameter services.
     pub fn nodes_of(&self, participant: [u8; 12]) -> BTreeSet<String> {
         let seen = self.inner.backend().seen().into_iter();
         let nodes = seen.filter_map(|seen| {
@@ -101,12 +101,12 @@ impl Node {
     }
 
     /// The endpoints of topics.
-    fn seen_of_topics(&self) -> impl Iterator<Item = Seen> {
+    fn seen_of_topics(&self) -> impl Iterator<Item = DiscoveredEndpoint> {
         let seen = self.inner.backend().seen().into_iter();
         seen.filter(|seen| seen.channel == Channel::Topic)
     }
 
-    /// Every topic that has been seen, this process's own included, by name.
+    /// Every known topic, this process's own included, by name.
     pub fn topics(&self) -> Vec<TopicInfo> {
         let mut topics: BTreeMap<(String, String), TopicInfo> = BTreeMap::new();
         for seen in self.seen_of_topics() {
@@ -126,7 +126,7 @@ impl Node {
         topics.into_values().collect()
     }
 
-    /// How many publishers a topic has.
+    /// The number of publishers of a topic.
     ///
     /// # Errors
     /// A name that ROS does not allow.
@@ -134,7 +134,7 @@ impl Node {
         self.count(topic, true)
     }
 
-    /// How many subscriptions a topic has.
+    /// The number of subscriptions of a topic.
     ///
     /// # Errors
     /// A name that ROS does not allow.
@@ -150,7 +150,7 @@ impl Node {
             .count())
     }
 
-    /// Counts changes of the graph: endpoints that come, go, or are connected. Wait with `changed()`.
+    /// Counts changes of the graph: endpoints that appear, disappear or connect. Wait with `changed()`.
     pub fn graph_changes(&self) -> tokio::sync::watch::Receiver<u64> {
         self.inner.backend().changes()
     }

@@ -1,4 +1,4 @@
-//! `~/get_type_description`: what the types are made of that a node uses, as rcl answers it.
+//! `~/get_type_description`: the definitions of the types that a node uses, as in rcl.
 
 use crate::type_description_interfaces::{
     Field, FieldType, GetTypeDescriptionRequest, GetTypeDescriptionResponse,
@@ -13,10 +13,10 @@ use wm_msgs::{
     action_msgs::{CancelGoal, GoalStatusArray},
 };
 
-/// The text of a type, and those of the types that it names.
+/// The text of a type, and the texts of the types that it contains.
 #[derive(Clone)]
 struct Interface {
-    /// The type whose text it is: where rosidl makes the one in use of another, that other.
+    /// The type of the text: for a generated type, the type from which rosidl generates it.
     defined: String,
     text: &'static str,
     dependencies: Vec<(&'static str, &'static str)>,
@@ -39,7 +39,7 @@ impl Interfaces {
         self.add(name.clone(), name, S::DEFINITION, S::dependencies);
     }
 
-    /// An action, and what its server and its clients use of what rosidl makes of it.
+    /// An action, and the types that rosidl generates for its server and its clients.
     pub(super) fn action<A: Action>(&self) {
         let action = A::ros_name();
         for made in ["", "_SendGoal", "_GetResult", "_FeedbackMessage"] {
@@ -65,7 +65,7 @@ impl Interfaces {
         });
     }
 
-    /// The answer to a request.
+    /// The reply to a request.
     pub(super) fn answer(&self, request: &GetTypeDescriptionRequest) -> GetTypeDescriptionResponse {
         match self.find(request) {
             Ok(response) => response,
@@ -130,7 +130,8 @@ impl Interface {
         }
     }
 
-    /// The text of the type and of each that it names; `implicit` where rosidl makes the type of another's text.
+    /// The text of the type and of each type that it contains; `implicit` if rosidl generates the type from another's
+    /// text.
     fn sources(&self, description: &TypeDescription) -> Vec<TypeSource> {
         let source = |part: &IndividualType| {
             let is_own = part.name == self.defined;
@@ -171,7 +172,7 @@ fn individual(part: IndividualType) -> IndividualTypeDescription {
             string_capacity: field.field_type.string_capacity,
             nested_type_name: field.field_type.nested.unwrap_or_default(),
         },
-        // Neither hash nor serialisation depends on it, and the texts have it.
+        // Neither hash nor serialisation depends on it, and the texts contain it.
         default_value: String::new(),
     };
     IndividualTypeDescription {
@@ -258,7 +259,7 @@ mod tests {
             assert!(answer.successful, "{name}: {}", answer.failure_reason);
             let sources = answer.type_sources.iter();
             let of_action = sources.filter(|source| source.encoding == "action").count();
-            // rosidl gives no text for what it makes of another
+            // rosidl has no text for generated types
             assert_eq!(of_action, usize::from(made.is_empty()), "{name}");
         }
         for name in [

@@ -1,4 +1,4 @@
-//! `qos_overrides.<topic>.<publisher|subscription>.<policy>`: QoS that the command line or a parameter file gives.
+//! `qos_overrides.<topic>.<publisher|subscription>.<policy>`: QoS from the command line or a parameter file.
 
 use crate::{
     Descriptor, Durability, Error, Qos, Reliability,
@@ -6,8 +6,8 @@ use crate::{
     value::Value,
 };
 
-/// The profile with what was given for this endpoint put in. What is put in shows up as a parameter, read-only as in
-/// rclcpp; what no endpoint took is found by [`Parameters::check_all_declared`] once all are made.
+/// Applies the overrides for this endpoint to its profile. Each applied one becomes a parameter, read-only as in
+/// rclcpp; [`Parameters::check_all_declared`] finds unused ones after all endpoints are made.
 pub(super) fn apply(
     parameters: &Parameters,
     node: &str,
@@ -27,7 +27,7 @@ pub(super) fn apply(
             ("depth", Value::Integer(depth)) if *depth > 0 => {
                 usize::try_from(*depth).ok().map(|value| qos.depth = value)
             }
-            // the only history there is
+            // the only supported history
             ("history", Value::String(text)) if text == "keep_last" => Some(()),
             _ => None,
         };
@@ -43,7 +43,7 @@ pub(super) fn apply(
             .into());
         }
         let name = format!("{prefix}{policy}");
-        // An endpoint that is made again, by activating its node again, finds it there.
+        // It exists already if the node is activated again.
         if parameters.get(&name).is_none() {
             let text = "QoS of the topic's endpoint, given when the node was started";
             parameters.declare(&name, value.clone(), Descriptor::new(text).read_only())?;

@@ -12,12 +12,12 @@ use crate::{
 use std::sync::{Arc, PoisonError};
 use wm_msgs::cdr;
 
-/// QoS of a service's two topics, as rclcpp has it.
+/// QoS of a service's two topics, as in rclcpp.
 const SERVICE_QOS: Qos = Qos::reliable(10);
 
 /// Services.
 impl Node {
-    /// Serves `S`; calls are read from what this returns.
+    /// Serves `S`; read the calls from the returned service.
     ///
     /// # Errors
     /// A name that ROS does not allow, or the middleware failed.
@@ -29,8 +29,8 @@ impl Node {
         Ok(Service::new(raw))
     }
 
-    /// As [`service`](Self::service), for a managed node: while it is not active, and where a call is dropped without an
-    /// answer, the client gets what `refuse` makes of the reason.
+    /// As [`service`](Self::service), for a managed node: while it is not active, and if a call is dropped without an
+    /// answer, the client gets the answer of `refuse` with the reason.
     ///
     /// # Errors
     /// A name that ROS does not allow, or the middleware failed.
@@ -48,8 +48,7 @@ impl Node {
         Ok(Service::new(raw))
     }
 
-    /// Serves a service of any type, `package/srv/Type`, in CDR bytes, for other participants: it does not hear the
-    /// clients of this context.
+    /// Serves a service of any type, `package/srv/Type`, as CDR bytes, only for clients of other participants.
     ///
     /// # Errors
     /// A name that ROS does not allow, or the middleware failed.
@@ -58,8 +57,8 @@ impl Node {
             .service(name, TypeName::parse_service(type_name)?, false, None)
     }
 
-    /// Serves `S` with a handler for as long as the node lives. The handler runs on the thread that receives for
-    /// the whole context, so it must be quick; for more, read the calls of [`service`](Self::service).
+    /// Serves `S` with a handler until the node ends. The handler runs on the context's receiving thread, so it must be
+    /// quick; for longer work, read the calls of [`service`](Self::service).
     ///
     /// # Errors
     /// A name that ROS does not allow, or the middleware failed.
@@ -73,7 +72,7 @@ impl Node {
         self.inner.serve_bytes(name, type_of_service::<S>(), answer)
     }
 
-    /// Calls the service `S` of this name.
+    /// A client of the service `S` of this name.
     ///
     /// # Errors
     /// A name that ROS does not allow, or the middleware failed.
@@ -83,7 +82,7 @@ impl Node {
         Ok(Client::new(raw))
     }
 
-    /// Calls the service of this name and of any type, `package/srv/Type`, in CDR bytes.
+    /// A client of the service of this name and of any type, `package/srv/Type`, as CDR bytes.
     ///
     /// # Errors
     /// A name that ROS does not allow, or the middleware failed.
@@ -97,7 +96,7 @@ impl Inner {
         &self,
         name: &str,
         type_name: TypeName,
-        hears_own: bool,
+        receives_own: bool,
         refusing: Option<(Gate, Refuse)>,
     ) -> Result<RawService, Error> {
         let name = self.name.resolve(name, "service")?;
@@ -111,7 +110,7 @@ impl Inner {
             Some(refusals) => service::refusing_sink(refusals),
             None => service::call_sink(name.clone(), Arc::clone(&calls)),
         };
-        let reader = self.requests(name.clone(), type_name, hears_own, sink)?;
+        let reader = self.requests(name.clone(), type_name, receives_own, sink)?;
         Ok(RawService::new(
             name,
             calls,
@@ -132,7 +131,7 @@ impl Inner {
             name,
             type_name,
             qos: SERVICE_QOS,
-            hears_own: true,
+            receives_own: true,
             has_siblings: false,
         };
         let reader = self
@@ -149,7 +148,7 @@ impl Inner {
         ))
     }
 
-    /// Serves a service in bytes for as long as the node lives.
+    /// Serves a service as bytes until the node ends.
     pub(super) fn serve_bytes(
         &self,
         name: &str,
@@ -164,7 +163,7 @@ impl Inner {
         Ok(())
     }
 
-    /// Serves a service in bytes for as long as the reader lives, on the receiving thread.
+    /// Serves a service as bytes on the receiving thread until the reader is dropped.
     pub(super) fn answering(
         &self,
         name: &str,
@@ -177,7 +176,7 @@ impl Inner {
         self.requests(name, type_name, true, sink)
     }
 
-    /// The half of a server that answers. `name` is resolved.
+    /// The writer of a server's answers. `name` is resolved.
     pub(super) fn answers(
         &self,
         name: &str,
@@ -187,12 +186,12 @@ impl Inner {
         Ok(Arc::from(writer))
     }
 
-    /// The half of a server that hears. `name` is resolved.
+    /// The reader of a server's calls. `name` is resolved.
     pub(super) fn requests(
         &self,
         name: String,
         type_name: TypeName,
-        hears_own: bool,
+        receives_own: bool,
         sink: Sink,
     ) -> Result<Box<dyn Reader>, Error> {
         let endpoint = Endpoint {
@@ -200,7 +199,7 @@ impl Inner {
             name,
             type_name,
             qos: SERVICE_QOS,
-            hears_own,
+            receives_own,
             has_siblings: false,
         };
         self.backend()

@@ -1,5 +1,5 @@
-//! Parameters that are declared once: name, type, default, range and description stand in one table, from which come the
-//! struct that the node reads, `ros2 param describe`, `wm NODE --help`, the parameter file and the flags of `wm bag`.
+//! Parameters, each declared once: a table of name, type, default, range and description. The node's struct, `ros2
+//! param describe`, `wm NODE --help`, the parameter file and the flags of `wm bag` are made from it.
 
 use super::{Descriptor, Parameter, ParameterError, Range};
 use crate::{
@@ -8,14 +8,14 @@ use crate::{
 };
 use std::{path::PathBuf, time::Duration};
 
-/// A parameter as it is declared, without a node.
+/// The declaration of a parameter, without a node.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ParameterSpec {
     /// The name.
     pub name: &'static str,
-    /// The value where none is given.
+    /// The value if none is given.
     pub default: Value,
-    /// Meaning with its unit, values allowed, and whether it is fixed once the node runs.
+    /// Meaning with its unit, allowed values, and whether it is fixed while the node runs.
     pub descriptor: Descriptor,
 }
 
@@ -71,7 +71,7 @@ impl ParameterSpec {
             .ok_or_else(|| refused(format!("`{}` cannot be read; {value} could", self.name)).into())
     }
 
-    /// The error for a text that is none of the choices. The declaration has refused it already.
+    /// The error for a text that is not a choice. The declaration has refused it already.
     pub fn not_a_choice(&self, node: &Node, got: &str) -> Error {
         let reason = format!("`{}` is \"{got}\"", self.name);
         ParameterError::Refused {
@@ -90,12 +90,12 @@ pub trait ParameterSet: Sized {
     /// Declares them on `node` and reads them.
     ///
     /// # Errors
-    /// Names the parameter that is given a value that it cannot have.
+    /// Names the parameter with an invalid value.
     fn declare(node: &Node) -> Result<Self, Error>;
 }
 
-/// A Rust type that a parameter is read as. A plain one is read once, when the node starts; a [`Parameter`] can be
-/// changed while the node runs.
+/// A Rust type of a parameter's value. A plain one is read once, when the node starts; a [`Parameter`] can be changed
+/// while the node runs.
 pub trait Field: Sized {
     /// The parameter's type in ROS.
     type Ros: ParameterType;
@@ -104,12 +104,12 @@ pub trait Field: Sized {
     /// The texts allowed; empty: all values of the type.
     const CHOICES: &'static [&'static str] = &[];
 
-    /// The values that the type can hold, where ROS' type holds more.
+    /// The range of the type, if ROS' type has a larger one.
     fn limits() -> Option<Range> {
         None
     }
 
-    /// The declared value; none where the type cannot hold it, which its limits and choices rule out.
+    /// The declared value; `None` if the type cannot represent it, which its limits and choices rule out.
     fn read(parameter: Parameter<Self::Ros>) -> Option<Self>;
 }
 
@@ -200,7 +200,7 @@ impl Field for PathBuf {
 /// enum Returned { Best, Mean }
 ///
 /// wm_ros::parameters! {
-///     /// What the search's parameters say.
+///     /// The parameters of the search.
 ///     struct Parameters {
 ///         /// Candidates per iteration.
 ///         population: usize = 32, in 2..=1_000_000;

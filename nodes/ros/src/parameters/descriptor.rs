@@ -1,9 +1,9 @@
-//! What a parameter is for and which values it takes.
+//! The meaning of a parameter and its allowed values.
 
 use crate::value::Value;
 use std::{fmt, ops::RangeInclusive};
 
-/// The values that a number may have, both ends included.
+/// The allowed values of a number, both ends included.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Range {
     /// For integers.
@@ -34,7 +34,7 @@ impl Range {
             (Self::Doubles { from, to }, Value::DoubleArray(values)) => {
                 values.iter().all(|value| (from..=to).contains(&value))
             }
-            // a range of one type says nothing about a value of another
+            // a range of one type does not restrict values of another
             _ => true,
         }
     }
@@ -63,7 +63,7 @@ impl fmt::Display for Range {
     }
 }
 
-/// What a parameter is for and which values it takes, as `ros2 param describe` shows it.
+/// The meaning of a parameter and its allowed values, as shown by `ros2 param describe`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Descriptor {
     /// Meaning and unit.
@@ -72,7 +72,7 @@ pub struct Descriptor {
     pub range: Option<Range>,
     /// The texts allowed; empty: all.
     pub choices: &'static [&'static str],
-    /// Whether the value is fixed once the node runs.
+    /// Whether the value is fixed while the node runs.
     pub read_only: bool,
 }
 
@@ -103,7 +103,7 @@ impl Descriptor {
         }
     }
 
-    /// Whether the value is among the choices, where there are any.
+    /// Whether the value is among the choices; `true` without choices.
     pub(crate) fn offers(&self, value: &Value) -> bool {
         match value {
             Value::String(text) if !self.choices.is_empty() => {
@@ -113,7 +113,7 @@ impl Descriptor {
         }
     }
 
-    /// The choices in words.
+    /// The choices as a list.
     pub(crate) fn choices_in_words(&self) -> String {
         match self.choices.split_last() {
             Some((last, [])) => (*last).to_owned(),
@@ -122,7 +122,7 @@ impl Descriptor {
         }
     }
 
-    /// Fixes the value once the node runs.
+    /// Fixes the value while the node runs.
     #[must_use]
     pub fn read_only(self) -> Self {
         Self {

@@ -1,11 +1,11 @@
 //! Further readers of a subscription, for publishers that its own reader does not serve. In DDS one reader requests one
-//! reliability and one durability. If it requests transient local, it is not connected to volatile publishers; if it does
-//! not, it misses the latched samples. If it requests reliable, it is not connected to best-effort publishers; if it does
-//! not, samples may be lost. So a further reader is made as soon as a publisher appears that needs it.
+//! reliability and one durability. If it requests transient local, it is not connected to volatile publishers; if it
+//! does not, it misses the latched samples. If it requests reliable, it is not connected to best-effort publishers; if
+//! it does not, samples may be lost. So a further reader is made when a publisher appears that needs it.
 
 use crate::{
     Durability, Reliability,
-    backend::{Backend, Channel, Endpoint, Seen, Sink},
+    backend::{Backend, Channel, DiscoveredEndpoint, Endpoint, Sink},
 };
 use std::{
     fmt,
@@ -32,7 +32,7 @@ impl fmt::Display for PublisherKind {
 }
 
 impl PublisherKind {
-    fn is_of(self, publisher: &Seen) -> bool {
+    fn is_of(self, publisher: &DiscoveredEndpoint) -> bool {
         match self {
             Self::Latching => publisher.qos.durability == Durability::TransientLocal,
             Self::BestEffort => publisher.qos.reliability == Reliability::BestEffort,
@@ -40,14 +40,14 @@ impl PublisherKind {
     }
 }
 
-/// A further reader, until it is dropped.
+/// A further reader; dropping it ends it.
 pub(crate) struct FurtherReader {
     task: AbortHandle,
     failure: Arc<OnceLock<String>>,
 }
 
 impl FurtherReader {
-    /// `endpoint` is the subscription's own, `node` the full name of its node.
+    /// `endpoint` is that of the subscription, `node` the full name of its node.
     pub(crate) fn begin(
         runtime: &Handle,
         backend: &Arc<dyn Backend>,

@@ -1,11 +1,11 @@
-//! Samples that never arrived, seen from the numbers of those that did.
+//! Counts missing samples by gaps in sequence numbers.
 
 use std::{collections::HashMap, hash::Hash};
 
-/// Publishers that are remembered; beyond that a subscription has met more restarts than anybody counts gaps over.
+/// The most remembered publishers; more means restarts, over which gaps need no count.
 const MAX_WRITERS: usize = 64;
 
-/// The last number from each publisher, by what tells publishers apart.
+/// The last number from each publisher, by its identity.
 #[derive(Debug)]
 pub struct Gaps<Id> {
     last: HashMap<Id, i64>,
@@ -20,8 +20,8 @@ impl<Id> Default for Gaps<Id> {
 }
 
 impl<Id: Eq + Hash> Gaps<Id> {
-    /// How many samples of this publisher are missing in front of this one. What came before the first is not: a
-    /// subscription begins where it joins. A late sample is not missing twice.
+    /// The number of missing samples of this publisher before this one. Samples before the first are not missing: a
+    /// subscription starts when it joins. A late sample does not count twice.
     pub fn after(&mut self, writer: Id, sequence: i64) -> u64 {
         if self.last.len() >= MAX_WRITERS && !self.last.contains_key(&writer) {
             self.last.clear();
@@ -29,15 +29,16 @@ impl<Id: Eq + Hash> Gaps<Id> {
         let last = self.last.entry(writer).or_insert(sequence);
         let missing = sequence.saturating_sub(*last).saturating_sub(1);
         *last = sequence.max(*last);
+        // negative for a late sample
         u64::try_from(missing).unwrap_or(0)
     }
 
-    /// As [`after`](Self::after); none where the sample, or a later one of its publisher, has come.
+    /// As [`after`](Self::after); `None` if the sample, or a later one of its publisher, has arrived.
     pub fn after_new(&mut self, writer: Id, sequence: i64) -> Option<u64> {
         (!self.has(&writer, sequence)).then(|| self.after(writer, sequence))
     }
 
-    /// Whether this sample, or a later one of its publisher, has come.
+    /// Whether this sample, or a later one of its publisher, has arrived.
     pub fn has(&self, writer: &Id, sequence: i64) -> bool {
         self.last.get(writer).is_some_and(|last| sequence <= *last)
     }

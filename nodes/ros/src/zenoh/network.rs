@@ -12,8 +12,7 @@ use std::path::PathBuf;
 /// Zenoh's own port, on this host.
 const LOCAL_ENDPOINT: &str = "tcp/127.0.0.1:7447";
 
-/// The largest message that others can make this host assemble \[byte\], instead of Zenoh's 1 GiB: twice a raw picture
-/// of 4096 x 2160.
+/// The largest accepted message \[byte\], instead of Zenoh's 1 GiB: twice a raw picture of 4096 x 2160.
 const LARGEST_MESSAGE: usize = 64 << 20;
 
 /// Batches of 64 KiB that wait for a link, per priority: Zenoh's maximum, instead of its 2. Repeated packet loss stalls

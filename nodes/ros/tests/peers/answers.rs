@@ -10,7 +10,7 @@ async fn a_real_ros_2_client_gets_large_answers_and_those_behind_them() {
     let Some(peers) = peers() else { return };
     let domain = domain(3);
     let here = context(domain);
-    let node = node(&here, "talkative");
+    let node = node(&here, "talkative", "");
     let description =
         "A parameter with a description of the usual length, so that many do not fit. ".repeat(3);
     let _parameters: Vec<_> = (0..NUMBER)

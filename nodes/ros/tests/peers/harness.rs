@@ -2,56 +2,22 @@
 
 use std::{
     io::{BufRead as _, BufReader},
-    path::{Path, PathBuf},
     process::{Child, Command, ExitStatus, Stdio},
     sync::mpsc::{Receiver, RecvTimeoutError, channel},
     time::{Duration, Instant},
 };
 
 use rustix::process::{Pid, Signal, kill_process};
-use wm_ros::{Context, Environment, Node, NodeArgs, Reach};
 
-/// Far above anything that a test takes; it only ends one that hangs.
-pub const PATIENCE: Duration = Duration::from_secs(60);
+pub use crate::{
+    participants::{PATIENCE, context, node, soon},
+    ros2_peer::{peers, rclpy, root},
+};
 
 /// A domain for each test, so that tests neither meet each other nor another run of them.
 pub fn domain(test: u16) -> u16 {
     // domains up to 101 keep RTPS ports below the ephemeral range of Linux
     20 + (std::process::id() % 9) as u16 * 9 + test
-}
-
-pub fn context(domain_id: u16) -> Context {
-    let reach = Reach::Localhost;
-    Context::new(&Environment { domain_id, reach }).unwrap()
-}
-
-pub fn node(context: &Context, name: &str) -> Node {
-    let args = NodeArgs::parse(std::iter::empty::<&str>()).unwrap();
-    Node::new(context, name, "/wm", &args).unwrap()
-}
-
-pub async fn soon<T>(what: &str, future: impl Future<Output = T>) -> T {
-    tokio::time::timeout(PATIENCE, future)
-        .await
-        .unwrap_or_else(|_| panic!("{what} took more than {PATIENCE:?}"))
-}
-
-pub fn root() -> &'static Path {
-    Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."))
-}
-
-/// The virtual environments that `tests/setup_ros2` made; `None` (with a plain message) where it was not run.
-pub fn peers() -> Option<PathBuf> {
-    let dir = root().join(".venv");
-    if dir.join("stamp").is_file() {
-        return Some(dir);
-    }
-    eprintln!("skipped: no ROS 2 peer under .venv; run tests/setup_ros2 (tests/run does)");
-    assert!(
-        std::env::var_os("CI").is_none(),
-        "the interoperability tests may not be skipped in CI"
-    );
-    None
 }
 
 /// A command that plays `role`, behind the words of `before` (`ip netns exec`, say).
@@ -73,26 +39,13 @@ pub fn role(before: &[&str], role: &str, domain: u16, argument: &str) -> Command
     command
 }
 
-/// What a role was given: its domain and its argument.
+/// The domain and the argument of a role.
 pub fn given() -> (u16, String) {
     let variable = |name| std::env::var(name).expect("started by another test");
     (
         variable("ROS_DOMAIN_ID").parse().unwrap(),
         variable("ARGUMENT"),
     )
-}
-
-/// A Python program under `tests/interop`, run by the real ROS 2 of [`peers`].
-pub fn rclpy(peers: &Path, domain: u16, script: &str, args: &[&str]) -> Command {
-    let mut command = Command::new("bash");
-    command
-        .args(["-c", ". \"$0\" && exec python \"$@\""])
-        .arg(peers.join("ros2/ros2_env.sh"))
-        .arg(root().join("tests/interop").join(script))
-        .args(args)
-        .env("ROS_DOMAIN_ID", domain.to_string())
-        .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST");
-    command
 }
 
 /// A started process, ended by its pid when the test lets go of it.

@@ -66,7 +66,7 @@ fn station() {
     let runtime = tokio::runtime::Runtime::new().unwrap();
     runtime.block_on(async {
         let context = Context::new(&Environment { domain_id, reach }).unwrap();
-        let node = node(&context, &format!("station_{own}"));
+        let node = node(&context, &format!("station_{own}"), "");
         let topic = |name: &str, what: &str| format!("/{name}/{what}");
         let stream = node
             .raw_publisher(&topic(own, "stream"), TYPE, Qos::reliable(10))

@@ -37,7 +37,7 @@ fn subscriber() {
     let runtime = tokio::runtime::Runtime::new().unwrap();
     runtime.block_on(async {
         let context = context(domain);
-        let node = node(&context, "laggard");
+        let node = node(&context, "laggard", "");
         let qos = Qos::reliable(10);
         let mut subscription = node.raw_subscription(TOPIC, TYPE, qos).unwrap();
         let mut came = 0;
@@ -67,10 +67,10 @@ async fn publish(
 async fn one_of_two_stops(test: u16, len: usize, count: u32) {
     let domain = domain(test);
     let (here, there) = (context(domain), context(domain));
-    let publisher = node(&here, "talker")
+    let publisher = node(&here, "talker", "")
         .raw_publisher(TOPIC, TYPE, Qos::reliable(10))
         .unwrap();
-    let mut live = node(&there, "listener")
+    let mut live = node(&there, "listener", "")
         .raw_subscription(TOPIC, TYPE, Qos::reliable(10))
         .unwrap();
     for signal in [Signal::STOP, Signal::KILL] {
@@ -108,12 +108,12 @@ async fn one_of_two_stops(test: u16, len: usize, count: u32) {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn large_messages_go_on_where_one_of_two_subscribers_stops_or_is_killed() {
+async fn large_messages_continue_after_a_subscriber_stops_or_dies() {
     one_of_two_stops(0, 4 * MIB, 60).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn small_messages_go_on_where_one_of_two_subscribers_stops_or_is_killed() {
+async fn small_messages_continue_after_a_subscriber_stops_or_dies() {
     one_of_two_stops(1, 20_000, 1500).await;
 }
 
@@ -123,12 +123,12 @@ async fn latched_messages_come_once_though_a_subscriber_stops() {
     const COUNT: u32 = 900;
     let domain = domain(1);
     let (here, there) = (context(domain), context(domain));
-    let publisher = node(&here, "talker")
+    let publisher = node(&here, "talker", "")
         .raw_publisher(TOPIC, TYPE, Qos::latched(2))
         .unwrap();
     let subscribe =
         |node: &wm_ros::Node| node.raw_subscription(TOPIC, TYPE, Qos::latched(2)).unwrap();
-    let listener = node(&there, "listener");
+    let listener = node(&there, "listener", "");
     let mut live = subscribe(&listener);
     let laggard = Process::start(role(&[], "laggards::subscriber", domain, ""));
     soon("connecting", publisher.wait_for_subscribers(2)).await;
@@ -140,7 +140,7 @@ async fn latched_messages_come_once_though_a_subscriber_stops() {
     publish(&publisher, &mut live, 1..COUNT, LEN).await;
     // what the stopped one lacks is still there, on two DDS writers
     let elsewhere = context(domain);
-    let mut late = subscribe(&node(&elsewhere, "late"));
+    let mut late = subscribe(&node(&elsewhere, "late", ""));
     let mut came = Vec::new();
     let last = async {
         while came.last() != Some(&message(COUNT - 1, LEN)) {
@@ -167,7 +167,7 @@ async fn real_ros_2_subscribers_of_both_kinds_hear_a_reliable_topic() {
     let Some(peers) = peers() else { return };
     let domain = domain(2);
     let here = context(domain);
-    let publisher = node(&here, "talker")
+    let publisher = node(&here, "talker", "")
         .raw_publisher(TOPIC, TYPE, Qos::reliable(16))
         .unwrap();
     let listen = |reliability| {

@@ -15,4 +15,8 @@ mod hosts;
 mod laggards;
 mod network;
 mod newcomers;
+#[path = "../participants/mod.rs"]
+mod participants;
+#[path = "../../../../tests/ros2_peer.rs"]
+mod ros2_peer;
 mod strangers;

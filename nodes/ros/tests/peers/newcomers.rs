@@ -119,7 +119,7 @@ impl Newcomer {
 /// Whether a newcomer hears of writers in their order, one of which is made as soon as it is known.
 fn hears_in_order(domain: u16) -> bool {
     let context = context(domain);
-    let node = node(&context, "host");
+    let node = node(&context, "host", "");
     let made = |name| {
         node.publisher::<std_msgs::String>(name, Qos::reliable(1))
             .unwrap()

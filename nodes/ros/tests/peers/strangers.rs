@@ -53,7 +53,7 @@ fn listener() {
     let runtime = tokio::runtime::Runtime::new().unwrap();
     runtime.block_on(async {
         let context = Context::new(&Environment { domain_id, reach }).unwrap();
-        let node = node(&context, "listener");
+        let node = node(&context, "listener", "");
         let mut told = node
             .subscription::<std_msgs::String>("/wm/told", Qos::reliable(10))
             .unwrap();
@@ -112,7 +112,7 @@ const FOUND: &str = r#""connected": true"#;
 const NOT_FOUND: &str = r#"{"others": 0, "connected": false}"#;
 
 #[test]
-fn a_node_on_loopback_is_neither_found_nor_heard_nor_told_from_the_network() {
+fn loopback_node_and_network_do_not_reach_each_other() {
     let Some(peers) = peers() else { return };
     let Some(network) = Network::new() else {
         return;

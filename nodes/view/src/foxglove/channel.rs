@@ -20,7 +20,7 @@ const MOST: usize = 2000;
 
 /// A topic with its type.
 #[derive(Debug)]
-pub struct Channel {
+pub(crate) struct Channel {
     /// Never reused: a topic that returns gets a new number.
     pub id: u32,
     /// The absolute name.
@@ -34,18 +34,18 @@ pub struct Channel {
 }
 
 impl Channel {
-    pub fn advertised(&self) -> ChannelAdvert<'_> {
+    pub(crate) fn advertised(&self) -> ChannelAdvert<'_> {
         ChannelAdvert::new(self.id, &self.topic, &self.type_name, &self.schema.text)
     }
 
     /// Whether a publisher latches its messages for late subscribers.
-    pub fn latches(&self) -> bool {
+    pub(crate) fn latches(&self) -> bool {
         self.latches.load(Ordering::Relaxed)
     }
 }
 
 #[derive(Debug, Default)]
-pub struct Channels {
+pub(crate) struct Channels {
     by_id: BTreeMap<u32, Arc<Channel>>,
     last_id: u32,
     /// Definitions of the types; `None` for unknown types.
@@ -53,18 +53,18 @@ pub struct Channels {
 }
 
 impl Channels {
-    pub fn get(&self, id: u32) -> Option<&Arc<Channel>> {
+    pub(crate) fn get(&self, id: u32) -> Option<&Arc<Channel>> {
         self.by_id.get(&id)
     }
 
     /// By number.
-    pub fn iter(&self) -> impl Iterator<Item = &Arc<Channel>> {
+    pub(crate) fn iter(&self) -> impl Iterator<Item = &Arc<Channel>> {
         self.by_id.values()
     }
 
     /// Takes the topics of the graph. `define` returns the definition of a type; without one, viewers cannot read a
     /// topic, so it is not offered. Returns the channels that have gone, and whether any changed.
-    pub fn update(
+    pub(crate) fn update(
         &mut self,
         topics: &[TopicInfo],
         offer: &Offer,
@@ -130,13 +130,13 @@ fn is_latching(topic: &TopicInfo) -> bool {
 }
 
 #[cfg(test)]
-pub mod tests {
+pub(crate) mod tests {
     use super::*;
     use wm_ros::Qos;
 
     const TEXT: &str = "std_msgs/msg/String";
 
-    pub fn channel(topic: &str, period: Option<Duration>, latches: bool) -> Channel {
+    pub(crate) fn channel(topic: &str, period: Option<Duration>, latches: bool) -> Channel {
         Channel {
             id: 1,
             topic: topic.to_owned(),

@@ -14,7 +14,7 @@ use std::sync::Arc;
 use tokio::{sync::mpsc, time::MissedTickBehavior};
 
 /// Longest message of a client \[byte\]: some thousand subscriptions.
-pub const MAX_REQUEST: usize = 64 << 10;
+pub(crate) const MAX_REQUEST: usize = 64 << 10;
 /// The most waiting replies; a client that does not read misses further ones.
 const ANSWERS: usize = 16;
 
@@ -25,7 +25,7 @@ const OF_BAG: &str =
 const NOT_OFFERED: &str = "not offered: clients can subscribe to topics, and neither publish nor call services or set parameters";
 
 /// Serves a client until it leaves, stalls, or sends an invalid message.
-pub async fn serve(socket: WebSocket, hub: &Arc<Hub>, is_bag: bool) {
+pub(crate) async fn serve(socket: WebSocket, hub: &Arc<Hub>, is_bag: bool) {
     let (sink, stream) = socket.split();
     let (sender, answers) = mpsc::channel(ANSWERS);
     let guest = hub.guest();

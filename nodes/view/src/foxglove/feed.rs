@@ -18,7 +18,7 @@ const LINGER: Duration = Duration::from_secs(2);
 
 /// A subscribed channel.
 #[derive(Debug)]
-pub struct Feed {
+pub(crate) struct Feed {
     channel: Arc<Channel>,
     audience: Mutex<Audience>,
 }
@@ -35,14 +35,14 @@ struct Audience {
 }
 
 impl Feed {
-    pub fn new(channel: Arc<Channel>) -> Self {
+    pub(crate) fn new(channel: Arc<Channel>) -> Self {
         Self {
             channel,
             audience: Mutex::default(),
         }
     }
 
-    pub fn channel(&self) -> &Channel {
+    pub(crate) fn channel(&self) -> &Channel {
         &self.channel
     }
 
@@ -52,7 +52,7 @@ impl Feed {
     }
 
     /// Adds a client and sends it the latched messages.
-    pub fn join(&self, outbox: &Arc<Outbox>) {
+    pub(crate) fn join(&self, outbox: &Arc<Outbox>) {
         let mut audience = self.audience();
         for (_, sample) in &audience.latched {
             outbox.push(self.channel.id, sample.clone());
@@ -61,7 +61,7 @@ impl Feed {
         audience.deserted = None;
     }
 
-    pub fn leave(&self, outbox: &Arc<Outbox>, now: Instant) {
+    pub(crate) fn leave(&self, outbox: &Arc<Outbox>, now: Instant) {
         let mut audience = self.audience();
         audience
             .outboxes
@@ -72,13 +72,13 @@ impl Feed {
     }
 
     /// Whether it had no clients for [`LINGER`].
-    pub fn is_deserted(&self, now: Instant) -> bool {
+    pub(crate) fn is_deserted(&self, now: Instant) -> bool {
         let since = self.audience().deserted;
         since.is_some_and(|since| now.saturating_duration_since(since) >= LINGER)
     }
 
     /// Sends a message to all clients. Returns how many older messages it displaced.
-    pub fn forward(&self, publisher: PublisherId, sample: &Sample, now: Instant) -> u64 {
+    pub(crate) fn forward(&self, publisher: PublisherId, sample: &Sample, now: Instant) -> u64 {
         let audience = &mut *self.audience();
         if self.channel.latches() {
             // latched messages stay valid, so none is skipped

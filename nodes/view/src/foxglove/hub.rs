@@ -25,7 +25,7 @@ const QOS: Qos = Qos::best_effort(64);
 /// For latched topics: a lost message would be missing until the next one.
 const LATCHED: Qos = Qos::reliable(64);
 /// Largest message sent \[byte\]: a raw image of 4K has 25 MB.
-pub const MAX_MESSAGE: usize = 64 << 20;
+pub(crate) const MAX_MESSAGE: usize = 64 << 20;
 /// The most channels per message: a definition has some kilobytes.
 const BATCH: usize = 64;
 /// How often changes of the graph are applied, and feeds without clients end.
@@ -36,7 +36,7 @@ const SLOW: &str = "message for a Foxglove client that is slow";
 const LARGE: &str = "message too large for Foxglove clients";
 
 /// The channels and their clients.
-pub struct Hub {
+pub(crate) struct Hub {
     node: Node,
     offer: Offer,
     prefixes: Vec<PathBuf>,
@@ -66,7 +66,7 @@ impl Drop for ActiveFeed {
 }
 
 impl Hub {
-    pub fn new(node: &Node, offer: Offer) -> Arc<Self> {
+    pub(crate) fn new(node: &Node, offer: Offer) -> Arc<Self> {
         Arc::new(Self {
             node: node.clone(),
             offer,
@@ -84,7 +84,7 @@ impl Hub {
     }
 
     /// Follows the graph until the node ends.
-    pub async fn look(self: Arc<Self>) {
+    pub(crate) async fn look(self: Arc<Self>) {
         let mut graph = self.node.graph_changes();
         graph.mark_changed();
         let mut ticks = tokio::time::interval(LOOK);
@@ -117,12 +117,12 @@ impl Hub {
     }
 
     /// The first message of each client.
-    pub fn server_info(&self) -> String {
+    pub(crate) fn server_info(&self) -> String {
         ServerMessage::server_info(&self.session).text()
     }
 
     /// Logs once that a web application was refused, since its user cannot see why.
-    pub fn warn_of_origin(&self, origin: &str) {
+    pub(crate) fn warn_of_origin(&self, origin: &str) {
         if !self.has_warned.swap(true, Ordering::Relaxed) {
             tracing::warn!(
                 "a viewer of the origin {origin:?} is refused; if it is yours, list it in the parameter foxglove_origins"
@@ -131,7 +131,7 @@ impl Hub {
     }
 
     /// Adds a client, which leaves when it is dropped.
-    pub fn guest(self: &Arc<Self>) -> Guest {
+    pub(crate) fn guest(self: &Arc<Self>) -> Guest {
         Guest {
             hub: Arc::clone(self),
             outbox: Arc::default(),
@@ -140,7 +140,7 @@ impl Hub {
 }
 
 /// The channels that a client knows.
-pub struct News {
+pub(crate) struct News {
     hub: Arc<Hub>,
     outbox: Arc<Outbox>,
     advertised: BTreeSet<u32>,
@@ -150,7 +150,7 @@ pub struct News {
 
 impl News {
     /// Waits for changed channels. Cancel safe.
-    pub async fn changed(&mut self) {
+    pub(crate) async fn changed(&mut self) {
         if self.changes.changed().await.is_err() {
             // the hub and the node have ended
             std::future::pending::<()>().await;
@@ -159,7 +159,7 @@ impl News {
 
     /// Messages about changed channels since the last call. The first call announces the existing channels, even if
     /// there are none, as the protocol requires.
-    pub fn take(&mut self) -> Vec<String> {
+    pub(crate) fn take(&mut self) -> Vec<String> {
         let known = self.hub.known();
         let there: BTreeSet<u32> = known.channels.iter().map(|channel| channel.id).collect();
         let gone: Vec<u32> = self.advertised.difference(&there).copied().collect();
@@ -187,13 +187,13 @@ impl News {
 }
 
 /// A client of the hub.
-pub struct Guest {
+pub(crate) struct Guest {
     hub: Arc<Hub>,
     outbox: Arc<Outbox>,
 }
 
 impl Guest {
-    pub fn news(&self) -> News {
+    pub(crate) fn news(&self) -> News {
         News {
             hub: Arc::clone(&self.hub),
             outbox: Arc::clone(&self.outbox),
@@ -204,12 +204,12 @@ impl Guest {
     }
 
     /// The next message with its subscription. Cancel safe.
-    pub async fn next(&self) -> (u32, Sample) {
+    pub(crate) async fn next(&self) -> (u32, Sample) {
         self.outbox.next().await
     }
 
     /// Messages dropped since the last call, as text.
-    pub fn losses(&self) -> Option<String> {
+    pub(crate) fn losses(&self) -> Option<String> {
         const NAMED: usize = 4;
         let mut losses = self.outbox.take_losses();
         losses.sort_by_key(|(_, number)| std::cmp::Reverse(*number));
@@ -232,7 +232,7 @@ impl Guest {
     ///
     /// # Errors
     /// The channel does not exist, or the client may not subscribe.
-    pub fn subscribe(&self, asked: Subscription) -> Result<(), SubscribeError> {
+    pub(crate) fn subscribe(&self, asked: Subscription) -> Result<(), SubscribeError> {
         let Subscription { id, channel_id } = asked;
         let mut known = self.hub.known();
         let channel = known.channels.get(channel_id);
@@ -249,7 +249,7 @@ impl Guest {
     }
 
     /// Ends a subscription. Unknown ones are ignored: the channel may have just gone.
-    pub fn unsubscribe(&self, subscription: u32) {
+    pub(crate) fn unsubscribe(&self, subscription: u32) {
         if let Some(channel) = self.outbox.unsubscribe(subscription) {
             self.leave(channel);
         }

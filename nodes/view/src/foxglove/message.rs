@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 /// CDR with its header of four bytes.
 const ENCODING: &str = "cdr";
 /// `.msg` text with all types that it uses.
-pub const SCHEMA_ENCODING: &str = "ros2msg";
+pub(crate) const SCHEMA_ENCODING: &str = "ros2msg";
 /// Tells viewers that this is ROS 2. They look up types that a definition lacks in ROS 2; our definitions are complete.
 const DISTRIBUTION: &str = "kilted";
 /// The operation of a binary message with data.
@@ -18,7 +18,7 @@ const HEADER_LEN: usize = 1 + 4 + 8;
 /// A message of the server, except data.
 #[derive(Debug, Serialize)]
 #[serde(tag = "op", rename_all = "camelCase")]
-pub enum ServerMessage<'a> {
+pub(crate) enum ServerMessage<'a> {
     /// The first message.
     #[serde(rename_all = "camelCase")]
     ServerInfo {
@@ -43,7 +43,7 @@ pub enum ServerMessage<'a> {
 /// Severity of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(into = "u8")]
-pub enum Level {
+pub(crate) enum Level {
     Info,
     Warning,
     /// The request was not executed.
@@ -63,7 +63,7 @@ impl From<Level> for u8 {
 /// A channel in [`ServerMessage::Advertise`].
 #[derive(Debug, Serialize)]
 #[serde(rename_all = "camelCase")]
-pub struct ChannelAdvert<'a> {
+pub(crate) struct ChannelAdvert<'a> {
     id: u32,
     topic: &'a str,
     encoding: &'static str,
@@ -74,7 +74,7 @@ pub struct ChannelAdvert<'a> {
 
 impl<'a> ChannelAdvert<'a> {
     /// `schema_name`: `package/msg/Type`; `schema`: its definition.
-    pub fn new(id: u32, topic: &'a str, schema_name: &'a str, schema: &'a str) -> Self {
+    pub(crate) fn new(id: u32, topic: &'a str, schema_name: &'a str, schema: &'a str) -> Self {
         Self {
             id,
             topic,
@@ -88,7 +88,7 @@ impl<'a> ChannelAdvert<'a> {
 
 impl<'a> ServerMessage<'a> {
     /// The first message.
-    pub fn server_info(session_id: &'a str) -> Self {
+    pub(crate) fn server_info(session_id: &'a str) -> Self {
         Self::ServerInfo {
             name: "wm view",
             capabilities: [],
@@ -99,7 +99,7 @@ impl<'a> ServerMessage<'a> {
     }
 
     /// As JSON.
-    pub fn text(&self) -> String {
+    pub(crate) fn text(&self) -> String {
         // numbers, texts and lists always fit into JSON
         serde_json::to_string(self).unwrap_or_default()
     }
@@ -108,7 +108,7 @@ impl<'a> ServerMessage<'a> {
 /// A request of a client.
 #[derive(Debug, PartialEq, Eq, Deserialize)]
 #[serde(tag = "op", rename_all = "camelCase")]
-pub enum ClientMessage {
+pub(crate) enum ClientMessage {
     Subscribe {
         subscriptions: Vec<Subscription>,
     },
@@ -123,7 +123,7 @@ pub enum ClientMessage {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "camelCase")]
-pub struct Subscription {
+pub(crate) struct Subscription {
     /// Chosen by the client.
     pub id: u32,
     pub channel_id: u32,
@@ -134,7 +134,7 @@ impl ClientMessage {
     ///
     /// # Errors
     /// It is not a message of the protocol; the reason as text.
-    pub fn parse(text: &str) -> Result<Self, String> {
+    pub(crate) fn parse(text: &str) -> Result<Self, String> {
         serde_json::from_str(text)
             .map_err(|error| format!("not a message of the protocol: {error}"))
     }
@@ -142,7 +142,7 @@ impl ClientMessage {
 
 /// A message of a subscription: an octet, the subscription and the time of reception \[ns\], little-endian, and the
 /// CDR.
-pub fn data(subscription: u32, log_time_ns: u64, cdr: &[u8]) -> Bytes {
+pub(crate) fn data(subscription: u32, log_time_ns: u64, cdr: &[u8]) -> Bytes {
     let mut bytes = BytesMut::with_capacity(HEADER_LEN + cdr.len());
     bytes.put_u8(MESSAGE_DATA);
     bytes.put_u32_le(subscription);

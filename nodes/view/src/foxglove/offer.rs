@@ -9,7 +9,7 @@ use wm_ros::TopicInfo;
 const RATES: std::ops::RangeInclusive<f64> = 1.0 / 86_400.0..=1e6;
 
 #[derive(Debug)]
-pub struct Offer {
+pub(crate) struct Offer {
     filter: TopicFilter,
     rates: Vec<(TopicFilter, Duration)>,
 }
@@ -20,7 +20,11 @@ impl Offer {
     ///
     /// # Errors
     /// An invalid expression or entry.
-    pub fn new(topics: &str, exclude: &str, rates: &[String]) -> Result<Option<Self>, ViewError> {
+    pub(crate) fn new(
+        topics: &str,
+        exclude: &str,
+        rates: &[String],
+    ) -> Result<Option<Self>, ViewError> {
         if topics.is_empty() {
             return Ok(None);
         }
@@ -42,14 +46,14 @@ impl Offer {
     }
 
     /// Whether this topic is on offer now: selected, published and not hidden.
-    pub fn has(&self, topic: &TopicInfo) -> bool {
+    pub(crate) fn has(&self, topic: &TopicInfo) -> bool {
         // a hidden topic has a part that begins with an underscore
         let is_hidden = topic.name.split('/').any(|part| part.starts_with('_'));
         !topic.publishers.is_empty() && !is_hidden && self.filter.wants(&topic.name)
     }
 
     /// The shortest time between messages of a topic, if limited.
-    pub fn period(&self, topic: &str) -> Option<Duration> {
+    pub(crate) fn period(&self, topic: &str) -> Option<Duration> {
         let mut rates = self.rates.iter();
         let found = rates.find(|(filter, _)| filter.wants(topic));
         found.map(|(_, period)| *period)

@@ -9,7 +9,7 @@ use thiserror::Error;
 use tokio::sync::Notify;
 
 /// The most subscriptions per client: more than a layout shows.
-pub const MOST_SUBSCRIPTIONS: usize = 256;
+pub(crate) const MOST_SUBSCRIPTIONS: usize = 256;
 /// The most waiting messages per channel: enough for bursts such as a rollout's pictures or a node's log.
 const DEPTH: usize = 64;
 /// The most waiting bytes per channel besides its newest message: a few compressed pictures, or one raw image.
@@ -17,7 +17,7 @@ const BYTES: usize = 256 << 10;
 
 /// A message, shared by all clients.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Sample {
+pub(crate) struct Sample {
     /// When it was received \[ns\].
     pub log_time_ns: u64,
     /// CDR with its header.
@@ -26,7 +26,7 @@ pub struct Sample {
 
 /// Why a subscription is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-pub enum SubscribeError {
+pub(crate) enum SubscribeError {
     #[error("subscription {0} exists already")]
     Id(u32),
     /// A channel already has a subscription.
@@ -40,7 +40,7 @@ pub enum SubscribeError {
 
 /// The waiting messages of a client. A full channel drops its oldest message.
 #[derive(Debug, Default)]
-pub struct Outbox {
+pub(crate) struct Outbox {
     queues: Mutex<Queues>,
     filled: Notify,
 }
@@ -78,7 +78,7 @@ impl Outbox {
     ///
     /// # Errors
     /// The channel or the number is taken, or there are too many subscriptions.
-    pub fn subscribe(&self, channel: u32, subscription: u32) -> Result<(), SubscribeError> {
+    pub(crate) fn subscribe(&self, channel: u32, subscription: u32) -> Result<(), SubscribeError> {
         let by_channel = &mut self.queues().by_channel;
         if by_channel.contains_key(&channel) {
             return Err(SubscribeError::Channel(channel));
@@ -101,7 +101,7 @@ impl Outbox {
     }
 
     /// Ends a subscription, drops its messages and returns its channel.
-    pub fn unsubscribe(&self, subscription: u32) -> Option<u32> {
+    pub(crate) fn unsubscribe(&self, subscription: u32) -> Option<u32> {
         let by_channel = &mut self.queues().by_channel;
         let mut queues = by_channel.iter();
         let (&channel, _) = queues.find(|(_, queue)| queue.subscription == subscription)?;
@@ -110,17 +110,17 @@ impl Outbox {
     }
 
     /// Ends the subscription to a channel that has gone.
-    pub fn remove(&self, channel: u32) {
+    pub(crate) fn remove(&self, channel: u32) {
         self.queues().by_channel.remove(&channel);
     }
 
     /// The subscribed channels.
-    pub fn channels(&self) -> Vec<u32> {
+    pub(crate) fn channels(&self) -> Vec<u32> {
         self.queues().by_channel.keys().copied().collect()
     }
 
     /// Adds a message of a channel. Returns how many older messages it displaced.
-    pub fn push(&self, channel: u32, sample: Sample) -> u64 {
+    pub(crate) fn push(&self, channel: u32, sample: Sample) -> u64 {
         let mut queues = self.queues();
         let queues = &mut *queues;
         let Some(queue) = queues.by_channel.get_mut(&channel) else {
@@ -140,7 +140,7 @@ impl Outbox {
     }
 
     /// The next message with its subscription. Cancel safe.
-    pub async fn next(&self) -> (u32, Sample) {
+    pub(crate) async fn next(&self) -> (u32, Sample) {
         loop {
             if let Some(next) = self.pop() {
                 return next;
@@ -158,7 +158,7 @@ impl Outbox {
     }
 
     /// Dropped messages of each channel since the last call.
-    pub fn take_losses(&self) -> Vec<(u32, u64)> {
+    pub(crate) fn take_losses(&self) -> Vec<(u32, u64)> {
         let by_channel = &mut self.queues().by_channel;
         let losses = by_channel
             .iter_mut()

@@ -45,7 +45,7 @@ pub struct Report {
 impl Report {
     /// Why not to trust the predictions, if the persistence baseline is as close one step ahead.
     #[must_use]
-    pub fn doubt(&self) -> Option<String> {
+    pub(crate) fn doubt(&self) -> Option<String> {
         let first = self.steps.iter().find(|step| step.step == 1)?;
         let is_scored = first.predictions.max(first.compared) >= LEAST;
         let ratio = first

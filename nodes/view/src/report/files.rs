@@ -1,13 +1,17 @@
 //! A report's files: `report.json`, `report.md`, `strip.png`.
 
-use super::{Scorer, figures::Report, strip::picture_strip, table::markdown};
+use super::{
+    Scorer,
+    figures::Report,
+    strip::{STRIP, picture_strip},
+    table::markdown,
+};
 use anyhow::{Context as _, Result};
 use std::path::{Path, PathBuf};
 use wm_bag::free_name;
 
 const JSON: &str = "report.json";
 const MARKDOWN: &str = "report.md";
-pub(super) const STRIP: &str = "strip.png";
 
 /// Writes the scorer's report into `folder`, and makes the folder if it is missing. An older report there moves to a
 /// folder beside it that has its time. The strip is missing if no predicted picture has a frame of the same time.

@@ -15,7 +15,7 @@ const PICTURED_LIMIT: usize = 64;
 
 /// A prediction that waits for its picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Awaited {
+pub(crate) struct Awaited {
     /// The predicted time \[ns\].
     pub stamp_ns: i64,
     /// Stamp of the observation \[ns\].
@@ -30,7 +30,7 @@ pub struct Awaited {
 
 /// The result for a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Pairing {
+pub(crate) enum Pairing {
     /// The picture of this prediction.
     Found(Awaited),
     /// Too late to find its prediction.
@@ -41,7 +41,7 @@ pub enum Pairing {
 
 /// The predictions that wait for their pictures.
 #[derive(Clone, Debug, Default)]
-pub struct Pairings {
+pub(crate) struct Pairings {
     awaited: VecDeque<Awaited>,
     /// The last observations whose rollouts had a picture.
     pictured: VecDeque<i64>,
@@ -49,7 +49,7 @@ pub struct Pairings {
 
 impl Pairings {
     /// A prediction has arrived.
-    pub fn predicted(&mut self, awaited: Awaited) {
+    pub(crate) fn predicted(&mut self, awaited: Awaited) {
         if self.awaited.len() == AWAITED_LIMIT {
             self.awaited.pop_front();
         }
@@ -57,7 +57,7 @@ impl Pairings {
     }
 
     /// A picture of the time `stamp_ns` has arrived. Its prediction no longer waits.
-    pub fn pictured(&mut self, stamp_ns: i64, arrived_ns: i64) -> Pairing {
+    pub(crate) fn pictured(&mut self, stamp_ns: i64, arrived_ns: i64) -> Pairing {
         let is_its = |awaited: &Awaited| {
             awaited.stamp_ns == stamp_ns
                 && arrived_ns.saturating_sub(awaited.arrived_ns) <= awaited.period_ns
@@ -85,13 +85,14 @@ impl Pairings {
         Pairing::Found(prediction)
     }
 
-    /// How many predictions wait.
-    pub fn waiting(&self) -> usize {
+    /// The number of waiting predictions.
+    #[cfg(test)]
+    pub(crate) fn waiting(&self) -> usize {
         self.awaited.len()
     }
 
     /// Time jumped: drops everything that waits.
-    pub fn clear(&mut self) {
+    pub(crate) fn clear(&mut self) {
         self.awaited.clear();
         self.pictured.clear();
     }

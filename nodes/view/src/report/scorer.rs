@@ -11,7 +11,7 @@ use super::{
 };
 use image::RgbImage;
 use rollout::Rollouts;
-pub use rollout::ShownRollout;
+pub(crate) use rollout::ShownRollout;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 use step::StepScore;
@@ -105,7 +105,7 @@ impl Default for Scorer {
 
 impl Scorer {
     /// A camera frame, captured at `stamp_ns`.
-    pub fn frame(&mut self, stamp_ns: i64, frame: RgbImage) {
+    pub(crate) fn frame(&mut self, stamp_ns: i64, frame: RgbImage) {
         if self
             .frames
             .newest_ns()
@@ -132,12 +132,12 @@ impl Scorer {
     }
 
     /// Sets how the model frames another aspect ratio; until then frames are stretched.
-    pub fn fit(&mut self, fit: Fit) {
+    pub(crate) fn fit(&mut self, fit: Fit) {
         self.frames.set_fit(fit);
     }
 
     /// `arrived_ns`: on the clock of the stamps.
-    pub fn prediction(&mut self, prediction: &Prediction, arrived_ns: i64) {
+    pub(crate) fn prediction(&mut self, prediction: &Prediction, arrived_ns: i64) {
         // Messages within this process were not decoded, so their times may be invalid.
         let period_ns = prediction.step_period.checked_nanos().unwrap_or(0);
         let times = [
@@ -177,7 +177,7 @@ impl Scorer {
 
     /// The picture of a prediction for the time `stamp_ns`. A picture whose prediction is unclear ([`Pairings`]) is not
     /// scored.
-    pub fn picture(&mut self, stamp_ns: i64, picture: RgbImage, arrived_ns: i64) {
+    pub(crate) fn picture(&mut self, stamp_ns: i64, picture: RgbImage, arrived_ns: i64) {
         let prediction = match self.pairings.pictured(stamp_ns, arrived_ns) {
             Pairing::Found(prediction) => prediction,
             Pairing::Late => {
@@ -194,7 +194,7 @@ impl Scorer {
         });
     }
 
-    pub fn error(&mut self, error: &PredictionError) {
+    pub(crate) fn error(&mut self, error: &PredictionError) {
         if error.step == 0 || error.step > STEP_LIMIT {
             return;
         }
@@ -208,7 +208,7 @@ impl Scorer {
             .latent_error(error.mse, error.persistence_mse);
     }
 
-    pub fn plan(&mut self, plan: &Plan) {
+    pub(crate) fn plan(&mut self, plan: &Plan) {
         if self.plans == 0 {
             self.first_cost = f64::from(plan.cost);
         }
@@ -219,7 +219,7 @@ impl Scorer {
     }
 
     /// Takes the counts of dropped and skipped messages.
-    pub fn diagnostics(&mut self, array: &DiagnosticArray) {
+    pub(crate) fn diagnostics(&mut self, array: &DiagnosticArray) {
         for status in &array.status {
             for pair in &status.values {
                 let Some((what, reason)) =
@@ -241,7 +241,7 @@ impl Scorer {
 
     /// Whether nothing was received for a report.
     #[must_use]
-    pub fn is_empty(&self) -> bool {
+    pub(crate) fn is_empty(&self) -> bool {
         self.frame_count == 0 && self.steps.is_empty() && self.plans == 0
     }
 
@@ -250,31 +250,26 @@ impl Scorer {
         self.steps.is_empty()
     }
 
-    #[must_use]
-    pub fn frame_count(&self) -> u64 {
-        self.frame_count
-    }
-
     /// How many messages the nodes have dropped.
     #[must_use]
-    pub fn drop_count(&self) -> u64 {
+    pub(crate) fn drop_count(&self) -> u64 {
         self.drops.values().sum()
     }
 
     /// The error ratio of the last scored prediction of k = 1.
     #[must_use]
-    pub fn last_error_ratio(&self) -> Option<f32> {
+    pub(crate) fn last_error_ratio(&self) -> Option<f32> {
         self.last_error_ratio
     }
 
     /// Of the rollouts with the most steps, the one with the most motion.
     #[must_use]
-    pub fn shown_rollout(&self) -> Option<&ShownRollout> {
+    pub(crate) fn shown_rollout(&self) -> Option<&ShownRollout> {
         self.rollouts.best()
     }
 
     #[must_use]
-    pub fn report(&self, source: &str) -> Report {
+    pub(crate) fn report(&self, source: &str) -> Report {
         let observations = self.rollouts.observations();
         let frame_rate_hz = match self.frame_span_ns {
             0 => 0.0,

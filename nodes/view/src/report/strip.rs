@@ -7,6 +7,8 @@ use super::{
 use image::{Rgb, RgbImage, imageops};
 use wm_metrics::images::psnr;
 
+/// The picture's file in a report.
+pub(super) const STRIP: &str = "strip.png";
 /// Between pictures, and around them \[px\].
 const GAP: u32 = 6;
 /// Smaller pictures are enlarged to this \[px\].
@@ -35,6 +37,7 @@ pub(crate) fn picture_strip(rollout: &ShownRollout, period_s: f64) -> RgbImage {
     );
     let difference_label = format!("|diff| x{DIFFERENCE_GAIN}");
     let rows = ["real", "predicted", difference_label.as_str()];
+    // `rows` is not empty
     let left = rows.iter().map(|label| width(label)).max().unwrap_or(0) + 2 * GAP;
     let top = CHARACTER + 2 * GAP;
     let line = CHARACTER + GAP / 2;
@@ -123,6 +126,7 @@ fn difference(real: &RgbImage, predicted: &RgbImage) -> RgbImage {
     for (pixel, other) in difference.pixels_mut().zip(predicted.pixels()) {
         for (value, other) in pixel.0.iter_mut().zip(other.0) {
             let stronger = u16::from(value.abs_diff(other)) * DIFFERENCE_GAIN;
+            // saturates
             *value = u8::try_from(stronger).unwrap_or(u8::MAX);
         }
     }
@@ -139,7 +143,6 @@ mod tests {
         let grey = |level| Arc::new(RgbImage::from_pixel(128, 128, Rgb([level; 3])));
         let steps = [(1, (grey(100), grey(110))), (4, (grey(120), grey(150)))].into();
         let rollout = ShownRollout {
-            observed_ns: 0,
             observed: grey(90),
             steps,
         };

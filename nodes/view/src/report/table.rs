@@ -1,8 +1,8 @@
 //! The report as a table for the terminal, and as Markdown.
 
 use super::figures::{Percentiles, Report, StepFigures};
-use super::files::STRIP;
 use super::scorer::LATE_PICTURE;
+use super::strip::STRIP;
 use std::fmt::Write as _;
 
 const HEADINGS: [&str; 11] = [
@@ -54,8 +54,7 @@ pub fn terminal_table(report: &Report) -> String {
 }
 
 /// The report as Markdown, with the strip if there is one.
-#[must_use]
-pub fn markdown(report: &Report, has_strip: bool) -> String {
+pub(super) fn markdown(report: &Report, has_strip: bool) -> String {
     let doubt = report.doubt();
     let doubt = doubt.map_or_else(String::new, |doubt| format!("**{doubt}**\n\n"));
     let mut text = format!("{doubt}# Predictions and reality\n\n{}\n", heading(report));
@@ -74,7 +73,11 @@ pub fn markdown(report: &Report, has_strip: bool) -> String {
     }
     writeln!(text, "\n{}", remarks(report, "- ")).ok();
     if has_strip {
-        text.push_str("![real, predicted and difference over the steps](strip.png)\n");
+        writeln!(
+            text,
+            "![real, predicted and difference over the steps]({STRIP})"
+        )
+        .ok();
     }
     text
 }

@@ -1,7 +1,7 @@
 //! The trials node: runs tasks on the simulated arm, and counts how often the planner succeeds.
 //!
 //! It sets the table (`sim_arm`), arms the executor, and records what the camera saw, what the planner imagined, and
-//! whether the task was done in time. An [`EpisodeWatch`] holds the state of an episode, without DDS or clock.
+//! whether the task was done in time. An `EpisodeWatch` holds the state of an episode, without DDS or clock.
 
 mod files;
 mod node;
@@ -11,5 +11,6 @@ mod strip;
 mod watch;
 
 pub use node::NODE;
-pub use shots::{Shot, Shots};
-pub use watch::EpisodeWatch;
+
+use shots::Shots;
+use watch::EpisodeWatch;

@@ -3,7 +3,7 @@ use proptest::prelude::*;
 use std::{collections::BTreeMap, convert::Infallible};
 use wm_msgs::cdr;
 
-/// Results are numbers, and so is who waits for them.
+/// Results and waiting clients are numbers.
 type Numbers = Goals<u32, u32>;
 
 fn id(number: u8) -> GoalId {
@@ -44,7 +44,7 @@ fn accepted(number: u8, now: Instant) -> Numbers {
     goals
 }
 
-/// Its nanoseconds are those of no stamp, which would cancel all goals.
+/// Not the zero stamp, which would cancel all goals.
 #[test]
 fn a_request_to_cancel_with_an_invalid_time_is_not_decoded() {
     for (sec, nanosec) in [(-1, 1_000_000_000), (5, 1_000_000_000), (5, u32::MAX)] {
@@ -118,7 +118,7 @@ fn goals_are_canceled_by_id_by_time_or_all() {
     assert_eq!(cancel(&mut goals, Some(id(9)), 0), (unknown, vec![]));
     assert_eq!(cancel(&mut goals, Some(id(3)), 0), (0, vec![id(3)]));
     assert_eq!(cancel(&mut goals, Some(id(3)), 0), (terminated, vec![]));
-    // at that time or before, those that are not being canceled yet
+    // at that time or earlier, unless they are being canceled already
     assert_eq!(cancel(&mut goals, None, 2), (0, vec![id(1), id(2)]));
     assert_eq!(cancel(&mut goals, None, 3), (0, vec![]));
     assert_eq!(cancel(&mut goals, None, 0), (0, vec![id(4)]));
@@ -135,10 +135,13 @@ fn an_id_is_taken_once_and_goals_are_bounded() {
     let now = Instant::now();
     let most = u8::try_from(MOST_LIVE).unwrap();
     let mut goals = accepted(most, now);
-    assert_eq!(goals.accept(id(1), stamp(9), now), Err(Refused::Known));
-    assert_eq!(goals.accept(id(200), stamp(9), now), Err(Refused::Full));
+    assert_eq!(goals.accept(id(1), stamp(9), now), Err(RejectReason::Known));
+    assert_eq!(
+        goals.accept(id(200), stamp(9), now),
+        Err(RejectReason::Full)
+    );
     end(&mut goals, id(1), End::Succeeded, now);
-    assert_eq!(goals.accept(id(1), stamp(9), now), Err(Refused::Known));
+    assert_eq!(goals.accept(id(1), stamp(9), now), Err(RejectReason::Known));
     assert_eq!(goals.accept(id(200), stamp(9), now), Ok(()));
 }
 
@@ -151,7 +154,7 @@ fn results_are_kept_for_a_while_and_the_newest_of_many() {
     let before = later - Duration::from_nanos(1);
     assert_eq!(goals.ask(id(1), 0, before), Availability::Ended(4));
     assert_eq!(goals.ask(id(1), 0, later), Availability::Unknown);
-    // what is under way does not expire
+    // goals under way do not expire
     assert_eq!(
         goals.ask(id(2), 0, later),
         Availability::Later { forgot: false }
@@ -211,7 +214,7 @@ fn is_allowed(from: GoalStatus, to: GoalStatus) -> bool {
     use GoalStatus::{Aborted, Accepted, Canceled, Canceling, Executing, Succeeded};
     from == to
         || match from {
-            // a goal may end at once: its execution is then not told
+            // a goal may end at once: `execute` is then skipped
             Accepted => matches!(to, Executing | Canceling | Succeeded | Aborted),
             Executing => matches!(to, Canceling | Succeeded | Aborted),
             Canceling => matches!(to, Succeeded | Aborted | Canceled),
@@ -220,8 +223,8 @@ fn is_allowed(from: GoalStatus, to: GoalStatus) -> bool {
 }
 
 proptest! {
-    /// Whatever is asked in whatever order: goals only go where the design lets them, a request for a result is answered
-    /// exactly once, and goals that are said to be canceled are.
+    /// For any requests in any order: transitions are those of the design, each request for a result gets exactly one
+    /// reply, and goals reported as canceling are canceling.
     #[test]
     fn goals_go_the_ways_of_the_design(events in prop::collection::vec(event(), 0..80)) {
         let now = Instant::now();

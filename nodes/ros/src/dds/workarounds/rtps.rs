@@ -126,6 +126,7 @@ pub(in crate::dds) fn fragments(
         count,
     } = fragments;
     let begin_at = (*first as usize).saturating_sub(1) * FRAGMENT;
+    // empty for a fragment after the end; the last fragment is shorter
     let rest = sample.get(begin_at..).unwrap_or_default();
     let payload = rest.get(..FRAGMENT * usize::from(*count)).unwrap_or(rest);
     let count = payload.len().div_ceil(FRAGMENT) as u16; // at most `count`

@@ -3,19 +3,19 @@
 use super::{Finding, Level};
 use std::{collections::VecDeque, time::Duration};
 
-/// Reports, a second apart, that a judgement covers.
+/// Number of reports, one per second, that a judgement covers.
 const REPORTS: usize = 10;
-/// Runs below which missing most of them is no error yet.
+/// With fewer runs, missing most of them is no error.
 const FEW: u32 = 5;
 
-/// How long a stage may take.
+/// The deadline of a stage.
 #[derive(Clone, Copy, Debug)]
 pub struct Deadline {
     /// The stage: `first predicted step`.
     pub stage: &'static str,
-    /// The most that it should take.
+    /// The time limit.
     pub limit: Duration,
-    /// What to do where it takes longer.
+    /// The remedy if it takes longer.
     pub advice: &'static str,
 }
 
@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn a_node_that_does_less_often_what_takes_long_has_longer_for_it() {
+    fn deadline_may_change_between_runs() {
         let mut watch = watch();
         let limit = Duration::from_secs(2);
         for _ in 0..FEW {

@@ -9,13 +9,13 @@ const MISSED_PERIODS: u32 = 3;
 /// Silent periods, and the least time, after which it counts as gone.
 const GONE_PERIODS: u32 = 10;
 const GONE_LEAST: Duration = Duration::from_secs(2);
-/// The least silence that is reported: shorter ones are the jitter of a fast topic.
+/// The shortest reported silence: shorter ones are the jitter of a fast topic.
 const MISSED_LEAST: Duration = Duration::from_millis(500);
 /// How long the first message may take.
 const FIRST: Duration = Duration::from_secs(5);
 /// Weight of the newest interval in the period is one part in this.
 const SMOOTHING: u32 = 8;
-/// An interval counts for at most so many periods: a silence is not to pass for a new rate.
+/// An interval counts for at most so many periods, so that a silence is not taken for a new rate.
 const LONGEST_INTERVAL: u32 = 4;
 
 /// An input that a node needs.
@@ -28,8 +28,8 @@ pub struct Input {
 }
 
 impl Input {
-    /// An input by any of these absolute topics. `name`: what it is, in the plural (`camera images`); `advice`: what to
-    /// do where nobody publishes it.
+    /// An input by any of these absolute topics. `name`: the input in the plural (`camera images`); `advice`: the
+    /// remedy if nobody publishes it.
     pub fn new<S: Into<String>>(
         name: &'static str,
         topics: impl IntoIterator<Item = S>,
@@ -43,7 +43,7 @@ impl Input {
         }
     }
 
-    /// Its absence is no more than a warning: the node goes on without it.
+    /// Makes its absence a warning at most: the node works without it.
     #[must_use]
     pub fn dispensable(self) -> Self {
         Self {
@@ -53,14 +53,14 @@ impl Input {
     }
 }
 
-/// How long an input has been silent.
+/// The silence of an input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Silence {
     /// No longer than usual.
     Short,
-    /// It is missed.
+    /// It is late.
     Long,
-    /// It does not come any more, or never came.
+    /// It has stopped, or never arrived.
     Gone,
 }
 
@@ -69,9 +69,9 @@ pub(super) struct InputWatch {
     input: Input,
     since: Instant,
     last: Option<Instant>,
-    /// How far apart messages come.
+    /// The interval between messages.
     period: Option<Duration>,
-    /// Whether the log says that it is missing.
+    /// Whether its absence is logged.
     is_said: bool,
 }
 
@@ -158,8 +158,8 @@ impl InputWatch {
         }
     }
 
-    /// Whether the log should have what was found: the first time that an input from outside the suite is gone or has not
-    /// come at all, and when it is back. A hiccup is no news.
+    /// Whether to log the finding: the first time that an input from outside the suite is gone or never arrived, and
+    /// its return. Short gaps are not logged.
     pub(super) fn is_news(&mut self, now: Instant, publishers: &dyn Publishers) -> bool {
         let mut topics = self.input.topics.iter();
         let is_news = match self.silence(now) {
@@ -261,7 +261,7 @@ mod tests {
     }
 
     #[test]
-    fn one_that_never_came_is_a_warning_and_a_dispensable_one_never_more() {
+    fn absent_input_warns_and_optional_input_never_errs() {
         let start = Instant::now();
         let watch = InputWatch::new(Input::new("latents", ["/latent"], "start it"), start);
         let judge = |seconds| watch.judge(start + Duration::from_secs(seconds), &Each(0));

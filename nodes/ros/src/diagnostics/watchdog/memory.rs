@@ -1,4 +1,4 @@
-//! The process's resident memory, which should not grow once the node works.
+//! The process's resident memory, which must not grow once the node works.
 
 use super::{Finding, Level};
 use std::time::{Duration, Instant};
@@ -6,15 +6,15 @@ use std::time::{Duration, Instant};
 /// How long the memory of a node that has begun to work may grow: caches and pools fill.
 const SETTLING: Duration = Duration::from_secs(30);
 const MIB: u64 = 1 << 20;
-/// Growth beyond half of what it was, and so much, is a warning: allocators and queues take some.
+/// Growth by half, and by at least this, is a warning: allocators and queues take some.
 const WARN_LEAST: u64 = 64 * MIB;
-/// Growth beyond what it was, and so much, is an error.
+/// Growth to the double, and by at least this, is an error.
 const ERROR_LEAST: u64 = 256 * MIB;
 
 #[derive(Debug, Default)]
 pub(super) struct MemoryWatch {
     since: Option<Instant>,
-    /// The most while it settled \[byte\].
+    /// The maximum during the settling time \[byte\].
     settled: u64,
 }
 
@@ -51,7 +51,7 @@ impl MemoryWatch {
     }
 }
 
-/// The resident memory of this process \[byte\], as Linux tells it; none elsewhere.
+/// The resident memory of this process \[byte\] on Linux; `None` elsewhere.
 pub(in crate::diagnostics) fn resident() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status

@@ -11,9 +11,7 @@ const OPEN_LIMIT: usize = 160;
 
 /// A rollout and the real frames.
 #[derive(Clone, Debug)]
-pub struct ShownRollout {
-    /// Stamp of the observation \[ns\].
-    pub observed_ns: i64,
+pub(crate) struct ShownRollout {
     /// The frame that it starts from.
     pub observed: Arc<RgbImage>,
     /// By k: the real frame and the predicted picture. A decoder under load skips steps.
@@ -81,7 +79,6 @@ impl Rollouts {
         predicted: &Arc<RgbImage>,
     ) {
         let new = || ShownRollout {
-            observed_ns,
             observed: Arc::clone(observed),
             steps: BTreeMap::new(),
         };

@@ -175,10 +175,12 @@ fn picture_later_than_a_model_step_is_only_counted() {
 #[test]
 fn rollout_with_the_most_motion_is_shown() {
     let mut scorer = Scorer::default();
-    // still, then a jump at frame 6
-    for frame in 0..10 {
-        let now = frame * FRAME_NS;
-        scorer.frame(now, grey(if frame < 6 { 50 } else { 200 }));
+    // still, then a jump at frame 6; one brighter pixel tells the frames apart
+    for frame in 0..10_u32 {
+        let now = i64::from(frame) * FRAME_NS;
+        let mut picture = grey(if frame < 6 { 50 } else { 200 });
+        picture.put_pixel(frame, 1, image::Rgb([51; 3]));
+        scorer.frame(now, picture);
         for step in 1..=2 {
             scorer.prediction(&prediction(now, step, now), now + 1);
             scorer.picture(now + i64::from(step) * STEP_NS, grey(60), now + 2);
@@ -186,7 +188,9 @@ fn rollout_with_the_most_motion_is_shown() {
     }
     let shown = scorer.shown_rollout().unwrap();
     // from frames 4 and 5 both steps are past the jump; the first of the two stays
-    assert_eq!((shown.observed_ns, shown.steps.len()), (4 * FRAME_NS, 2));
+    assert_eq!(shown.observed.get_pixel(4, 1).0, [51; 3]);
+    assert_eq!(shown.observed.get_pixel(5, 1).0, [50; 3]);
+    assert_eq!(shown.steps.len(), 2);
     assert_eq!(shown.steps[&1].0.get_pixel(0, 0).0, [200; 3]);
 }
 

@@ -220,7 +220,7 @@ impl Trials {
             .with_context(|| {
                 format!("{task} with seed {seed} does not begin: no answer, no frame or no plan")
             })??;
-        let mut watch = EpisodeWatch::new(task, seed, most);
+        let mut watch = EpisodeWatch::new(seed, most);
         while !watch.is_over() {
             tokio::time::timeout(timeout, self.watch(&mut at.endpoints, &mut watch))
                 .await

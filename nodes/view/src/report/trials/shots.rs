@@ -9,7 +9,7 @@ const MOST: usize = 32;
 
 /// A camera picture and the imagined outcome.
 #[derive(Clone, Debug)]
-pub struct Shot {
+pub(crate) struct Shot {
     /// Since the episode's first shot \[s\].
     pub time_s: f64,
     /// The camera's picture.
@@ -20,7 +20,7 @@ pub struct Shot {
 
 /// Shots of an episode, evenly over its duration.
 #[derive(Clone, Debug)]
-pub struct Shots {
+pub(crate) struct Shots {
     shots: Vec<Shot>,
     /// Every how many frames one is kept.
     stride: usize,
@@ -41,7 +41,7 @@ impl Default for Shots {
 
 impl Shots {
     /// Takes a picture if it is due.
-    pub fn take(
+    pub(crate) fn take(
         &mut self,
         stamp_ns: i64,
         seen: impl FnOnce() -> Option<RgbImage>,
@@ -70,7 +70,7 @@ impl Shots {
     }
 
     /// At most `count` of them, the first and the last included.
-    pub fn evenly(&self, count: usize) -> Vec<&Shot> {
+    pub(crate) fn evenly(&self, count: usize) -> Vec<&Shot> {
         let last = self.shots.len().saturating_sub(1);
         let columns = count.min(self.shots.len());
         let at = |column: usize| {

@@ -23,6 +23,7 @@ pub(crate) fn strip(shots: &Shots, goal: Option<&RgbImage>, title: &str) -> Opti
     if shown.is_empty() {
         return None;
     }
+    // `ROWS` is not empty
     let left = ROWS.iter().map(|row| width(row)).max().unwrap_or(0) + 2 * GAP;
     let top = 2 * CHARACTER + 3 * GAP;
     // at most COLUMNS

@@ -5,14 +5,13 @@ use std::sync::Arc;
 use image::RgbImage;
 use wm_metrics::findings::{Episode, PlanTime};
 use wm_msgs::wm_msgs::Plan;
-use wm_sim::{FRAME_PERIOD_NS, GoalKind};
+use wm_sim::FRAME_PERIOD_NS;
 
 use super::Shots;
 
 /// An episode since the executor was armed.
 #[derive(Clone, Debug)]
-pub struct EpisodeWatch {
-    task: GoalKind,
+pub(crate) struct EpisodeWatch {
     seed: u64,
     /// The most steps of the simulator.
     most: usize,
@@ -28,9 +27,8 @@ pub struct EpisodeWatch {
 
 impl EpisodeWatch {
     /// `most`: the most steps of the simulator.
-    pub fn new(task: GoalKind, seed: u64, most: usize) -> Self {
+    pub(crate) fn new(seed: u64, most: usize) -> Self {
         Self {
-            task,
             seed,
             most,
             ticks: 0,
@@ -44,12 +42,12 @@ impl EpisodeWatch {
     }
 
     /// Whether the task is done or the time is up.
-    pub fn is_over(&self) -> bool {
+    pub(crate) fn is_over(&self) -> bool {
         self.is_done || self.ticks >= self.most
     }
 
     /// Takes the remaining distance after a step of the simulator \[m\].
-    pub fn distance(&mut self, distance_m: f64) {
+    pub(crate) fn distance(&mut self, distance_m: f64) {
         if !self.is_over() {
             self.ticks += 1;
             self.distance_m = distance_m;
@@ -57,14 +55,14 @@ impl EpisodeWatch {
     }
 
     /// Takes whether the task is done.
-    pub fn success(&mut self, is_done: bool) {
+    pub(crate) fn success(&mut self, is_done: bool) {
         if !self.is_over() {
             self.is_done = is_done;
         }
     }
 
     /// Takes a plan.
-    pub fn plan(&mut self, plan: &Plan) {
+    pub(crate) fn plan(&mut self, plan: &Plan) {
         self.plans.push(PlanTime {
             ms: plan.time_taken.to_nanos() as f64 / 1e6,
             // a count fits
@@ -74,23 +72,23 @@ impl EpisodeWatch {
     }
 
     /// Takes a picture of the newest plan's outcome.
-    pub fn outcome(&mut self, picture: RgbImage) {
+    pub(crate) fn outcome(&mut self, picture: RgbImage) {
         self.imagined = Some(Arc::new(picture));
     }
 
     /// Takes a camera frame. `seen` decodes it if it is kept.
-    pub fn frame(&mut self, stamp_ns: i64, seen: impl FnOnce() -> Option<RgbImage>) {
+    pub(crate) fn frame(&mut self, stamp_ns: i64, seen: impl FnOnce() -> Option<RgbImage>) {
         self.shots.take(stamp_ns, seen, self.imagined.as_ref());
     }
 
     /// The planner's name after the first plan, and the duration of a model step \[ms\].
-    pub fn planner(&self) -> Option<(&str, f64)> {
+    pub(crate) fn planner(&self) -> Option<(&str, f64)> {
         let planner = self.planner.as_ref();
         planner.map(|(name, step_ns)| (name.as_str(), *step_ns as f64 / 1e6))
     }
 
     /// The episode, its plans and its pictures.
-    pub fn finish(self) -> (Episode, Vec<PlanTime>, Shots) {
+    pub(crate) fn finish(self) -> (Episode, Vec<PlanTime>, Shots) {
         let step_ns = self.planner.map_or(0, |(_, step_ns)| step_ns);
         // a model step has a few steps of the simulator
         let per_step = (step_ns as f64 / FRAME_PERIOD_NS as f64).round().max(1.0) as usize;
@@ -101,11 +99,6 @@ impl EpisodeWatch {
             distance_m: self.distance_m,
         };
         (episode, self.plans, self.shots)
-    }
-
-    /// The task of the episode.
-    pub fn task(&self) -> GoalKind {
-        self.task
     }
 }
 
@@ -127,7 +120,7 @@ mod tests {
 
     #[test]
     fn episode_ends_with_its_task_or_its_time() {
-        let mut watch = EpisodeWatch::new(GoalKind::Reach, 7, 6);
+        let mut watch = EpisodeWatch::new(7, 6);
         watch.success(false);
         for tick in 0..5 {
             watch.plan(&plan());

@@ -1,22 +1,22 @@
-//! `-r`: rules that give a node, its namespace, its topics and its services other names.
+//! `-r`: rules that rename a node, its namespace, its topics and its services.
 
-/// What a rule renames.
+/// The target of a rule.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Target {
     /// `__node:=`, the node's base name.
     Node,
     /// `__ns:=`, the node's namespace.
     Namespace,
-    /// A topic or service, as it was written; expanded before it is compared.
+    /// A topic or service, unexpanded; expanded for comparison.
     Name(String),
 }
 
 /// One rule.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Remap {
-    /// Only for the node of this base name.
+    /// The rule applies only to the node of this base name.
     pub(crate) node: Option<String>,
-    /// What is renamed.
+    /// The old name.
     pub(crate) from: Target,
     /// The new name.
     pub(crate) to: String,
@@ -53,7 +53,7 @@ impl Remap {
         })
     }
 
-    /// Whether the rule is for a node of this base name.
+    /// Whether the rule applies to a node of this base name.
     pub(crate) fn is_for(&self, node: &str) -> bool {
         self.node.as_deref().is_none_or(|only| only == node)
     }
