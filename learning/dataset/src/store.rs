@@ -19,7 +19,7 @@ use super::{
     DataStatistics, DatasetError, Episode, LatentStatistics, Manifest, Size,
     fingerprint::{hex, short},
     manifest::VERSION,
-    preparation::shrink,
+    mask::shrink,
 };
 
 const MANIFEST: &str = "dataset.json";

@@ -3,13 +3,14 @@
 
 mod arguments;
 mod crops;
+mod error;
 mod evaluation;
 mod salience;
 mod trainer;
 
 pub use arguments::{EvaluateAutoencoderArgs, TrainAutoencoderArgs};
+pub use error::TrainingError;
 pub use evaluation::{Reconstruction, evaluate, picture};
-pub use trainer::TrainingError;
 
 use serde::{Deserialize, Serialize};
 use wm_model::{AutoencoderConfig, Fit};

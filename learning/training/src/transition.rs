@@ -6,6 +6,7 @@
 //! `Workers`.
 
 mod arguments;
+mod draws;
 mod noised_at_once;
 mod objective;
 mod recipe;
