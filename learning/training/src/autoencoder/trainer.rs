@@ -22,7 +22,7 @@ use super::{
 };
 use crate::{
     optimiser::{Group, Parameter, ParameterValues, step_rng},
-    run::{StepLoss, Task},
+    run::{Learner, StepLoss, Task},
     trained_weights::PRECISION,
 };
 
@@ -240,15 +240,7 @@ impl<'a> AutoencoderTask<'a> {
     }
 }
 
-impl Task for AutoencoderTask<'_> {
-    fn name(&self) -> &'static str {
-        "autoencoder"
-    }
-
-    fn files(&self) -> &'static [&'static str] {
-        &[FILE, wm_zoo::folder::FILE]
-    }
-
+impl Learner for AutoencoderTask<'_> {
     fn parameters(&self) -> Result<Vec<Parameter>> {
         let mut parameters = BTreeMap::new();
         for (half, network) in halves(&self.model) {
@@ -309,6 +301,16 @@ impl Task for AutoencoderTask<'_> {
     fn assign(&mut self, weights: &mut dyn Iterator<Item = ParameterValues<'_>>) -> Result<()> {
         assign(&mut self.model, weights);
         Ok(())
+    }
+}
+
+impl Task for AutoencoderTask<'_> {
+    fn name(&self) -> &'static str {
+        "autoencoder"
+    }
+
+    fn files(&self) -> &'static [&'static str] {
+        &[FILE, wm_zoo::folder::FILE]
     }
 
     fn write(
