@@ -7,7 +7,7 @@ use wm_motion::{
 };
 use wm_msgs::{Message as _, sensor_msgs::JointState, wm_msgs::Action};
 
-use super::recording::UnusableBag;
+use super::unusable_bag::UnusableBag;
 
 /// Greatest age of a joint's value against the first joint's, if joints arrive in several messages \[ns\].
 const OLDEST_NS: u64 = 1_000_000_000;

@@ -21,6 +21,7 @@ mod held_out;
 mod latents;
 mod layout;
 mod manifest;
+mod mask;
 mod options;
 mod preparation;
 mod recording;
@@ -33,6 +34,7 @@ mod statistics;
 mod store;
 #[cfg(any(test, feature = "testing"))]
 pub mod testing;
+mod unusable_bag;
 
 use std::{collections::BTreeMap, sync::Arc};
 

@@ -24,7 +24,6 @@ use super::{
 };
 use bags::Survey;
 use frames::DecodedFrames;
-pub(super) use frames::shrink;
 
 /// Inputs and settings of a prepared folder.
 pub(super) struct Preparation {

@@ -23,6 +23,7 @@ use super::{
     manifest::Thing,
     options::StampSource,
     spans::Spans,
+    unusable_bag::UnusableBag,
 };
 
 const INSTRUCTION: &str = "/task/instruction";
@@ -77,25 +78,6 @@ pub(super) struct Recording {
     pub recorded: RecordedTopics,
     /// State of the arm, for the audit.
     pub state: StateLog,
-}
-
-/// An unusable bag.
-#[derive(Debug)]
-pub(super) enum UnusableBag {
-    /// It lacks something, and is excluded.
-    Lacks(String),
-    /// Its robot differs from its description.
-    Differs(String),
-}
-
-impl UnusableBag {
-    /// Changes the text.
-    fn map(self, words: impl FnOnce(String) -> String) -> Self {
-        match self {
-            Self::Lacks(what) => Self::Lacks(words(what)),
-            Self::Differs(what) => Self::Differs(words(what)),
-        }
-    }
 }
 
 /// Undecodable pictures.

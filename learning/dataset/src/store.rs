@@ -19,7 +19,7 @@ use super::{
     DataStatistics, DatasetError, Episode, LatentStatistics, Manifest, Size,
     fingerprint::{hex, short},
     manifest::VERSION,
-    preparation::shrink,
+    mask::shrink,
 };
 
 const MANIFEST: &str = "dataset.json";
@@ -312,6 +312,7 @@ pub(super) struct NewFolder {
 
 impl NewFolder {
     pub fn create(dir: &Path) -> Result<Self, DatasetError> {
+        // Only a path such as `..` has no name; the random suffix keeps it unique.
         let name = dir.file_name().unwrap_or_default().to_string_lossy();
         // Two threads or machines may prepare the same data with equal process ids.
         let name = format!("{name}.partial-{:016x}", rand::random::<u64>());

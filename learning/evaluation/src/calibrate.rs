@@ -6,13 +6,13 @@ use anyhow::{Context as _, Result, ensure};
 use candle_core::Tensor;
 use clap::Args;
 use wm_dataset::{ClipSource, DataOptions, Dataset, FrameValues as _};
-use wm_model::sampler::{Given, Rollout};
 use wm_model::{Compute, Decoder, Encoder, WorldModel};
 use wm_zoo::calibration::{FILE, Origin, STRENGTH};
 use wm_zoo::folder::DescribedFolder;
 use wm_zoo::{Calibration, ModelFolder};
 
 use crate::CONTEXT;
+use crate::subject::predict;
 use crate::windows::SEED;
 
 /// Predicted frames per context.
@@ -232,7 +232,10 @@ impl Parts {
         let latents = Tensor::cat(&latents.collect::<Result<Vec<_>>>()?, 0)?;
         let observed = given.map_or(&latents, |given| &given.latents);
         let predicted = match (&self.world, &sample.actions) {
-            (Some(world), Some(actions)) => Some(predict(world, observed, actions)?),
+            (Some(world), Some(actions)) => {
+                let sampler = &world.transition.config().sampler;
+                Some(predict(world, sampler, (observed, actions), SEED)?)
+            }
             _ => None,
         };
         let to_decode = match given {
@@ -251,23 +254,6 @@ impl Parts {
             pictures,
         })
     }
-}
-
-/// Predicts after the first [`CONTEXT`] latents under the actions.
-fn predict(world: &WorldModel, latents: &Tensor, actions: &Tensor) -> Result<Tensor> {
-    let model = &world.transition;
-    let context = latents.narrow(0, 0, CONTEXT)?.unsqueeze(0)?;
-    let past = actions.narrow(0, 0, CONTEXT - 1)?;
-    let mut rollout = Rollout::new(model, &model.config().sampler, &context, Some(&past), SEED)?;
-    let predicted = (CONTEXT..latents.dim(0)?).map(|at| {
-        let own = actions.narrow(0, at, 1)?;
-        let given = Given {
-            own_action: Some(&own),
-            ..Given::default()
-        };
-        Ok(rollout.next_given(&actions.narrow(0, at - 1, 1)?, given)?)
-    });
-    Ok(Tensor::cat(&predicted.collect::<Result<Vec<_>>>()?, 0)?)
 }
 
 /// Sums of squares.

@@ -11,6 +11,7 @@ mod controller;
 mod findings;
 mod live;
 pub(crate) mod model;
+mod run;
 pub(crate) mod seeds;
 mod settings;
 mod simulator;

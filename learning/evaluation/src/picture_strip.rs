@@ -19,6 +19,7 @@ const HEIGHT: u32 = 128;
 pub fn grid(rows: &[Vec<Option<RgbImage>>]) -> RgbImage {
     let mut pictures = rows.iter().flatten().flatten();
     let (width, height) = pictures.next().map_or((1, 1), RgbImage::dimensions);
+    // Without rows the picture has one pixel.
     let columns = rows.iter().map(Vec::len).max().unwrap_or(0) as u32;
     let size = |count: u32, side: u32| (count * (side + GAP)).saturating_sub(GAP).max(1);
     let (across, down) = (size(columns, width), size(rows.len() as u32, height));
@@ -38,6 +39,7 @@ pub fn grid(rows: &[Vec<Option<RgbImage>>]) -> RgbImage {
 /// # Errors
 /// If encoding fails.
 pub(crate) fn strip_of(rows: &[&[RgbImage]]) -> Result<String> {
+    // Without rows the picture has one pixel.
     let longest = rows.iter().map(|row| row.len()).max().unwrap_or(0);
     let shown = COLUMNS.min(longest);
     let at = |column: usize| column * (longest - 1) / (shown - 1).max(1);

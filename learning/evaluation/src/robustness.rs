@@ -48,6 +48,7 @@ pub fn units(subject: &Subject, settings: &Settings) -> Vec<(usize, usize)> {
     let skip = subject.world.encoding.frame_skip();
     let steps = CONTEXT + settings.robustness.steps;
     let spacing = Change::ALL.into_iter().map(|change| change.spacing(skip));
+    // `Change::ALL` is not empty.
     let span = (steps - 1) * spacing.max().unwrap_or(skip) + 1;
     let episodes = subject.dataset.episodes().iter().enumerate();
     let windows = episodes.flat_map(|(index, episode)| {

@@ -178,20 +178,29 @@ impl Subject {
     /// If the recording does not fit the model.
     pub fn rollout(&self, recording: &Recording, seed: u64) -> Result<Tensor> {
         let Recording { frames, actions } = recording;
-        let context = frames.narrow(0, 0, CONTEXT)?.unsqueeze(0)?;
-        let past = actions.narrow(0, 0, CONTEXT - 1)?;
-        let model = &self.world.transition;
-        let mut rollout = Rollout::new(model, self.sampler(), &context, Some(&past), seed)?;
-        let predicted = (CONTEXT..frames.dim(0)?).map(|at| {
-            let own = actions.narrow(0, at, 1)?;
-            let given = Given {
-                own_action: Some(&own),
-                ..Given::default()
-            };
-            Ok(rollout.next_given(&actions.narrow(0, at - 1, 1)?, given)?)
-        });
-        Ok(Tensor::cat(&predicted.collect::<Result<Vec<_>>>()?, 0)?)
+        predict(&self.world, self.sampler(), (frames, actions), seed)
     }
+}
+
+/// Predicts after the first [`CONTEXT`] of the frames (N, h, w, C), under the actions (N, A), to their end.
+pub(crate) fn predict(
+    world: &WorldModel,
+    sampler: &Sampler,
+    (frames, actions): (&Tensor, &Tensor),
+    seed: u64,
+) -> Result<Tensor> {
+    let context = frames.narrow(0, 0, CONTEXT)?.unsqueeze(0)?;
+    let past = actions.narrow(0, 0, CONTEXT - 1)?;
+    let mut rollout = Rollout::new(&world.transition, sampler, &context, Some(&past), seed)?;
+    let predicted = (CONTEXT..frames.dim(0)?).map(|at| {
+        let own = actions.narrow(0, at, 1)?;
+        let given = Given {
+            own_action: Some(&own),
+            ..Given::default()
+        };
+        Ok(rollout.next_given(&actions.narrow(0, at - 1, 1)?, given)?)
+    });
+    Ok(Tensor::cat(&predicted.collect::<Result<Vec<_>>>()?, 0)?)
 }
 
 /// Opens the model `name` (`tiny`, or a folder) without loading it.

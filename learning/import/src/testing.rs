@@ -36,6 +36,14 @@ pub(crate) fn assert_shards_join(
     }
 }
 
+/// Options of the shard `index` of `count`.
+pub(crate) fn of_shard(index: usize, count: usize) -> ImportOptions {
+    ImportOptions {
+        shard: shard(index, count),
+        ..ImportOptions::default()
+    }
+}
+
 pub(crate) fn shard(index: usize, count: usize) -> Shard {
     format!("{index}/{count}").parse().unwrap()
 }

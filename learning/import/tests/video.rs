@@ -9,9 +9,9 @@ use openh264::{
     formats::{RgbSliceU8, YUVBuffer},
 };
 use tempfile::TempDir;
-use wm_bag::{BagReader, BagWriter, Schema, WriterOptions};
+use wm_bag::{BagReader, BagWriter, WriterOptions};
 use wm_camera::camera_frame::CameraFrame;
-use wm_msgs::{builtin_interfaces::Time, cdr};
+use wm_msgs::{builtin_interfaces::Time, foxglove_msgs::CompressedVideo};
 
 const TOPIC: &str = "/camera/image_raw/video";
 const START_NS: i64 = 1_700_000_000_000_000_000;
@@ -31,9 +31,6 @@ fn run(command: &str, args: &[&str]) -> (i32, String) {
 fn write(bag: &Path, (frames, skipped): (u8, u8), shown: fn(u8) -> u8) {
     let mut encoder = Encoder::new().unwrap();
     let mut writer = BagWriter::create(bag, WriterOptions::default()).unwrap();
-    let definition =
-        "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format";
-    let schema = Schema::ros2msg(definition);
     for frame in 0..frames {
         if frame % 5 == 0 {
             encoder.force_intra_frame();
@@ -47,15 +44,14 @@ fn write(bag: &Path, (frames, skipped): (u8, u8), shown: fn(u8) -> u8) {
             continue;
         }
         let at_ns = START_NS + i64::from(frame) * 100_000_000;
-        let data = coded.to_vec();
-        let bytes = serde_bytes::Bytes::new(&data);
-        let packet = (Time::from_nanos(at_ns), "camera", bytes, "h264");
-        let data = cdr::to_bytes(&packet).unwrap();
-        let name = "foxglove_msgs/msg/CompressedVideo";
+        let packet = CompressedVideo {
+            timestamp: Time::from_nanos(at_ns),
+            frame_id: "camera".to_owned(),
+            data: coded.to_vec(),
+            format: "h264".to_owned(),
+        };
         let log_ns = u64::try_from(at_ns).unwrap();
-        writer
-            .write_raw(TOPIC, name, &schema, log_ns, &data)
-            .unwrap();
+        writer.write(TOPIC, &packet, log_ns).unwrap();
     }
     writer.finish().unwrap();
 }

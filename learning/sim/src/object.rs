@@ -171,39 +171,19 @@ pub struct Colour {
 
 /// The colours of objects, different from the two fingers'.
 pub const COLOURS: [Colour; 8] = [
-    Colour {
-        name: "red",
-        srgb: [0.88, 0.12, 0.10],
-    },
-    Colour {
-        name: "blue",
-        srgb: [0.10, 0.28, 0.88],
-    },
-    Colour {
-        name: "green",
-        srgb: [0.10, 0.62, 0.20],
-    },
-    Colour {
-        name: "yellow",
-        srgb: [0.96, 0.80, 0.08],
-    },
-    Colour {
-        name: "purple",
-        srgb: [0.50, 0.16, 0.72],
-    },
-    Colour {
-        name: "orange",
-        srgb: [0.97, 0.47, 0.06],
-    },
-    Colour {
-        name: "white",
-        srgb: [0.95, 0.95, 0.95],
-    },
-    Colour {
-        name: "black",
-        srgb: [0.09, 0.09, 0.10],
-    },
+    colour("red", [0.88, 0.12, 0.10]),
+    colour("blue", [0.10, 0.28, 0.88]),
+    colour("green", [0.10, 0.62, 0.20]),
+    colour("yellow", [0.96, 0.80, 0.08]),
+    colour("purple", [0.50, 0.16, 0.72]),
+    colour("orange", [0.97, 0.47, 0.06]),
+    colour("white", [0.95, 0.95, 0.95]),
+    colour("black", [0.09, 0.09, 0.10]),
 ];
+
+const fn colour(name: &'static str, srgb: [f32; 3]) -> Colour {
+    Colour { name, srgb }
+}
 
 /// An object in the scene.
 #[derive(Clone, Debug, PartialEq)]

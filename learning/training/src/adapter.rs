@@ -28,10 +28,11 @@ use wm_zoo::{Checkpoint, lpips::Lpips};
 
 use crate::{
     arguments::RunArgs,
-    optimiser::{Group, Parameter, ParameterValues, Variables},
-    run::{StepLoss, Task},
+    network_variables::{NetworkLearner, NetworkVariables},
+    optimiser::{Group, ParameterValues},
+    run::Task,
     transition::normals,
-    workers::{BatchLoss, Batches, Workers},
+    workers::BatchLoss,
 };
 use evaluation::SavedNetworks;
 use files::{Output, PIXEL_DECODER};
@@ -42,7 +43,7 @@ pub use evaluation::Reconstruction;
 pub use files::{FILE, STATISTICS};
 pub use frames::Frames;
 pub use ms_ssim::MsSsim;
-pub use recipe::{AdapterModelRecipe, AdapterRecipe, LossRecipe, RECIPES};
+pub use recipe::{AdapterModelRecipe, AdapterRecipe, LossRecipe};
 
 /// Frames of a validation during the training, and of the final one.
 const VALIDATION_FRAMES: [usize; 2] = [64, 1000];
@@ -67,12 +68,9 @@ struct Data<'a> {
 struct AdapterTask<'a> {
     recipe: &'a AdapterRecipe,
     data: &'a Data<'a>,
-    variables: Variables,
+    variables: NetworkVariables,
     objective: Objective<'a>,
-    /// Factor on all learning rates.
-    rate: f64,
     device: Device,
-    workers: Workers,
     /// The networks written last.
     written: Option<SavedNetworks>,
 }
@@ -99,19 +97,20 @@ impl<'a> AdapterTask<'a> {
         if let Some(start) = &data.start {
             files::start_from(start, &variables)?;
         }
+        // All weights of a fine-tuned model are old.
+        let rate = data.start.as_ref().map_or(1.0, |_| run.old_rate);
+        let groups = [1.0, recipe.pixel_decoder_rate].map(|own| Group { rate: own * rate });
+        let of_pixels = variables
+            .names()
+            .filter(|name| name.starts_with(PIXEL_DECODER));
+        let of_pixels = of_pixels.map(str::to_owned).collect();
+        let variables = NetworkVariables::new(variables, recipe, run)?;
         Ok(Self {
             recipe,
             data,
-            variables,
+            variables: variables.in_groups(groups.into(), of_pixels),
             objective,
-            // All weights of a fine-tuned model are old.
-            rate: if data.start.is_some() {
-                run.old_rate
-            } else {
-                1.0
-            },
             device: compute.device()?.clone(),
-            workers: Workers::new(run.threads()?)?,
             written: None,
         })
     }
@@ -132,6 +131,20 @@ impl<'a> AdapterTask<'a> {
     }
 }
 
+impl NetworkLearner for AdapterTask<'_> {
+    fn variables(&self) -> &NetworkVariables {
+        &self.variables
+    }
+
+    fn batch_loss(&self, step: u64, rng: &mut ChaCha8Rng) -> Result<BatchLoss> {
+        let losses = self.drawn(rng, step)?;
+        Ok(BatchLoss {
+            parts: losses.parts,
+            ..BatchLoss::from((losses.adapter + losses.pixel)?)
+        })
+    }
+}
+
 impl Task for AdapterTask<'_> {
     fn name(&self) -> &'static str {
         "adapter"
@@ -139,41 +152,6 @@ impl Task for AdapterTask<'_> {
 
     fn files(&self) -> &'static [&'static str] {
         &[FILE, STATISTICS, wm_zoo::folder::FILE]
-    }
-
-    fn parameters(&self) -> Result<Vec<Parameter>> {
-        let is_pixels = |name: &str| name.starts_with(PIXEL_DECODER);
-        Ok(self
-            .variables
-            .parameters(|name| usize::from(is_pixels(name)))?)
-    }
-
-    fn groups(&self) -> Vec<Group> {
-        let pixels = self.recipe.pixel_decoder_rate;
-        [1.0, pixels]
-            .map(|rate| Group {
-                rate: rate * self.rate,
-            })
-            .into()
-    }
-
-    fn step(&mut self, step: u64) -> Result<StepLoss> {
-        let batches = Batches {
-            count: self.recipe.batch / self.recipe.micro_batch,
-            seed: self.recipe.seed,
-            step,
-        };
-        self.workers.step(&self.variables, batches, &|rng| {
-            let losses = self.drawn(rng, step)?;
-            Ok(BatchLoss {
-                parts: losses.parts,
-                ..BatchLoss::from((losses.adapter + losses.pixel)?)
-            })
-        })
-    }
-
-    fn assign(&mut self, weights: &mut dyn Iterator<Item = ParameterValues<'_>>) -> Result<()> {
-        Ok(self.variables.assign(weights)?)
     }
 
     fn write(

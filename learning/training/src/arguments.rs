@@ -1,5 +1,8 @@
 //! Command-line arguments of every training.
 
+mod latents;
+mod pictures;
+
 use std::{path::PathBuf, time::Duration};
 
 use anyhow::{Context as _, Result, ensure};
@@ -15,9 +18,12 @@ use wm_zoo::ModelFolder;
 use crate::{
     fresh_weights::FreshWeights,
     optimiser::Group,
-    recipe::{Override, Recipe, Span},
+    recipe::{Override, Recipe, RecipeError, Span},
     run::{RunEnd, RunSettings, Stop, Task},
 };
+
+pub use latents::{HeldOutLatentArgs, LatentRunArgs};
+pub use pictures::PictureRunArgs;
 
 /// Data, folder and recipe of a training.
 #[derive(Clone, Debug, Args)]
@@ -206,6 +212,18 @@ impl RunArgs {
         overrides
     }
 
+    /// The recipe with overridden settings, and `further` ones.
+    ///
+    /// # Errors
+    /// Names an invalid setting.
+    pub fn load_recipe<R: Recipe>(
+        &self,
+        further: impl IntoIterator<Item = Override>,
+    ) -> Result<R, RecipeError> {
+        let overrides: Vec<Override> = self.overrides().into_iter().chain(further).collect();
+        crate::recipe::load(R::BUNDLED, &self.recipe, &overrides)
+    }
+
     /// Steps of a training of this length, with `per_epoch` steps per epoch; at least one.
     #[must_use]
     pub fn length(&self, length: Span, per_epoch: f64) -> u64 {
@@ -264,6 +282,22 @@ impl RunArgs {
             }
         }
         Ok(ended)
+    }
+
+    /// Trains `task` on the clips of `episodes`.
+    ///
+    /// # Errors
+    /// Those of [`crate::run::train`].
+    pub(crate) fn train_on_clips(
+        &self,
+        task: &mut dyn Task,
+        recipe: &impl Recipe,
+        (episodes, data): (usize, impl IntoIterator<Item = (&'static str, Value)>),
+        stop: &Stop,
+    ) -> Result<RunEnd> {
+        let settings = self.settings(recipe, episodes, data)?;
+        let about = format!("{episodes} episodes, {} threads", self.threads()?);
+        self.train(task, recipe, &settings, (&about, stop))
     }
 
     /// Folder for decoded frames and latents.

@@ -3,23 +3,21 @@
 
 mod arguments;
 mod crops;
+mod error;
 mod evaluation;
 mod salience;
 mod trainer;
 
 pub use arguments::{EvaluateAutoencoderArgs, TrainAutoencoderArgs};
+pub use error::TrainingError;
 pub use evaluation::{Reconstruction, evaluate, picture};
-pub use trainer::TrainingError;
 
 use serde::{Deserialize, Serialize};
 use wm_model::{AutoencoderConfig, Fit};
 
-use crate::recipe::{Bundled, Optimisation, Span, is_recipe};
+use crate::recipe::{Bundled, Course, Optimisation, Recipe, Span};
 
-/// Embedded recipes. The paper trains no autoencoder.
-pub const RECIPES: Bundled = &[("tiny", include_str!("../recipes/tiny/autoencoder.yaml"))];
-
-/// Settings of autoencoder training, explained in `recipes/tiny/autoencoder.yaml`.
+/// Settings of autoencoder training, explained in `recipes/tiny/autoencoder.yaml`. The paper trains no autoencoder.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AutoencoderRecipe {
@@ -55,7 +53,21 @@ pub struct AutoencoderRecipe {
     pub optimisation: Optimisation,
 }
 
-is_recipe!(AutoencoderRecipe);
+impl Recipe for AutoencoderRecipe {
+    const BUNDLED: Bundled = &[("tiny", include_str!("../recipes/tiny/autoencoder.yaml"))];
+
+    fn course(&self) -> Course<'_> {
+        Course {
+            seed: self.seed,
+            length: self.length,
+            batch: self.batch,
+            micro_batch: self.batch,
+            validate_every: self.validate_every,
+            checkpoint_seconds: self.checkpoint_seconds,
+            optimisation: &self.optimisation,
+        }
+    }
+}
 
 impl AutoencoderRecipe {
     /// Number of `steps` on whole pictures.

@@ -60,18 +60,19 @@ use wm_zoo::idm::TrainedIdm;
 
 use crate::{
     arguments::RunArgs,
-    optimiser::{Parameter, ParameterValues, Variables},
+    network_variables::{NetworkLearner, NetworkVariables},
+    optimiser::{Parameter, ParameterValues},
     recipe::Recipe as _,
-    run::{RunEnd, StepLoss, Stop, Task},
+    run::{RunEnd, Stop, Task},
     trained_weights::trained_weights_of_actions,
     transition::{Batch, FILE, HORIZON, Objective, QUICK_WINDOWS, table_row},
-    workers::{BatchLoss, Batches, Workers},
+    workers::BatchLoss,
 };
 pub use arguments::TrainDistillArgs;
 use consistency::Steps;
 use gate::{Measurement, Verdict};
 use levels::Levels;
-pub use recipe::{ConsistencyRecipe, DistillRecipe, GateRecipe, RECIPES, SelfForcingRecipe};
+pub use recipe::{ConsistencyRecipe, DistillRecipe, GateRecipe, SelfForcingRecipe};
 use self_forcing::OwnHistory;
 use teacher::Teacher;
 
@@ -200,10 +201,9 @@ struct DistillTask<'a> {
     self_forcing_after: u64,
     clips: ClipSource<'a>,
     held_out: Option<HeldOut>,
-    variables: Variables,
+    variables: NetworkVariables,
     student: Transition,
     target: Transition,
-    workers: Workers,
     /// The student written last.
     written: Option<Transition>,
 }
@@ -240,9 +240,8 @@ impl<'a> DistillTask<'a> {
             )?,
             recipe,
             teacher,
-            variables,
+            variables: NetworkVariables::new(variables, recipe, run)?,
             student,
-            workers: Workers::new(run.threads()?)?,
             written: None,
         })
     }
@@ -280,6 +279,29 @@ fn as_trained(parameter: &Parameter) -> ParameterValues<'_> {
     }
 }
 
+impl NetworkLearner for DistillTask<'_> {
+    fn variables(&self) -> &NetworkVariables {
+        &self.variables
+    }
+
+    fn batch_loss(&self, step: u64, rng: &mut ChaCha8Rng) -> Result<BatchLoss> {
+        let gradients = WeightGradients::default();
+        let student = self.student.collecting(&gradients);
+        Ok(BatchLoss {
+            gradients,
+            ..BatchLoss::from(self.loss(&student, step, rng)?)
+        })
+    }
+
+    fn follow_averaged(
+        &mut self,
+        averaged: &mut dyn Iterator<Item = ParameterValues<'_>>,
+    ) -> Result<()> {
+        self.target = self.teacher.target(self.student.config(), averaged)?;
+        Ok(())
+    }
+}
+
 impl Task for DistillTask<'_> {
     fn name(&self) -> &'static str {
         "distill"
@@ -287,38 +309,6 @@ impl Task for DistillTask<'_> {
 
     fn files(&self) -> &'static [&'static str] {
         &[FILE, REJECTED]
-    }
-
-    fn parameters(&self) -> Result<Vec<Parameter>> {
-        Ok(self.variables.parameters(|_| 0)?)
-    }
-
-    fn step(&mut self, step: u64) -> Result<StepLoss> {
-        let batches = Batches {
-            count: self.objective.clips / self.objective.micro_batch,
-            seed: self.objective.seed,
-            step,
-        };
-        self.workers.step(&self.variables, batches, &|rng| {
-            let gradients = WeightGradients::default();
-            let student = self.student.collecting(&gradients);
-            Ok(BatchLoss {
-                gradients,
-                ..BatchLoss::from(self.loss(&student, step, rng)?)
-            })
-        })
-    }
-
-    fn assign(&mut self, weights: &mut dyn Iterator<Item = ParameterValues<'_>>) -> Result<()> {
-        Ok(self.variables.assign(weights)?)
-    }
-
-    fn assign_averaged(
-        &mut self,
-        weights: &mut dyn Iterator<Item = ParameterValues<'_>>,
-    ) -> Result<()> {
-        self.target = self.teacher.target(self.student.config(), weights)?;
-        Ok(())
     }
 
     fn write(

@@ -13,7 +13,7 @@ mod initial;
 mod network;
 mod recipe;
 
-use std::{collections::BTreeSet, path::Path};
+use std::path::Path;
 
 use anyhow::{Context as _, Result};
 use candle_core::{Device, Tensor};
@@ -32,15 +32,16 @@ use wm_zoo::{
 use crate::{
     arguments::RunArgs,
     idm::{self, QUICK_WINDOWS},
-    optimiser::{Group, Parameter, ParameterValues, Variables},
-    run::{StepLoss, Task},
-    workers::{BatchLoss, Batches, Workers},
+    network_variables::{NetworkLearner, NetworkVariables},
+    optimiser::{ParameterValues, Variables},
+    run::Task,
+    workers::BatchLoss,
 };
 use network::{HEAD, Network, each_frame};
 
 pub use arguments::TrainEncoderArgs;
 pub use files::FILE;
-pub use recipe::{EncoderModelRecipe, EncoderRecipe, RECIPES};
+pub use recipe::{EncoderModelRecipe, EncoderRecipe};
 
 /// An encoder in training.
 struct EncoderTask<'a> {
@@ -51,12 +52,8 @@ struct EncoderTask<'a> {
     held_out: Option<ClipSource<'a>>,
     /// Size of the pictures in the bags, if equal.
     picture_size: Option<PictureSize>,
-    variables: Variables,
-    /// Names of fine-tuned tensors.
-    old: BTreeSet<String>,
-    groups: Vec<Group>,
+    variables: NetworkVariables,
     network: Network,
-    workers: Workers,
     /// The output written last.
     written: Option<SavedEncoder>,
 }
@@ -80,7 +77,6 @@ impl<'a> EncoderTask<'a> {
         let fresh = run.fresh_weights(FILE, recipe.seed)?;
         initial::begin(&fresh, &encoder, &head)?;
         let network = Network::load(&encoder, &head, &fresh.loader())?;
-        let (variables, old) = fresh.into_variables();
         let window = head.horizon() + 1;
         let clips = |dataset: &'a Dataset, frames| ClipSource::new(dataset, encoding, frames);
         Ok(Self {
@@ -93,11 +89,8 @@ impl<'a> EncoderTask<'a> {
             recipe,
             encoder,
             head,
-            variables,
-            old,
-            groups: run.groups(),
+            variables: NetworkVariables::fresh(fresh, recipe, run)?,
             network,
-            workers: Workers::new(run.threads()?)?,
             written: None,
         })
     }
@@ -143,6 +136,23 @@ fn relit(pictures: &Tensor, most: f64, rng: &mut ChaCha8Rng) -> Result<Tensor> {
     Ok(lit.clamp(0.0, 1.0)?)
 }
 
+impl NetworkLearner for EncoderTask<'_> {
+    fn variables(&self) -> &NetworkVariables {
+        &self.variables
+    }
+
+    fn batch_loss(&self, _step: u64, rng: &mut ChaCha8Rng) -> Result<BatchLoss> {
+        Ok(BatchLoss::from(self.loss(rng)?))
+    }
+
+    fn follow(&mut self) -> Result<()> {
+        // Loaded again, since the patch embedding stores its filters in another order than the variable.
+        let loader = Loader::supplied(&self.variables.tensors, Kernels::Candle);
+        self.network = Network::load(&self.encoder, &self.head, &loader)?;
+        Ok(())
+    }
+}
+
 impl Task for EncoderTask<'_> {
     fn name(&self) -> &'static str {
         "encoder"
@@ -150,34 +160,6 @@ impl Task for EncoderTask<'_> {
 
     fn files(&self) -> &'static [&'static str] {
         &[FILE, folder::FILE]
-    }
-
-    fn parameters(&self) -> Result<Vec<Parameter>> {
-        let is_old = |name: &str| usize::from(self.old.contains(name));
-        Ok(self.variables.parameters(is_old)?)
-    }
-
-    fn groups(&self) -> Vec<Group> {
-        self.groups.clone()
-    }
-
-    fn step(&mut self, step: u64) -> Result<StepLoss> {
-        let batches = Batches {
-            count: self.recipe.batch / self.recipe.micro_batch,
-            seed: self.recipe.seed,
-            step,
-        };
-        self.workers.step(&self.variables, batches, &|rng| {
-            Ok(BatchLoss::from(self.loss(rng)?))
-        })
-    }
-
-    fn assign(&mut self, weights: &mut dyn Iterator<Item = ParameterValues<'_>>) -> Result<()> {
-        self.variables.assign(weights)?;
-        // Loaded again, since the patch embedding stores its filters in another order than the variable.
-        let loader = Loader::supplied(&self.variables, Kernels::Candle);
-        self.network = Network::load(&self.encoder, &self.head, &loader)?;
-        Ok(())
     }
 
     fn write(

@@ -5,7 +5,7 @@
 mod arguments;
 mod recipe;
 
-use std::{collections::BTreeSet, path::Path};
+use std::path::Path;
 
 use anyhow::{Context as _, Result, ensure};
 use candle_core::{DType, Tensor};
@@ -21,14 +21,15 @@ use wm_zoo::{
 
 use crate::{
     arguments::RunArgs,
-    optimiser::{Group, Parameter, ParameterValues, Variables},
-    run::{StepLoss, Task},
+    network_variables::{NetworkLearner, NetworkVariables},
+    optimiser::ParameterValues,
+    run::Task,
     trained_weights::trained_weights_of_actions,
     transition::normals,
-    workers::{BatchLoss, Batches, Workers},
+    workers::BatchLoss,
 };
 pub use arguments::{EvaluateIdmArgs, TrainIdmArgs};
-pub use recipe::{IdmKind, IdmModelRecipe, IdmRecipe, RECIPES};
+pub use recipe::{IdmKind, IdmModelRecipe, IdmRecipe};
 
 /// Windows of evaluations during the training.
 pub(crate) const QUICK_WINDOWS: usize = 256;
@@ -41,12 +42,8 @@ struct IdmTask<'a> {
     train: &'a Latents,
     clips: ClipSource<'a>,
     held_out: Option<&'a Latents>,
-    variables: Variables,
-    /// Names of fine-tuned tensors.
-    old: BTreeSet<String>,
-    groups: Vec<Group>,
+    variables: NetworkVariables,
     model: IdmNetwork,
-    workers: Workers,
     /// The model written last.
     written: Option<TrainedIdm>,
 }
@@ -72,7 +69,6 @@ impl<'a> IdmTask<'a> {
         let config = sizes.config(train.space().shape(), encoding)?;
         let fresh = run.fresh_weights(FILE, recipe.seed)?;
         let model = IdmNetwork::load(&config, &fresh.loader())?;
-        let (variables, old) = fresh.into_variables();
         let frames = config.horizon() + 1;
         if let Some(held_out) = held_out {
             ClipSource::new(held_out, encoding, frames).context("the held-out bags")?;
@@ -84,11 +80,8 @@ impl<'a> IdmTask<'a> {
             encoding,
             train,
             held_out,
-            variables,
-            old,
-            groups: run.groups(),
+            variables: NetworkVariables::fresh(fresh, recipe, run)?,
             model,
-            workers: Workers::new(run.threads()?)?,
             written: None,
         })
     }
@@ -128,6 +121,16 @@ fn smooth_l1(found: &Tensor, truth: &Tensor) -> Result<Tensor> {
     Ok(loss.mean_all()?)
 }
 
+impl NetworkLearner for IdmTask<'_> {
+    fn variables(&self) -> &NetworkVariables {
+        &self.variables
+    }
+
+    fn batch_loss(&self, _step: u64, rng: &mut ChaCha8Rng) -> Result<BatchLoss> {
+        Ok(BatchLoss::from(self.loss(rng)?))
+    }
+}
+
 impl Task for IdmTask<'_> {
     fn name(&self) -> &'static str {
         "idm"
@@ -135,30 +138,6 @@ impl Task for IdmTask<'_> {
 
     fn files(&self) -> &'static [&'static str] {
         &[FILE]
-    }
-
-    fn parameters(&self) -> Result<Vec<Parameter>> {
-        let is_old = |name: &str| usize::from(self.old.contains(name));
-        Ok(self.variables.parameters(is_old)?)
-    }
-
-    fn groups(&self) -> Vec<Group> {
-        self.groups.clone()
-    }
-
-    fn step(&mut self, step: u64) -> Result<StepLoss> {
-        let batches = Batches {
-            count: self.recipe.batch / self.recipe.micro_batch,
-            seed: self.recipe.seed,
-            step,
-        };
-        self.workers.step(&self.variables, batches, &|rng| {
-            Ok(BatchLoss::from(self.loss(rng)?))
-        })
-    }
-
-    fn assign(&mut self, weights: &mut dyn Iterator<Item = ParameterValues<'_>>) -> Result<()> {
-        Ok(self.variables.assign(weights)?)
     }
 
     fn write(

@@ -18,6 +18,7 @@ pub mod idm;
 pub mod model;
 pub mod model_card;
 mod model_folder;
+mod network_variables;
 mod optimiser;
 pub mod probe;
 mod recipe;

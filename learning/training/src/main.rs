@@ -124,17 +124,21 @@ impl TrainCommand {
         let (ended, of) = match self {
             // It prints its own card and summary, for all parts.
             Self::Model(arguments) => (arguments.run(&stop)?, None),
-            Self::Autoencoder(arguments) => {
-                (arguments.run(&stop)?, Some((arguments.run, "autoencoder")))
+            Self::Autoencoder(arguments) => (
+                arguments.run(&stop)?,
+                Some((arguments.on.run, "autoencoder")),
+            ),
+            Self::Encoder(arguments) => {
+                (arguments.run(&stop)?, Some((arguments.on.run, "encoder")))
             }
-            Self::Encoder(arguments) => (arguments.run(&stop)?, Some((arguments.run, "encoder"))),
-            Self::Transition(arguments) => {
-                (arguments.run(&stop)?, Some((arguments.run, "transition")))
-            }
+            Self::Transition(arguments) => (
+                arguments.run(&stop)?,
+                Some((arguments.on.run, "transition")),
+            ),
             Self::Adapter(arguments) => (arguments.run(&stop)?, Some((arguments.run, "adapter"))),
             Self::Distill(arguments) => (arguments.run(&stop)?, Some((arguments.run, "distill"))),
-            Self::Idm(arguments) => (arguments.run(&stop)?, Some((arguments.run, "idm"))),
-            Self::Probe(arguments) => (arguments.run(&stop)?, Some((arguments.run, "probe"))),
+            Self::Idm(arguments) => (arguments.run(&stop)?, Some((arguments.on.run, "idm"))),
+            Self::Probe(arguments) => (arguments.run(&stop)?, Some((arguments.on.run, "probe"))),
         };
         match (ended, of) {
             (RunEnd::Finished, Some((run, _))) => model_card::write(&run),

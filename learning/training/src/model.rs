@@ -10,14 +10,14 @@ use wm_model::{Compute, Fit, NumberFormat};
 use wm_zoo::{IDM_FILE, ModelFolder, PROBE_FILE};
 
 use crate::{
-    arguments::{RunArgs, fraction},
+    arguments::{LatentRunArgs, PictureRunArgs, RunArgs, fraction},
     autoencoder::TrainAutoencoderArgs,
-    idm::TrainIdmArgs,
-    probe::TrainProbeArgs,
+    idm::{IdmRecipe, TrainIdmArgs},
+    probe::{ProbeRecipe, TrainProbeArgs},
     recipe::Override,
     run::{RunEnd, Stop, checkpoint, expect_nothing_to_overwrite},
     stopped,
-    transition::TrainTransitionArgs,
+    transition::{TrainTransitionArgs, TransitionRecipe},
 };
 
 /// Train a whole world model into one folder: the autoencoder, the transition model and the inverse dynamics model on its
@@ -85,19 +85,25 @@ impl TrainModelArgs {
         }
         let own = self.out.display().to_string();
         let encoder = self.encoder.clone().unwrap_or(own);
-        self.check(&encoder)?;
+        self.check()?;
         let mut ended = RunEnd::Finished;
         for part in self.parts() {
             let run = self.of(part)?;
-            let encoder = encoder.clone();
+            let fit = self.fit;
+            let on = |run| LatentRunArgs {
+                run,
+                encoder: encoder.clone(),
+            };
             println!("== {part}");
             ended = match part {
-                "autoencoder" => TrainAutoencoderArgs { run, fit: self.fit }.run(stop)?,
-                "transition" => TrainTransitionArgs { run, encoder }.run(stop)?,
-                "idm" => TrainIdmArgs { run, encoder }.run(stop)?,
+                "autoencoder" => TrainAutoencoderArgs {
+                    on: PictureRunArgs { run, fit },
+                }
+                .run(stop)?,
+                "transition" => TrainTransitionArgs { on: on(run) }.run(stop)?,
+                "idm" => TrainIdmArgs { on: on(run) }.run(stop)?,
                 _ => TrainProbeArgs {
-                    run,
-                    encoder,
+                    on: on(run),
                     text_tower: None,
                 }
                 .run_if_labelled(stop)?,
@@ -123,32 +129,20 @@ impl TrainModelArgs {
     }
 
     /// Checks the inputs of all parts before the first training.
-    fn check(&self, encoder: &str) -> Result<()> {
+    fn check(&self) -> Result<()> {
         for model in self.encoder.iter().chain(&self.from) {
             ModelFolder::require(model)?;
         }
-        let encoder = || encoder.to_owned();
         let autoencoder = TrainAutoencoderArgs {
-            run: self.of("autoencoder")?,
-            fit: self.fit,
+            on: PictureRunArgs {
+                run: self.of("autoencoder")?,
+                fit: self.fit,
+            },
         };
         autoencoder.recipe()?;
-        let transition = TrainTransitionArgs {
-            run: self.of("transition")?,
-            encoder: encoder(),
-        };
-        transition.recipe()?;
-        let idm = TrainIdmArgs {
-            run: self.of("idm")?,
-            encoder: encoder(),
-        };
-        idm.recipe()?;
-        let probe = TrainProbeArgs {
-            run: self.of("probe")?,
-            encoder: encoder(),
-            text_tower: None,
-        };
-        probe.recipe()?;
+        self.of("transition")?.load_recipe::<TransitionRecipe>([])?;
+        self.of("idm")?.load_recipe::<IdmRecipe>([])?;
+        self.of("probe")?.load_recipe::<ProbeRecipe>([])?;
         Data::require(&self.data, &self.options)?;
         self.device.device()?;
         for part in self.parts() {

@@ -12,7 +12,7 @@ mod text;
 mod things;
 
 use std::{
-    collections::{BTreeMap, BTreeSet, btree_map::Entry},
+    collections::{BTreeMap, btree_map::Entry},
     path::{Path, PathBuf},
 };
 
@@ -32,11 +32,12 @@ use wm_zoo::{
 
 use crate::{
     arguments::RunArgs,
-    optimiser::{Group, Parameter, ParameterValues, Variables},
-    run::{StepLoss, Task},
+    network_variables::{NetworkLearner, NetworkVariables},
+    optimiser::ParameterValues,
+    run::Task,
     trained_weights::trained_weights,
     transition::normals,
-    workers::{BatchLoss, Batches, Workers},
+    workers::BatchLoss,
 };
 pub use arguments::{EvaluateProbeArgs, TrainProbeArgs};
 use episodes::{Episodes, Sample, Shares};
@@ -44,7 +45,7 @@ use loss::loss;
 use text::{Text, Tower};
 use things::Things;
 
-pub use recipe::{ProbeKind, ProbeModelRecipe, ProbeRecipe, RECIPES};
+pub use recipe::{ProbeKind, ProbeModelRecipe, ProbeRecipe};
 
 /// Most episodes of a validation; always the same ones, since they select the weights.
 const EPISODES: usize = 700;
@@ -65,16 +66,11 @@ struct ProbeTask<'a> {
     config: ProbeNetworkConfig,
     text: Text,
     model: ProbeNetwork,
-    variables: Variables,
-    /// Names of fine-tuned tensors.
-    old: BTreeSet<String>,
-    groups: Vec<Group>,
+    variables: NetworkVariables,
     device: Device,
-    workers: Workers,
     /// The last averaged weights, and their file.
     candidate: Option<(WeightsBuilder, PathBuf)>,
     best: Option<Accuracy>,
-    has_stepped: bool,
     /// The best weights of an earlier run.
     earlier: Option<PathBuf>,
 }
@@ -132,7 +128,6 @@ impl<'a> ProbeTask<'a> {
             }
         };
         let model = ProbeNetwork::load(&config, &loader)?;
-        let (variables, old) = fresh.into_variables();
         Ok(Self {
             model,
             text,
@@ -142,14 +137,10 @@ impl<'a> ProbeTask<'a> {
             held_out,
             things: things.filter(|_| matches!(config, ProbeNetworkConfig::Grounded(_))),
             config,
-            variables,
-            old,
-            groups: run.groups(),
+            variables: NetworkVariables::fresh(fresh, recipe, run)?,
             device: run.device()?,
-            workers: Workers::new(run.threads()?)?,
             candidate: None,
             best: None,
-            has_stepped: false,
             out: &run.out,
             earlier: None,
         })
@@ -297,6 +288,16 @@ fn accuracy(
     Ok(Accuracy::of(&own, &mismatched))
 }
 
+impl NetworkLearner for ProbeTask<'_> {
+    fn variables(&self) -> &NetworkVariables {
+        &self.variables
+    }
+
+    fn batch_loss(&self, _step: u64, rng: &mut ChaCha8Rng) -> Result<BatchLoss> {
+        Ok(BatchLoss::from(self.loss(rng)?))
+    }
+}
+
 impl Task for ProbeTask<'_> {
     fn name(&self) -> &'static str {
         "probe"
@@ -306,33 +307,8 @@ impl Task for ProbeTask<'_> {
         &[FILE]
     }
 
-    fn parameters(&self) -> Result<Vec<Parameter>> {
-        let is_old = |name: &str| usize::from(self.old.contains(name));
-        Ok(self.variables.parameters(is_old)?)
-    }
-
-    fn groups(&self) -> Vec<Group> {
-        self.groups.clone()
-    }
-
-    fn step(&mut self, step: u64) -> Result<StepLoss> {
-        self.has_stepped = true;
-        let batches = Batches {
-            count: self.recipe.batch / self.recipe.micro_batch,
-            seed: self.recipe.seed,
-            step,
-        };
-        self.workers.step(&self.variables, batches, &|rng| {
-            Ok(BatchLoss::from(self.loss(rng)?))
-        })
-    }
-
-    fn assign(&mut self, weights: &mut dyn Iterator<Item = ParameterValues<'_>>) -> Result<()> {
-        if !self.has_stepped {
-            // The run resumes.
-            self.earlier = Some(self.out.join(FILE));
-        }
-        Ok(self.variables.assign(weights)?)
+    fn resumed(&mut self) {
+        self.earlier = Some(self.out.join(FILE));
     }
 
     fn write(

@@ -12,7 +12,10 @@ use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use serde_yaml_ng::Value;
 use thiserror::Error;
 
-use crate::optimiser::{AdamWSettings, Schedule};
+use crate::{
+    optimiser::{AdamWSettings, Schedule},
+    workers::Batches,
+};
 pub use span::Span;
 
 /// An unusable recipe.
@@ -216,7 +219,10 @@ pub fn identity(recipe: &impl Serialize) -> Result<serde_json::Value, serde_json
 }
 
 /// A recipe of a training.
-pub trait Recipe: Serialize {
+pub trait Recipe: Serialize + DeserializeOwned {
+    /// Embedded recipes.
+    const BUNDLED: Bundled;
+
     /// Settings common to all recipes.
     fn course(&self) -> Course<'_>;
 }
@@ -224,10 +230,14 @@ pub trait Recipe: Serialize {
 /// Settings common to all recipes.
 #[derive(Clone, Copy, Debug)]
 pub struct Course<'a> {
+    /// Seed of all random numbers.
+    pub seed: u64,
     /// Length of the training.
     pub length: Span,
     /// Samples per step.
     pub batch: usize,
+    /// Samples computed together.
+    pub micro_batch: usize,
     /// Steps between validations.
     pub validate_every: u64,
     /// Wall-clock time between checkpoints \[s\].
@@ -242,6 +252,15 @@ impl Course<'_> {
     pub fn per_epoch(&self, samples: usize) -> f64 {
         samples as f64 / self.batch.max(1) as f64
     }
+
+    /// The batches of step 0. [`check_batch`] excludes an empty one.
+    pub(crate) fn batches(&self) -> Batches {
+        Batches {
+            count: self.batch / self.micro_batch.max(1),
+            seed: self.seed,
+            step: 0,
+        }
+    }
 }
 
 /// Checks that a batch of at least one sample splits into small batches of `micro_batch`.
@@ -253,14 +272,49 @@ pub(crate) fn check_batch(batch: usize, micro_batch: usize) -> anyhow::Result<()
     Ok(())
 }
 
-/// Implements [`Recipe`] for a struct with the fields of a [`Course`].
-macro_rules! is_recipe {
-    ($recipe:ty) => {
+/// Defines a [`Recipe`] of the embedded files `recipes/NAME/FILE.yaml`, with the settings of a [`Course`].
+macro_rules! recipe {
+    (
+        $(#[$about:meta])*
+        pub struct $recipe:ident in [$($name:literal),+] of $file:literal {
+            $($(#[$doc:meta])* pub $field:ident: $type:ty,)*
+        }
+    ) => {
+        $(#[$about])*
+        #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+        #[serde(deny_unknown_fields)]
+        pub struct $recipe {
+            /// Seed of all random numbers.
+            pub seed: u64,
+            /// Length of the training; an epoch is one random sample of each episode.
+            pub length: $crate::recipe::Span,
+            /// Steps between validations.
+            pub validate_every: u64,
+            /// Wall-clock time between checkpoints \[s\].
+            pub checkpoint_seconds: u64,
+            /// Samples per step.
+            pub batch: usize,
+            /// Samples computed together.
+            pub micro_batch: usize,
+            $($(#[$doc])* pub $field: $type,)*
+            /// The optimiser.
+            pub optimisation: $crate::recipe::Optimisation,
+        }
+
         impl $crate::recipe::Recipe for $recipe {
+            const BUNDLED: $crate::recipe::Bundled = &[$((
+                $name,
+                include_str!(concat!(
+                    env!("CARGO_MANIFEST_DIR"), "/recipes/", $name, "/", $file, ".yaml"
+                )),
+            )),+];
+
             fn course(&self) -> $crate::recipe::Course<'_> {
                 $crate::recipe::Course {
+                    seed: self.seed,
                     length: self.length,
                     batch: self.batch,
+                    micro_batch: self.micro_batch,
                     validate_every: self.validate_every,
                     checkpoint_seconds: self.checkpoint_seconds,
                     optimisation: &self.optimisation,
@@ -270,7 +324,7 @@ macro_rules! is_recipe {
     };
 }
 
-pub(crate) use is_recipe;
+pub(crate) use recipe;
 
 /// Optimiser settings of a training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -326,8 +380,17 @@ impl fmt::Display for Override {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
+
+    /// The bundled recipe `name` with these settings.
+    pub(crate) fn bundled<R: super::Recipe>(name: &str, settings: &[&str]) -> R {
+        let settings: Vec<Override> = settings
+            .iter()
+            .map(|setting| setting.parse().unwrap())
+            .collect();
+        load(R::BUNDLED, name, &settings).unwrap()
+    }
 
     #[derive(Debug, PartialEq, Deserialize, Serialize)]
     #[serde(deny_unknown_fields)]

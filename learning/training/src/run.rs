@@ -41,18 +41,12 @@ pub struct StepLoss {
     pub loss: f32,
     /// Notable parts of the loss, by name.
     pub parts: Vec<(&'static str, f64)>,
-    /// Gradient by parameter, in the order of [`Task::parameters`].
+    /// Gradient by parameter, in the order of [`Learner::parameters`].
     pub gradient: Vec<Vec<f32>>,
 }
 
-/// A training task.
-pub trait Task {
-    /// Name of the task, and prefix of its files.
-    fn name(&self) -> &'static str;
-
-    /// Files that [`Self::write`] writes into its folder.
-    fn files(&self) -> &'static [&'static str];
-
+/// The parameters of a task, with loss and gradient of each step.
+pub trait Learner {
     /// The parameters at step 0.
     ///
     /// # Errors
@@ -87,6 +81,18 @@ pub trait Task {
         let _ = averaged;
         Ok(())
     }
+}
+
+/// A training task.
+pub trait Task: Learner {
+    /// Name of the task, and prefix of its files.
+    fn name(&self) -> &'static str;
+
+    /// Files that [`Self::write`] writes into its folder.
+    fn files(&self) -> &'static [&'static str];
+
+    /// The run continues from a checkpoint, whose parameters are assigned.
+    fn resumed(&mut self) {}
 
     /// Writes the model's files with the averaged parameters into `folder`.
     ///
@@ -264,6 +270,7 @@ impl<'a> Run<'a> {
                 );
             }
             self.assign()?;
+            self.task.resumed();
             println!("resumes after step {done} from {}", checkpoint.display());
         } else {
             expect_nothing_to_overwrite(&self.settings.out, self.task.files())?;
@@ -399,4 +406,4 @@ impl<'a> Run<'a> {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

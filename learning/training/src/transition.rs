@@ -6,15 +6,17 @@
 //! `Workers`.
 
 mod arguments;
+mod draws;
 mod noised_at_once;
 mod objective;
 mod recipe;
 
-use std::{collections::BTreeSet, path::Path};
+use std::path::Path;
 
 use anyhow::{Context as _, Result};
 use candle_core::DType;
 use image::RgbImage;
+use rand_chacha::ChaCha8Rng;
 use serde_json::json;
 use wm_dataset::{ClipSource, Dataset, Latents};
 use wm_evaluation::{ActionChange, Figure, PictureErrors, Windows, recover_actions, strip};
@@ -31,16 +33,16 @@ use wm_zoo::{ModelFolder, TransitionTensors};
 use crate::{
     arguments::RunArgs,
     fresh_weights::FreshWeights,
-    model_folder::carry_encoder,
-    optimiser::{Group, Parameter, ParameterValues, Variables},
-    run::{RunEnd, StepLoss, Stop, Task},
+    network_variables::{NetworkLearner, NetworkVariables},
+    optimiser::ParameterValues,
+    run::{RunEnd, Stop, Task},
     trained_weights::trained_weights_of_actions,
-    workers::{BatchLoss, Batches, Workers},
+    workers::BatchLoss,
 };
 pub use arguments::{EvaluateTransitionArgs, TrainTransitionArgs};
 pub(crate) use objective::{Batch, normals};
 pub use objective::{Forcing, Objective, ObjectiveRecipe, TauDistribution};
-pub use recipe::{ModelRecipe, RECIPES, SamplerRecipe, TransitionRecipe};
+pub use recipe::{ModelRecipe, SamplerRecipe, TransitionRecipe};
 
 /// Predicted model steps of an evaluation.
 pub(crate) const HORIZON: usize = 8;
@@ -50,31 +52,21 @@ pub(crate) const QUICK_WINDOWS: usize = 32;
 pub(crate) const FILE: &str = "transition.safetensors";
 
 impl TrainTransitionArgs {
-    /// The recipe with overrides.
-    ///
-    /// # Errors
-    /// Names an invalid setting.
-    pub fn recipe(&self) -> Result<TransitionRecipe> {
-        let run = &self.run;
-        Ok(crate::recipe::load(RECIPES, &run.recipe, &run.overrides())?)
-    }
-
     /// Trains until the last step, or until `stop` is set.
     ///
     /// # Errors
     /// If data, recipe, checkpoint or weights cannot be read or written, or the training diverges.
     pub fn run(&self, stop: &Stop) -> Result<RunEnd> {
-        let recipe = self.recipe()?;
-        let folder = ModelFolder::open(&self.encoder)?;
-        let on = self.run.encoded(&*folder.encoder()?)?;
+        let recipe: TransitionRecipe = self.on.run.load_recipe([])?;
+        let (folder, on) = self.on.open()?;
         let decoder = folder.decoder()?;
         let pictures = decoder.as_deref().zip(on.data.validation.as_ref());
-        carry_encoder(&self.encoder, &self.run.out)?;
         let held_out = on.held_out.as_ref().map(|latents| (latents, pictures));
-        let from = self.run.from.as_deref();
+        let run = &self.on.run;
+        let from = run.from.as_deref();
         let from = from.map(|from| ModelFolder::open(from)?.transition_tensors());
         let from = from.transpose()?;
-        train_on(&self.run, &recipe, from, &on.train, held_out, stop)
+        train_on(run, &recipe, from, &on.train, held_out, stop)
     }
 }
 
@@ -101,15 +93,13 @@ pub(crate) fn train_on(
     let old = from.map(|from| from.tensors).unwrap_or_default();
     let fresh = FreshWeights::tuning(recipe.seed, old).on(&run.compute()?)?;
     let mut task = TransitionTask::new(recipe, (&encoding, config), fresh, train, held_out, run)?;
-    let samples = task.clips.len();
     let data = [
         ("latent_space", json!(train.space().to_string())),
         ("data", json!(train.digest())),
         ("actions", json!(task.encoding)),
     ];
-    let settings = run.settings(recipe, samples, data)?;
-    let about = format!("{} episodes, {} threads", task.clips.len(), run.threads()?);
-    run.train(&mut task, recipe, &settings, (&about, stop))
+    let data = (task.clips.len(), data);
+    run.train_on_clips(&mut task, recipe, data, stop)
 }
 
 /// Held-out latents, and some windows of them.
@@ -127,12 +117,8 @@ struct TransitionTask<'a> {
     train: &'a Latents,
     clips: ClipSource<'a>,
     held_out: Option<HeldOut<'a>>,
-    variables: Variables,
-    /// Names of fine-tuned tensors.
-    old: BTreeSet<String>,
-    groups: Vec<Group>,
+    variables: NetworkVariables,
     model: Transition,
-    workers: Workers,
     /// The model written last.
     written: Option<Transition>,
 }
@@ -147,7 +133,6 @@ impl<'a> TransitionTask<'a> {
         run: &RunArgs,
     ) -> Result<Self> {
         let model = trainable(&config, &fresh, recipe.seed)?;
-        let (variables, old) = fresh.into_variables();
         Ok(Self {
             objective: recipe.objective(&config)?,
             clips: ClipSource::new(train, encoding, config.max_frames)?.on(&run.device()?),
@@ -163,12 +148,25 @@ impl<'a> TransitionTask<'a> {
                 }),
                 None => None,
             },
-            variables,
-            old,
-            groups: run.groups(),
+            variables: NetworkVariables::fresh(fresh, recipe, run)?,
             model,
-            workers: Workers::new(run.threads()?)?,
             written: None,
+        })
+    }
+}
+
+impl NetworkLearner for TransitionTask<'_> {
+    fn variables(&self) -> &NetworkVariables {
+        &self.variables
+    }
+
+    fn batch_loss(&self, _step: u64, rng: &mut ChaCha8Rng) -> Result<BatchLoss> {
+        let gradients = WeightGradients::default();
+        let model = self.model.collecting(&gradients);
+        let loss = self.objective.loss(&model, &self.clips, rng)?;
+        Ok(BatchLoss {
+            gradients,
+            ..BatchLoss::from(loss)
         })
     }
 }
@@ -180,37 +178,6 @@ impl Task for TransitionTask<'_> {
 
     fn files(&self) -> &'static [&'static str] {
         &[FILE]
-    }
-
-    fn parameters(&self) -> Result<Vec<Parameter>> {
-        let is_old = |name: &str| usize::from(self.old.contains(name));
-        Ok(self.variables.parameters(is_old)?)
-    }
-
-    fn groups(&self) -> Vec<Group> {
-        self.groups.clone()
-    }
-
-    fn step(&mut self, step: u64) -> Result<StepLoss> {
-        let objective = &self.objective;
-        let batches = Batches {
-            count: objective.clips / objective.micro_batch,
-            seed: objective.seed,
-            step,
-        };
-        self.workers.step(&self.variables, batches, &|rng| {
-            let gradients = WeightGradients::default();
-            let model = self.model.collecting(&gradients);
-            let loss = objective.loss(&model, &self.clips, rng)?;
-            Ok(BatchLoss {
-                gradients,
-                ..BatchLoss::from(loss)
-            })
-        })
-    }
-
-    fn assign(&mut self, weights: &mut dyn Iterator<Item = ParameterValues<'_>>) -> Result<()> {
-        Ok(self.variables.assign(weights)?)
     }
 
     fn write(
@@ -265,10 +232,7 @@ impl EvaluateTransitionArgs {
     /// # Errors
     /// If data or weights cannot be read.
     pub fn run(&self) -> Result<()> {
-        let folder = ModelFolder::open(&self.encoder)?;
-        let encoder = folder.encoder()?;
-        let dataset = self.on.open(encoder.framing())?;
-        let latents = Latents::open(&dataset, &*encoder, &self.on.cache())?;
+        let (folder, dataset, latents) = self.on.open()?;
         let weights = Weights::open(&self.weights)?;
         let actions: ActionEncoding = weights.json(ACTIONS_KEY)?;
         let space: wm_model::LatentSpace = weights.json(LATENT_SPACE_KEY)?;

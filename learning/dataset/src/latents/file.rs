@@ -14,7 +14,7 @@ use wm_bag::Shard;
 use wm_model::{Encoder, LatentSpace};
 use wm_program::progress::Progress;
 
-use super::part::Part;
+use super::part::{Part, expect_length};
 use crate::{Folder, short};
 
 /// Frames encoded at once: bounds the memory. An encoder's rounding may depend on it, so parts use the same batches as
@@ -158,16 +158,6 @@ pub(super) fn map(path: &Path, frames: usize, space: &LatentSpace) -> Result<Mma
     let values = unsafe { Mmap::map(&file) }.with_context(|| path.display().to_string())?;
     expect_length(path, frames * frame_bytes(space), values.len() as u64)?;
     Ok(values)
-}
-
-/// Rejects a file of another length.
-pub(super) fn expect_length(path: &Path, expected: usize, found: u64) -> Result<()> {
-    ensure!(
-        found == expected as u64,
-        "{}: expected {expected} bytes, found {found}; remove the file to recompute it",
-        path.display()
-    );
-    Ok(())
 }
 
 fn frame_bytes(space: &LatentSpace) -> usize {

@@ -8,8 +8,6 @@ use std::{
 
 use anyhow::{Context as _, Result, ensure};
 
-use super::file::expect_length;
-
 /// A file with the latents of consecutive frames, beside the future whole file.
 pub(super) struct Part {
     path: PathBuf,
@@ -98,6 +96,16 @@ impl Part {
             _ => (),
         }
     }
+}
+
+/// Rejects a file of another length.
+pub(super) fn expect_length(path: &Path, expected: usize, found: u64) -> Result<()> {
+    ensure!(
+        found == expected as u64,
+        "{}: expected {expected} bytes, found {found}; remove the file to recompute it",
+        path.display()
+    );
+    Ok(())
 }
 
 /// The frames in a part's name; `None` if it is not a part of `whole`.

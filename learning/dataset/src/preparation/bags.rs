@@ -11,7 +11,8 @@ use crate::{
     DatasetError, Settings,
     cutting::{Draft, Omission, cut},
     manifest::{LeftOut, Source},
-    recording::{BrokenPictures, Recording, UnusableBag},
+    recording::{BrokenPictures, Recording},
+    unusable_bag::UnusableBag,
 };
 
 /// Readable bags with their common action space.

@@ -6,10 +6,7 @@ use std::{
     sync::{Mutex, PoisonError},
 };
 
-use image::{
-    DynamicImage, GrayImage, RgbImage,
-    imageops::{self, FilterType},
-};
+use image::{DynamicImage, GrayImage, RgbImage};
 use rayon::prelude::*;
 use wm_audit::{Pictures, Stamps};
 use wm_bag::BagReader;
@@ -18,7 +15,7 @@ use wm_camera::{
     signature::Signature,
     video::{VideoPicture, VideoStream},
 };
-use wm_model::{Fit, Framing, Part, PictureSize, Placement};
+use wm_model::{Fit, Framing, PictureSize};
 use wm_msgs::builtin_interfaces::Time;
 use wm_program::progress::Progress;
 
@@ -28,6 +25,7 @@ use crate::{
     camera_message::{CameraMessage, first_needed},
     cameras::MASK,
     cutting::Draft,
+    mask,
     recording::BrokenPictures,
     source_sizes::SizeCounts,
     store::NewFolder,
@@ -352,7 +350,7 @@ impl Files {
         if is_mask {
             // Grey values stay: luma weights sum to one.
             let mask = DynamicImage::from(picture).into_luma8();
-            return Ok(PlacedPicture::Mask(place(&mask, self.view, self.fit)));
+            return Ok(PlacedPicture::Mask(mask::place(&mask, self.view, self.fit)));
         }
         Ok(PlacedPicture::View(
             self.placed(&picture, view)?,
@@ -400,42 +398,4 @@ enum PlacedPicture {
     /// At the size of a view, with the signature of the whole picture.
     View(RgbImage, Signature),
     Mask(GrayImage),
-}
-
-/// Places a mask as its picture; bars become background.
-fn place(mask: &GrayImage, size: Size, fit: Fit) -> GrayImage {
-    let (width, height) = mask.dimensions();
-    let to = PictureSize::from(size);
-    let Some(Placement { source, target }) = fit.placement(PictureSize { width, height }, to)
-    else {
-        return GrayImage::new(to.width, to.height);
-    };
-    let cut = |Part {
-                   x,
-                   y,
-                   width,
-                   height,
-               }: Part| imageops::crop_imm(mask, x, y, width, height);
-    let scaled = shrink(
-        &cut(source).to_image(),
-        Size {
-            height: target.height as usize,
-            width: target.width as usize,
-        },
-    );
-    let mut placed = GrayImage::new(to.width, to.height);
-    imageops::replace(
-        &mut placed,
-        &scaled,
-        i64::from(target.x),
-        i64::from(target.y),
-    );
-    placed
-}
-
-/// Nearest neighbour: class numbers must not be blended.
-pub(crate) fn shrink(mask: &GrayImage, size: Size) -> GrayImage {
-    // A side is at most 4096.
-    let (width, height) = (size.width as u32, size.height as u32);
-    imageops::resize(mask, width, height, FilterType::Nearest)
 }

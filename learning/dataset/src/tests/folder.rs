@@ -54,6 +54,12 @@ fn entries(dir: &Path) -> Vec<String> {
     names
 }
 
+/// Prepares bags with pictures of 16x16 pixels.
+fn prepare_small(bags: &Path, out: &Path) {
+    let [bags, out] = [bags, out].map(|path| path.to_str().unwrap());
+    wm_dataset(&[bags, "-o", out, "--size", "16x16"]).unwrap();
+}
+
 #[test]
 fn prepared_folder_equals_its_bags() {
     let dir = tempfile::tempdir().unwrap();
@@ -261,14 +267,7 @@ fn folders_and_bags_form_one_data_set() {
     let bags = bags(dir.path(), 3);
     let out = dir.path().join("data");
     let first = bags.join("episode_0");
-    wm_dataset(&[
-        first.to_str().unwrap(),
-        "-o",
-        out.to_str().unwrap(),
-        "--size",
-        "16x16",
-    ])
-    .unwrap();
+    prepare_small(&first, &out);
     let options = DataOptions {
         validation: Some(0.0),
         ..DataOptions::default()
@@ -362,14 +361,7 @@ fn interrupted_preparations_are_ignored() {
 
     // A folder with a missing file is rejected.
     let first = bags.join("episode_0");
-    wm_dataset(&[
-        first.to_str().unwrap(),
-        "-o",
-        out.to_str().unwrap(),
-        "--size",
-        "16x16",
-    ])
-    .unwrap();
+    prepare_small(&first, &out);
     let file = fs::OpenOptions::new().write(true).open(out.join("frames"));
     file.unwrap().set_len(1000).unwrap();
     let open = || {

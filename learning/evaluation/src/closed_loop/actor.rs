@@ -237,6 +237,7 @@ impl PlannerState<'_> {
                 .last
                 .take()
                 .map(|last| last.proposals())
+                // Before the first plan there are no proposals.
                 .unwrap_or_default(),
             workers: None,
         };

@@ -162,6 +162,7 @@ fn convergence(of: &[(&String, &RecoveredActions)], start: Start, name: &str) ->
             })
         })
         .collect();
+    // Without searches the curve has no points.
     let longest = ratios.iter().map(Vec::len).max().unwrap_or(0);
     let points = (0..longest).map(|i| {
         let at: Vec<f64> = ratios.iter().filter_map(|r| r.get(i).copied()).collect();
@@ -182,6 +183,7 @@ const FIGURE_STEPS: [usize; 3] = [1, 4, 8];
 
 fn of_responses(section: &mut Section, windows: &[(&String, &Response)], settings: &Settings) {
     let steps = windows.iter().map(|(_, found)| found.told.len()).max();
+    // Without windows there are no figures.
     let steps = steps.unwrap_or(0);
     type Of<'a> = Box<dyn Fn(&Response) -> Option<&Vec<f64>> + Sync + 'a>;
     let mut lines: Vec<(String, String, Of<'_>)> = vec![(

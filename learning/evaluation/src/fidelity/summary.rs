@@ -153,6 +153,7 @@ fn series(
     figure: impl Fn(&StepFidelity) -> f64,
 ) -> Series {
     let longest = episodes.iter().map(|(_, found)| found.steps.len()).max();
+    // Without episodes the curve has no points.
     let points = (0..longest.unwrap_or(0)).filter_map(|k| {
         let at: Vec<f64> = episodes
             .iter()

@@ -11,6 +11,7 @@ impl Network {
     pub(crate) fn single(&self, picture: &RgbImage) -> Result<(Tensor, [usize; 2])> {
         let prepared = self.prepare(picture)?;
         let size = prepared.size;
+        // A free batch axis takes one picture.
         let pictures = vec![prepared; self.fixed_batch().unwrap_or(1).max(1)];
         Ok((self.arrange(&pictures, None)?, size))
     }

@@ -93,6 +93,7 @@ pub(crate) fn arranged(
         return None;
     }
     let count = pictures.len();
+    // Single pictures are clips of one frame.
     let frames = frames.unwrap_or(1).max(1);
     let clips = count / frames;
     let mut data = Vec::with_capacity(count * height * width * 3);

@@ -39,6 +39,7 @@ impl Tensor {
 
     /// Entries along the first axis; none without axes or elements.
     pub fn rows(&self) -> impl ExactSizeIterator<Item = &[f32]> {
+        // A tensor without axes is one row.
         let count = self.shape.first().copied().unwrap_or(0).max(1);
         self.data.chunks_exact((self.data.len() / count).max(1))
     }

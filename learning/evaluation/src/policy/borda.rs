@@ -38,6 +38,7 @@ pub fn borda_of(findings: &[ModelFindings]) -> Option<TextTable> {
         .enumerate()
         .map(|(index, (model, sum))| {
             let own = ranks.iter().zip(&rates).map(|(ranks, rates)| {
+                // In range: ranks and rates have one value per model.
                 let at = |values: &[f64]| values.get(index).copied().unwrap_or(f64::NAN);
                 format!("{} ({:.3})", at(ranks), at(rates))
             });

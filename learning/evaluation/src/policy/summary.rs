@@ -1,6 +1,7 @@
 //! Findings of the trials.
 
 mod agreement;
+mod consensus;
 mod rates;
 mod tables;
 
@@ -8,7 +9,7 @@ use wm_metrics::findings::{Picture, Section, Suite};
 
 use super::{Condition, ImaginedTrial};
 use crate::Settings;
-use agreement::ConsensusPair;
+use consensus::ConsensusPair;
 use rates::Score;
 
 /// Findings of all trials, in the order of the tasks.
@@ -16,7 +17,7 @@ use rates::Score;
 pub fn summarise(trials: &[(String, ImaginedTrial)], settings: &Settings) -> Section {
     let mut section = Section::new(Suite::Policy);
     let trials_only: Vec<&ImaginedTrial> = trials.iter().map(|(_, trial)| trial).collect();
-    let agreed = agreement::of(&trials_only, settings);
+    let agreed = consensus::of(&trials_only, settings);
     let scores = rates::scores(settings, agreed.as_ref());
     rates::add(&mut section, &trials_only, &scores, settings);
     agreement::add(&mut section, &trials_only, settings, agreed.as_ref());

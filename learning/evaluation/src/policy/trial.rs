@@ -7,6 +7,7 @@ use anyhow::{Context as _, Result};
 use candle_core::{Device, Tensor};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
+use wm_metrics::ranking::SUCCESS_THRESHOLD;
 
 use super::{
     Condition, Setup, Verdicts,
@@ -44,6 +45,14 @@ pub struct ImaginedTrial {
     pub values: usize,
     /// The policy's pictures as a PNG in base64, if the report shows them.
     pub strip: Option<String>,
+}
+
+impl ImaginedTrial {
+    /// Whether a judge calls the trial a success; `None` without its score.
+    pub(super) fn success_by(&self, judge: &str) -> Option<bool> {
+        let score = self.verdicts.as_ref()?.scores.get(judge)?;
+        score.map(|score| score >= SUCCESS_THRESHOLD)
+    }
 }
 
 /// A trial to run.

@@ -9,7 +9,7 @@ use crate::{
     ImportOptions, import_droid,
     mapping::VALUES,
     mp4_npz::tests::video,
-    testing::{assert_shards_join, shard},
+    testing::{assert_shards_join, of_shard},
 };
 
 const FRAMES: usize = 4;
@@ -267,13 +267,7 @@ fn shards_import_the_same_as_one_run() {
 
     // A faulty episode of one shard does not affect the other.
     fs::write(file("8.json"), "").unwrap();
-    let import = |index| {
-        let options = ImportOptions {
-            shard: shard(index, 2),
-            ..ImportOptions::default()
-        };
-        import_droid(&src, &out, &options)
-    };
+    let import = |index| import_droid(&src, &out, &of_shard(index, 2));
     assert_eq!(import(0).unwrap().bags.len(), 2);
     let error = import(1).unwrap_err().to_string();
     assert!(error.contains("8.json"), "{error}");

@@ -82,6 +82,7 @@ impl Feature {
     /// Number of values per row.
     pub fn width(&self) -> usize {
         let product = self.shape.iter().try_fold(1u64, |a, b| a.checked_mul(*b));
+        // Saturates far above the greatest width that a data set may have.
         usize::try_from(product.unwrap_or(u64::MAX)).unwrap_or(usize::MAX)
     }
 

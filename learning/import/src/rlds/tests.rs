@@ -10,7 +10,7 @@ use super::{
 };
 use crate::{
     ImportOptions, import_bridge,
-    testing::{assert_shards_join, shard},
+    testing::{assert_shards_join, of_shard},
 };
 
 fn feature(kind: Kind) -> Feature {
@@ -252,13 +252,7 @@ fn shards_import_the_same_as_one_run() {
     let mut damaged = fs::read(&file).unwrap();
     damaged[tfrecord(&[example(2)]).len() + 20] ^= 1;
     fs::write(&file, damaged).unwrap();
-    let import = |index| {
-        let options = ImportOptions {
-            shard: shard(index, 2),
-            ..ImportOptions::default()
-        };
-        import_bridge(&src, &out, &options)
-    };
+    let import = |index| import_bridge(&src, &out, &of_shard(index, 2));
     assert_eq!(import(0).unwrap().bags.len(), 3);
     let skipped = import(1).unwrap().skipped;
     assert!(skipped[0].contains("a.tfrecord"), "{skipped:?}");

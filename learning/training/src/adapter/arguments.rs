@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use sha2::{Digest as _, Sha256};
 use wm_zoo::{Checkpoint, ModelFolder};
 
-use super::{AdapterRecipe, AdapterTask, Data, FILE, Frames, Lpips, RECIPES, files};
+use super::{AdapterRecipe, AdapterTask, Data, FILE, Frames, Lpips, files};
 use crate::{
     arguments::RunArgs,
     run::{RunEnd, Stop},
@@ -36,7 +36,7 @@ impl TrainAdapterArgs {
     /// If data, recipe, checkpoint or weights cannot be read or written, or the training diverges.
     pub fn run(&self, stop: &Stop) -> Result<RunEnd> {
         let run = &self.run;
-        let recipe: AdapterRecipe = crate::recipe::load(RECIPES, &run.recipe, &run.overrides())?;
+        let recipe: AdapterRecipe = run.load_recipe([])?;
         recipe.check()?;
         let folder = ModelFolder::open(&self.encoder)?;
         let encoder = folder.encoder()?;

@@ -2,33 +2,18 @@ use anyhow::{Result, ensure};
 use serde::{Deserialize, Serialize};
 use wm_zoo::{PixelDecoderConfig, SvaeConfig};
 
-use crate::recipe::{Bundled, Optimisation, Span, is_recipe};
+use crate::recipe::recipe;
 
-/// Embedded recipes.
-pub const RECIPES: Bundled = &[
-    ("tiny", include_str!("../../recipes/tiny/adapter.yaml")),
-    ("paper", include_str!("../../recipes/paper/adapter.yaml")),
-];
-
-/// Settings of adapter training, explained in `recipes/*/adapter.yaml`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-#[expect(missing_docs, reason = "explained in the recipes")]
-pub struct AdapterRecipe {
-    pub seed: u64,
-    pub length: Span,
-    pub validate_every: u64,
-    pub checkpoint_seconds: u64,
-    pub batch: usize,
-    pub micro_batch: usize,
-    pub views: usize,
-    pub pixel_decoder_rate: f64,
-    pub model: AdapterModelRecipe,
-    pub loss: LossRecipe,
-    pub optimisation: Optimisation,
+recipe! {
+    /// Settings of adapter training, explained in `recipes/*/adapter.yaml`.
+    #[expect(missing_docs, reason = "explained in the recipes")]
+    pub struct AdapterRecipe in ["tiny", "paper"] of "adapter" {
+        pub views: usize,
+        pub pixel_decoder_rate: f64,
+        pub model: AdapterModelRecipe,
+        pub loss: LossRecipe,
+    }
 }
-
-is_recipe!(AdapterRecipe);
 
 /// Shape of both networks.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -15,8 +15,9 @@ use crate::{
     arguments::tests::on_cpu,
     arguments::tests::run_in,
     autoencoder::tests::dataset,
-    recipe::{self, Override, Span},
-    run::Stop,
+    optimiser::Variables,
+    recipe::{Span, tests::bundled},
+    run::{Learner as _, Stop, tests::expect_same_bytes_after_pause},
 };
 
 const SIDE: usize = 16;
@@ -98,12 +99,7 @@ fn small(name: &str, others: &[&str]) -> AdapterRecipe {
         "model.pixel_heads=2",
         "loss.perceptual_after=0",
     ];
-    let settings: Vec<Override> = settings
-        .iter()
-        .chain(others)
-        .map(|setting| setting.parse().unwrap())
-        .collect();
-    recipe::load(RECIPES, name, &settings).unwrap()
+    bundled(name, &[&settings, others].concat())
 }
 
 fn trained(recipe: &AdapterRecipe, data: &Data<'_>, out: &Path) {
@@ -174,15 +170,8 @@ fn paused_training_gives_the_same_bytes() {
             };
             trained(&recipe, &data, out);
         };
-        let whole = scratch.path().join(name);
-        let parts = scratch.path().join(format!("{name} parts"));
-        train(&whole, 4);
-        train(&parts, 2);
-        train(&parts, 4);
-        for file in [FILE, STATISTICS, "adapter.checkpoint.safetensors"] {
-            let read = |out: &Path| std::fs::read(out.join(file)).unwrap();
-            assert!(read(&whole) == read(&parts), "{name}: {file}");
-        }
+        let files = [FILE, STATISTICS, "adapter.checkpoint.safetensors"];
+        expect_same_bytes_after_pause(&scratch.path().join(name), &files, [2, 4], train);
     }
 }
 

@@ -4,26 +4,21 @@ use anyhow::{Context as _, Result, ensure};
 use clap::Args;
 use serde_json::json;
 use wm_dataset::{Dataset, HeldOutArgs};
-use wm_model::{AutoencoderConfig, Encoder as _, Fit, Framing, NumberFormat};
+use wm_model::{AutoencoderConfig, Encoder as _, Framing, NumberFormat};
 use wm_zoo::ModelFolder;
 
-use super::{AutoencoderRecipe, RECIPES, evaluate, picture, trainer::AutoencoderTask};
+use super::{AutoencoderRecipe, evaluate, picture, trainer::AutoencoderTask};
 use crate::{
-    arguments::RunArgs,
-    recipe::Override,
+    arguments::{PictureRunArgs, RunArgs},
     run::{RunEnd, Stop},
 };
 
 /// Train the autoencoder on bags; pixels inside masks, if any, get more weight
 #[derive(Args, Clone, Debug)]
 pub struct TrainAutoencoderArgs {
-    /// Options of every training.
+    /// Options of the training.
     #[command(flatten)]
-    pub run: RunArgs,
-    /// How pictures of another aspect fit the model, instead of the recipe's fit: crop (the middle), stretch or pad
-    /// (black bars)
-    #[arg(long, value_name = "FIT")]
-    pub fit: Option<Fit>,
+    pub on: PictureRunArgs,
 }
 
 impl TrainAutoencoderArgs {
@@ -32,10 +27,7 @@ impl TrainAutoencoderArgs {
     /// # Errors
     /// Names an invalid setting.
     pub fn recipe(&self) -> Result<AutoencoderRecipe> {
-        let mut overrides = self.run.overrides();
-        overrides.push(Override::if_open("model.name", self.run.model_name()));
-        overrides.extend(self.fit.map(|fit| Override::new("fit", fit.name())));
-        let recipe: AutoencoderRecipe = crate::recipe::load(RECIPES, &self.run.recipe, &overrides)?;
+        let recipe: AutoencoderRecipe = self.on.load_recipe()?;
         ensure!(
             (0.0..=1.0).contains(&recipe.whole_picture_share),
             "whole_picture_share is {}, expected 0 to 1",
@@ -53,15 +45,16 @@ impl TrainAutoencoderArgs {
     /// # Errors
     /// If the data, the recipe or a file is unusable.
     pub fn run(&self, stop: &Stop) -> Result<RunEnd> {
+        let run = &self.on.run;
         ensure!(
-            self.run.device.is_cpu() && self.run.dtype == NumberFormat::F32,
+            run.device.is_cpu() && run.dtype == NumberFormat::F32,
             "the autoencoder trains on the CPU in f32; drop --device and --dtype"
         );
         let recipe = self.recipe()?;
         let framing = Framing::new((recipe.model.height, recipe.model.width), recipe.fit);
-        let data = self.run.data(framing)?;
+        let data = run.data(framing)?;
         let held_out = data.validation.as_ref();
-        train_on(&self.run, &recipe, &data.training, held_out, stop)
+        train_on(run, &recipe, &data.training, held_out, stop)
     }
 }
 

@@ -1,10 +1,10 @@
-use candle_core::Tensor;
+use candle_core::{Device, Tensor};
 use image::RgbImage;
 use wm_dataset::Dataset;
 use wm_evaluation::SquaredError;
 use wm_model::{Autoencoder, Decoder as _, Encoder as _, image::to_rgb};
 
-use super::trainer::{TrainingError, pictures};
+use super::error::TrainingError;
 
 /// Reconstruction of frames by an autoencoder.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -99,4 +99,16 @@ pub fn picture(
     let across = Tensor::cat(&[frames, decoded, difference], 2)?;
     let (rows, height, width, _) = across.dims4()?;
     Ok(to_rgb(&across.reshape((rows * height, width, 3))?)?)
+}
+
+/// Frames of a dataset as a tensor (N, H, W, 3) in 0..1.
+pub(super) fn pictures(dataset: &Dataset, frames: &[usize]) -> Result<Tensor, candle_core::Error> {
+    let (height, width) = dataset.size();
+    let values: Vec<f32> = frames
+        .iter()
+        // A missing frame makes `from_vec` fail.
+        .flat_map(|frame| dataset.frame(*frame).unwrap_or_default())
+        .map(|v| f32::from(*v) / 255.0)
+        .collect();
+    Tensor::from_vec(values, (frames.len(), height, width, 3), &Device::Cpu)
 }

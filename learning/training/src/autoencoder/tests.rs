@@ -9,12 +9,12 @@ use wm_msgs::{
 };
 
 use super::{
-    AutoencoderRecipe, RECIPES, TrainAutoencoderArgs, TrainingError, arguments::train_on, evaluate,
-    picture, trainer::AutoencoderTask,
+    AutoencoderRecipe, TrainAutoencoderArgs, TrainingError, arguments::train_on, evaluate, picture,
+    trainer::AutoencoderTask,
 };
 use crate::{
-    arguments::{RunArgs, tests::run_in},
-    recipe::{self, Override, Span},
+    arguments::{PictureRunArgs, RunArgs, tests::run_in},
+    recipe::{Optimisation, Span, tests::bundled},
     run::{RunEnd, Stop},
 };
 
@@ -81,8 +81,7 @@ pub(crate) fn dataset(scratch: &Path, masks: bool) -> Dataset {
 }
 
 fn recipe() -> AutoencoderRecipe {
-    let name = [Override::new("model.name", "test")];
-    let tiny: AutoencoderRecipe = recipe::load(RECIPES, "tiny", &name).unwrap();
+    let tiny: AutoencoderRecipe = bundled("tiny", &["model.name=test"]);
     AutoencoderRecipe {
         model: AutoencoderConfig {
             name: "test".into(),
@@ -100,7 +99,7 @@ fn recipe() -> AutoencoderRecipe {
         whole_picture_share: 0.1667,
         batch: 4,
         crop: 8,
-        optimisation: recipe::Optimisation {
+        optimisation: Optimisation {
             warm_up: Span::Steps(5),
             learning_rate: 3e-3,
             ema_decay: 0.9,
@@ -157,7 +156,7 @@ fn resumed_training_gives_the_uninterrupted_weights() {
     let shorter = AutoencoderRecipe {
         length: Span::Steps(20),
         // A learning rate that does not depend on the length, so that pauses do not matter.
-        optimisation: recipe::Optimisation {
+        optimisation: Optimisation {
             final_rate: 1.0,
             ..recipe().optimisation
         },
@@ -212,8 +211,7 @@ fn gradient_matches_finite_differences() {
 fn frames_of_another_size_are_rejected() {
     let scratch = tempfile::tempdir().unwrap();
     let dataset = dataset(scratch.path(), true);
-    let name = [Override::new("model.name", "test")];
-    let tiny: AutoencoderRecipe = recipe::load(RECIPES, "tiny", &name).unwrap();
+    let tiny: AutoencoderRecipe = bundled("tiny", &["model.name=test"]);
     let error = AutoencoderTask::new(tiny, 1, &dataset, None)
         .map(|_| ())
         .unwrap_err();
@@ -236,7 +234,8 @@ fn short_training_keeps_the_share_of_whole_pictures() {
             set: vec![setting.parse().unwrap()],
             ..run_in(Path::new("/no/such/folder"))
         };
-        TrainAutoencoderArgs { run, fit: None }.recipe()
+        let on = PictureRunArgs { run, fit: None };
+        TrainAutoencoderArgs { on }.recipe()
     };
     let tiny = asked("model.name=test").unwrap();
     let found = [5500, 275].map(|steps| tiny.whole_picture_steps(steps));

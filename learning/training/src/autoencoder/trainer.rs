@@ -1,16 +1,11 @@
-use std::{
-    collections::BTreeMap,
-    path::{Path, PathBuf},
-};
+use std::{collections::BTreeMap, path::Path};
 
 use anyhow::Result;
-use candle_core::{Device, Tensor};
 use image::RgbImage;
 use rand::Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 use rayon::prelude::*;
-use thiserror::Error;
-use wm_dataset::{Dataset, DatasetError};
+use wm_dataset::Dataset;
 use wm_evaluation::Figure;
 use wm_model::{
     Autoencoder, AutoencoderConfig, Encoder as _,
@@ -21,12 +16,13 @@ use wm_model::{
 use super::{
     AutoencoderRecipe, crops,
     crops::Crops,
-    evaluation::{evaluate, picture},
+    error::TrainingError,
+    evaluation::{evaluate, picture, pictures},
     salience::Salience,
 };
 use crate::{
-    optimiser::{Group, OptimiserError, Parameter, ParameterValues, step_rng},
-    run::{StepLoss, Task},
+    optimiser::{Group, Parameter, ParameterValues, step_rng},
+    run::{Learner, StepLoss, Task},
     trained_weights::PRECISION,
 };
 
@@ -38,40 +34,6 @@ const VALIDATION_FRAMES: [usize; 2] = [1000, 200];
 const SAMPLES: usize = 6;
 /// File of the weights in a model's folder.
 pub(super) const FILE: &str = Autoencoder::FILE;
-
-/// A failed training.
-#[derive(Debug, Error)]
-#[non_exhaustive]
-pub enum TrainingError {
-    /// Unusable data.
-    #[error(transparent)]
-    Dataset(#[from] DatasetError),
-    /// A model that cannot be made, run or saved.
-    #[error(transparent)]
-    Model(#[from] wm_model::Error),
-    /// A failed step or checkpoint.
-    #[error(transparent)]
-    Optimiser(#[from] OptimiserError),
-    /// A failed tensor operation.
-    #[error(transparent)]
-    Tensor(#[from] candle_core::Error),
-    /// A file that cannot be written.
-    #[error("{path}: {source}", path = .path.display())]
-    Io {
-        /// Path of the file or folder.
-        path: PathBuf,
-        /// Cause.
-        source: std::io::Error,
-    },
-    /// Pictures of another size than the model's.
-    #[error("the frames are {found:?} (height, width), expected {expected:?}")]
-    FrameSize {
-        /// Size of the model.
-        expected: (usize, usize),
-        /// Size of the dataset.
-        found: (usize, usize),
-    },
-}
 
 /// An autoencoder in training.
 pub(super) struct AutoencoderTask<'a> {
@@ -278,15 +240,7 @@ impl<'a> AutoencoderTask<'a> {
     }
 }
 
-impl Task for AutoencoderTask<'_> {
-    fn name(&self) -> &'static str {
-        "autoencoder"
-    }
-
-    fn files(&self) -> &'static [&'static str] {
-        &[FILE, wm_zoo::folder::FILE]
-    }
-
+impl Learner for AutoencoderTask<'_> {
     fn parameters(&self) -> Result<Vec<Parameter>> {
         let mut parameters = BTreeMap::new();
         for (half, network) in halves(&self.model) {
@@ -348,6 +302,16 @@ impl Task for AutoencoderTask<'_> {
         assign(&mut self.model, weights);
         Ok(())
     }
+}
+
+impl Task for AutoencoderTask<'_> {
+    fn name(&self) -> &'static str {
+        "autoencoder"
+    }
+
+    fn files(&self) -> &'static [&'static str] {
+        &[FILE, wm_zoo::folder::FILE]
+    }
 
     fn write(
         &mut self,
@@ -386,18 +350,6 @@ impl Task for AutoencoderTask<'_> {
             .map(|model| picture(model, dataset, SAMPLES))
             .transpose()?)
     }
-}
-
-/// Frames of a dataset as a tensor (N, H, W, 3) in 0..1.
-pub(super) fn pictures(dataset: &Dataset, frames: &[usize]) -> Result<Tensor, candle_core::Error> {
-    let (height, width) = dataset.size();
-    let values: Vec<f32> = frames
-        .iter()
-        // A missing frame makes `from_vec` fail.
-        .flat_map(|frame| dataset.frame(*frame).unwrap_or_default())
-        .map(|v| f32::from(*v) / 255.0)
-        .collect();
-    Tensor::from_vec(values, (frames.len(), height, width, 3), &Device::Cpu)
 }
 
 /// Mean squared error, weighted loss |d| + squared d^2, and its gradient by the pictures.

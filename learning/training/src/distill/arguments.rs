@@ -4,7 +4,7 @@ use anyhow::{Context as _, Result, bail};
 use clap::Args;
 use wm_zoo::{ModelFolder, idm::TrainedIdm};
 
-use super::{DistillRecipe, RECIPES, teacher::Teacher, train_on};
+use super::{DistillRecipe, teacher::Teacher, train_on};
 use crate::{
     arguments::RunArgs,
     model_folder::carry_encoder,
@@ -43,7 +43,7 @@ impl TrainDistillArgs {
     /// falls behind its teacher.
     pub fn run(&self, stop: &Stop) -> Result<RunEnd> {
         let run = &self.run;
-        let recipe: DistillRecipe = crate::recipe::load(RECIPES, &run.recipe, &run.overrides())?;
+        let recipe: DistillRecipe = run.load_recipe([])?;
         let file = Teacher::file(&self.teacher);
         let teacher = Teacher::open(&file, recipe.teacher_steps, &run.compute()?)?;
         let written = run.out.join(FILE).canonicalize();

@@ -3,37 +3,22 @@ use serde::{Deserialize, Serialize};
 use wm_model::transition::TransitionConfig;
 
 use crate::{
-    recipe::{Bundled, Optimisation, Span, is_recipe},
+    recipe::{Span, recipe},
     transition::{Forcing, Objective, ObjectiveRecipe, TauDistribution},
 };
 
-/// Embedded recipes.
-pub const RECIPES: Bundled = &[
-    ("tiny", include_str!("../../recipes/tiny/distill.yaml")),
-    ("paper", include_str!("../../recipes/paper/distill.yaml")),
-];
-
-/// Settings of a distillation, explained in `recipes/*/distill.yaml`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-#[expect(missing_docs, reason = "explained in the recipes")]
-pub struct DistillRecipe {
-    pub seed: u64,
-    pub length: Span,
-    pub validate_every: u64,
-    pub checkpoint_seconds: u64,
-    pub batch: usize,
-    pub micro_batch: usize,
-    pub steps: usize,
-    pub teacher_steps: usize,
-    pub huber: f64,
-    pub consistency: ConsistencyRecipe,
-    pub self_forcing: SelfForcingRecipe,
-    pub gate: GateRecipe,
-    pub optimisation: Optimisation,
+recipe! {
+    /// Settings of a distillation, explained in `recipes/*/distill.yaml`.
+    #[expect(missing_docs, reason = "explained in the recipes")]
+    pub struct DistillRecipe in ["tiny", "paper"] of "distill" {
+        pub steps: usize,
+        pub teacher_steps: usize,
+        pub huber: f64,
+        pub consistency: ConsistencyRecipe,
+        pub self_forcing: SelfForcingRecipe,
+        pub gate: GateRecipe,
+    }
 }
-
-is_recipe!(DistillRecipe);
 
 /// Settings of the consistency distillation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -11,7 +11,9 @@ use super::{self_forcing::predict, *};
 use crate::{
     arguments::tests::on_cpu,
     arguments::tests::run_in,
-    recipe::{self, Override, Span},
+    optimiser::Variables,
+    recipe::{Span, tests::bundled},
+    run::tests::expect_same_bytes_after_pause,
     transition::{
         self, normals,
         tests::{flickering, moving, of_space},
@@ -48,9 +50,7 @@ fn taught(
 }
 
 fn tiny(settings: &[&str]) -> DistillRecipe {
-    let settings = settings.iter().map(|setting| setting.parse().unwrap());
-    let settings: Vec<Override> = settings.collect();
-    recipe::load(RECIPES, "tiny", &settings).unwrap()
+    bundled("tiny", settings)
 }
 
 fn distil(
@@ -240,7 +240,7 @@ fn paused_training_gives_the_same_bytes() {
     let latents = flickering(dir.path(), 2, 1);
     let kind = (Parametrisation::Velocity, ActionAlignment::WithFrame);
     let teacher = Teacher::open(&taught(dir.path(), &latents, kind, 3), STEPS, &on_cpu()).unwrap();
-    // Pauses within either stage; the learning rate does not depend on the length, so pauses do not matter.
+    // Pauses within either stage.
     for pause in [2, 4] {
         let train = |out: &Path, steps: u64| {
             let mut recipe = short(2, &["self_forcing.after=3 steps", "self_forcing.share=0.5"]);
@@ -248,15 +248,9 @@ fn paused_training_gives_the_same_bytes() {
             recipe.optimisation.final_rate = 1.0;
             distil(out, &recipe, &teacher, &latents, None, true).unwrap();
         };
-        let whole = dir.path().join(format!("whole {pause}"));
-        let parts = dir.path().join(format!("parts {pause}"));
-        train(&whole, 6);
-        train(&parts, pause);
-        train(&parts, 6);
-        for file in [FILE, "distill.checkpoint.safetensors"] {
-            let read = |out: &Path| std::fs::read(out.join(file)).unwrap();
-            assert!(read(&whole) == read(&parts), "{pause}: {file}");
-        }
+        let files = [FILE, "distill.checkpoint.safetensors"];
+        let out = dir.path().join(format!("pause at {pause}"));
+        expect_same_bytes_after_pause(&out, &files, [pause, 6], train);
     }
 }
 
@@ -398,7 +392,7 @@ fn gradients_of_both_stages_match_finite_differences() {
         let losses: [(&str, &dyn Fn() -> Tensor); 2] =
             [("consistency", &consistency), ("self-forcing", &drift)];
         for (name, loss) in losses {
-            let (slope, square) = differences(&task.variables, loss);
+            let (slope, square) = differences(&task.variables.tensors, loss);
             assert!(square > 1e-6, "{name}: {square}");
             let error = (slope / square - 1.0).abs();
             assert!(error < 0.03, "{kind:?} {name}: {slope} for {square}");

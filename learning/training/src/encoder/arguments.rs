@@ -2,26 +2,21 @@ use anyhow::Result;
 use clap::Args;
 use serde_json::json;
 use wm_dataset::Dataset;
-use wm_model::{Fit, Framing};
+use wm_model::Framing;
 use wm_zoo::WebDinoConfig;
 
-use super::{EncoderRecipe, EncoderTask, FILE, RECIPES, files::CONFIG_KEY};
+use super::{EncoderRecipe, EncoderTask, FILE, files::CONFIG_KEY};
 use crate::{
-    arguments::RunArgs,
-    recipe::Override,
+    arguments::{PictureRunArgs, RunArgs},
     run::{RunEnd, Stop},
 };
 
 /// Train a small semantic encoder, whose features encode the actions between frames
 #[derive(Clone, Debug, Args)]
 pub struct TrainEncoderArgs {
-    /// Options of every training.
+    /// Options of the training.
     #[command(flatten)]
-    pub run: RunArgs,
-    /// How pictures of another aspect fit the model, instead of the recipe's fit: crop (the middle), stretch or pad
-    /// (black bars)
-    #[arg(long, value_name = "FIT")]
-    pub fit: Option<Fit>,
+    pub on: PictureRunArgs,
 }
 
 impl TrainEncoderArgs {
@@ -30,11 +25,8 @@ impl TrainEncoderArgs {
     /// # Errors
     /// If data, recipe, checkpoint or weights cannot be read or written, or the training diverges.
     pub fn run(&self, stop: &Stop) -> Result<RunEnd> {
-        let run = &self.run;
-        let mut overrides = run.overrides();
-        overrides.push(Override::if_open("model.name", run.model_name()));
-        overrides.extend(self.fit.map(|fit| Override::new("fit", fit.name())));
-        let recipe: EncoderRecipe = crate::recipe::load(RECIPES, &run.recipe, &overrides)?;
+        let run = &self.on.run;
+        let recipe: EncoderRecipe = self.on.load_recipe()?;
         let side = config(run, &recipe)?.image_size;
         let data = run.data(Framing::new((side, side), recipe.fit))?;
         let data = (&data.training, data.validation.as_ref());
@@ -58,12 +50,10 @@ pub(super) fn train_on(
     let encoding = recipe.head.encoding(train.action_space())?;
     let config = config(run, recipe)?;
     let mut task = EncoderTask::new(recipe, config, &encoding, (train, held_out), run)?;
-    let samples = task.clips.len();
     let data = [
         ("data", json!(train.digest())),
         ("actions", json!(encoding)),
     ];
-    let settings = run.settings(recipe, samples, data)?;
-    let about = format!("{} episodes, {} threads", task.clips.len(), run.threads()?);
-    run.train(&mut task, recipe, &settings, (&about, stop))
+    let data = (task.clips.len(), data);
+    run.train_on_clips(&mut task, recipe, data, stop)
 }

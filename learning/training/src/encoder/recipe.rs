@@ -3,35 +3,20 @@ use serde::{Deserialize, Serialize};
 use wm_model::Fit;
 use wm_zoo::WebDinoConfig;
 
-use crate::{
-    idm::IdmModelRecipe,
-    recipe::{Bundled, Optimisation, Span, is_recipe},
-};
+use crate::{idm::IdmModelRecipe, recipe::recipe};
 
-/// Embedded recipes. The paper trains no encoder.
-pub const RECIPES: Bundled = &[("tiny", include_str!("../../recipes/tiny/encoder.yaml"))];
-
-/// Settings of encoder training, explained in `recipes/tiny/encoder.yaml`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-#[expect(missing_docs, reason = "explained in the recipe")]
-pub struct EncoderRecipe {
-    pub seed: u64,
-    pub length: Span,
-    pub validate_every: u64,
-    pub checkpoint_seconds: u64,
-    pub batch: usize,
-    pub micro_batch: usize,
-    pub windows: usize,
-    pub light: f64,
-    pub dropout: f64,
-    pub fit: Fit,
-    pub model: EncoderModelRecipe,
-    pub head: IdmModelRecipe,
-    pub optimisation: Optimisation,
+recipe! {
+    /// Settings of encoder training, explained in `recipes/tiny/encoder.yaml`. The paper trains no encoder.
+    #[expect(missing_docs, reason = "explained in the recipe")]
+    pub struct EncoderRecipe in ["tiny"] of "encoder" {
+        pub windows: usize,
+        pub light: f64,
+        pub dropout: f64,
+        pub fit: Fit,
+        pub model: EncoderModelRecipe,
+        pub head: IdmModelRecipe,
+    }
 }
-
-is_recipe!(EncoderRecipe);
 
 /// Shape of the encoder.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

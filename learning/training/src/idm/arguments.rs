@@ -3,19 +3,18 @@ use std::path::PathBuf;
 use anyhow::{Context as _, Result};
 use clap::Args;
 use serde_json::json;
-use wm_dataset::{HeldOutArgs, Latents};
+use wm_dataset::Latents;
 use wm_evaluation::{Windows, on_predicted, on_real};
 use wm_model::{
     Weights,
     transition::{ACTIONS_KEY, Transition},
 };
 use wm_motion::actions::ActionEncoding;
-use wm_zoo::{ModelFolder, idm::TrainedIdm};
+use wm_zoo::idm::TrainedIdm;
 
-use super::{IdmRecipe, IdmTask, RECIPES};
+use super::{IdmRecipe, IdmTask};
 use crate::{
-    arguments::RunArgs,
-    model_folder::carry_encoder,
+    arguments::{HeldOutLatentArgs, LatentRunArgs, RunArgs},
     run::{RunEnd, Stop},
 };
 
@@ -25,35 +24,20 @@ const HORIZON: usize = 8;
 /// Train the inverse dynamics model, which infers the actions between consecutive latents of a frozen encoder
 #[derive(Clone, Debug, Args)]
 pub struct TrainIdmArgs {
-    /// Options of every training.
+    /// Options of the training.
     #[command(flatten)]
-    pub run: RunArgs,
-    /// Model whose frozen encoder makes the latents: tiny, or a model's folder
-    #[arg(long, visible_alias = "autoencoder")]
-    pub encoder: String,
+    pub on: LatentRunArgs,
 }
 
 impl TrainIdmArgs {
-    /// The recipe with overrides.
-    ///
-    /// # Errors
-    /// Names an invalid setting.
-    pub fn recipe(&self) -> Result<IdmRecipe> {
-        let run = &self.run;
-        Ok(crate::recipe::load(RECIPES, &run.recipe, &run.overrides())?)
-    }
-
     /// Trains until the last step, or until `stop` is set.
     ///
     /// # Errors
     /// If data, recipe, checkpoint or weights cannot be read or written, or the training diverges.
     pub fn run(&self, stop: &Stop) -> Result<RunEnd> {
-        let recipe = self.recipe()?;
-        let encoder = ModelFolder::open(&self.encoder)?.encoder()?;
-        let run = &self.run;
-        let on = run.encoded(&*encoder)?;
-        carry_encoder(&self.encoder, &run.out)?;
-        train_on(run, &recipe, &on.train, on.held_out.as_ref(), stop)
+        let recipe: IdmRecipe = self.on.run.load_recipe([])?;
+        let (_, on) = self.on.open()?;
+        train_on(&self.on.run, &recipe, &on.train, on.held_out.as_ref(), stop)
     }
 }
 
@@ -66,15 +50,13 @@ pub(super) fn train_on(
 ) -> Result<RunEnd> {
     let encoding = recipe.model.encoding(train.action_space())?;
     let mut task = IdmTask::new(recipe, &encoding, train, held_out, run)?;
-    let samples = task.clips.len();
     let data = [
         ("latent_space", json!(train.space().to_string())),
         ("data", json!(train.digest())),
         ("actions", json!(encoding)),
     ];
-    let settings = run.settings(recipe, samples, data)?;
-    let about = format!("{} episodes, {} threads", task.clips.len(), run.threads()?);
-    run.train(&mut task, recipe, &settings, (&about, stop))
+    let data = (task.clips.len(), data);
+    run.train_on_clips(&mut task, recipe, data, stop)
 }
 
 /// Measure how well an inverse dynamics model infers actions, from real and from predicted latents
@@ -82,10 +64,7 @@ pub(super) fn train_on(
 pub struct EvaluateIdmArgs {
     /// Evaluation data.
     #[command(flatten)]
-    pub on: HeldOutArgs,
-    /// Model whose frozen encoder makes the latents: tiny, or a model's folder
-    #[arg(long, visible_alias = "autoencoder")]
-    pub encoder: String,
+    pub on: HeldOutLatentArgs,
     /// Weights of the inverse dynamics model
     #[arg(long)]
     pub weights: PathBuf,
@@ -103,9 +82,7 @@ impl EvaluateIdmArgs {
     /// # Errors
     /// If data or weights cannot be read, or do not fit.
     pub fn run(&self) -> Result<()> {
-        let encoder = ModelFolder::open(&self.encoder)?.encoder()?;
-        let dataset = self.on.open(encoder.framing())?;
-        let latents = Latents::open(&dataset, &*encoder, &self.on.cache())?;
+        let (_, _, latents) = self.on.open()?;
         let model = TrainedIdm::open(&self.weights)?;
         let (own, others) = ("the model", "the bags");
         model

@@ -3,32 +3,17 @@ use serde::{Deserialize, Serialize};
 use wm_motion::actions::{Accumulation, ActionEncoding, ActionSpace};
 use wm_zoo::idm::{ConvolutionalIdmConfig, IdmConfig, IdmNetworkConfig};
 
-use crate::recipe::{Bundled, Optimisation, Span, is_recipe};
+use crate::recipe::recipe;
 
-/// Embedded recipes.
-pub const RECIPES: Bundled = &[
-    ("tiny", include_str!("../../recipes/tiny/idm.yaml")),
-    ("paper", include_str!("../../recipes/paper/idm.yaml")),
-];
-
-/// Settings of inverse dynamics training, explained in `recipes/*/idm.yaml`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-#[expect(missing_docs, reason = "explained in the recipes")]
-pub struct IdmRecipe {
-    pub seed: u64,
-    pub length: Span,
-    pub validate_every: u64,
-    pub checkpoint_seconds: u64,
-    pub batch: usize,
-    pub micro_batch: usize,
-    pub dropout: f64,
-    pub latent_noise: f64,
-    pub model: IdmModelRecipe,
-    pub optimisation: Optimisation,
+recipe! {
+    /// Settings of inverse dynamics training, explained in `recipes/*/idm.yaml`.
+    #[expect(missing_docs, reason = "explained in the recipes")]
+    pub struct IdmRecipe in ["tiny", "paper"] of "idm" {
+        pub dropout: f64,
+        pub latent_noise: f64,
+        pub model: IdmModelRecipe,
+    }
 }
-
-is_recipe!(IdmRecipe);
 
 /// The network of an inverse dynamics model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -3,8 +3,8 @@ use candle_core::Device;
 use super::{arguments::train_on, *};
 use crate::{
     arguments::tests::run_in,
-    recipe::{self, Override},
-    run::Stop,
+    recipe::{Span, tests::bundled},
+    run::{Stop, tests::expect_same_bytes_after_pause},
     transition::tests::{moving, of_space},
 };
 
@@ -17,25 +17,18 @@ fn small(name: &str) -> IdmRecipe {
         "model.hidden=32",
         "model.width=8",
         "model.depth=1",
-    ];
-    let others = [
         "model.heads=2",
         "model.frame_skip=1",
         "dropout=0.05",
         "optimisation.ema_decay=0.9",
     ];
-    let settings: Vec<Override> = settings
-        .iter()
-        .chain(&others)
-        .map(|setting| setting.parse().unwrap())
-        .collect();
-    recipe::load(RECIPES, name, &settings).unwrap()
+    bundled(name, &settings)
 }
 
 /// A briefly trained model for these latents.
 pub(crate) fn trained(out: &Path, latents: &Latents) -> TrainedIdm {
     let mut recipe = small("tiny");
-    recipe.length = recipe::Span::Steps(30);
+    recipe.length = Span::Steps(30);
     train_on(&run_in(out), &recipe, latents, None, &Stop::default()).unwrap();
     TrainedIdm::open(out.join(FILE)).unwrap()
 }
@@ -46,7 +39,7 @@ fn training_learns_visible_actions() {
     let (train, held_out) = (moving(dir.path(), 200, 1), moving(dir.path(), 30, 2));
     for (kind, steps) in [(IdmKind::Convolutional, 300), (IdmKind::Transformer, 1000)] {
         let mut recipe = small("tiny");
-        recipe.length = recipe::Span::Steps(steps);
+        recipe.length = Span::Steps(steps);
         recipe.model.kind = kind;
         let out = dir.path().join(format!("{kind:?}"));
         let stop = Stop::default();
@@ -72,24 +65,14 @@ fn paused_training_gives_the_same_bytes() {
     let latents = moving(dir.path(), 4, 1);
     for name in ["tiny", "paper"] {
         let mut recipe = small(name);
-        // A learning rate that does not depend on the length, so that pauses do not matter.
         recipe.optimisation.final_rate = 1.0;
         recipe.model.horizon = 2;
-        let mut train = |out: &Path, steps| {
-            recipe.length = recipe::Span::Steps(steps);
+        let train = |out: &Path, steps| {
+            recipe.length = Span::Steps(steps);
             train_on(&run_in(out), &recipe, &latents, None, &Stop::default()).unwrap();
         };
-        let (whole, parts) = (
-            dir.path().join(name),
-            dir.path().join(format!("{name} parts")),
-        );
-        train(&whole, 4);
-        train(&parts, 2);
-        train(&parts, 4);
-        for file in [FILE, "idm.checkpoint.safetensors"] {
-            let read = |out: &Path| std::fs::read(out.join(file)).unwrap();
-            assert!(read(&whole) == read(&parts), "{name}: {file}");
-        }
+        let files = [FILE, "idm.checkpoint.safetensors"];
+        expect_same_bytes_after_pause(&dir.path().join(name), &files, [2, 4], train);
     }
 }
 
@@ -98,7 +81,7 @@ fn latents_of_another_space_are_rejected() {
     let dir = tempfile::tempdir().unwrap();
     let latents = moving(dir.path(), 2, 1);
     let recipe = IdmRecipe {
-        length: recipe::Span::Steps(1),
+        length: Span::Steps(1),
         ..small("tiny")
     };
     train_on(

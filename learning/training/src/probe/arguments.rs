@@ -3,7 +3,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Result, ensure};
 use clap::Args;
 use serde_json::json;
-use wm_dataset::{HeldOutArgs, Latents};
+use wm_dataset::Latents;
 use wm_model::{LatentSpace, Weights, transition::LATENT_SPACE_KEY};
 use wm_zoo::{
     ModelFolder,
@@ -11,12 +11,11 @@ use wm_zoo::{
 };
 
 use super::{
-    FRAME_SKIP_KEY, ProbeRecipe, ProbeTask, RECIPES, accuracy, episodes::Episodes,
-    leave_out_unknown, things::Things,
+    FRAME_SKIP_KEY, ProbeRecipe, ProbeTask, accuracy, episodes::Episodes, leave_out_unknown,
+    things::Things,
 };
 use crate::{
-    arguments::RunArgs,
-    model_folder::carry_encoder,
+    arguments::{HeldOutLatentArgs, LatentRunArgs, RunArgs},
     run::{RunEnd, Stop},
 };
 
@@ -24,12 +23,9 @@ use crate::{
 /// instruction (/task/instruction) and an outcome (/task/success)
 #[derive(Clone, Debug, Args)]
 pub struct TrainProbeArgs {
-    /// Options of every training.
+    /// Options of the training.
     #[command(flatten)]
-    pub run: RunArgs,
-    /// Model whose frozen encoder makes the latents: tiny, or a model's folder
-    #[arg(long, visible_alias = "autoencoder")]
-    pub encoder: String,
+    pub on: LatentRunArgs,
     /// Folder of the text tower for instructions: SigLIP 2 as published on Hugging Face (config.json,
     /// model.safetensors, tokenizer.json). The weights refer to the folder. Without it, the probe learns the data's
     /// words
@@ -38,28 +34,17 @@ pub struct TrainProbeArgs {
 }
 
 impl TrainProbeArgs {
-    /// The recipe with overrides.
-    ///
-    /// # Errors
-    /// Names an invalid setting.
-    pub fn recipe(&self) -> Result<ProbeRecipe> {
-        let run = &self.run;
-        Ok(crate::recipe::load(RECIPES, &run.recipe, &run.overrides())?)
-    }
-
     /// Trains until the last step, or until `stop` is set.
     ///
     /// # Errors
     /// If data, recipe, checkpoint or weights cannot be read or written, or the training diverges.
     pub fn run(&self, stop: &Stop) -> Result<RunEnd> {
-        let recipe = self.recipe()?;
-        let encoder = ModelFolder::open(&self.encoder)?.encoder()?;
-        let on = self.run.encoded(&*encoder)?;
-        carry_encoder(&self.encoder, &self.run.out)?;
+        let recipe: ProbeRecipe = self.on.run.load_recipe([])?;
+        let (_, on) = self.on.open()?;
         let latents = (&on.train, on.held_out.as_ref());
         let things = Things::of(&on.data.training);
         let tower = self.text_tower.as_deref();
-        train_on(&self.run, &recipe, latents, (things, tower), stop)
+        train_on(&self.on.run, &recipe, latents, (things, tower), stop)
     }
 }
 
@@ -69,8 +54,8 @@ impl TrainProbeArgs {
     /// # Errors
     /// Those of [`Self::run`].
     pub fn run_if_labelled(&self, stop: &Stop) -> Result<RunEnd> {
-        let encoder = ModelFolder::open(&self.encoder)?.encoder()?;
-        let data = self.run.data(encoder.framing())?;
+        let encoder = ModelFolder::open(&self.on.encoder)?.encoder()?;
+        let data = self.on.run.data(encoder.framing())?;
         let outcomes = |success| {
             let mut episodes = data.training.episodes().iter();
             episodes.any(|e| e.instruction.is_some() && e.success == Some(success))
@@ -119,10 +104,7 @@ pub(super) fn train_on(
 pub struct EvaluateProbeArgs {
     /// Evaluation data.
     #[command(flatten)]
-    pub on: HeldOutArgs,
-    /// Model whose frozen encoder makes the latents: tiny, or a model's folder
-    #[arg(long, visible_alias = "autoencoder")]
-    pub encoder: String,
+    pub on: HeldOutLatentArgs,
     /// Weights of the probe
     #[arg(long)]
     pub weights: PathBuf,
@@ -134,9 +116,7 @@ impl EvaluateProbeArgs {
     /// # Errors
     /// If data or weights cannot be read, or do not fit.
     pub fn run(&self) -> Result<()> {
-        let encoder = ModelFolder::open(&self.encoder)?.encoder()?;
-        let dataset = self.on.open(encoder.framing())?;
-        let latents = Latents::open(&dataset, &*encoder, &self.on.cache())?;
+        let (_, _, latents) = self.on.open()?;
         let weights = Weights::open(&self.weights)?;
         weights
             .json::<LatentSpace>(LATENT_SPACE_KEY)?

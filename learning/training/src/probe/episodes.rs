@@ -86,6 +86,7 @@ impl<'a> Episodes<'a> {
         let labelled: Vec<LabelledEpisode> = numbered.filter_map(labelled).collect();
         let (successes, failures) = by_outcome(&labelled);
         let longest = labelled.iter().map(|episode| episode.frame_count);
+        // Without labelled episodes the probe is not trained.
         let longest = longest.max().unwrap_or(1).div_ceil(frame_skip);
         Self {
             latents,

@@ -6,37 +6,22 @@ use wm_zoo::{
     success_probe::{GroundedProbeConfig, ProbeNetworkConfig, SuccessProbeConfig},
 };
 
-use crate::recipe::{Bundled, Optimisation, Span, is_recipe};
+use crate::recipe::recipe;
 
-/// Embedded recipes.
-pub const RECIPES: Bundled = &[
-    ("tiny", include_str!("../../recipes/tiny/probe.yaml")),
-    ("paper", include_str!("../../recipes/paper/probe.yaml")),
-];
-
-/// Settings of probe training, explained in `recipes/*/probe.yaml`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-#[expect(missing_docs, reason = "explained in the recipes")]
-pub struct ProbeRecipe {
-    pub seed: u64,
-    pub length: Span,
-    pub validate_every: u64,
-    pub checkpoint_seconds: u64,
-    pub batch: usize,
-    pub micro_batch: usize,
-    pub successes: f64,
-    pub mismatches: f64,
-    pub others: usize,
-    pub pointing: f64,
-    pub dropout: f64,
-    pub latent_noise: f64,
-    pub shift: usize,
-    pub model: ProbeModelRecipe,
-    pub optimisation: Optimisation,
+recipe! {
+    /// Settings of probe training, explained in `recipes/*/probe.yaml`.
+    #[expect(missing_docs, reason = "explained in the recipes")]
+    pub struct ProbeRecipe in ["tiny", "paper"] of "probe" {
+        pub successes: f64,
+        pub mismatches: f64,
+        pub others: usize,
+        pub pointing: f64,
+        pub dropout: f64,
+        pub latent_noise: f64,
+        pub shift: usize,
+        pub model: ProbeModelRecipe,
+    }
 }
-
-is_recipe!(ProbeRecipe);
 
 /// The network of a success probe.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -10,8 +10,8 @@ use wm_zoo::{
 use super::{arguments::train_on, episodes::Question, loss::cross_entropy, *};
 use crate::{
     arguments::tests::run_in,
-    recipe::{self, Override, Span},
-    run::Stop,
+    recipe::{Span, tests::bundled},
+    run::{Stop, tests::expect_same_bytes_after_pause},
     transition::tests::{labelled, moving},
 };
 
@@ -27,23 +27,17 @@ fn small(name: &str, steps: u64) -> ProbeRecipe {
         "model.text_width=16",
         "model.frames=4",
         "others=2",
-    ];
-    let others = [
         "model.heads=2",
         "model.ffn=48",
         "model.text_features=16",
         "model.frame_skip=1",
-    ];
-    let more = [
         "optimisation.ema_decay=0.9",
         "optimisation.learning_rate=3e-3",
         "validate_every=50",
     ];
-    let settings = settings.iter().chain(&others).chain(&more);
-    let settings: Vec<Override> = settings.map(|setting| setting.parse().unwrap()).collect();
     ProbeRecipe {
         length: Span::Steps(steps),
-        ..recipe::load(RECIPES, name, &settings).unwrap()
+        ..bundled(name, &settings)
     }
 }
 
@@ -141,26 +135,16 @@ fn paused_training_gives_the_same_bytes() {
     let dir = tempfile::tempdir().unwrap();
     let (train, held_out) = (labelled(dir.path(), 12, 1), labelled(dir.path(), 12, 2));
     for name in ["tiny", "paper"] {
-        let run = |out: &Path, steps| {
+        let train = |out: &Path, steps| {
             let mut recipe = small(name, steps);
-            // A learning rate that does not depend on the length, so that pauses do not matter.
             recipe.optimisation.final_rate = 1.0;
             recipe.validate_every = 2;
             let run = run_in(out);
             let latents = (&train, Some(&held_out));
             train_on(&run, &recipe, latents, (None, None), &Stop::default()).unwrap();
         };
-        let (whole, parts) = (
-            dir.path().join(name),
-            dir.path().join(format!("{name} parts")),
-        );
-        run(&whole, 4);
-        run(&parts, 2);
-        run(&parts, 4);
-        for file in [FILE, "probe.checkpoint.safetensors"] {
-            let read = |out: &Path| std::fs::read(out.join(file)).unwrap();
-            assert!(read(&whole) == read(&parts), "{name}: {file}");
-        }
+        let files = [FILE, "probe.checkpoint.safetensors"];
+        expect_same_bytes_after_pause(&dir.path().join(name), &files, [2, 4], train);
     }
 }
 

@@ -22,15 +22,25 @@ fn descent() -> Descent {
     }
 }
 
-impl Task for Descent {
-    fn name(&self) -> &'static str {
-        "descent"
+/// Checks that a training by `train(folder, steps)` writes the same files after a pause at step `pause` as in one run of
+/// `steps`, in folders of `dir`. Its learning rate must not depend on the number of steps.
+pub(crate) fn expect_same_bytes_after_pause(
+    dir: &Path,
+    files: &[&str],
+    [pause, steps]: [u64; 2],
+    mut train: impl FnMut(&Path, u64),
+) {
+    let (whole, parts) = (dir.join("whole"), dir.join("parts"));
+    train(&whole, steps);
+    train(&parts, pause);
+    train(&parts, steps);
+    for file in files {
+        let read = |out: &Path| std::fs::read(out.join(file)).unwrap();
+        assert!(read(&whole) == read(&parts), "{}: {file}", dir.display());
     }
+}
 
-    fn files(&self) -> &'static [&'static str] {
-        &["weights"]
-    }
-
+impl Learner for Descent {
     fn parameters(&self) -> Result<Vec<Parameter>> {
         Ok(vec![Parameter {
             name: "at".into(),
@@ -65,6 +75,16 @@ impl Task for Descent {
         ensure!(weights.name == "at");
         self.at = weights.values.to_vec();
         Ok(())
+    }
+}
+
+impl Task for Descent {
+    fn name(&self) -> &'static str {
+        "descent"
+    }
+
+    fn files(&self) -> &'static [&'static str] {
+        &["weights"]
     }
 
     fn write(

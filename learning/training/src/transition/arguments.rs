@@ -1,19 +1,15 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use wm_dataset::HeldOutArgs;
 
-use crate::arguments::RunArgs;
+use crate::arguments::{HeldOutLatentArgs, LatentRunArgs};
 
 /// Train the transition model on bags, with the latents of a frozen encoder
 #[derive(Clone, Debug, Args)]
 pub struct TrainTransitionArgs {
-    /// Options of every training.
+    /// Options of the training.
     #[command(flatten)]
-    pub run: RunArgs,
-    /// Model whose frozen encoder makes the latents: tiny, or a model's folder
-    #[arg(long, visible_alias = "autoencoder")]
-    pub encoder: String,
+    pub on: LatentRunArgs,
 }
 
 /// Evaluate a trained transition model on held-out bags
@@ -21,10 +17,7 @@ pub struct TrainTransitionArgs {
 pub struct EvaluateTransitionArgs {
     /// Evaluation data.
     #[command(flatten)]
-    pub on: HeldOutArgs,
-    /// Model whose frozen encoder makes the latents: tiny, or a model's folder
-    #[arg(long, visible_alias = "autoencoder")]
-    pub encoder: String,
+    pub on: HeldOutLatentArgs,
     /// Weights of the transition model
     #[arg(long)]
     pub weights: PathBuf,

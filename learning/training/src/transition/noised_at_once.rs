@@ -5,7 +5,7 @@ use anyhow::Result;
 use candle_core::{D, DType, Tensor};
 use wm_model::transition::{ActionAlignment, TemporalPattern, Transition};
 
-use super::objective::Draws;
+use super::draws::Draws;
 
 /// Mean squared error of the velocity noise - z over the frames after the first `past` of clips (B, n, h, w, C), with the
 /// actions (B, n, A) of their frames.

@@ -8,44 +8,22 @@ use wm_model::{
 use wm_motion::actions::{Accumulation, ActionEncoding, ActionSpace};
 
 use super::objective::{Objective, ObjectiveRecipe};
-use crate::recipe::{Bundled, Optimisation, Span, is_recipe};
-
-/// Embedded recipes.
-pub const RECIPES: Bundled = &[
-    ("tiny", include_str!("../../recipes/tiny/transition.yaml")),
-    ("paper", include_str!("../../recipes/paper/transition.yaml")),
-];
+use crate::recipe::recipe;
 
 /// Values that the null action adds to an action, as in the authors' release; the last one flags it.
 const NULL_ACTION: usize = 3;
 
-/// Settings of transition training, explained in `recipes/*/transition.yaml`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct TransitionRecipe {
-    /// Seed of weights, clips and noise.
-    pub seed: u64,
-    /// Length of the training; an epoch is one random clip per episode.
-    pub length: Span,
-    /// Steps between validations.
-    pub validate_every: u64,
-    /// Wall-clock time between checkpoints \[s\].
-    pub checkpoint_seconds: u64,
-    /// Clips per step.
-    pub batch: usize,
-    /// Clips computed together.
-    pub micro_batch: usize,
-    /// Shape and conventions.
-    pub model: ModelRecipe,
-    /// The objective.
-    pub objective: ObjectiveRecipe,
-    /// Sampler settings.
-    pub sampler: SamplerRecipe,
-    /// The optimiser.
-    pub optimisation: Optimisation,
+recipe! {
+    /// Settings of transition training, explained in `recipes/*/transition.yaml`.
+    pub struct TransitionRecipe in ["tiny", "paper"] of "transition" {
+        /// Shape and conventions.
+        pub model: ModelRecipe,
+        /// The objective.
+        pub objective: ObjectiveRecipe,
+        /// Sampler settings.
+        pub sampler: SamplerRecipe,
+    }
 }
-
-is_recipe!(TransitionRecipe);
 
 /// Shape and conventions of the model; `None` means the preset's.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -11,8 +11,10 @@ use wm_motion::actions::{Accumulation, ActionSpace};
 use super::*;
 use crate::{
     arguments::tests::run_in,
-    optimiser::{AdamW, AdamWSettings, Schedule},
-    recipe::{self, Span},
+    optimiser::{AdamW, AdamWSettings, Schedule, Variables},
+    recipe::{Span, tests::bundled},
+    run::{StepLoss, tests::expect_same_bytes_after_pause},
+    workers::{Batches, Workers},
 };
 
 const SIDE: usize = 4;
@@ -137,7 +139,7 @@ pub(crate) fn config(
 }
 
 fn tiny() -> TransitionRecipe {
-    recipe::load(RECIPES, "tiny", &[]).unwrap()
+    bundled("tiny", &[])
 }
 
 pub(super) fn objective(forcing: Forcing) -> Objective {
@@ -301,7 +303,7 @@ fn episodes_shorter_than_a_clip_are_rejected() {
 
 /// The recipe `name` for a model that trains quickly.
 pub(crate) fn small(name: &str, shift: Option<f64>) -> TransitionRecipe {
-    let recipe: TransitionRecipe = recipe::load(RECIPES, name, &[]).unwrap();
+    let recipe: TransitionRecipe = bundled(name, &[]);
     TransitionRecipe {
         length: Span::Steps(3),
         batch: 2,
@@ -358,31 +360,14 @@ fn paused_training_gives_the_same_bytes() {
     let latents = moving(dir.path(), 2, 1);
     for name in ["paper", "tiny"] {
         let mut recipe = small(name, None);
-        // A learning rate that does not depend on the length, so that pauses do not matter.
         recipe.optimisation.final_rate = 1.0;
-        let (whole, parts) = (
-            dir.path().join(name),
-            dir.path().join(format!("{name} parts")),
-        );
-        let mut train = |out: &Path, steps| {
+        let train = |out: &Path, steps| {
             recipe.length = Span::Steps(steps);
-            train_on(
-                &run_in(out),
-                &recipe,
-                None,
-                &latents,
-                None,
-                &Stop::default(),
-            )
-            .unwrap();
+            let run = run_in(out);
+            train_on(&run, &recipe, None, &latents, None, &Stop::default()).unwrap();
         };
-        train(&whole, 4);
-        train(&parts, 2);
-        train(&parts, 4);
-        for file in [FILE, "transition.checkpoint.safetensors"] {
-            let read = |out: &Path| std::fs::read(out.join(file)).unwrap();
-            assert!(read(&whole) == read(&parts), "{name}: {file}");
-        }
+        let files = [FILE, "transition.checkpoint.safetensors"];
+        expect_same_bytes_after_pause(&dir.path().join(name), &files, [2, 4], train);
     }
 }
 

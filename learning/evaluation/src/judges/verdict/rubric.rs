@@ -87,6 +87,7 @@ fn last_object(text: &str) -> Option<Map<String, Value>> {
 }
 
 fn rating(key: &'static str, object: &mut Map<String, Value>) -> Result<Rating, VerdictError> {
+    // A missing rating is null, which no rating accepts.
     let value = object.remove(key).unwrap_or_default();
     let found = excerpt(&value.to_string());
     let rating = serde_json::from_value::<Rating>(value).ok();

@@ -3,12 +3,9 @@
 use std::collections::BTreeMap;
 
 use wm_metrics::findings::{Better, Metric, Section};
-use wm_metrics::{
-    ranking::SUCCESS_THRESHOLD,
-    statistics::{bootstrap_clustered_mean, standard_error_of_share, wilson},
-};
+use wm_metrics::statistics::{bootstrap_clustered_mean, standard_error_of_share, wilson};
 
-use super::agreement::ConsensusPair;
+use super::consensus::ConsensusPair;
 use crate::{
     Settings,
     figures::{FEWEST, draws, mean_over_units},
@@ -60,7 +57,7 @@ pub(super) fn scores<'a>(
                 judge.name, judge.model
             ),
             is_rate: true,
-            of: Box::new(|trial| rated(trial, &judge.name).map(f64::from)),
+            of: Box::new(|trial| trial.success_by(&judge.name).map(f64::from)),
         });
     }
     if let Some(ConsensusPair { judges, .. }) = pair {
@@ -71,7 +68,9 @@ pub(super) fn scores<'a>(
             about: format!("share of trials that {first} and {second} both call a success"),
             is_rate: true,
             of: Box::new(move |trial| {
-                Some(f64::from(rated(trial, first)? && rated(trial, second)?))
+                Some(f64::from(
+                    trial.success_by(first)? && trial.success_by(second)?,
+                ))
             }),
         });
         scores.push(Score {
@@ -80,7 +79,7 @@ pub(super) fn scores<'a>(
             about: format!("mean of the success rates by {first} and {second}"),
             is_rate: false,
             of: Box::new(move |trial| {
-                let both = [rated(trial, first)?, rated(trial, second)?];
+                let both = [trial.success_by(first)?, trial.success_by(second)?];
                 Some(both.into_iter().map(f64::from).sum::<f64>() / 2.0)
             }),
         });
@@ -110,12 +109,6 @@ pub(super) fn scores<'a>(
         }));
     }
     scores
-}
-
-/// Whether a judge calls a trial a success.
-pub(super) fn rated(trial: &ImaginedTrial, judge: &str) -> Option<bool> {
-    let score = trial.verdicts.as_ref()?.scores.get(judge)?;
-    score.map(|score| score >= SUCCESS_THRESHOLD)
 }
 
 /// A name in lower-case letters, digits and underscores.

@@ -28,6 +28,7 @@ pub(super) fn of_model(section: &mut Section, windows: &[&InferredActions], mode
         values.any(|value| Some(value) != first)
     };
     let width = models().find_map(|inferred| Some(inferred.truth.first()?.len()));
+    // Without readers the table has no columns.
     let columns: Vec<usize> = (0..width.unwrap_or(0)).filter(varies).collect();
     let table = |of: Rows| {
         let rows = models().flat_map(of).map(|row| {

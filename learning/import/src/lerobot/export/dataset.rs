@@ -242,6 +242,7 @@ impl DatasetWriter {
     ) -> Vec<(String, Column)> {
         let frames = episode.frames();
         let (number, first) = (self.info.total_episodes, self.info.total_frames);
+        // In range: picks are rows of their stream.
         let row_of = |values: &[Vec<f32>], at: &usize| values.get(*at).cloned().unwrap_or_default();
         let actions: Vec<f32> = episode
             .actions
@@ -257,6 +258,7 @@ impl DatasetWriter {
             let mut values = Vec::with_capacity(frames * recording.state_names.len());
             for frame in 0..frames {
                 for (stream, picks) in recording.states.iter().zip(&episode.states) {
+                    // In range: every stream has one pick per frame.
                     let at = picks.numbers.get(frame).copied().unwrap_or(0);
                     values.extend(row_of(&stream.values, &at));
                 }

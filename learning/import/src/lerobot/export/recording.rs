@@ -246,6 +246,7 @@ impl<T> Stream<T> {
     fn silences(&self) -> Vec<Silence> {
         let mut periods: Vec<u64> = self.periods().collect();
         periods.sort_unstable();
+        // A single picture has no period.
         let median_ns = periods.get(periods.len() / 2).copied().unwrap_or(0);
         let longest_ns = median_ns.saturating_mul(SILENT_PERIODS);
         let longest_ns = longest_ns.clamp(SHORT_NS, LONG_NS);

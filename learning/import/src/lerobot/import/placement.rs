@@ -108,6 +108,7 @@ fn place_single(member: &Member, total: usize) -> Result<Frames, String> {
 /// clearly differs.
 fn place_by_lengths(times: &Times<'_>, fps: f64, period_s: f64, members: &[Member]) -> Placement {
     let shortest = members.iter().map(|member| member.length).min();
+    // A file without members has nothing to place.
     let tolerance = TOLERANCE.min(shortest.unwrap_or(0) / 2).max(1) as f64;
     // In frames, by the video's clock and by the data set's, which differ if the video was encoded at another rate.
     let off = |member: &Member, begin: usize| {
@@ -178,6 +179,7 @@ fn place_by_times(
         let begin = ((member.from_s - begin_s) / period_s).round() as i64;
         begin.saturating_add(i64::try_from(member.length).unwrap_or(i64::MAX))
     };
+    // A file without members has nothing to place.
     let last = members.iter().map(end).max().unwrap_or(0);
     let is_accounted = last == spanned as i64;
     let frames = |member: &Member| {
@@ -236,6 +238,7 @@ fn place_by_begins(times: &Times<'_>, period_s: f64, rows: usize, members: &[Mem
         .flatten()
         .map(|frames| frames.range.clone())
         .collect();
+    // Without placed members the end is the first row.
     let end = placed.iter().map(|range| range.end).max().unwrap_or(0);
     let shortest = members
         .iter()

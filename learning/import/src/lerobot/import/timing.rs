@@ -56,6 +56,7 @@ impl Timing {
         }
         let mut sorted = gaps.clone();
         sorted.sort_unstable_by(f64::total_cmp);
+        // A single frame has no period: the declared rate counts.
         let median = sorted.get(sorted.len() / 2).copied().unwrap_or(fps.recip());
         if (median * fps - 1.0).abs() > RATE_SHARE {
             return Err(format!(
