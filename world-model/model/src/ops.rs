@@ -22,7 +22,7 @@ mod group_norm;
 pub(crate) mod host;
 mod input_range;
 mod int8_panels;
-mod kernel;
+pub(crate) mod kernel;
 mod layer_norm;
 pub(crate) mod linear;
 mod packed_linear;

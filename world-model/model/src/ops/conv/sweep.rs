@@ -8,9 +8,8 @@ use super::taps::Taps;
 use super::tile::{Rectangle, Tile};
 use crate::ops::element::Element;
 use crate::ops::group_norm::Normalisation;
-use crate::ops::kernel::Row;
+use crate::ops::kernel::{Product, Row};
 use crate::ops::panels::Panels;
-use crate::ops::product::Product;
 use crate::ops::simd::{LANES, NO_BIAS};
 
 /// Bytes of weights that are used for a whole tile before the next ones are read: few enough to stay in a second-level

@@ -12,9 +12,9 @@ use super::{ConvShape, Fused, GridSize};
 use crate::ops::buffer::Buffer;
 use crate::ops::element::Element;
 use crate::ops::group_norm::Normalisation;
+use crate::ops::kernel::Product;
 use crate::ops::panel_product::{Rows, product_as_is};
 use crate::ops::panels::Panels;
-use crate::ops::product::Product;
 #[cfg(target_arch = "aarch64")]
 use crate::ops::simd::Neon;
 #[cfg(target_arch = "x86_64")]

@@ -1,7 +1,6 @@
 //! Rows by the tiles of AMX: two tiles of pixels times one or two vectors of outputs at a time.
 
-use super::Row;
-use crate::ops::product::Product;
+use super::{Product, Row};
 use crate::ops::simd::LANES;
 use crate::ops::simd::amx::{Operands, ROW_BYTES, ROWS, Shapes, Sums, TileProduct};
 
