@@ -24,6 +24,7 @@ mod input_range;
 mod int8_panels;
 pub(crate) mod kernel;
 mod layer_norm;
+mod length;
 pub(crate) mod linear;
 mod packed_linear;
 mod panel_product;

@@ -24,8 +24,8 @@ pub(crate) trait Product: Copy + Send + Sync + 'static {
     type Weight: Element;
     /// What of a processor computes it.
     type Unit: Copy + Send + Sync;
-    /// What makes outputs of the sums, besides the bias: nothing where the sums are outputs.
-    type Scales: Copy;
+    /// What makes outputs of the sums, besides the bias: nothing if the sums are outputs.
+    type Scales: Scales;
     /// Whether the sums are outputs.
     const SUMS_ARE_OUTPUTS: bool = size_of::<Self::Scales>() == 0;
 
@@ -34,21 +34,29 @@ pub(crate) trait Product: Copy + Send + Sync + 'static {
     /// # Safety
     /// All pointers of `row` must be valid for what their comments say, and the processor must have `unit`.
     unsafe fn run(row: &Row<Self>, unit: Self::Unit);
+}
 
-    /// Where the sums start, for every output: at the bias. What has as many bits where the sums are no f32.
-    #[inline(always)]
-    fn starts(row: &Row<Self>) -> *const f32 {
-        row.bias
-    }
+/// What makes outputs of the sums of a row.
+pub(crate) trait Scales: Copy {
+    /// Where the sums start, for every output: at the `bias`, or at numbers of as many bits if the sums are not f32.
+    fn starts(&self, bias: *const f32) -> *const f32;
 
-    /// Makes outputs of the sums of vector `vector` of pixel `pixel`.
+    /// Makes outputs of the sums of a vector of a pixel; `place` is (pixel, vector).
     ///
     /// # Safety
-    /// As for [`Self::run`]; the row has that pixel and that vector.
+    /// The row has that pixel and that vector, and `bias` and scales are its.
+    unsafe fn outputs(&self, bias: *const f32, place: (usize, usize), sums: &mut [f32; LANES]);
+}
+
+/// The sums are outputs.
+impl Scales for () {
     #[inline(always)]
-    unsafe fn outputs(row: &Row<Self>, pixel: usize, vector: usize, sums: &mut [f32; LANES]) {
-        let _ = (row, pixel, vector, sums);
+    fn starts(&self, bias: *const f32) -> *const f32 {
+        bias
     }
+
+    #[inline(always)]
+    unsafe fn outputs(&self, _: *const f32, _: (usize, usize), _: &mut [f32; LANES]) {}
 }
 
 /// A step of a product on the lanes `L`, of which each holds a group or a sum.
@@ -171,7 +179,7 @@ impl<P: Product> Row<P> {
             let mut sums = [[L::splat(0.0); N]; M];
             for sum in &mut sums {
                 for (j, sum) in sum.iter_mut().enumerate() {
-                    *sum = L::load(P::starts(self).add(j * LANES));
+                    *sum = L::load(self.scales.starts(self.bias).add(j * LANES));
                 }
             }
             let mut weights = self.panel;
@@ -235,7 +243,7 @@ impl<P: Product> Row<P> {
     unsafe fn finish(&self, x: usize, vector: usize, values: &mut [f32; LANES]) {
         // SAFETY: as for `run`; the pixel exists, and no channel beyond `channels` is touched.
         unsafe {
-            P::outputs(self, x, vector, values);
+            self.scales.outputs(self.bias, (x, vector), values);
             let at = x * self.output_step + vector * LANES;
             let count = (self.channels - vector * LANES).min(LANES);
             if !self.residual.is_null() {

@@ -2,7 +2,7 @@
 
 use half::bf16;
 
-use super::kernel::{Product, Row, Step};
+use super::kernel::{Product, Row, Scales, Step};
 #[cfg(target_arch = "aarch64")]
 use super::simd::Neon;
 #[cfg(target_arch = "x86_64")]
@@ -148,11 +148,13 @@ pub(crate) struct WholeScales {
     pub starts: *const i32,
 }
 
-impl WholeScales {
-    /// As [`Product::outputs`], in one order and without fused operations, so that every processor gives the same bits.
-    ///
-    /// # Safety
-    /// The row has that pixel and that vector.
+impl Scales for WholeScales {
+    #[inline(always)]
+    fn starts(&self, _: *const f32) -> *const f32 {
+        self.starts.cast()
+    }
+
+    /// In one order and without fused operations, so that every processor gives the same bits.
     #[inline(always)]
     unsafe fn outputs(
         &self,
@@ -211,17 +213,6 @@ impl Product for Int8 {
             }
         }
     }
-
-    #[inline(always)]
-    fn starts(row: &Row<Self>) -> *const f32 {
-        row.scales.starts.cast()
-    }
-
-    #[inline(always)]
-    unsafe fn outputs(row: &Row<Self>, pixel: usize, vector: usize, sums: &mut [f32; LANES]) {
-        // SAFETY: as for this function.
-        unsafe { row.scales.outputs(row.bias, (pixel, vector), sums) }
-    }
 }
 
 impl<L: DotInt8> Step<L> for Int8 {
@@ -265,17 +256,6 @@ impl Product for WidenedInt8 {
 
         // SAFETY: the caller vouches for the pointers and the instructions.
         unsafe { avx2(row) }
-    }
-
-    #[inline(always)]
-    fn starts(row: &Row<Self>) -> *const f32 {
-        row.scales.starts.cast()
-    }
-
-    #[inline(always)]
-    unsafe fn outputs(row: &Row<Self>, pixel: usize, vector: usize, sums: &mut [f32; LANES]) {
-        // SAFETY: as for this function.
-        unsafe { row.scales.outputs(row.bias, (pixel, vector), sums) }
     }
 }
 
