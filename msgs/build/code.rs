@@ -91,22 +91,33 @@ impl Interfaces {
             }
             writeln!(code, "}}")?;
         }
+        writeln!(
+            code,
+            "/// All message types, sorted by name.\nconst MESSAGE_TYPES: &[MessageType] = &["
+        )?;
+        for (ros_name, interface) in &self.0 {
+            if interface.kind == "msg" {
+                let path = rust_path(ros_name);
+                writeln!(code, "MessageType::new::<{path}>({ros_name:?}),")?;
+            }
+        }
+        writeln!(code, "];")?;
+        Ok(code)
+    }
+
+    /// Names and definitions of all interfaces, and macros that call a generic function for each message, service or action
+    /// of the crate.
+    pub fn lists(&self) -> Result<String> {
         let definitions = self
             .0
             .iter()
             .map(|(ros_name, interface)| (ros_name, &interface.text));
+        let mut code = String::new();
         writeln!(
             code,
-            "/// Names and definitions of all interfaces, sorted by name.\n\
-             pub const DEFINITIONS: &[(&str, &str)] = &{:?};",
+            "const DEFINITIONS: &[(&str, &str)] = &{:?};",
             definitions.collect::<Vec<_>>()
         )?;
-        Ok(code)
-    }
-
-    /// Macros that call a generic function for each message, service or action of the crate.
-    pub fn lists(&self) -> Result<String> {
-        let mut code = String::new();
         for (kind, list, module) in [
             ("msg", "message", ""),
             ("srv", "service", ""),

@@ -1,7 +1,7 @@
 //! Writes the Rust types of all interfaces: those of this package (`msg/`, `srv/`, `action/`), and those of other packages
 //! (`ros/PACKAGE/`). Each gets its structs and constants, and name, definition and dependencies as the crate's traits.
 //!
-//! `packages.rs` becomes part of the crate, one module for each package; `every.rs` gives its tests the list of all types.
+//! `packages.rs` becomes part of the crate, one module for each package; `every.rs` gives its tests the lists of all types.
 
 mod code;
 mod interface;

@@ -21,6 +21,7 @@
 //!
 //! - [`cdr`]: messages as bytes, and bytes as messages.
 //! - [`TypeDescription`]: the fields of a type, from its definition, and the hash that identifies it.
+//! - [`MessageType`]: a message type of this crate, found by its name.
 //! - [`Mapping`]: messages of one definition as messages of another, for bags of another version.
 //!
 //! A new message of this package is a new file in `msg/`, and its name in `CMakeLists.txt`.
@@ -31,11 +32,13 @@ pub mod action;
 pub mod cdr;
 mod mapping;
 mod message;
+mod message_type;
 mod time;
 mod type_description;
 
 pub use mapping::{ConvertError, Layout, Mapping, MappingError};
 pub use message::{Action, Message, Service};
+pub use message_type::MessageType;
 pub use time::InvalidNanoseconds;
 pub use type_description::{
     DescriptionError, Field, FieldType, IndividualType, TypeDescription, TypeHash, idl_definitions,

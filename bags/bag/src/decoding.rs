@@ -2,9 +2,9 @@
 
 use std::sync::OnceLock;
 
-use wm_msgs::{DescriptionError, Mapping, Message, TypeDescription, cdr};
+use wm_msgs::{DescriptionError, Mapping, Message, MessageType, TypeDescription, cdr};
 
-use crate::{BagError, Schema, own_types};
+use crate::{BagError, Schema};
 
 /// Representation identifiers of plain CDR, version 2.
 const PLAIN_CDR_2: [[u8; 2]; 2] = [[0, 6], [0, 7]];
@@ -48,8 +48,8 @@ impl Decoding {
     /// A decoder for this type and definition.
     pub fn new(type_name: &str, schema: &Schema) -> Self {
         let decoding = Self::default();
-        // Other types are compared at the first call of `decode`. A test checks the own descriptions.
-        if let Some(Ok(ours)) = own_types::find(type_name).map(|own| (own.description)()) {
+        // Other types are compared at the first call of `decode`. A test of `wm_msgs` describes its types.
+        if let Some(Ok(ours)) = MessageType::find(type_name).map(MessageType::description) {
             decoding
                 .fields
                 .get_or_init(|| FieldMatch::of(type_name, schema, &ours));

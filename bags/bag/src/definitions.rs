@@ -4,8 +4,8 @@ use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use crate::{Schema, SchemaEncoding, own_types};
-use wm_msgs::DEFINITIONS;
+use crate::{Schema, SchemaEncoding};
+use wm_msgs::MessageType;
 
 /// A definition file has a few kilobytes; larger files are ignored \[bytes\].
 const FILE_LIMIT: u64 = 1 << 20;
@@ -57,11 +57,8 @@ pub fn prefixes() -> Vec<PathBuf> {
 }
 
 fn own(type_name: &str) -> Option<Schema> {
-    let own = own_types::find(type_name)?;
-    Some(Schema::from_parts(
-        own.definition,
-        own.dependencies.iter().copied(),
-    ))
+    let own = MessageType::find(type_name)?;
+    Some(Schema::from_parts(own.definition, own.dependencies()))
 }
 
 fn installed(type_name: &str, prefixes: &[PathBuf]) -> Option<Schema> {
@@ -96,7 +93,7 @@ fn read(type_name: &str, prefixes: &[PathBuf]) -> Option<String> {
         .join(package)
         .join("msg")
         .join(format!("{name}.msg"));
-    let installed = prefixes
+    prefixes
         .iter()
         .map(|prefix| prefix.join(&file))
         .find_map(|path| {
@@ -107,15 +104,7 @@ fn read(type_name: &str, prefixes: &[PathBuf]) -> Option<String> {
             } else {
                 None
             }
-        });
-    // Types that every ROS node publishes, so that a bag can be decoded without an installed ROS.
-    let known = || {
-        let is_of_nodes = package == "rcl_interfaces" || type_name == "builtin_interfaces/msg/Time";
-        let mut all = DEFINITIONS.iter().filter(|_| is_of_nodes);
-        let (_, text) = all.find(|(known, _)| *known == type_name)?;
-        Some((*text).to_owned())
-    };
-    installed.or_else(known)
+        })
 }
 
 /// The message types of a definition's fields, as `package/msg/Type`.
@@ -148,12 +137,15 @@ fn field_types(type_name: &str, definition: &str) -> Vec<String> {
 mod tests {
     use super::*;
     use crate::type_schema;
-    use wm_msgs::wm_msgs::Prediction;
+    use wm_msgs::{geometry_msgs::Transform, wm_msgs::Prediction};
 
     #[test]
     fn own_types_need_no_installed_ros() {
         let schema = definition("wm_msgs/msg/Prediction", &[]).unwrap();
         assert_eq!(schema, type_schema::<Prediction>());
+        // A type that only others name.
+        let transform = definition("geometry_msgs/msg/Transform", &[]).unwrap();
+        assert_eq!(transform, type_schema::<Transform>());
         assert_eq!(definition("nav_msgs/msg/Odometry", &[]), None);
         let event = definition("rcl_interfaces/msg/ParameterEvent", &[]).unwrap();
         // From ROS 2 Kilted: share/rcl_interfaces/msg/ParameterEvent.json.

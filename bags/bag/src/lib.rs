@@ -59,7 +59,6 @@ mod encoding;
 mod error;
 mod latched;
 mod metadata;
-mod own_types;
 mod qos;
 mod reader;
 mod recover;

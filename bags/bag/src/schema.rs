@@ -1,8 +1,8 @@
 use std::{borrow::Cow, sync::Arc};
 
-use wm_msgs::{DescriptionError, Message, TypeDescription, TypeHash, idl_definitions};
+use wm_msgs::{DescriptionError, Message, MessageType, TypeDescription, TypeHash, idl_definitions};
 
-use crate::{BagError, own_types};
+use crate::BagError;
 
 /// Equal signs on the line before each dependency.
 const DELIMITER: usize = 80;
@@ -130,12 +130,10 @@ impl Schema {
             let described = TypeDescription::message(type_name, own, dependencies.iter().copied());
             // Each round adds one missing type.
             match &described {
-                Err(DescriptionError::Missing { name, .. }) => {
-                    match own_types::find_dependency(name) {
-                        Some(known) => dependencies.push(known),
-                        None => return described.map(Some),
-                    }
-                }
+                Err(DescriptionError::Missing { name, .. }) => match MessageType::find(name) {
+                    Some(known) => dependencies.push((known.ros_name, known.definition)),
+                    None => return described.map(Some),
+                },
                 _ => return described.map(Some),
             }
         }

@@ -1,5 +1,4 @@
 use std::{
-    fmt,
     path::{Path, PathBuf},
     time::Duration,
 };
@@ -12,34 +11,47 @@ use crate::{
 
 /// A fault of a bag that does not prevent reading it.
 #[expect(missing_docs, reason = "fields are named after their content")]
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum BagWarning {
     /// The file ends early: killed recorder or incomplete copy.
+    #[error(
+        "{file} is truncated: read up to its last whole chunk, {lost_bytes} bytes after it are lost"
+    )]
     Truncated {
         file: PathBuf,
         /// Bytes after the last whole record, which are not read.
         lost_bytes: u64,
     },
     /// The summary is missing or invalid although the file is complete; its records were read instead.
+    #[error("{file} has no usable summary ({reason}); the whole file was scanned")]
     NoSummary { file: PathBuf, reason: String },
     /// Part of the file is damaged; its messages are missing from the counts.
+    #[error("{file} is damaged at byte {offset}: {reason}")]
     Damaged {
         file: PathBuf,
         offset: u64,
         reason: String,
     },
     /// Further damaged places of the file.
+    #[error("{file} is also damaged in {places} other places")]
     MoreDamaged { file: PathBuf, places: u64 },
     /// Further chunks and messages that were not copied.
+    #[error("{count} more chunks or messages are skipped")]
     MoreSkipped { count: u64 },
     /// A folder without `metadata.yaml`; its files were found by name.
+    #[error("{dir} has no metadata.yaml: its files are read in the order of their names")]
     NoMetadata { dir: PathBuf },
     /// `metadata.yaml` is invalid (for example empty, after a power cut); the files were found by name.
+    #[error(
+        "{file} is damaged ({reason}): the files of its folder are read in the order of their names"
+    )]
     BadMetadata { file: PathBuf, reason: String },
     /// The summary contradicts the messages, which are read.
+    #[error("{file} has a wrong summary ({reason}); the messages themselves are read")]
     WrongSummary { file: PathBuf, reason: String },
     /// An unreadable channel was skipped.
+    #[error("{file}: channel {topic} with {messages} message(s) is skipped: {reason}")]
     ChannelSkipped {
         file: PathBuf,
         topic: String,
@@ -47,6 +59,11 @@ pub enum BagWarning {
         reason: String,
     },
     /// The bag's definition of a type has other fields than this version's; they are matched by name.
+    #[error(
+        "{topic}: the bag's {type_name} has other fields than this version's{}{}",
+        list("missing, set to defaults", .missing),
+        list("ignored", .dropped)
+    )]
     OtherFields {
         topic: String,
         type_name: String,
@@ -56,6 +73,9 @@ pub enum BagWarning {
         dropped: Vec<String>,
     },
     /// The bag's definition of a type does not fit this version's: messages can be copied and played, not decoded.
+    #[error(
+        "{topic}: messages are not decoded, because the bag's {type_name} does not fit this version's: {reason}"
+    )]
     Undecodable {
         topic: String,
         type_name: String,
@@ -63,6 +83,10 @@ pub enum BagWarning {
     },
     /// The bag's definition of a type is invalid: messages are decoded as this version's type if they have exactly its
     /// length.
+    #[error(
+        "{topic}: the bag's definition of {type_name} is invalid ({reason}); messages are decoded as this version's type \
+         if they have its length"
+    )]
     UnreadableDefinition {
         topic: String,
         type_name: String,
@@ -70,36 +94,55 @@ pub enum BagWarning {
         reason: String,
     },
     /// A compressed file was decompressed to a temporary file.
+    #[error("{file} is compressed: read from a temporary file of {bytes} bytes in {folder}")]
     Decompressed {
         file: PathBuf,
         folder: PathBuf,
         bytes: u64,
     },
     /// The end of a compressed file is damaged or missing.
+    #[error(
+        "{file} is damaged or ends early ({reason}): its first {bytes} decompressed bytes are read"
+    )]
     CompressedEnd {
         file: PathBuf,
         bytes: u64,
         reason: String,
     },
     /// The recorder of an sqlite3 file was killed: its journal was applied to a temporary copy.
+    #[error(
+        "{file} has a journal, because its recorder was killed: read from a copy of {bytes} bytes in {folder}"
+    )]
     Journal {
         file: PathBuf,
         folder: PathBuf,
         bytes: u64,
     },
     /// Another form of this file (compressed, for example) was read instead.
+    #[error("{file} is skipped: another form of the same file is read")]
     Twice { file: PathBuf },
     /// A message was not copied.
+    #[error("a message is skipped: {0}")]
     MessageSkipped(String),
     /// Messages of a topic were not converted.
+    #[error("{topic}: {messages} message(s) are skipped: {reason}")]
     Omitted {
         topic: String,
         messages: u64,
         reason: String,
     },
     /// A file that `metadata.yaml` lists is missing.
+    #[error("{dir}: metadata.yaml lists {file}, which does not exist; the other files are read")]
     MissingFile { dir: PathBuf, file: PathBuf },
     /// Messages are more than a day from most others.
+    #[error(
+        "{path}: {messages} message(s) were logged more than a day before or after the others: all from {} to {}, the \
+         recording itself from {} to {}; offsets count from there",
+        Instant(.all_ns.0),
+        Instant(.all_ns.1),
+        Instant(.main_ns.0),
+        Instant(.main_ns.1)
+    )]
     Apart {
         path: PathBuf,
         messages: u64,
@@ -109,6 +152,11 @@ pub enum BagWarning {
         main_ns: (u64, u64),
     },
     /// Gaps without messages.
+    #[error(
+        "{path}: {gaps} gap(s) of more than 10 s without a message, the longest of {:.3} s after {}",
+        seconds(*.longest_ns),
+        Instant(.longest_ns.0)
+    )]
     Gaps {
         path: PathBuf,
         gaps: u64,
@@ -116,6 +164,13 @@ pub enum BagWarning {
         longest_ns: (u64, u64),
     },
     /// The log times step back, in the order of writing.
+    #[error(
+        "{path}: log times step back {steps} time(s), first by {:.3} s from {} to {}; messages are read in the order of \
+         log times",
+        seconds(*.first_ns),
+        Instant(.first_ns.0),
+        Instant(.first_ns.1)
+    )]
     StepsBack {
         path: PathBuf,
         steps: u64,
@@ -123,12 +178,14 @@ pub enum BagWarning {
         first_ns: (u64, u64),
     },
     /// All messages have the same log time.
+    #[error("{path}: all messages have the log time {}", Instant(*.log_time_ns))]
     OneTime {
         path: PathBuf,
         /// The time \[ns\].
         log_time_ns: u64,
     },
     /// `metadata.yaml` and the files have different message counts.
+    #[error("{dir}: metadata.yaml counts {metadata} messages, the files have {files}")]
     CountDiffers {
         dir: PathBuf,
         /// The count in `metadata.yaml`.
@@ -239,208 +296,10 @@ fn seconds((from_ns, to_ns): (u64, u64)) -> f64 {
     Duration::from_nanos(to_ns.abs_diff(from_ns)).as_secs_f64()
 }
 
-impl fmt::Display for BagWarning {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Truncated { file, lost_bytes } => write!(
-                f,
-                "{} is truncated: read up to its last whole chunk, {lost_bytes} bytes after it are lost",
-                file.display()
-            ),
-            Self::NoSummary { file, reason } => {
-                write!(
-                    f,
-                    "{} has no usable summary ({reason}); the whole file was scanned",
-                    file.display()
-                )
-            }
-            Self::Damaged {
-                file,
-                offset,
-                reason,
-            } => {
-                write!(
-                    f,
-                    "{} is damaged at byte {offset}: {reason}",
-                    file.display()
-                )
-            }
-            Self::MoreDamaged { file, places } => {
-                write!(
-                    f,
-                    "{} is also damaged in {places} other places",
-                    file.display()
-                )
-            }
-            Self::MoreSkipped { count } => {
-                write!(f, "{count} more chunks or messages are skipped")
-            }
-            Self::NoMetadata { dir } => {
-                write!(
-                    f,
-                    "{} has no metadata.yaml: its files are read in the order of their names",
-                    dir.display()
-                )
-            }
-            Self::BadMetadata { file, reason } => {
-                write!(
-                    f,
-                    "{} is damaged ({reason}): the files of its folder are read in the order of their names",
-                    file.display()
-                )
-            }
-            Self::WrongSummary { file, reason } => {
-                let file = file.display();
-                write!(
-                    f,
-                    "{file} has a wrong summary ({reason}); the messages themselves are read"
-                )
-            }
-            Self::ChannelSkipped {
-                file,
-                topic,
-                messages,
-                reason,
-            } => write!(
-                f,
-                "{}: channel {topic} with {messages} message(s) is skipped: {reason}",
-                file.display()
-            ),
-            Self::OtherFields {
-                topic,
-                type_name,
-                missing,
-                dropped,
-            } => {
-                write!(
-                    f,
-                    "{topic}: the bag's {type_name} has other fields than this version's"
-                )?;
-                if !missing.is_empty() {
-                    write!(f, "; missing, set to defaults: {}", missing.join(", "))?;
-                }
-                if !dropped.is_empty() {
-                    write!(f, "; ignored: {}", dropped.join(", "))?;
-                }
-                Ok(())
-            }
-            Self::Undecodable {
-                topic,
-                type_name,
-                reason,
-            } => write!(
-                f,
-                "{topic}: messages are not decoded, because the bag's {type_name} does not fit this version's: {reason}"
-            ),
-            Self::UnreadableDefinition {
-                topic,
-                type_name,
-                reason,
-            } => write!(
-                f,
-                "{topic}: the bag's definition of {type_name} is invalid ({reason}); messages are decoded as \
-                 this version's type if they have its length"
-            ),
-            Self::Decompressed {
-                file,
-                folder,
-                bytes,
-            } => write!(
-                f,
-                "{} is compressed: read from a temporary file of {bytes} bytes in {}",
-                file.display(),
-                folder.display()
-            ),
-            Self::CompressedEnd {
-                file,
-                bytes,
-                reason,
-            } => write!(
-                f,
-                "{} is damaged or ends early ({reason}): its first {bytes} decompressed bytes are read",
-                file.display()
-            ),
-            Self::Journal {
-                file,
-                folder,
-                bytes,
-            } => write!(
-                f,
-                "{} has a journal, because its recorder was killed: read from a copy of {bytes} bytes in {}",
-                file.display(),
-                folder.display()
-            ),
-            Self::Twice { file } => write!(
-                f,
-                "{} is skipped: another form of the same file is read",
-                file.display()
-            ),
-            Self::MessageSkipped(reason) => write!(f, "a message is skipped: {reason}"),
-            Self::Omitted {
-                topic,
-                messages,
-                reason,
-            } => write!(f, "{topic}: {messages} message(s) are skipped: {reason}"),
-            Self::MissingFile { dir, file } => write!(
-                f,
-                "{}: metadata.yaml lists {}, which does not exist; the other files are read",
-                dir.display(),
-                file.display()
-            ),
-            Self::Apart {
-                path,
-                messages,
-                all_ns,
-                main_ns,
-            } => write!(
-                f,
-                "{}: {messages} message(s) were logged more than a day before or after the others: all from {} to {}, the \
-                 recording itself from {} to {}; offsets count from there",
-                path.display(),
-                Instant(all_ns.0),
-                Instant(all_ns.1),
-                Instant(main_ns.0),
-                Instant(main_ns.1)
-            ),
-            Self::Gaps {
-                path,
-                gaps,
-                longest_ns,
-            } => write!(
-                f,
-                "{}: {gaps} gap(s) of more than 10 s without a message, the longest of {:.3} s after {}",
-                path.display(),
-                seconds(*longest_ns),
-                Instant(longest_ns.0)
-            ),
-            Self::StepsBack {
-                path,
-                steps,
-                first_ns,
-            } => write!(
-                f,
-                "{}: log times step back {steps} time(s), first by {:.3} s from {} to {}; messages are read in the order of \
-                 log times",
-                path.display(),
-                seconds(*first_ns),
-                Instant(first_ns.0),
-                Instant(first_ns.1)
-            ),
-            Self::OneTime { path, log_time_ns } => write!(
-                f,
-                "{}: all messages have the log time {}",
-                path.display(),
-                Instant(*log_time_ns)
-            ),
-            Self::CountDiffers {
-                dir,
-                metadata,
-                files,
-            } => write!(
-                f,
-                "{}: metadata.yaml counts {metadata} messages, the files have {files}",
-                dir.display()
-            ),
-        }
+/// The end of a text: `names` after a `heading`, or nothing without names.
+fn list(heading: &str, names: &[String]) -> String {
+    match names {
+        [] => String::new(),
+        names => format!("; {heading}: {}", names.join(", ")),
     }
 }

@@ -1,8 +1,8 @@
 //! Compares our type hashes with a committed list, and with the hashes that the real rosidl computed.
 
-use crate::installation::Installation;
+use crate::{DEFINITIONS, installation::Installation};
 use std::collections::BTreeMap;
-use wm_msgs::{DEFINITIONS, TypeDescription};
+use wm_msgs::TypeDescription;
 
 /// Every type of the crate, with the types that rosidl makes of its actions, and its hash.
 fn ours() -> BTreeMap<String, String> {

@@ -14,7 +14,7 @@ use interface::{Interface, Number, parse};
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
 use wm_msgs::{
-    Action, Message, Service,
+    Action, Message, MessageType, Service, TypeDescription,
     action_msgs::GoalStatus,
     diagnostic_msgs::DiagnosticStatus,
     geometry_msgs::Quaternion,
@@ -23,7 +23,8 @@ use wm_msgs::{
     wm_msgs::{EnvStepRequest, Latent},
 };
 
-// `every_message!`, `every_service!` and `every_action!` call a generic function for each type of the crate.
+// `DEFINITIONS` has names and texts of all types; `every_message!`, `every_service!` and `every_action!` call a generic
+// function for each.
 include!(concat!(env!("OUT_DIR"), "/every.rs"));
 
 /// Compares a Rust type with the fields of a definition, following nested messages through `definitions`.
@@ -97,6 +98,19 @@ fn compare_message<M: Message>() {
         M::NAME
     );
     compare(&shape, M::PACKAGE, M::DEFINITION, &definitions);
+}
+
+fn find_message<M: Message>() {
+    let found = MessageType::find(&M::ros_name()).expect("every message type is listed");
+    assert_eq!(found.definition, M::DEFINITION);
+    assert_eq!(found.dependencies(), M::dependencies());
+    assert_eq!(found.description(), TypeDescription::of::<M>());
+}
+
+#[test]
+fn every_message_is_found_by_its_name() {
+    every_message!(find_message);
+    assert!(MessageType::find("std_srvs/srv/Trigger").is_none());
 }
 
 #[test]

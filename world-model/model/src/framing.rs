@@ -1,54 +1,21 @@
 //! How a camera's picture becomes the picture that a model takes: one rule for data, nodes and evaluation.
 
+mod part;
+mod picture_size;
+
 use std::{fmt, str::FromStr};
 
 use candle_core::{Device, Tensor};
 use image::{GenericImage as _, Rgb, RgbImage};
 use serde::{Deserialize, Serialize};
 
-use crate::image::resize_part;
+pub use part::Part;
+pub use picture_size::PictureSize;
+
 use crate::{Error, Result};
 
 /// Colour of the bars beside a padded picture: black.
 pub const BARS: Rgb<u8> = Rgb([0; 3]);
-
-/// Columns and rows of a camera's picture in pixels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct PictureSize {
-    /// Columns.
-    pub width: u32,
-    /// Rows.
-    pub height: u32,
-}
-
-impl PictureSize {
-    /// The size of `picture`.
-    pub fn of(picture: &RgbImage) -> Self {
-        let (width, height) = picture.dimensions();
-        Self { width, height }
-    }
-
-    /// Whether width / height is the same in both.
-    pub fn has_aspect_of(self, other: Self) -> bool {
-        self.cross(other) == other.cross(self)
-    }
-
-    fn cross(self, other: Self) -> u64 {
-        u64::from(self.width) * u64::from(other.height)
-    }
-
-    fn is_empty(self) -> bool {
-        self.width == 0 || self.height == 0
-    }
-}
-
-/// As drivers write it: `640x480` has 640 columns.
-impl fmt::Display for PictureSize {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}x{}", self.width, self.height)
-    }
-}
 
 /// What happens to a picture whose aspect is not the model's.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -120,56 +87,6 @@ impl FromStr for Fit {
     fn from_str(text: &str) -> std::result::Result<Self, String> {
         let found = Self::ALL.into_iter().find(|fit| fit.name() == text);
         found.ok_or_else(|| format!("expected stretch, crop or pad, got {text:?}"))
-    }
-}
-
-/// A rectangle of whole pixels in a picture.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Part {
-    /// Columns at its left.
-    pub x: u32,
-    /// Rows above it.
-    pub y: u32,
-    /// Its columns, at least 1.
-    pub width: u32,
-    /// Its rows, at least 1.
-    pub height: u32,
-}
-
-impl Part {
-    fn whole(size: PictureSize) -> Self {
-        Self {
-            x: 0,
-            y: 0,
-            width: size.width,
-            height: size.height,
-        }
-    }
-
-    /// The largest rectangle of the aspect of `shape` in the middle of a picture of the size `of`.
-    fn inside(of: PictureSize, shape: PictureSize) -> Self {
-        // At most `most`, which has 32 bits.
-        let rounded = |side: u32, by: u32, over: u32, most: u32| {
-            let (product, over) = (u64::from(side) * u64::from(by), u64::from(over));
-            ((product + over / 2) / over).clamp(1, u64::from(most)) as u32
-        };
-        let is_wider = of.cross(shape) > shape.cross(of);
-        let (width, height) = match is_wider {
-            true => (
-                rounded(of.height, shape.width, shape.height, of.width),
-                of.height,
-            ),
-            false => (
-                of.width,
-                rounded(of.width, shape.height, shape.width, of.height),
-            ),
-        };
-        Self {
-            x: (of.width - width) / 2,
-            y: (of.height - height) / 2,
-            width,
-            height,
-        }
     }
 }
 
@@ -357,7 +274,7 @@ impl Fit {
             y: part.y + source.y,
             ..source
         };
-        let scaled = resize_part(picture, source, (target.width, target.height))?;
+        let scaled = source.resize(picture, (target.width, target.height))?;
         if target == Part::whole(to) {
             return Ok(scaled);
         }

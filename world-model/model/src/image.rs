@@ -1,12 +1,9 @@
 //! Camera pictures to tensors and back.
 
 use candle_core::{DType, Tensor};
-use fast_image_resize::images::{TypedCroppedImage, TypedImage, TypedImageRef};
-use fast_image_resize::pixels::U8x3;
-use fast_image_resize::{FilterType, ResizeAlg, ResizeOptions, Resizer};
-use image::{RgbImage, imageops};
+use image::RgbImage;
 
-use crate::framing::{Fit, Framing, Part};
+use crate::framing::{Fit, Framing};
 use crate::{Error, Result};
 
 /// `rgb` as an encoder of this framing takes it, scaled to 0..1: a tensor (1, H, W, 3), f32.
@@ -27,42 +24,6 @@ pub fn preprocess(rgb: &RgbImage, framing: impl Into<Framing>) -> Result<Tensor>
 /// If the picture or the size is empty.
 pub fn resize(rgb: &RgbImage, size: (usize, usize)) -> Result<RgbImage> {
     Framing::new(size, Fit::Stretch).apply(rgb)
-}
-
-/// A part of `rgb`, resized to `width` x `height`. No pixel beside the part has a share in it.
-pub(crate) fn resize_part(
-    rgb: &RgbImage,
-    part: Part,
-    (width, height): (u32, u32),
-) -> Result<RgbImage> {
-    if (part.width, part.height) == (width, height) {
-        if (width, height) == rgb.dimensions() {
-            return Ok(rgb.clone());
-        }
-        return Ok(imageops::crop_imm(rgb, part.x, part.y, width, height).to_image());
-    }
-    let fail = |reason: String| Error::config("image size", reason);
-    let whole = TypedImageRef::<U8x3>::from_buffer(rgb.width(), rgb.height(), rgb.as_raw())
-        .map_err(|e| fail(e.to_string()))?;
-    let Part {
-        x,
-        y,
-        width: columns,
-        height: rows,
-    } = part;
-    // A view and not the resizer's own crop, whose filter reads pixels beside the part.
-    let source = TypedCroppedImage::from_ref(&whole, x, y, columns, rows)
-        .map_err(|e| fail(e.to_string()))?;
-    let mut bytes = vec![0; height as usize * width as usize * 3];
-    let mut target = TypedImage::<U8x3>::from_buffer(width, height, &mut bytes)
-        .map_err(|e| fail(e.to_string()))?;
-    let options = ResizeOptions::new().resize_alg(ResizeAlg::Convolution(FilterType::Bilinear));
-    // Typed: the untyped call compiles every filter for every pixel type, a minute of build time.
-    Resizer::new()
-        .resize_typed(&source, &mut target, &options)
-        .map_err(|e| fail(e.to_string()))?;
-    RgbImage::from_raw(width, height, bytes)
-        .ok_or_else(|| fail(format!("{height}x{width} does not match the resized data")))
 }
 
 /// A picture from a tensor (H, W, 3) with values in 0..1; values outside are clamped.

@@ -12,6 +12,7 @@
 //!
 //! The release has probes of these kinds. The key names here are our own: it is not known what the release calls them.
 
+pub(crate) mod config;
 mod linear;
 mod progress;
 mod temporal;
@@ -22,11 +23,9 @@ pub use linear::{LinearProbe, LinearProbeConfig};
 pub use progress::{ProgressProbe, ProgressProbeConfig};
 pub use temporal::{TemporalProbe, TemporalProbeConfig};
 
-use crate::cost::{self, Cost};
-use crate::kinds::{Kind, parse};
+use crate::Result;
 use crate::sizes::shape_error;
 use crate::vit::resample::{AxisWeights, resample};
-use crate::{Loader, Result};
 
 /// Any of them.
 #[derive(Clone, Debug)]
@@ -68,59 +67,6 @@ impl PooledProbe {
             Self::Temporal(probe) => probe.config().max_frames,
             Self::Progress(probe) => probe.config().max_frames,
         }
-    }
-}
-
-/// The configuration of any of them.
-#[derive(Clone, Debug)]
-pub(crate) enum PooledProbeConfig {
-    Linear(LinearProbeConfig),
-    Temporal(TemporalProbeConfig),
-    Progress(ProgressProbeConfig),
-}
-
-impl PooledProbeConfig {
-    pub(crate) fn parse(kind: Kind, config: &str) -> Result<Self> {
-        Ok(match kind {
-            Kind::LinearProbe => Self::Linear(parse(config)?),
-            Kind::TemporalProbe => Self::Temporal(parse(config)?),
-            Kind::ProgressProbe => Self::Progress(parse(config)?),
-            other => {
-                let reason = format!(
-                    "`{other}` is no probe, expected success-probe, linear-probe, temporal-probe or progress-probe"
-                );
-                return Err(wm_model::Error::config("kind", reason).into());
-            }
-        })
-    }
-
-    pub(crate) fn load(&self, loader: &Loader<'_>) -> Result<PooledProbe> {
-        Ok(match self {
-            Self::Linear(config) => PooledProbe::Linear(LinearProbe::load(config, loader)?),
-            Self::Temporal(config) => {
-                PooledProbe::Temporal(Box::new(TemporalProbe::load(config, loader)?))
-            }
-            Self::Progress(config) => PooledProbe::Progress(ProgressProbe::load(config, loader)?),
-        })
-    }
-
-    /// Channels of the latents that it reads.
-    pub(crate) fn features(&self) -> usize {
-        match self {
-            Self::Linear(config) => config.features,
-            Self::Temporal(config) => config.features,
-            Self::Progress(config) => config.features,
-        }
-    }
-
-    /// The cost of the longest episode.
-    pub(crate) fn cost(&self) -> Result<Cost> {
-        let frames = match self {
-            Self::Linear(_) => 1,
-            Self::Temporal(config) => config.max_frames,
-            Self::Progress(config) => config.max_frames,
-        };
-        cost::pooled_probe(self, frames)
     }
 }
 

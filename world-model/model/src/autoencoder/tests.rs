@@ -185,7 +185,7 @@ fn loss(network: &Network, input: &[f32], grid: GridSize) -> f64 {
 }
 
 #[test]
-fn the_tape_gives_the_output_and_the_gradients_of_finite_differences() {
+fn tape_has_the_gradients_of_finite_differences() {
     let autoencoder = Autoencoder::random(config(), 3).unwrap();
     let halves = [
         (autoencoder.encoder().clone(), 8, 12, 3),

@@ -175,7 +175,7 @@ mod tests {
         }";
 
     #[test]
-    fn functions_go_on_to_those_of_the_library_with_all_that_they_are_given() {
+    fn calls_reach_the_library_with_all_arguments() {
         let folder = tempfile::tempdir().unwrap();
         built(folder.path(), "libtested.so.1", SOURCE);
         let message = load(tested(), Some(folder.path())).unwrap_err().to_string();

@@ -6,8 +6,7 @@
 //! of all. The cut depends on the number of tokens only, so results do not depend on the threads.
 
 use super::element::{Element, Rounded};
-use super::kernel::Row;
-use super::product::Product;
+use super::kernel::{Product, Row};
 use super::rotary::{RotaryTable, normalise_and_rotate};
 use super::simd::{InstructionSet, LANES, NO_BIAS};
 use super::softmax::softmax_rows;

@@ -12,6 +12,7 @@ mod packed;
 mod phase;
 mod sweep;
 mod taps;
+mod target;
 mod tile;
 mod winograd;
 
@@ -137,17 +138,6 @@ pub struct Fused<'a> {
     pub residual: Option<&'a [f32]>,
     /// Whether negative results become zero, after the residual was added.
     pub relu: bool,
-}
-
-fn check_length(what: &'static str, slice: &[f32], expected: usize) -> Result<()> {
-    if slice.len() == expected {
-        return Ok(());
-    }
-    Err(Error::Shape {
-        what,
-        expected: format!("[{expected}]"),
-        found: vec![slice.len()],
-    })
 }
 
 #[cfg(test)]

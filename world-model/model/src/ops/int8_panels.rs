@@ -12,12 +12,13 @@ use std::cell::RefCell;
 use rayon::prelude::*;
 
 use super::element::{Element, INT8_MOST};
+use super::kernel::Product;
 use super::panel_product::{Rows, Target, check, row};
 use super::panel_values::MappedBytes;
 use super::panels::Panels;
 #[cfg(target_arch = "x86_64")]
 use super::product::WidenedInt8;
-use super::product::{Int8, Product, WholeScales};
+use super::product::{Int8, WholeScales};
 use super::simd::{Int8Unit, LANES};
 use super::vectorised::vectorised;
 

@@ -2,18 +2,82 @@
 //!
 //! Both keep a tile of results in registers: [`Row`] sums over taps and input channels (a matrix
 //! product is a convolution with one tap, its rows the pixels), and [`Outer`] sums over pixels for
-//! the gradient of the weights.
+//! the gradient of the weights. A [`Row`] is computed in the number formats of a [`Product`].
 
-use crate::ops::element::Element;
-use crate::ops::product::{Product, Step};
-#[cfg(target_arch = "aarch64")]
-use crate::ops::simd::Neon;
-#[cfg(target_arch = "x86_64")]
-use crate::ops::simd::{Avx2, Avx512};
-use crate::ops::simd::{InstructionSet, LANES, Lanes, Portable};
+use super::element::Element;
+use super::simd::{LANES, Lanes};
 
 #[cfg(target_arch = "x86_64")]
 mod amx;
+mod outer;
+
+pub(crate) use outer::Outer;
+
+/// The number formats of a product.
+///
+/// One step takes a group of neighbouring inputs, and for each output as many weights, which lie side by side
+/// ([`Element::GROUP`]).
+pub(crate) trait Product: Copy + Send + Sync + 'static {
+    /// What the inputs are.
+    type Input: Element;
+    /// What the weights are.
+    type Weight: Element;
+    /// What of a processor computes it.
+    type Unit: Copy + Send + Sync;
+    /// What makes outputs of the sums, besides the bias: nothing if the sums are outputs.
+    type Scales: Scales;
+    /// Whether the sums are outputs.
+    const SUMS_ARE_OUTPUTS: bool = size_of::<Self::Scales>() == 0;
+
+    /// Computes a row.
+    ///
+    /// # Safety
+    /// All pointers of `row` must be valid for what their comments say, and the processor must have `unit`.
+    unsafe fn run(row: &Row<Self>, unit: Self::Unit);
+}
+
+/// What makes outputs of the sums of a row.
+pub(crate) trait Scales: Copy {
+    /// Where the sums start, for every output: at the `bias`, or at numbers of as many bits if the sums are not f32.
+    fn starts(&self, bias: *const f32) -> *const f32;
+
+    /// Makes outputs of the sums of a vector of a pixel; `place` is (pixel, vector).
+    ///
+    /// # Safety
+    /// The row has that pixel and that vector, and `bias` and scales are its.
+    unsafe fn outputs(&self, bias: *const f32, place: (usize, usize), sums: &mut [f32; LANES]);
+}
+
+/// The sums are outputs.
+impl Scales for () {
+    #[inline(always)]
+    fn starts(&self, bias: *const f32) -> *const f32 {
+        bias
+    }
+
+    #[inline(always)]
+    unsafe fn outputs(&self, _: *const f32, _: (usize, usize), _: &mut [f32; LANES]) {}
+}
+
+/// A step of a product on the lanes `L`, of which each holds a group or a sum.
+///
+/// The methods must be called only where the instruction set of `L` is enabled.
+pub(crate) trait Step<L: Lanes>: Product {
+    /// A group of inputs, in all lanes.
+    ///
+    /// # Safety
+    /// A group must be readable at `input`.
+    unsafe fn splat(input: *const Self::Input) -> L;
+
+    /// The groups of weights of [`LANES`] outputs.
+    ///
+    /// # Safety
+    /// As many groups must be readable at `weights`.
+    unsafe fn load(weights: *const Self::Weight) -> L;
+
+    /// `sums` plus the products of inputs and weights.
+    fn add(inputs: L, weights: L, sums: L) -> L;
+}
 
 /// One row of output pixels, for one panel of output channels.
 #[derive(Clone, Copy)]
@@ -115,7 +179,7 @@ impl<P: Product> Row<P> {
             let mut sums = [[L::splat(0.0); N]; M];
             for sum in &mut sums {
                 for (j, sum) in sum.iter_mut().enumerate() {
-                    *sum = L::load(P::starts(self).add(j * LANES));
+                    *sum = L::load(self.scales.starts(self.bias).add(j * LANES));
                 }
             }
             let mut weights = self.panel;
@@ -179,7 +243,7 @@ impl<P: Product> Row<P> {
     unsafe fn finish(&self, x: usize, vector: usize, values: &mut [f32; LANES]) {
         // SAFETY: as for `run`; the pixel exists, and no channel beyond `channels` is touched.
         unsafe {
-            P::outputs(self, x, vector, values);
+            self.scales.outputs(self.bias, (x, vector), values);
             let at = x * self.output_step + vector * LANES;
             let count = (self.channels - vector * LANES).min(LANES);
             if !self.residual.is_null() {
@@ -231,128 +295,6 @@ fn whole_tiles(pixels: usize, most: usize) -> usize {
         .rev()
         .min_by_key(|tiles| (pixels - tiles * most) % 4);
     best.unwrap_or(all)
-}
-
-/// Adds to a matrix, for each pixel, the outer product of a run of inputs and a panel of output
-/// gradients.
-#[derive(Clone, Copy)]
-pub(crate) struct Outer {
-    /// Input of the first pixel.
-    pub input: *const f32,
-    /// From one pixel's input to the next's.
-    pub input_step: usize,
-    /// From one row's input to the next's.
-    pub input_pitch: usize,
-    /// Contiguous inputs of a pixel: rows of the matrix.
-    pub run: usize,
-    /// Gradient of the first pixel, `vectors * LANES` values.
-    pub gradient: *const f32,
-    /// From one pixel's gradient to the next's.
-    pub gradient_step: usize,
-    /// From one row's gradient to the next's.
-    pub gradient_pitch: usize,
-    /// Vectors in the panel.
-    pub vectors: usize,
-    /// Pixels in a row.
-    pub pixels: usize,
-    /// Rows of pixels.
-    pub rows: usize,
-    /// The matrix, `run` rows of `vectors * LANES`.
-    pub sums: *mut f32,
-}
-
-impl Outer {
-    /// # Safety
-    /// All pointers must be valid for what their comments say, and the processor must have `set`.
-    pub(crate) unsafe fn run(&self, set: InstructionSet) {
-        // SAFETY: the caller vouches for the pointers and the instruction set.
-        unsafe {
-            match set {
-                #[cfg(target_arch = "x86_64")]
-                InstructionSet::Avx512 => self.run_avx512(),
-                #[cfg(target_arch = "x86_64")]
-                InstructionSet::Avx2 => self.run_avx2(),
-                #[cfg(target_arch = "aarch64")]
-                InstructionSet::Neon => self.tiles::<Neon, 6, 1>(),
-                InstructionSet::Portable => self.tiles::<Portable, 4, 1>(),
-            }
-        }
-    }
-
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx512f")]
-    unsafe fn run_avx512(&self) {
-        // SAFETY: as for `run`.
-        unsafe {
-            match self.vectors {
-                1 => self.tiles::<Avx512, 16, 1>(),
-                2 => self.tiles::<Avx512, 12, 2>(),
-                3 => self.tiles::<Avx512, 8, 3>(),
-                _ => self.tiles::<Avx512, 6, 4>(),
-            }
-        }
-    }
-
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2,fma")]
-    unsafe fn run_avx2(&self) {
-        // SAFETY: as for `run`.
-        unsafe { self.tiles::<Avx2, 6, 1>() }
-    }
-
-    #[inline(always)]
-    unsafe fn tiles<L: Lanes, const M: usize, const N: usize>(&self) {
-        debug_assert_eq!(self.vectors, N);
-        // SAFETY: as for `run`; every tile lies within the run.
-        unsafe {
-            let mut at = 0;
-            while at + M <= self.run {
-                self.tile::<L, M, N>(at);
-                at += M;
-            }
-            while at < self.run {
-                self.tile::<L, 1, N>(at);
-                at += 1;
-            }
-        }
-    }
-
-    #[inline(always)]
-    unsafe fn tile<L: Lanes, const M: usize, const N: usize>(&self, at: usize) {
-        // SAFETY: as for `run`; `at + M` rows of the matrix exist.
-        unsafe {
-            let target = self.sums.add(at * N * LANES);
-            let mut sums = [[L::splat(0.0); N]; M];
-            for (i, sum) in sums.iter_mut().enumerate() {
-                for (j, sum) in sum.iter_mut().enumerate() {
-                    *sum = L::load(target.add((i * N + j) * LANES));
-                }
-            }
-            for row in 0..self.rows {
-                let mut input = self.input.add(row * self.input_pitch + at);
-                let mut gradient = self.gradient.add(row * self.gradient_pitch);
-                for _ in 0..self.pixels {
-                    let mut g = [L::splat(0.0); N];
-                    for (j, g) in g.iter_mut().enumerate() {
-                        *g = L::load(gradient.add(j * LANES));
-                    }
-                    for (i, sum) in sums.iter_mut().enumerate() {
-                        let a = L::splat(*input.add(i));
-                        for (sum, g) in sum.iter_mut().zip(g) {
-                            *sum = a.mul_add(g, *sum);
-                        }
-                    }
-                    input = input.add(self.input_step);
-                    gradient = gradient.add(self.gradient_step);
-                }
-            }
-            for (i, sum) in sums.iter().enumerate() {
-                for (j, sum) in sum.iter().enumerate() {
-                    sum.store(target.add((i * N + j) * LANES));
-                }
-            }
-        }
-    }
 }
 
 #[cfg(test)]

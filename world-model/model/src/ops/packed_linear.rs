@@ -7,6 +7,7 @@ use rayon::prelude::*;
 
 use super::input_range::InputRange;
 use super::int8_panels::{Int8Panels, MOST_INPUTS};
+use super::length::check_length;
 use super::panel_product::{PanelProduct, Rows};
 use super::panel_values::MappedBytes;
 use super::panels::{LAYOUT, Panels};
@@ -102,7 +103,7 @@ impl PackedLinear {
         format: NumberFormat,
     ) -> Result<Self> {
         if let Some(bias) = bias {
-            check("the bias of packed weights", bias, outputs)?;
+            check_length("the bias of packed weights", bias, outputs)?;
         }
         let found = values.as_slice().len();
         let packed = match format {
@@ -131,7 +132,7 @@ impl PackedLinear {
     /// # Errors
     /// If that is of another number of inputs.
     pub fn noting(self, range: InputRange) -> Result<Self> {
-        check("the range of a matrix", &range.largest(), self.inputs())?;
+        check_length("the range of a matrix", &range.largest(), self.inputs())?;
         Ok(Self {
             range: Some(range),
             ..self
@@ -239,26 +240,15 @@ fn check_matrix(
     bias: Option<&[f32]>,
     (outputs, inputs): (usize, usize),
 ) -> Result<()> {
-    check(
+    check_length(
         "the weight to be packed",
         weight,
         outputs.saturating_mul(inputs),
     )?;
     match bias {
-        Some(bias) => check("the bias to be packed", bias, outputs),
+        Some(bias) => check_length("the bias to be packed", bias, outputs),
         None => Ok(()),
     }
-}
-
-fn check(what: &'static str, slice: &[f32], expected: usize) -> Result<()> {
-    if slice.len() == expected {
-        return Ok(());
-    }
-    Err(Error::Shape {
-        what,
-        expected: format!("[{expected}]"),
-        found: vec![slice.len()],
-    })
 }
 
 #[cfg(test)]

@@ -8,9 +8,9 @@ use std::cell::RefCell;
 use half::bf16;
 
 use super::element::{Element, widen};
-use super::kernel::Row;
+use super::kernel::{Product, Row};
 use super::panels::Panels;
-use super::product::{Bf16, F32, Product};
+use super::product::{Bf16, F32};
 use super::simd::{Bf16Unit, LANES};
 
 thread_local! {

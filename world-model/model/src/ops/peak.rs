@@ -4,9 +4,10 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use super::element::Element;
+use super::kernel::{Product, Step};
 #[cfg(target_arch = "x86_64")]
 use super::product::WidenedInt8;
-use super::product::{Bf16, F32, Int8, Product, Step};
+use super::product::{Bf16, F32, Int8};
 #[cfg(target_arch = "aarch64")]
 use super::simd::Neon;
 #[cfg(target_arch = "x86_64")]

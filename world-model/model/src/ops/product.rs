@@ -1,10 +1,8 @@
-//! How inputs are multiplied with packed weights: what one step of the kernels' inner loop reads, what it adds to the
-//! sums, and how outputs are made of them.
+//! Products of packed weights in each number format: f32, bf16 and int8.
 
 use half::bf16;
 
-use super::element::Element;
-use super::kernel::Row;
+use super::kernel::{Product, Row, Scales, Step};
 #[cfg(target_arch = "aarch64")]
 use super::simd::Neon;
 #[cfg(target_arch = "x86_64")]
@@ -12,64 +10,6 @@ use super::simd::amx::{Bf16Tiles, Int8Tiles};
 #[cfg(target_arch = "x86_64")]
 use super::simd::{Avx2, Avx512, DotInt16};
 use super::simd::{Bf16Unit, BytesUnit, DotBf16, DotInt8, InstructionSet, LANES, Lanes, Portable};
-
-/// The number formats of a product.
-///
-/// One step takes a group of neighbouring inputs, and for each output as many weights, which lie side by side
-/// ([`Element::GROUP`]).
-pub(crate) trait Product: Copy + Send + Sync + 'static {
-    /// What the inputs are.
-    type Input: Element;
-    /// What the weights are.
-    type Weight: Element;
-    /// What of a processor computes it.
-    type Unit: Copy + Send + Sync;
-    /// What makes outputs of the sums, besides the bias: nothing where the sums are outputs.
-    type Scales: Copy;
-    /// Whether the sums are outputs.
-    const SUMS_ARE_OUTPUTS: bool = size_of::<Self::Scales>() == 0;
-
-    /// Computes a row.
-    ///
-    /// # Safety
-    /// All pointers of `row` must be valid for what their comments say, and the processor must have `unit`.
-    unsafe fn run(row: &Row<Self>, unit: Self::Unit);
-
-    /// Where the sums start, for every output: at the bias. What has as many bits where the sums are no f32.
-    #[inline(always)]
-    fn starts(row: &Row<Self>) -> *const f32 {
-        row.bias
-    }
-
-    /// Makes outputs of the sums of vector `vector` of pixel `pixel`.
-    ///
-    /// # Safety
-    /// As for [`Self::run`]; the row has that pixel and that vector.
-    #[inline(always)]
-    unsafe fn outputs(row: &Row<Self>, pixel: usize, vector: usize, sums: &mut [f32; LANES]) {
-        let _ = (row, pixel, vector, sums);
-    }
-}
-
-/// A step of a product on the lanes `L`, of which each holds a group or a sum.
-///
-/// The methods must be called only where the instruction set of `L` is enabled.
-pub(crate) trait Step<L: Lanes>: Product {
-    /// A group of inputs, in all lanes.
-    ///
-    /// # Safety
-    /// A group must be readable at `input`.
-    unsafe fn splat(input: *const Self::Input) -> L;
-
-    /// The groups of weights of [`LANES`] outputs.
-    ///
-    /// # Safety
-    /// As many groups must be readable at `weights`.
-    unsafe fn load(weights: *const Self::Weight) -> L;
-
-    /// `sums` plus the products of inputs and weights.
-    fn add(inputs: L, weights: L, sums: L) -> L;
-}
 
 /// f32 times f32.
 #[derive(Clone, Copy, Debug)]
@@ -208,11 +148,13 @@ pub(crate) struct WholeScales {
     pub starts: *const i32,
 }
 
-impl WholeScales {
-    /// As [`Product::outputs`], in one order and without fused operations, so that every processor gives the same bits.
-    ///
-    /// # Safety
-    /// The row has that pixel and that vector.
+impl Scales for WholeScales {
+    #[inline(always)]
+    fn starts(&self, _: *const f32) -> *const f32 {
+        self.starts.cast()
+    }
+
+    /// In one order and without fused operations, so that every processor gives the same bits.
     #[inline(always)]
     unsafe fn outputs(
         &self,
@@ -271,17 +213,6 @@ impl Product for Int8 {
             }
         }
     }
-
-    #[inline(always)]
-    fn starts(row: &Row<Self>) -> *const f32 {
-        row.scales.starts.cast()
-    }
-
-    #[inline(always)]
-    unsafe fn outputs(row: &Row<Self>, pixel: usize, vector: usize, sums: &mut [f32; LANES]) {
-        // SAFETY: as for this function.
-        unsafe { row.scales.outputs(row.bias, (pixel, vector), sums) }
-    }
 }
 
 impl<L: DotInt8> Step<L> for Int8 {
@@ -325,17 +256,6 @@ impl Product for WidenedInt8 {
 
         // SAFETY: the caller vouches for the pointers and the instructions.
         unsafe { avx2(row) }
-    }
-
-    #[inline(always)]
-    fn starts(row: &Row<Self>) -> *const f32 {
-        row.scales.starts.cast()
-    }
-
-    #[inline(always)]
-    unsafe fn outputs(row: &Row<Self>, pixel: usize, vector: usize, sums: &mut [f32; LANES]) {
-        // SAFETY: as for this function.
-        unsafe { row.scales.outputs(row.bias, (pixel, vector), sums) }
     }
 }
 

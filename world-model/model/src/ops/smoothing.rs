@@ -1,5 +1,6 @@
 //! Evening out what 8 bits are to hold: between a matrix and its inputs.
 
+use super::length::check_length;
 use crate::{Error, Result};
 
 /// What is known of the inputs of a matrix that is to be quantised.
@@ -26,13 +27,7 @@ impl Smoothing<'_> {
     /// # Errors
     /// If a value is not finite or negative, there are not as many as inputs, or the strength is out of range.
     pub(super) fn factors(&self, weight: &[f32], inputs: usize) -> Result<Vec<f32>> {
-        if self.largest.len() != inputs {
-            return Err(Error::Shape {
-                what: "the largest inputs of a matrix",
-                expected: format!("[{inputs}]"),
-                found: vec![self.largest.len()],
-            });
-        }
+        check_length("the largest inputs of a matrix", self.largest, inputs)?;
         let strength = self.strength;
         if !(0.0..=1.0).contains(&strength) {
             let reason = format!("a strength of {strength}, expected 0 to 1");

@@ -110,7 +110,7 @@ fn uncached(
 }
 
 #[test]
-fn cached_rollouts_equal_uncached_ones_also_when_the_window_slides() {
+fn cached_rollout_equals_uncached_one_as_the_window_slides() {
     for (both, given) in [(&*PLAIN, 2), (&*TINY, 2), (&*TINY, 1), (&*PLAIN, 6)] {
         let model = &both.0;
         let sampler = Sampler {
@@ -298,7 +298,7 @@ fn a_rollout_goes_on_from_the_position_of_another_bit_for_bit() {
 /// What was computed of the frames before the newest one serves the rollout from it; what is of other frames or actions
 /// does not. With its result, a frame is fed the action before it: the first frame depends on none.
 #[test]
-fn a_rollout_takes_over_what_was_computed_of_its_first_frames_bit_for_bit() {
+fn rollout_from_computed_first_frames_has_the_same_bits() {
     for ((_, model), expected) in [(&*PLAIN, [0, 0, 1]), (&*TINY, [0, 1, 2])] {
         let sampler = &model.config().sampler;
         let context = random(&[1, 3, 4, 4, 4], 1);

@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use super::TransitionConfig;
-use super::network::{LinearLayer, LinearSource};
-use super::parameters::Initialisation::{Xavier, Zero};
+use super::linear_layer::Initialisation::{Xavier, Zero};
+use super::linear_layer::{LinearLayer, LinearSource};
 use crate::Result;
 use crate::ops::AttentionPattern;
 use crate::ops::token_layers::{ClipLayers, TokenLayers};

@@ -1,8 +1,8 @@
 //! From noise levels and actions to the modulation of the layers.
 
 use super::TransitionConfig;
-use super::network::{LinearLayer, LinearSource};
-use super::parameters::Initialisation::{Normal, Xavier};
+use super::linear_layer::Initialisation::{Normal, Xavier};
+use super::linear_layer::{LinearLayer, LinearSource};
 use crate::Result;
 use crate::ops::token_layers::{ClipLayers, HeadLayers};
 

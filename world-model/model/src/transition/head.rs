@@ -3,8 +3,8 @@
 use candle_core::Tensor;
 
 use super::TransitionConfig;
-use super::network::{LinearLayer, LinearSource};
-use super::parameters::Initialisation::{Xavier, Zero};
+use super::linear_layer::Initialisation::{Xavier, Zero};
+use super::linear_layer::{LinearLayer, LinearSource};
 use crate::ops::token_layers::{HeadLayers, Linear, TensorLayers};
 use crate::{Error, Result};
 

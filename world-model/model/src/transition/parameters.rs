@@ -9,21 +9,11 @@ use rand_distr::{Distribution, StandardNormal};
 use sha2::{Digest, Sha256};
 
 use super::TransitionConfig;
-use super::network::{LinearLayer, LinearSource, Network};
+use super::linear_layer::Initialisation::{self, Xavier, Zero};
+use super::linear_layer::{LinearLayer, LinearSource};
+use super::network::Network;
 use crate::ops::token_layers::Linear;
 use crate::{Error, Result};
-use Initialisation::{Xavier, Zero};
-
-/// Values that training starts from.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Initialisation {
-    /// All zero.
-    Zero,
-    /// Uniform within sqrt(6 / (fan in + fan out)).
-    Xavier,
-    /// Normal with this standard deviation.
-    Normal(f64),
-}
 
 /// One parameter of the model.
 #[derive(Clone, Debug, PartialEq)]

@@ -2,7 +2,7 @@
 
 use super::{Cost, applied, count};
 use crate::Result;
-use crate::pooled_probe::PooledProbeConfig;
+use crate::pooled_probe::config::PooledProbeConfig;
 use crate::success_probe::{SuccessProbe, SuccessProbeConfig};
 use crate::vit::{SiglipText, SiglipTextConfig};
 
@@ -48,8 +48,17 @@ pub(crate) fn success_probe(config: &SuccessProbeConfig, text_length: usize) -> 
     )
 }
 
-/// Counts a probe of pooled latents, of which all layers are applied to `frames` tokens.
-pub(crate) fn pooled_probe(config: &PooledProbeConfig, frames: usize) -> Result<Cost> {
+/// Counts a probe of pooled latents, for the longest episode.
+///
+/// # Errors
+/// If the configuration cannot be built.
+pub(crate) fn pooled_probe(config: &PooledProbeConfig) -> Result<Cost> {
+    let frames = match config {
+        // It is counted for one frame, as it reads each by itself.
+        PooledProbeConfig::Linear(_) => 1,
+        PooledProbeConfig::Temporal(config) => config.max_frames,
+        PooledProbeConfig::Progress(config) => config.max_frames,
+    };
     count(
         |loader| config.load(loader),
         |weight| match weight.shape.len() {

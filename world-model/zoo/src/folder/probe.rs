@@ -9,7 +9,7 @@ use super::fit::giver;
 use super::source::{KnownInputs, Source};
 use super::{Description, Opened, ProbePart, TextPart};
 use crate::kinds::{Kind, parse};
-use crate::pooled_probe::PooledProbeConfig;
+use crate::pooled_probe::config::PooledProbeConfig;
 use crate::success_probe::{
     Instructed, InstructionTokenizer, Judge, ProbeNetwork, Reader, SuccessClassifier, SuccessProbe,
     SuccessProbeConfig,

@@ -12,7 +12,7 @@ use wm_model::weights::{Precision as Stored, WeightsBuilder};
 use super::{Configuration, Description, FILE, Part, Statistics, TextPart, TransitionPart};
 use crate::kinds::{DitConfig, Kind, build_dit, parse};
 use crate::loader::Requested;
-use crate::pooled_probe::PooledProbeConfig;
+use crate::pooled_probe::config::PooledProbeConfig;
 use crate::success_probe::SuccessProbe;
 use crate::svae::{Svae, SvaeConfig};
 use crate::vit::SiglipText;

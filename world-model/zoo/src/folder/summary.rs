@@ -92,7 +92,7 @@ impl DescribedFolder {
         match &self.probe {
             None => {}
             Some(Probe::Pooled(probe)) => {
-                let cost = probe.config.cost()?;
+                let cost = cost::pooled_probe(&probe.config)?;
                 parts.push(part("probe", probe.source.kind, &probe.tensors, cost));
             }
             Some(Probe::Instructed { probe, text }) => {

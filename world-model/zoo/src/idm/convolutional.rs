@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn odd_grids_and_several_actions_fit_and_other_latents_are_refused() {
+    fn odd_grids_and_several_actions_fit_other_latents_fail() {
         let config = ConvolutionalIdmConfig {
             grid: [5, 6],
             horizon: 3,

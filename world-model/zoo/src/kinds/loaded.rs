@@ -83,13 +83,11 @@ impl Loaded {
                 })
             }
             Kind::Pixel => decoder(source.load(PixelDecoder::load)?, PixelDecoder::decode),
-            Kind::Idm => {
-                let model = source.load(Idm::load)?;
-                Box::new(move |inputs: &Inputs<'_>| {
-                    let actions = model.forward(&inputs.float("latents")?)?;
-                    Ok(owned(vec![("actions", actions)]))
-                })
-            }
+            Kind::Idm => mapped(
+                ["latents", "actions"],
+                source.load(Idm::load)?,
+                Idm::forward,
+            ),
             Kind::SuccessProbe => {
                 let model = source.load(SuccessProbe::load)?;
                 Box::new(move |inputs: &Inputs<'_>| {
@@ -100,25 +98,16 @@ impl Loaded {
                 })
             }
             Kind::LinearProbe => {
-                let model = source.load(LinearProbe::load)?;
-                Box::new(move |inputs: &Inputs<'_>| {
-                    let logit = model.forward(&inputs.float("latents")?)?;
-                    Ok(owned(vec![("logit", logit)]))
-                })
+                let probe = source.load(LinearProbe::load)?;
+                mapped(["latents", "logit"], probe, LinearProbe::forward)
             }
             Kind::TemporalProbe => {
-                let model = source.load(TemporalProbe::load)?;
-                Box::new(move |inputs: &Inputs<'_>| {
-                    let logit = model.forward(&inputs.float("latents")?)?;
-                    Ok(owned(vec![("logit", logit)]))
-                })
+                let probe = source.load(TemporalProbe::load)?;
+                mapped(["latents", "logit"], probe, TemporalProbe::forward)
             }
             Kind::ProgressProbe => {
-                let model = source.load(ProgressProbe::load)?;
-                Box::new(move |inputs: &Inputs<'_>| {
-                    let progress = model.forward(&inputs.float("latents")?)?;
-                    Ok(owned(vec![("progress", progress)]))
-                })
+                let probe = source.load(ProgressProbe::load)?;
+                mapped(["latents", "progress"], probe, ProgressProbe::forward)
             }
             Kind::EfficientNetLite0 => efficientnet_lite0(&source)?,
             kind => {
@@ -151,10 +140,16 @@ impl Loaded {
 }
 
 fn decoder<M: Send + Sync + 'static>(model: M, decode: fn(&M, &Tensor) -> Result<Tensor>) -> Run {
-    Box::new(move |inputs| {
-        let image = decode(&model, &inputs.float("latent")?)?;
-        Ok(owned(vec![("image", image)]))
-    })
+    mapped(["latent", "image"], model, decode)
+}
+
+/// A model with one input and one output, of these names.
+fn mapped<M: Send + Sync + 'static>(
+    [input, output]: [&'static str; 2],
+    model: M,
+    map: fn(&M, &Tensor) -> Result<Tensor>,
+) -> Run {
+    Box::new(move |inputs| Ok(owned(vec![(output, map(&model, &inputs.float(input)?)?)])))
 }
 
 /// Every block from [`FIRST_BLOCK`] to the configured one, each by a network up to there: it is small.

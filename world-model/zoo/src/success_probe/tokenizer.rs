@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn an_instruction_is_lower_cased_ended_and_padded_to_the_towers_length() {
+    fn instruction_is_lower_cased_ended_and_padded() {
         let (_folder, path) = written(TOKENIZER);
         let tokenizer = InstructionTokenizer::open(&path, &tower()).unwrap();
         let encode = |text: &str| tokenizer.encode(text).unwrap();

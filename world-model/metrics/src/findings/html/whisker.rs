@@ -1,16 +1,16 @@
 //! Small drawings of intervals.
 
-use super::{axis::drawable, figures::Row, markup::Markup};
-use crate::findings::Difference;
+use super::{axis::drawable, markup::Markup};
+use crate::findings::{Difference, Metric};
 
 const WIDTH: f64 = 150.0;
 const MARGIN: f64 = 6.0;
 /// Height of a model's line.
 const LINE: f64 = 11.0;
 
-/// Values and intervals of all models on a common scale.
-pub(super) fn whiskers(markup: &mut Markup, row: &Row<'_>) {
-    let ends = |metric: &crate::findings::Metric| {
+/// Values and intervals of all models on a common scale; `None` for a model without the figure.
+pub(super) fn whiskers(markup: &mut Markup, metrics: &[Option<&Metric>]) {
+    let ends = |metric: &Metric| {
         let interval = metric.finite_interval();
         interval.map_or((metric.value, metric.value), |interval| {
             (
@@ -19,7 +19,7 @@ pub(super) fn whiskers(markup: &mut Markup, row: &Row<'_>) {
             )
         })
     };
-    let all = row.metrics.iter().flatten().map(|metric| ends(metric));
+    let all = metrics.iter().flatten().map(|metric| ends(metric));
     let (low, high) = all.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), ends| {
         (low.min(ends.0), high.max(ends.1))
     });
@@ -28,7 +28,7 @@ pub(super) fn whiskers(markup: &mut Markup, row: &Row<'_>) {
     }
     let place = |value: f64| MARGIN + (value - low) / (high - low) * (WIDTH - 2.0 * MARGIN);
     // A handful of models.
-    let height = LINE * row.metrics.len() as f64 + 2.0;
+    let height = LINE * metrics.len() as f64 + 2.0;
     let view = format!("0 0 {WIDTH} {height}");
     let attributes = [
         ("viewBox", view.as_str()),
@@ -37,7 +37,7 @@ pub(super) fn whiskers(markup: &mut Markup, row: &Row<'_>) {
     ];
     markup.element("svg", &attributes, |markup| {
         let mut y = 1.0 + LINE / 2.0;
-        for (number, metric) in row.metrics.iter().enumerate() {
+        for (number, metric) in metrics.iter().enumerate() {
             if let Some(metric) = metric {
                 let (low, high) = ends(metric);
                 let class = format!("c{}", number % 8);

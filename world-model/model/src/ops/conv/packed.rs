@@ -6,11 +6,13 @@ use super::band::Banded;
 use super::phase::Phase;
 use super::sweep::{Output, Sweep, whole_channels};
 use super::winograd::{self, Winograd};
-use super::{ConvShape, Fused, GridSize, check_length};
+use super::{ConvShape, Fused, GridSize};
 use crate::NumberFormat;
 use crate::ops::element::Element;
+use crate::ops::kernel::Product;
+use crate::ops::length::check_length;
 use crate::ops::panels::Panels;
-use crate::ops::product::{Bf16, F32, Product};
+use crate::ops::product::{Bf16, F32};
 use crate::ops::simd::{Bf16Unit, InstructionSet};
 use crate::{Error, Result};
 

@@ -5,12 +5,12 @@ use rayon::prelude::*;
 use super::GridSize;
 use super::band::{Band, BandBuffer, Banded};
 use super::taps::Taps;
+use super::target::Target;
 use super::tile::{Rectangle, Tile};
 use crate::ops::element::Element;
 use crate::ops::group_norm::Normalisation;
-use crate::ops::kernel::Row;
+use crate::ops::kernel::{Product, Row};
 use crate::ops::panels::Panels;
-use crate::ops::product::Product;
 use crate::ops::simd::{LANES, NO_BIAS};
 
 /// Bytes of weights that are used for a whole tile before the next ones are read: few enough to stay in a second-level
@@ -57,21 +57,6 @@ pub(super) struct Output {
     pub pixel_step: usize,
     pub row_step: usize,
     pub image_step: usize,
-}
-
-#[derive(Clone, Copy)]
-struct Target(*mut f32);
-
-// SAFETY: the tasks that share the pointer write to disjoint rectangles.
-unsafe impl Send for Target {}
-// SAFETY: as above.
-unsafe impl Sync for Target {}
-
-impl Target {
-    /// A method, so that closures capture the whole wrapper.
-    fn at(self, offset: usize) -> *mut f32 {
-        self.0.wrapping_add(offset)
-    }
 }
 
 /// Channels of a pixel that products of `T` take: whole groups.

@@ -7,14 +7,15 @@
 use rayon::prelude::*;
 
 use super::band::{Band, Banded};
+use super::target::Target;
 use super::tile::{Rectangle, Tile};
 use super::{ConvShape, Fused, GridSize};
 use crate::ops::buffer::Buffer;
 use crate::ops::element::Element;
 use crate::ops::group_norm::Normalisation;
+use crate::ops::kernel::Product;
 use crate::ops::panel_product::{Rows, product_as_is};
 use crate::ops::panels::Panels;
-use crate::ops::product::Product;
 #[cfg(target_arch = "aarch64")]
 use crate::ops::simd::Neon;
 #[cfg(target_arch = "x86_64")]
@@ -46,22 +47,6 @@ pub(super) struct Winograd<P: Product> {
     bias: Vec<f32>,
     inputs: usize,
     outputs: usize,
-}
-
-/// Where a task writes.
-#[derive(Clone, Copy)]
-struct Target(*mut f32);
-
-// SAFETY: the tasks that share the pointer write to disjoint rectangles.
-unsafe impl Send for Target {}
-// SAFETY: as above.
-unsafe impl Sync for Target {}
-
-impl Target {
-    /// A method, so that closures capture the whole wrapper.
-    fn at(self, offset: usize) -> *mut f32 {
-        self.0.wrapping_add(offset)
-    }
 }
 
 /// Whether convolutions of `shape` are computed faster so than the direct way, in bf16 or in f32.

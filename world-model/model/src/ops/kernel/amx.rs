@@ -1,7 +1,6 @@
 //! Rows by the tiles of AMX: two tiles of pixels times one or two vectors of outputs at a time.
 
-use super::Row;
-use crate::ops::product::Product;
+use super::{Product, Row, Scales as _};
 use crate::ops::simd::LANES;
 use crate::ops::simd::amx::{Operands, ROW_BYTES, ROWS, Shapes, Sums, TileProduct};
 
@@ -42,7 +41,7 @@ impl<P: Product> Row<P> {
                 unsafe {
                     let start = |vector: usize| {
                         let vector = vector.min(self.vectors - 1);
-                        let values = P::starts(self).add(vector * LANES);
+                        let values = self.scales.starts(self.bias).add(vector * LANES);
                         [values.cast::<[f32; LANES]>().read_unaligned(); ROWS]
                     };
                     let mut sums = Sums([[start(first), start(first + 1)]; 2]);

@@ -5,7 +5,7 @@ use half::bf16;
 use super::*;
 use crate::ops::int8_panels::tests::check_unit as check_int8;
 use crate::ops::product::{Bf16, F32};
-use crate::ops::simd::{Bf16Unit, Int8Unit};
+use crate::ops::simd::{Bf16Unit, InstructionSet, Int8Unit};
 
 /// Inputs of a pixel, rows and columns of taps: less than a tile of AMX takes at once, as much, and both.
 const TAPS: [(usize, usize, usize); 4] = [(6, 3, 3), (64, 1, 1), (34, 2, 3), (2, 1, 1)];

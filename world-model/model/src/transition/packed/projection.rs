@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use super::tasks::{Tasks, chunk};
 use crate::ops::block_attention::Packed;
 use crate::ops::element::Element;
-use crate::ops::product::Product;
+use crate::ops::kernel::Product;
 
 /// Queries, keys and values of a spatial attention, of all tasks.
 pub(super) struct Projection<P: Product> {

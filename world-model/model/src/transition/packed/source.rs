@@ -4,7 +4,7 @@ use candle_core::{DType, Device, Tensor};
 
 use crate::NumberFormat;
 use crate::ops::PackedLinear;
-use crate::transition::network::{LinearLayer, LinearSource};
+use crate::transition::linear_layer::{LinearLayer, LinearSource};
 use crate::transition::{Transition, TransitionConfig};
 use crate::{Error, Result};
 
