@@ -17,6 +17,7 @@ mod member;
 mod message;
 mod pool;
 mod serving;
+mod table;
 mod worker;
 
 pub use identity::{Identity, IdentityError};

@@ -12,7 +12,7 @@ use crate::{
     Answer, FunctionId, Identity, MessageError, Request,
     dispatch::ReturnReason,
     message::{costs, decode, encode, quoted},
-    pool::{Lease, Table},
+    table::{Lease, Table},
 };
 
 /// How long a worker is excluded after a failure; doubled after each further one.

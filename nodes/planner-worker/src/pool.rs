@@ -1,19 +1,14 @@
 //! The workers of a planner.
 
 use std::{
-    collections::BTreeMap,
     fmt,
     path::Path,
-    sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
+    sync::{Arc, PoisonError},
     time::{Duration, Instant},
 };
 
 use anyhow::{Context as _, Result, anyhow};
-use tokio::{
-    runtime::{Builder, Runtime},
-    sync::watch,
-    task::AbortHandle,
-};
+use tokio::runtime::{Builder, Runtime};
 use wm_model::WorldModel;
 use wm_planner::{
     Batch, CostFunction, Objective, SearchSpace, TransitionDynamics, Turn, WorkerCounts,
@@ -28,9 +23,10 @@ use zenoh::{
 
 use crate::{
     Identity, WORKERS,
-    dispatch::{Dispatch, Job, Next, ReturnReason},
+    dispatch::Next,
     member,
     message::EncodedFunction,
+    table::{Round, Table},
 };
 
 /// The most workers: a limit on the resources that unknown peers can take.
@@ -81,124 +77,6 @@ impl fmt::Debug for PlannerWorkers {
     }
 }
 
-/// State shared by the search and the members of the pool.
-pub(crate) struct Table {
-    state: Mutex<State>,
-    /// The state has changed.
-    changed: Condvar,
-    /// A batch is available.
-    open: watch::Sender<()>,
-}
-
-#[derive(Default)]
-struct State {
-    dispatch: Dispatch,
-    /// The current population.
-    round: Option<Arc<Round>>,
-    /// Whether a plan has the workers.
-    is_lent: bool,
-    /// The workers by their keys.
-    members: BTreeMap<String, AbortHandle>,
-}
-
-/// A population and its cost function.
-pub(crate) struct Round {
-    pub(crate) function: Arc<EncodedFunction>,
-    pub(crate) batches: Arc<[Batch]>,
-}
-
-impl Table {
-    fn new() -> Self {
-        Self {
-            state: Mutex::default(),
-            changed: Condvar::new(),
-            open: watch::Sender::new(()),
-        }
-    }
-
-    /// A panic of another thread breaks no invariant of the table.
-    fn lock(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Changes the counters.
-    pub(crate) fn count(&self, change: impl FnOnce(&mut WorkerCounts)) {
-        change(&mut self.lock().dispatch.counts);
-        self.changed.notify_all();
-    }
-
-    /// Waits for a batch to cost. Cancel safe.
-    pub(crate) async fn take(self: &Arc<Self>) -> Lease {
-        let mut open = self.open.subscribe();
-        loop {
-            open.borrow_and_update();
-            if let Some(lease) = self.try_take() {
-                return lease;
-            }
-            // The sender lives as long as this table.
-            let _ = open.changed().await;
-        }
-    }
-
-    fn try_take(self: &Arc<Self>) -> Option<Lease> {
-        let mut state = self.lock();
-        let round = Arc::clone(state.round.as_ref()?);
-        let job = state.dispatch.take(Instant::now())?;
-        Some(Lease {
-            patience: state.dispatch.patience(),
-            table: Arc::clone(self),
-            round,
-            job: Some(job),
-        })
-    }
-
-    fn settle(&self, change: impl FnOnce(&mut Dispatch)) {
-        change(&mut self.lock().dispatch);
-        self.changed.notify_all();
-        self.open.send_replace(());
-    }
-}
-
-/// A batch of a worker; returned when dropped without an answer.
-pub(crate) struct Lease {
-    pub(crate) round: Arc<Round>,
-    /// How long to wait for the worker.
-    pub(crate) patience: Duration,
-    table: Arc<Table>,
-    job: Option<Job>,
-}
-
-impl Lease {
-    /// The candidates to cost.
-    pub(crate) fn batch(&self) -> &[Vec<f32>] {
-        let index = self.job.map(|job| job.index);
-        let batch = index.and_then(|index| self.round.batches.get(index));
-        batch.map_or(&[], Vec::as_slice)
-    }
-
-    pub(crate) fn answered(mut self, costs: wm_planner::Costs) {
-        if let Some(job) = self.job.take() {
-            self.table.settle(|dispatch| dispatch.answered(job, costs));
-        }
-    }
-
-    pub(crate) fn returned(mut self, why: ReturnReason) {
-        self.give_back(why);
-    }
-
-    fn give_back(&mut self, why: ReturnReason) {
-        if let Some(job) = self.job.take() {
-            self.table.settle(|dispatch| dispatch.returned(job, why));
-        }
-    }
-}
-
-impl Drop for Lease {
-    fn drop(&mut self) {
-        self.give_back(ReturnReason::Gone);
-    }
-}
-
 impl PlannerWorkers {
     /// Joins the network, and finds the workers on it with the planner's `identity`.
     ///
@@ -245,13 +123,13 @@ impl PlannerWorkers {
     pub fn wait_until(
         &self,
         limit: Duration,
-        mut is_so: impl FnMut(&WorkerCounts) -> bool,
+        mut is_reached: impl FnMut(&WorkerCounts) -> bool,
     ) -> WorkerCounts {
         let state = self.table.lock();
         let waited = self
             .table
             .changed
-            .wait_timeout_while(state, limit, |state| !is_so(&state.dispatch.counts));
+            .wait_timeout_while(state, limit, |state| !is_reached(&state.dispatch.counts));
         let (state, _) = waited.unwrap_or_else(PoisonError::into_inner);
         state.dispatch.counts
     }

@@ -20,8 +20,8 @@
 //!
 //! An `image` is (N,H,W,3) in 0..1, a `latent` (N,h,w,D). Everything is f32 but `input_ids`, which are integers.
 
-mod dit;
-mod encoder;
+pub(crate) mod dit;
+pub(crate) mod encoder;
 mod inputs;
 mod loaded;
 mod published;
@@ -37,7 +37,7 @@ use wm_model::Compute;
 
 pub use dit::{DitConfig, Head};
 pub(crate) use dit::{build as build_dit, build_transition, load_transition};
-pub(crate) use encoder::{Apply, Canonical, EncoderConfig, apply, downsampled};
+pub(crate) use encoder::{Apply, Canonical, EncoderConfig, apply};
 pub use loaded::Loaded;
 pub use rollout::{RolloutOptions, rollout};
 

@@ -4,7 +4,7 @@ use wm_model::transition::TransitionConfig;
 
 use super::{ACTIONS, Cost, applied, attended, count};
 use crate::Result;
-use crate::kinds::{DitConfig, Head, build_dit};
+use crate::kinds::dit::{DitConfig, Head, build as build_dit};
 use crate::loader::Requested;
 
 /// Frames of the clip over which operations are averaged.

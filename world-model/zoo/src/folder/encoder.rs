@@ -5,7 +5,7 @@ use wm_model::autoencoder::Normalisation;
 use wm_model::{Fit, Framing, LatentSpace};
 
 use super::views;
-use crate::kinds::Apply;
+use crate::kinds::encoder::Apply;
 use crate::svae::Svae;
 use crate::{Error, Result};
 

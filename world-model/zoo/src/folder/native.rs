@@ -7,7 +7,7 @@ use wm_model::{Compute, LatentSpace, NumberFormat};
 
 use super::source::{KnownInputs, Source};
 use super::{DescribedFolder, Opened, load_adapter, views};
-use crate::kinds::Canonical;
+use crate::kinds::encoder::Canonical;
 use crate::sizes::shape_error;
 use crate::svae::{Svae, SvaeConfig};
 use crate::{Error, Result};

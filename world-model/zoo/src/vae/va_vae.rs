@@ -15,7 +15,7 @@ use super::naming::Naming;
 use super::seam::{check_grid, to_signed, to_unit, widths};
 use super::tower::{DownTower, Plan, UpTower};
 use crate::cost::{self, Cost};
-use crate::kinds::{Apply, EncoderConfig, apply, downsampled};
+use crate::kinds::encoder::{Apply, EncoderConfig, apply, downsampled};
 use crate::layers::Conv2d;
 use crate::sizes::check_sizes;
 use crate::{Loader, Result};

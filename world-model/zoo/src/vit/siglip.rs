@@ -17,7 +17,7 @@ use super::preprocess::{Normalisation, resize_bicubic};
 use super::{Block, Mlp, PatchEmbedding, Projections, SelfAttention};
 use crate::Result;
 use crate::cost::{self, Cost};
-use crate::kinds::{Apply, EncoderConfig, apply};
+use crate::kinds::encoder::{Apply, EncoderConfig, apply};
 use crate::layers::Activation;
 use crate::loader::Loader;
 use crate::sizes::{check_counts, check_multiple, check_sizes};

@@ -160,7 +160,7 @@ pub(super) fn row(markup: &mut Markup, row: &Row<'_>, explained: bool) {
         }
         if row.metrics.len() > 1 {
             markup.element("td", &[("class", "range")], |markup| {
-                whiskers(markup, &row.metrics)
+                whiskers(markup, &row.metrics);
             });
         }
         let mut counts: Vec<String> = row
