@@ -4,11 +4,15 @@
 
 use std::{
     io::{BufRead as _, BufReader, Read as _},
-    path::{Path, PathBuf},
+    path::Path,
     process::{Child, Command, Stdio},
     time::{Duration, Instant},
 };
 
+#[path = "../../../tests/ros2_peer.rs"]
+mod ros2_peer;
+
+use ros2_peer::{in_domain, peers, rclpy};
 use rustix::process::{Pid, Signal, kill_process};
 use tempfile::TempDir;
 use wm_bag::{BagReader, SchemaEncoding};
@@ -18,34 +22,12 @@ use wm_ros::NodeArgs;
 const PATIENCE: Duration = Duration::from_secs(60);
 const TYPE: &str = "geometry_msgs/msg/PolygonStamped";
 
-/// The virtual environments that `tests/setup_ros2` made; `None` (with a plain message) where it was not run.
-fn peers() -> Option<PathBuf> {
-    let dir = root().join(".venv");
-    if dir.join("stamp").is_file() {
-        return Some(dir);
-    }
-    eprintln!("skipped: no ROS 2 peer under .venv; run tests/setup_ros2 (tests/run does)");
-    assert!(
-        std::env::var_os("CI").is_none(),
-        "the interoperability tests may not be skipped in CI"
-    );
-    None
-}
-
-fn root() -> &'static Path {
-    Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."))
-}
-
 /// A process that is killed when the test lets go of it.
 struct Process(Child);
 
 impl Process {
-    fn start(command: &mut Command, domain: u16) -> Self {
-        let command = command
-            .env("ROS_DOMAIN_ID", domain.to_string())
-            .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-            .stdin(Stdio::null())
-            .stdout(Stdio::piped());
+    fn start(mut command: Command) -> Self {
+        command.stdin(Stdio::null()).stdout(Stdio::piped());
         Self(command.spawn().unwrap())
     }
 
@@ -78,13 +60,7 @@ fn recorder() {
 fn recorded(peers: &Path, domain: u16, service: &str) -> (TempDir, BagReader, String) {
     let scratch = TempDir::new().unwrap();
     let bag = scratch.path().join("bag");
-    let mut publisher = Command::new("bash");
-    publisher
-        .args(["-c", ". \"$0\" && exec python \"$@\""])
-        .arg(peers.join("ros2/ros2_env.sh"))
-        .arg(root().join("tests/interop/polygons.py"))
-        .arg(service);
-    let mut publisher = Process::start(&mut publisher, domain);
+    let mut publisher = Process::start(rclpy(peers, domain, "polygons.py", &[service]));
     let stdout = BufReader::new(publisher.0.stdout.take().unwrap());
     let first = stdout.lines().map_while(Result::ok).next();
     assert_eq!(first.as_deref(), Some("publishing"));
@@ -95,7 +71,8 @@ fn recorded(peers: &Path, domain: u16, service: &str) -> (TempDir, BagReader, St
         .env("OUTPUT", &bag)
         .env_remove("AMENT_PREFIX_PATH")
         .stderr(std::fs::File::create(&log).unwrap());
-    let recorder = Process::start(&mut recorder, domain);
+    in_domain(&mut recorder, domain);
+    let recorder = Process::start(recorder);
     let begin = Instant::now();
     let count = || BagReader::open(&bag).map_or(0, |reader| reader.message_count());
     while count() < 10 {

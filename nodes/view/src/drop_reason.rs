@@ -3,7 +3,7 @@
 /// Why a message is dropped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum DropReason {
-    /// A predicted picture of which it cannot be told of which prediction it is.
+    /// A predicted picture that matches no prediction.
     Unpaired,
     /// A prediction whose step or period is out of bounds.
     BadPrediction,

@@ -150,7 +150,7 @@ impl Inputs {
             subscription.look(publishers)?;
             of_pictures.push((topic, subscription.publishers(publishers)));
         }
-        for heard in &mut shared.known().heard {
+        for heard in &mut shared.known().inputs {
             let picture = of_pictures.iter().find(|(topic, _)| *topic == heard.topic);
             // A topic without publishers has no entry.
             let own = || publishers.get(&heard.name).copied().unwrap_or(0);

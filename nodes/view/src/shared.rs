@@ -42,8 +42,8 @@ pub(crate) struct Settings {
 
 pub(crate) struct SharedState {
     pub state: State,
-    /// The topics that are heard.
-    pub heard: Vec<InputTopic>,
+    /// The subscribed topics.
+    pub inputs: Vec<InputTopic>,
     /// The last message `status`.
     pub status: Status,
 }
@@ -60,14 +60,14 @@ pub(crate) struct ClientCommand {
 impl Shared {
     pub(crate) fn new(
         state: State,
-        heard: Vec<InputTopic>,
+        inputs: Vec<InputTopic>,
         settings: Settings,
         commands: mpsc::Sender<ClientCommand>,
     ) -> Self {
         Self {
             known: Mutex::new(SharedState {
                 state,
-                heard,
+                inputs,
                 status: Status::default(),
             }),
             news: watch::Sender::new(0),
@@ -120,7 +120,7 @@ impl Shared {
         let now_ns = self.settings.clock.now().to_nanos();
         let mut known = self.known();
         let known = &mut *known;
-        known.status.message = status::message(&mut known.state, &known.heard, &view, now_ns);
+        known.status.message = status::message(&mut known.state, &known.inputs, &view, now_ns);
         known.status.number += 1;
     }
 

@@ -14,24 +14,25 @@
 
 mod adapter;
 mod autoencoder;
+pub(crate) mod count;
 mod probe;
 mod transition;
 mod vit;
 
 use serde::Serialize;
-use wm_model::Kernels;
 
-use crate::loader::Requested;
 use crate::svae::SvaeConfig;
 use crate::vae::{CosmosConfig, PixelDecoderConfig, SdVaeConfig, VaVaeConfig};
 use crate::vit::{SiglipVisionConfig, VjepaConfig, WebDinoConfig};
-use crate::{Error, Loader, Result};
+use crate::{Error, Result};
 
 pub(crate) use adapter::adapter;
 pub(crate) use autoencoder::{
     cosmos_decoder, cosmos_encoder, pixel_decoder, sd3_decoder, sd3_encoder, va_vae_decoder,
     va_vae_encoder,
 };
+pub use count::Cost;
+pub(crate) use count::{applied, attended, count};
 pub(crate) use probe::{pooled_probe, siglip2_text, success_probe};
 pub(crate) use transition::transition;
 pub use transition::{CLIP_FRAMES, transition_of};
@@ -42,27 +43,6 @@ pub(crate) const FRAME_SIDE: usize = 256;
 
 /// Number of an action's values in the published models.
 const ACTIONS: usize = 10;
-
-/// What a part of a system costs.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Cost {
-    /// Number of trained values.
-    pub parameters: usize,
-    /// Operations for one frame.
-    pub operations: usize,
-}
-
-impl Cost {
-    /// Parameters in millions.
-    pub(crate) fn millions(self) -> f64 {
-        self.parameters as f64 / 1e6
-    }
-
-    /// Operations for one frame in thousands of millions.
-    pub(crate) fn gflops(self) -> f64 {
-        self.operations as f64 / 1e9
-    }
-}
 
 /// One of the paper's systems with DiT-L.
 #[derive(Clone, Debug, PartialEq)]
@@ -195,32 +175,6 @@ impl Row {
             total_gflops: round(self.operations() as f64 / 1e9),
         }
     }
-}
-
-/// Builds a model without weights and adds up what it asked for: `operations` of every tensor.
-pub(crate) fn count<M>(
-    load: impl FnOnce(&Loader<'_>) -> Result<M>,
-    operations: impl Fn(&Requested) -> usize,
-) -> Result<Cost> {
-    let loader = Loader::skeleton(Kernels::Candle);
-    load(&loader)?;
-    Ok(Cost {
-        parameters: loader.parameters(),
-        operations: loader.requested().iter().map(operations).sum(),
-    })
-}
-
-/// Operations of a layer with this weight at `places` places; vectors (biases, norms, scales) cost nothing.
-pub(crate) fn applied(weight: &Requested, places: usize) -> usize {
-    match weight.shape.len() {
-        0 | 1 => 0,
-        _ => 2 * weight.count() * places,
-    }
-}
-
-/// Operations of attention's two products, of `queries` queries with `keys` keys each.
-fn attended(queries: usize, keys: usize, width: usize) -> usize {
-    2 * 2 * queries * keys * width
 }
 
 #[cfg(test)]

@@ -23,123 +23,30 @@
 pub(crate) mod dit;
 pub(crate) mod encoder;
 mod inputs;
+pub(crate) mod kind;
 mod loaded;
+pub(crate) mod parse;
 mod published;
 mod rollout;
 
 use std::collections::BTreeMap;
-use std::fmt;
-use std::str::FromStr;
 
 use candle_core::{Device, Tensor};
-use serde::de::DeserializeOwned;
 use wm_model::Compute;
 
 pub use dit::{DitConfig, Head};
 pub(crate) use dit::{build as build_dit, build_transition, load_transition};
 pub(crate) use encoder::{Apply, Canonical, EncoderConfig, apply};
+pub use kind::Kind;
 pub use loaded::Loaded;
+pub(crate) use parse::parse;
 pub use rollout::{RolloutOptions, rollout};
 
-use crate::checkpoint::Average;
-use crate::vae::{CosmosConfig, SdVaeConfig, VaVaeConfig};
-use crate::vit::{SiglipVisionConfig, VjepaConfig, WebDinoConfig};
-use crate::{Checkpoint, Error, Result};
+use crate::{Checkpoint, Result};
 use inputs::is_finite;
 
 /// Tensors by name.
 pub type Tensors = BTreeMap<String, Tensor>;
-
-/// Defines [`Kind`]. A line has a kind, its name on the command line and, if it is an encoder, its
-/// [`EncoderConfig`](encoder::EncoderConfig).
-macro_rules! kinds {
-    ($($kind:ident = $name:literal $(, encoder $config:ty)?;)*) => {
-        /// A kind of model, as the command line names it; the [module](self) says what each takes and gives.
-        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-        #[expect(missing_docs, reason = "the module has a table of them")]
-        pub enum Kind {
-            $($kind,)*
-        }
-
-        impl Kind {
-            /// All kinds.
-            pub const ALL: &'static [Self] = &[$(Self::$kind,)*];
-
-            /// Its name on the command line.
-            pub fn name(self) -> &'static str {
-                match self {
-                    $(Self::$kind => $name,)*
-                }
-            }
-
-            fn encoder_parser(self) -> Option<encoder::EncoderParser> {
-                match self {
-                    $($(Self::$kind => Some(encoder::parser::<$config>),)?)*
-                    _ => None,
-                }
-            }
-        }
-    };
-}
-
-kinds! {
-    Dit = "dit";
-    WebDino = "web-dino", encoder WebDinoConfig;
-    Siglip2 = "siglip2", encoder SiglipVisionConfig;
-    Siglip2Text = "siglip2-text";
-    Vjepa21 = "vjepa2.1", encoder VjepaConfig;
-    Sd3Vae = "sd3-vae", encoder SdVaeConfig;
-    Sd3VaeDecoder = "sd3-vae-decoder";
-    VaVae = "va-vae", encoder VaVaeConfig;
-    VaVaeDecoder = "va-vae-decoder";
-    CosmosCi16x16 = "cosmos-ci16x16", encoder CosmosConfig;
-    CosmosCi16x16Decoder = "cosmos-ci16x16-decoder";
-    Svae = "svae";
-    Pixel = "pixel";
-    Idm = "idm";
-    SuccessProbe = "success-probe";
-    LinearProbe = "linear-probe";
-    TemporalProbe = "temporal-probe";
-    ProgressProbe = "progress-probe";
-    EfficientNetLite0 = "efficientnet-lite0";
-}
-
-impl Kind {
-    /// The tensors of this kind of model in `checkpoint`, without what its authors wrapped around them.
-    pub fn weights(self, checkpoint: &Checkpoint, average: Average) -> Checkpoint {
-        // Whose checkpoint holds several networks, each under its own name.
-        let parts: &[&str] = match (self, average) {
-            (Self::Vjepa21, Average::Ema) => &["ema_encoder", "target_encoder", "encoder"],
-            (Self::Vjepa21, Average::Raw) => &["encoder"],
-            (Self::Svae, _) => &["adapter"],
-            (Self::Pixel, _) => &["pixel_decoder"],
-            _ => &[],
-        };
-        checkpoint
-            .weights(average)
-            .first_part(parts)
-            .weights(average)
-    }
-}
-
-impl fmt::Display for Kind {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
-    }
-}
-
-impl FromStr for Kind {
-    type Err = Error;
-
-    fn from_str(name: &str) -> Result<Self> {
-        let found = Self::ALL.iter().find(|kind| kind.name() == name);
-        found.copied().ok_or_else(|| {
-            let names: Vec<&str> = Self::ALL.iter().map(|kind| kind.name()).collect();
-            let names = names.join(", ");
-            wm_model::Error::config("kind", format!("`{name}`, expected one of {names}")).into()
-        })
-    }
-}
 
 /// Runs a model of `kind` with the configuration `config` (JSON) and the weights of `checkpoint` (the averaged ones,
 /// if it has both) on `inputs`. Weights and inputs go to the device of `compute`; outputs are on the CPU.
@@ -154,14 +61,6 @@ pub fn forward(
     compute: &Compute,
 ) -> Result<Tensors> {
     Loaded::new(kind, config, checkpoint, compute)?.run(inputs)
-}
-
-/// A configuration from JSON.
-pub(crate) fn parse<C: DeserializeOwned>(config: &str) -> Result<C> {
-    serde_json::from_str(config).map_err(|error| Error::ConfigFile {
-        file: "the configuration".to_owned(),
-        reason: error.to_string(),
-    })
 }
 
 fn owned(outputs: Vec<(&str, Tensor)>) -> Tensors {

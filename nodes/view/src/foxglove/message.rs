@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 const ENCODING: &str = "cdr";
 /// `.msg` text with all types that it uses.
 pub(crate) const SCHEMA_ENCODING: &str = "ros2msg";
-/// Tells viewers that this is ROS 2. They look up types that a definition lacks in ROS 2; our definitions are complete.
+/// The ROS distribution of the server. Viewers take types that a definition lacks from it; wm's definitions are complete.
 const DISTRIBUTION: &str = "kilted";
 /// The operation of a binary message with data.
 const MESSAGE_DATA: u8 = 1;
@@ -157,8 +157,8 @@ mod tests {
     use proptest::{collection::vec, prelude::*};
     use serde_json::{Value, json};
 
-    fn json_of(told: &ServerMessage<'_>) -> Value {
-        serde_json::from_str(&told.text()).unwrap()
+    fn json_of(sent: &ServerMessage<'_>) -> Value {
+        serde_json::from_str(&sent.text()).unwrap()
     }
 
     /// Field by field as in the specification.
@@ -252,9 +252,9 @@ mod tests {
         #[test]
         fn server_messages_are_json(text in "\\PC*", id: u32) {
             let channels = vec![ChannelAdvert::new(id, &text, &text, &text)];
-            let told = json_of(&ServerMessage::Advertise { channels });
-            prop_assert_eq!(&told["channels"][0]["schema"], &text);
-            prop_assert_eq!(&told["channels"][0]["id"], id);
+            let sent = json_of(&ServerMessage::Advertise { channels });
+            prop_assert_eq!(&sent["channels"][0]["schema"], &text);
+            prop_assert_eq!(&sent["channels"][0]["id"], id);
         }
 
         #[test]

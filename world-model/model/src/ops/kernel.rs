@@ -18,13 +18,13 @@ pub(crate) use outer::Outer;
 /// One step takes a group of neighbouring inputs, and for each output as many weights, which lie side by side
 /// ([`Element::GROUP`]).
 pub(crate) trait Product: Copy + Send + Sync + 'static {
-    /// What the inputs are.
+    /// The format of the inputs.
     type Input: Element;
-    /// What the weights are.
+    /// The format of the weights.
     type Weight: Element;
-    /// What of a processor computes it.
+    /// The instructions that compute it.
     type Unit: Copy + Send + Sync;
-    /// What makes outputs of the sums, besides the bias: nothing if the sums are outputs.
+    /// The factors from sums to outputs; empty if the sums are the outputs.
     type Scales: Scales;
     /// Whether the sums are outputs.
     const SUMS_ARE_OUTPUTS: bool = size_of::<Self::Scales>() == 0;

@@ -9,7 +9,7 @@ use wm_model::transition::{
 };
 use wm_model::{Compute, Kernels};
 
-use super::Kind;
+use super::kind::Kind;
 use crate::checkpoint::Average;
 use crate::{Checkpoint, Loader, Result};
 

@@ -7,15 +7,15 @@ use candle_core::Tensor;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use super::{Kind, parse};
-use crate::cost::Cost;
+use super::parse::parse;
+use crate::cost::count::Cost;
 use crate::sizes::check_multiple;
 use crate::{Error, Loader, Result};
 
 /// A loaded network: a batch of pictures or latents to its output.
 pub(crate) type Apply = Box<dyn Fn(&Tensor) -> Result<Tensor> + Send + Sync>;
 
-/// The configuration of an encoder. It is read from JSON, and the line of its kind in the list of [`Kind`] names it.
+/// The configuration of an encoder. It is read from JSON, and the line of its kind in the list of kinds names it.
 pub(crate) trait EncoderConfig: Canonical + Debug + Send + Sync {
     /// Checks the configuration and loads the network: (N, height, width, 3) in 0..1 to (N, rows, columns, channels).
     fn load(&self, loader: &Loader<'_>) -> Result<Apply>;
@@ -24,8 +24,8 @@ pub(crate) trait EncoderConfig: Canonical + Debug + Send + Sync {
     /// [`load`](Self::load).
     fn features(&self, image: [usize; 2]) -> Result<[usize; 3]>;
 
-    /// Parameters, and operations for a frame of 256x256, by [`count`](crate::cost::count) and
-    /// [`applied`](crate::cost::applied).
+    /// Parameters, and operations for a frame of 256x256, by [`count`](crate::cost::count::count) and
+    /// [`applied`](crate::cost::count::applied).
     fn cost(&self) -> Result<Cost>;
 }
 
@@ -41,25 +41,6 @@ impl<C: Serialize> Canonical for C {
             file: "the configuration".to_owned(),
             reason: error.to_string(),
         })
-    }
-}
-
-impl Kind {
-    /// The encoder of this kind with the configuration `config` (JSON).
-    ///
-    /// # Errors
-    /// If the kind is no encoder, or the configuration is not valid.
-    pub(crate) fn encoder(self, config: &str) -> Result<Arc<dyn EncoderConfig>> {
-        if let Some(parse) = self.encoder_parser() {
-            return parse(config);
-        }
-        let encoders = Self::ALL.iter().filter(|k| k.encoder_parser().is_some());
-        let names: Vec<&str> = encoders.map(|kind| kind.name()).collect();
-        let reason = format!(
-            "`{self}` is no encoder, expected one of {}",
-            names.join(", ")
-        );
-        Err(wm_model::Error::config("kind", reason).into())
     }
 }
 

@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use super::Kind;
+use super::kind::Kind;
 use crate::vae::{CosmosConfig, SdVaeConfig, VaVaeConfig};
 use crate::vit::{SiglipTextConfig, SiglipVisionConfig, VjepaConfig, WebDinoConfig};
 

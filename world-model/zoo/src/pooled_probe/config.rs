@@ -4,7 +4,8 @@ use super::{
     LinearProbe, LinearProbeConfig, PooledProbe, ProgressProbe, ProgressProbeConfig, TemporalProbe,
     TemporalProbeConfig,
 };
-use crate::kinds::{Kind, parse};
+use crate::kinds::kind::Kind;
+use crate::kinds::parse::parse;
 use crate::{Loader, Result};
 
 /// The configuration of a [`PooledProbe`].

@@ -9,7 +9,7 @@ use super::{
     Instructed, InstructionTokenizer, Judge, ProbeNetwork, ProbeNetworkConfig, Reader,
     SuccessClassifier, WordEmbedding, WordsConfig,
 };
-use crate::kinds::Kind;
+use crate::kinds::kind::Kind;
 use crate::pooled_probe::PooledProbe;
 use crate::vit::{SiglipText, SiglipTextConfig};
 use crate::{Checkpoint, Error, Loader, Result, checkpoint::Average, loader::OfWeights};
@@ -74,7 +74,7 @@ impl Reader {
     pub fn siglip(folder: &Path) -> Result<Self> {
         let path = folder.join("config.json");
         let config = std::fs::read_to_string(&path).map_err(|error| Error::io(&path, error))?;
-        let config: SiglipTextConfig = crate::kinds::parse(&config)?;
+        let config: SiglipTextConfig = crate::kinds::parse::parse(&config)?;
         // First what is cheap: it may be wrong.
         let tokenizer = InstructionTokenizer::open(&folder.join("tokenizer.json"), &config)?;
         let checkpoint = Checkpoint::open(folder.join("model.safetensors"))?;
