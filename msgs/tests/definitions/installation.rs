@@ -1,4 +1,4 @@
-//! The ROS installation of `AMENT_PREFIX_PATH`, else of `tests/setup_ros2`.
+//! The ROS installation of `AMENT_PREFIX_PATH`, else that of `tests/setup_ros2` for `WM_TEST_ROS_DISTRO`.
 
 use std::path::{Path, PathBuf};
 
@@ -9,10 +9,13 @@ pub struct Installation {
 impl Installation {
     /// The installation; `None`, with a message, if none is found.
     pub fn find() -> Option<Self> {
-        let made = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.venv/ros2"));
+        let distribution =
+            std::env::var("WM_TEST_ROS_DISTRO").unwrap_or_else(|_| "kilted".to_owned());
+        let made = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.venv"))
+            .join(format!("ros2-{distribution}"));
         let prefixes: Vec<PathBuf> = match std::env::var_os("AMENT_PREFIX_PATH") {
             Some(path) => std::env::split_paths(&path).collect(),
-            None => vec![made.to_owned(), made.join("ws/install")],
+            None => vec![made.clone(), made.join("ws/install")],
         };
         if prefixes.iter().any(|prefix| prefix.join("share").is_dir()) {
             return Some(Self { prefixes });
