@@ -1,12 +1,14 @@
-//! The command line of a node, after its subcommand: `--ros-args` as in every ROS 2 node, `--interface`, and the
-//! rest, which is the node's own.
+//! The command line of a node, after its subcommand: `--ros-args` as in every ROS 2 node, `--interface`,
+//! `--middleware`, and the rest, which is the node's own.
 
 mod log_level;
 mod params_file;
 
 pub use log_level::LogLevels;
 
-use crate::{Error, ParameterError, ParameterType, names::NodeName, remap::Remap, value::Value};
+use crate::{
+    Error, Middleware, ParameterError, ParameterType, names::NodeName, remap::Remap, value::Value,
+};
 use params_file::Section;
 use std::path::{Path, PathBuf};
 
@@ -87,6 +89,8 @@ pub struct NodeArgs {
     /// `--interface`: the address or the name of the one network interface to use. `None`: the environment variables
     /// decide.
     pub interface: Option<String>,
+    /// `--middleware`. `None`: `RMW_IMPLEMENTATION` decides.
+    pub middleware: Option<Middleware>,
     pub(crate) remaps: Vec<Remap>,
     pub(crate) overrides: Vec<Override>,
     pub(crate) log_levels: LogLevels,
@@ -114,10 +118,15 @@ impl NodeArgs {
                     args.interface =
                         Some(value(&word, "an address or interface name", &mut words)?);
                 }
+                "--middleware" => {
+                    let named = value(&word, Middleware::VALUES, &mut words)?;
+                    args.middleware = Some(middleware(&named)?);
+                }
                 _ if in_ros_args => args.ros_argument(word, &mut words)?,
-                _ => match word.strip_prefix("--interface=") {
-                    Some(interface) => args.interface = Some(interface.to_owned()),
-                    None => args.rest.push(word),
+                _ => match word.split_once('=') {
+                    Some(("--interface", interface)) => args.interface = Some(interface.to_owned()),
+                    Some(("--middleware", named)) => args.middleware = Some(middleware(named)?),
+                    _ => args.rest.push(word),
                 },
             }
         }
@@ -152,6 +161,20 @@ impl NodeArgs {
             origin: given.origin.as_str().into(),
         };
         Ok(Some(T::from_value(&given.value).ok_or_else(wrong)?))
+    }
+
+    /// The absolute name of a topic for a node with these defaults, before the node exists: see
+    /// [`Node::resolve`](crate::Node::resolve).
+    ///
+    /// # Errors
+    /// A name that ROS does not allow.
+    pub fn resolve(
+        &self,
+        default_name: &str,
+        default_namespace: &str,
+        topic: &str,
+    ) -> Result<String, Error> {
+        NodeName::new(default_name, default_namespace, &self.remaps)?.resolve(topic, "topic")
     }
 
     /// The absolute name of the sibling `topic/suffix` for a node with these defaults, before the node exists: see
@@ -250,6 +273,11 @@ fn value(
         flag: flag.to_owned(),
         expected,
     })
+}
+
+fn middleware(name: &str) -> Result<Middleware, ArgsError> {
+    Middleware::parse(name)
+        .ok_or_else(|| malformed("--middleware", name, Middleware::VALUES.to_owned()))
 }
 
 fn malformed(flag: &str, value: &str, expected: String) -> ArgsError {

@@ -1,5 +1,5 @@
 //! The interface between this runtime and a middleware: bytes with a type name and a QoS, and the graph. Parameters,
-//! services, logs and clocks use only this interface; a second middleware implements these traits and nothing else.
+//! services, logs and clocks use only this interface, which DDS and Zenoh implement.
 
 use crate::{Error, Qos, names::TypeName, payload::Payload};
 use futures::future::BoxFuture;
@@ -8,10 +8,8 @@ use tokio::sync::watch;
 /// Identity of a reader or writer in the whole graph.
 pub(crate) type EndpointId = [u8; 16];
 
-/// The first twelve bytes of an endpoint's GUID name its participant.
-pub(crate) fn participant_of(id: &EndpointId) -> [u8; 12] {
-    std::array::from_fn(|index| id[index])
-}
+/// Identity of a participant in the whole graph.
+pub(crate) type ParticipantId = [u8; 12];
 
 /// The kind of an endpoint, on which the middleware's spelling of its name depends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,11 +26,31 @@ pub(crate) struct Endpoint {
     /// Absolute: `/wm/latent`.
     pub(crate) name: String,
     pub(crate) type_name: TypeName,
+    /// `None` for a type without a known definition.
+    #[cfg_attr(
+        not(feature = "zenoh"),
+        allow(dead_code, reason = "rustdds cannot announce it")
+    )]
+    pub(crate) type_info: Option<TypeInfo>,
     pub(crate) qos: Qos,
     /// For a reader: whether it receives from this participant's own writers.
     pub(crate) receives_own: bool,
     /// For a reader: whether other readers of the same subscription receive from the publishers that its QoS excludes.
     pub(crate) has_siblings: bool,
+}
+
+/// What a middleware announces of a type besides its name.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[cfg_attr(
+    not(feature = "zenoh"),
+    allow(dead_code, reason = "rustdds cannot announce it")
+)]
+pub(crate) struct TypeInfo {
+    /// `RIHS01_...` (REP 2016). `None` for a reader that receives any definition of the type.
+    pub(crate) hash: Option<String>,
+    /// Whether the type or one that it contains has an unbounded sequence of bytes. ROS 2 Lyrical sends such messages in
+    /// two ways.
+    pub(crate) has_byte_sequence: bool,
 }
 
 /// The request that a sample is, or answers.
@@ -119,6 +137,7 @@ pub(crate) struct DiscoveredEndpoint {
     pub(crate) qos: Qos,
     pub(crate) is_writer: bool,
     pub(crate) id: EndpointId,
+    pub(crate) participant: ParticipantId,
     /// Whether it belongs to this participant.
     pub(crate) is_own: bool,
     /// The hash of its type, if a publisher of another participant announces it.
@@ -127,8 +146,12 @@ pub(crate) struct DiscoveredEndpoint {
 
 /// A middleware.
 pub(crate) trait Backend: Send + Sync {
-    /// The participant's own GUID.
-    fn participant(&self) -> EndpointId;
+    /// This participant.
+    fn participant(&self) -> ParticipantId;
+    /// The participant of an endpoint; `None` for an undiscovered one.
+    fn participant_of(&self, endpoint: &EndpointId) -> Option<ParticipantId>;
+    /// Whether endpoints are not connected if one requests more than the other offers.
+    fn excludes_by_qos(&self) -> bool;
     fn add_node(&self, namespace: &str, base: &str) -> Result<(), Error>;
     fn remove_node(&self, namespace: &str, base: &str);
     /// `node` is the full name of the endpoint's node.

@@ -1,6 +1,8 @@
 //! State shared by the nodes of a process: the participant, and the thread that receives.
 
-use crate::{Environment, Error, Shutdown, backend::Backend, dds::Dds};
+#[cfg(feature = "zenoh")]
+use crate::zenoh::Zenoh;
+use crate::{Environment, Error, Middleware, Shutdown, backend::Backend, dds::Dds};
 use std::{
     sync::{Arc, Mutex, PoisonError, Weak},
     thread::JoinHandle,
@@ -54,7 +56,7 @@ impl Context {
             stop,
             handle: thread,
         }));
-        let backend = Dds::join(environment, handle.clone())?;
+        let backend = join(environment, &handle)?;
         let inner = Arc::new(Inner {
             backend,
             runtime: handle,
@@ -97,6 +99,16 @@ impl Context {
 
     pub(crate) fn runtime(&self) -> &Handle {
         &self.inner.runtime
+    }
+}
+
+fn join(environment: &Environment, runtime: &Handle) -> Result<Arc<dyn Backend>, Error> {
+    match environment.middleware {
+        Middleware::Dds => Ok(Dds::join(environment, runtime.clone())?),
+        #[cfg(feature = "zenoh")]
+        Middleware::Zenoh => Ok(Zenoh::join(environment, runtime.clone())?),
+        #[cfg(not(feature = "zenoh"))]
+        Middleware::Zenoh => Err(Error::NoZenoh),
     }
 }
 

@@ -6,11 +6,11 @@
 //! The participant is dropped after its readers and writers; otherwise other participants do not receive its departure.
 
 mod answers;
+mod buffer_channels;
+mod channel_reader;
 mod codec;
 mod failure;
 mod identity;
-mod local;
-mod lock;
 mod mismatches;
 mod names;
 mod nodes;
@@ -18,6 +18,7 @@ mod own_endpoints;
 mod participant;
 mod qos;
 mod reader;
+mod received;
 mod shared;
 #[cfg(test)]
 mod tests;
@@ -28,16 +29,17 @@ mod writer;
 use crate::{
     Environment, Error,
     backend::{
-        Backend, Channel, DiscoveredEndpoint, Endpoint, EndpointId, Reader, Sink, Writer,
-        participant_of,
+        Backend, Channel, DiscoveredEndpoint, Endpoint, EndpointId, ParticipantId, Reader, Sink,
+        Writer,
     },
+    local::Local,
+    lock::lock,
 };
 pub(crate) use workarounds::parts::decode_part;
 
+use buffer_channels::BufferChannels;
 use futures::FutureExt as _;
-use identity::is_foreign;
-use local::Local;
-use lock::lock;
+use identity::{is_foreign, participant_of};
 use mismatches::Mismatches;
 use names::{dds_name, dds_type, ros_names};
 use nodes::Nodes;
@@ -67,7 +69,6 @@ use writer::DdsWriter;
 
 /// A participant of a DDS domain.
 pub(crate) struct Dds {
-    id: EndpointId,
     shared: Arc<Shared>,
     environment: Environment,
     addresses: Addresses,
@@ -98,6 +99,7 @@ impl Dds {
             local: Local::default(),
             lines: Lines::default(),
             parts: Parts::default(),
+            buffer_channels: BufferChannels::default(),
             matches: Mutex::default(),
             writers: Mutex::default(),
             mismatches: Mismatches::default(),
@@ -129,7 +131,6 @@ impl Dds {
             spawn("reconciliation", reconciled.boxed());
         }
         let this = Self {
-            id,
             shared,
             environment: environment.clone(),
             addresses,
@@ -176,8 +177,16 @@ impl Dds {
 }
 
 impl Backend for Dds {
-    fn participant(&self) -> EndpointId {
-        self.id
+    fn participant(&self) -> ParticipantId {
+        self.shared.first
+    }
+
+    fn participant_of(&self, endpoint: &EndpointId) -> Option<ParticipantId> {
+        Some(participant_of(endpoint))
+    }
+
+    fn excludes_by_qos(&self) -> bool {
+        true
     }
 
     fn add_node(&self, namespace: &str, base: &str) -> Result<(), Error> {
@@ -224,18 +233,17 @@ impl Backend for Dds {
             .subscriber
             .create_simple_datareader_no_key(&topic, Some(qos.clone()))
             .map_err(|error| Error::middleware(format!("subscribe to {}", endpoint.name), error))?;
-        let (shared, runtime) = (&self.shared, &self.runtime);
+        let shared = &self.shared;
         if endpoint.has_siblings {
             shared.mismatches.tolerate(reader.guid().to_bytes());
         }
-        let reader = DdsReader::new(reader, began, endpoint, node, shared, sink, runtime);
         let own = OwnEndpoint {
             topic: dds_name(endpoint),
             type_name: dds_type(endpoint),
             qos,
             is_writer: false,
         };
-        shared.own.add(reader.id(), own);
+        let reader = DdsReader::new(reader, began, endpoint, own, node, shared, sink);
         self.compare_types(reader.id(), endpoint, false);
         Ok(Box::new(reader))
     }
@@ -262,6 +270,7 @@ impl Backend for Dds {
                         qos,
                         is_writer: user_data.is_some(),
                         id,
+                        participant: participant_of(&id),
                         is_own: false,
                         type_hash: user_data.and_then(type_hash::announced),
                     });

@@ -1,12 +1,26 @@
 //! A node as data: name, purpose, parameters, topics, services, and entry points. The command line, the help and the
 //! parameter files are made from it.
 
+mod graph_node;
 mod help;
 mod params_file;
+
+pub use graph_node::{GraphEndpoint, GraphNode};
 
 use crate::{Component, Direction, EndpointSpec, Node, NodeArgs, ParameterSpec, lifecycle};
 use futures::future::LocalBoxFuture;
 use std::process::ExitCode;
+
+/// Topics that a node chooses at run time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ChosenTopics {
+    /// None: its endpoints are all.
+    None,
+    /// It subscribes to topics that it discovers, and calls `get_type_description` of their publishers.
+    Subscribed,
+    /// It publishes topics of a file.
+    Published,
+}
 
 /// A node, before it runs. Made by [`of`](Self::of) from a [`NodeProgram`](crate::NodeProgram).
 #[derive(Clone, Copy)]
@@ -19,6 +33,8 @@ pub struct NodeDefinition<E> {
     pub parameters: fn() -> Vec<ParameterSpec>,
     /// Its topics and services, without those that every node has.
     pub endpoints: fn() -> Vec<EndpointSpec>,
+    /// Topics beyond these endpoints.
+    pub chosen_topics: ChosenTopics,
     /// Whether it has a lifecycle ([`Lifecycle`](crate::Lifecycle)).
     pub is_managed: bool,
     /// Whether it is the only node of its process.

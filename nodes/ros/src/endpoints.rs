@@ -1,7 +1,7 @@
 //! Topics, services and actions, each declared once: a table of name, type, QoS and description. The endpoints and `wm
 //! NODE --help` are made from it.
 
-use crate::{ActionServer, Error, Node, Publisher, Qos, Service, Subscription};
+use crate::{ActionServer, Client, Error, Node, Publisher, Qos, Service, Subscription};
 use wm_msgs::{Action, Message};
 
 /// The direction of an endpoint.
@@ -15,6 +15,8 @@ pub enum Direction {
     Served,
     /// An action that the node has.
     Performed,
+    /// A service that the node calls.
+    Called,
 }
 
 /// The declaration of a topic, service or action, without a node.
@@ -26,7 +28,7 @@ pub struct EndpointSpec {
     pub name: String,
     /// `package/msg/Type`, `package/srv/Type` or `package/action/Type`.
     pub type_name: String,
-    /// Of a topic.
+    /// The QoS of a topic; `None` for services and actions.
     pub qos: Option<Qos>,
     /// What it carries.
     pub text: String,
@@ -78,6 +80,17 @@ impl EndpointSpec {
             text: text.trim().to_owned(),
         }
     }
+
+    /// A service `S`, served or called.
+    pub fn service<S: wm_msgs::Service>(direction: Direction, name: &str, text: &str) -> Self {
+        Self {
+            direction,
+            name: name.to_owned(),
+            type_name: S::ros_name(),
+            qos: None,
+            text: text.trim().to_owned(),
+        }
+    }
 }
 
 impl<M: Message> Endpoint for Subscription<M> {
@@ -112,17 +125,21 @@ impl<M: Message> Endpoint for Publisher<M> {
 
 impl<S: wm_msgs::Service> Endpoint for Service<S> {
     fn specs(name: &str, _: Qos, text: &str) -> Vec<EndpointSpec> {
-        vec![EndpointSpec {
-            direction: Direction::Served,
-            name: name.to_owned(),
-            type_name: S::ros_name(),
-            qos: None,
-            text: text.trim().to_owned(),
-        }]
+        vec![EndpointSpec::service::<S>(Direction::Served, name, text)]
     }
 
     fn make(node: &Node, name: &str, _: Qos) -> Result<Self, Error> {
         node.service(name)
+    }
+}
+
+impl<S: wm_msgs::Service> Endpoint for Client<S> {
+    fn specs(name: &str, _: Qos, text: &str) -> Vec<EndpointSpec> {
+        vec![EndpointSpec::service::<S>(Direction::Called, name, text)]
+    }
+
+    fn make(node: &Node, name: &str, _: Qos) -> Result<Self, Error> {
+        node.client(name)
     }
 }
 

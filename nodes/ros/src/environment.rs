@@ -8,10 +8,10 @@
 //! untrusted network, add a firewall and limit the process's memory: `launch-configs/network/` has both.
 //!
 //! **Unsupported variables** cause an error or a warning with the variable's name. Peers without multicast
-//! (`ROS_STATIC_PEERS`) get no announcements. DDS security is not built in: if it is requested and enforced, the node
-//! does not start.
+//! (`ROS_STATIC_PEERS`) get no announcements. DDS security is not built in. If security is
+//! requested and enforced, a node starts only with Zenoh and a session that uses TLS on both sides.
 
-use crate::{Error, NodeArgs};
+use crate::{Error, Middleware, NodeArgs};
 use std::net::{IpAddr, Ipv4Addr};
 
 /// The highest domain for which RTPS' port formula stays below 65536 with room for participants.
@@ -35,8 +35,11 @@ pub enum Reach {
 pub struct Environment {
     /// `ROS_DOMAIN_ID`, 0 to 232.
     pub domain_id: u16,
-    /// From `--interface`, otherwise from `ROS_LOCALHOST_ONLY=1`, otherwise from `ROS_AUTOMATIC_DISCOVERY_RANGE`.
+    /// From `--interface`, otherwise from `ROS_LOCALHOST_ONLY=1`, otherwise from `ROS_AUTOMATIC_DISCOVERY_RANGE`. With
+    /// Zenoh, only [`Reach::Process`] has an effect: the router decides.
     pub reach: Reach,
+    /// From `--middleware`, otherwise from `RMW_IMPLEMENTATION`.
+    pub middleware: Middleware,
 }
 
 impl Environment {
@@ -45,10 +48,11 @@ impl Environment {
     /// # Errors
     /// An invalid variable or interface.
     pub fn from_env(args: &NodeArgs) -> Result<Self, Error> {
-        for warning in Self::warnings()? {
+        let environment = Self::from_variables(args, variable)?;
+        for warning in warnings(&variable, environment.middleware)? {
             tracing::warn!("{warning}");
         }
-        Self::from_variables(args, variable)
+        Ok(environment)
     }
 
     fn from_variables(
@@ -68,11 +72,30 @@ impl Environment {
                 }
             },
         };
+        let implementation = variable("RMW_IMPLEMENTATION").unwrap_or_default(); // unset: the default
+        let middleware = match args.middleware {
+            Some(middleware) => middleware,
+            // `warnings` names an unknown one
+            None => Middleware::of_rmw(&implementation).unwrap_or_default(),
+        };
+        let middleware = middleware.available()?;
+        if let (Middleware::Zenoh, Some(interface)) = (middleware, &args.interface) {
+            return Err(invalid(
+                "--interface",
+                interface,
+                "DDS as the middleware: with Zenoh, the router and ZENOH_CONFIG_OVERRIDE decide"
+                    .to_owned(),
+            ));
+        }
         let reach = match &args.interface {
             Some(interface) => Reach::Interfaces(vec![address_of(interface)?]),
             None => reach_of(&variable)?,
         };
-        Ok(Self { domain_id, reach })
+        Ok(Self {
+            domain_id,
+            reach,
+            middleware,
+        })
     }
 
     /// Environment variables that this runtime cannot obey; nodes run all the same.
@@ -80,7 +103,7 @@ impl Environment {
     /// # Errors
     /// An invalid variable, or security that is requested and enforced.
     pub fn warnings() -> Result<Vec<EnvironmentWarning>, Error> {
-        warnings(&variable)
+        warnings(&variable, Middleware::from_env()?)
     }
 
     /// Whether there are no other participants.
@@ -146,27 +169,21 @@ impl std::fmt::Display for EnvironmentWarning {
     }
 }
 
-/// The middlewares of ROS 2 that use DDS, as the nodes do.
-const DDS_MIDDLEWARES: [&str; 5] = [
-    "rmw_fastrtps_cpp",
-    "rmw_fastrtps_dynamic_cpp",
-    "rmw_cyclonedds_cpp",
-    "rmw_connextdds",
-    "rmw_gurumdds_cpp",
-];
-
-fn warnings(variable: &impl Fn(&str) -> Option<String>) -> Result<Vec<EnvironmentWarning>, Error> {
+fn warnings(
+    variable: &impl Fn(&str) -> Option<String>,
+    middleware: Middleware,
+) -> Result<Vec<EnvironmentWarning>, Error> {
     let mut warnings = Vec::new();
     if let Some(middleware) = variable("RMW_IMPLEMENTATION")
-        && !DDS_MIDDLEWARES.contains(&middleware.as_str())
+        && Middleware::of_rmw(&middleware).is_none()
     {
         warnings.push(EnvironmentWarning {
             problem: format!(
-                "RMW_IMPLEMENTATION is `{middleware}`, which is not a DDS middleware: this node uses DDS, and does \
-                 not discover nodes that use `{middleware}`"
+                "RMW_IMPLEMENTATION is `{middleware}`, which this node does not know: it uses DDS, and does not discover \
+                 nodes that use `{middleware}`"
             ),
-            fix: "set RMW_IMPLEMENTATION=rmw_fastrtps_cpp (or rmw_cyclonedds_cpp) for all nodes of the graph, and \
-                  unset it if this is so already"
+            fix: "set RMW_IMPLEMENTATION=rmw_fastrtps_cpp, rmw_cyclonedds_cpp or rmw_zenoh_cpp for all nodes of the \
+                  graph, and unset it if this is so already"
                 .to_owned(),
         });
     }
@@ -192,15 +209,9 @@ fn warnings(variable: &impl Fn(&str) -> Option<String>) -> Result<Vec<Environmen
         }
     };
     if is_wanted {
-        match variable("ROS_SECURITY_STRATEGY").as_deref() {
-            Some("Enforce") => return Err(Error::NoSecurity),
-            None | Some("Permissive") => warnings.push(EnvironmentWarning {
-                problem: "ROS_SECURITY_ENABLE is `true`, but DDS security is not built in: this node's communication \
-                          is neither encrypted nor authenticated"
-                    .to_owned(),
-                fix: "set ROS_SECURITY_STRATEGY=Enforce if it must not start then, or unset ROS_SECURITY_ENABLE"
-                    .to_owned(),
-            }),
+        let is_enforced = match variable("ROS_SECURITY_STRATEGY").as_deref() {
+            Some("Enforce") => true,
+            None | Some("Permissive") => false,
             Some(text) => {
                 return Err(invalid(
                     "ROS_SECURITY_STRATEGY",
@@ -208,9 +219,49 @@ fn warnings(variable: &impl Fn(&str) -> Option<String>) -> Result<Vec<Environmen
                     "Enforce or Permissive".to_owned(),
                 ));
             }
+        };
+        match secured(middleware) {
+            Ok(()) => {}
+            Err(error) if is_enforced => return Err(error),
+            Err(_) => warnings.push(insecure(middleware)),
         }
     }
     Ok(warnings)
+}
+
+/// Whether all communication is authenticated and encrypted.
+///
+/// # Errors
+/// It is not.
+fn secured(middleware: Middleware) -> Result<(), Error> {
+    match middleware {
+        Middleware::Dds => Err(Error::NoSecurity),
+        #[cfg(feature = "zenoh")]
+        Middleware::Zenoh => crate::secured_session::check(&crate::zenoh::session_config()?),
+        #[cfg(not(feature = "zenoh"))]
+        Middleware::Zenoh => Err(Error::NoZenoh),
+    }
+}
+
+/// Security is requested, but not enforced.
+fn insecure(middleware: Middleware) -> EnvironmentWarning {
+    let (cause, fix) = match middleware {
+        Middleware::Dds => (
+            "DDS security is not built in",
+            "set ROS_SECURITY_STRATEGY=Enforce if it must not start then, or unset ROS_SECURITY_ENABLE",
+        ),
+        Middleware::Zenoh => (
+            "the Zenoh session permits connections without TLS on both sides",
+            "set ZENOH_SESSION_CONFIG_URI to a file of `wm keys`, or unset ROS_SECURITY_ENABLE",
+        ),
+    };
+    EnvironmentWarning {
+        problem: format!(
+            "ROS_SECURITY_ENABLE is `true`, but {cause}: this node's communication is neither encrypted nor \
+             authenticated"
+        ),
+        fix: fix.to_owned(),
+    }
 }
 
 /// An address of this host, and the interface that has it.
@@ -338,7 +389,9 @@ mod tests {
                 let found = variables.iter().find(|(key, _)| *key == name);
                 found.map(|(_, value)| (*value).to_owned())
             };
-            match warnings(&variable) {
+            let implementation = variable("RMW_IMPLEMENTATION").unwrap_or_default();
+            let middleware = Middleware::of_rmw(&implementation).unwrap_or_default();
+            match warnings(&variable, middleware) {
                 Ok(warnings) => {
                     let warnings = warnings.iter().map(ToString::to_string);
                     warnings.collect::<Vec<_>>().join("\n")
@@ -351,12 +404,13 @@ mod tests {
         assert!(
             asked(&[("ROS_STATIC_PEERS", "10.0.0.7")]).contains("ROS_STATIC_PEERS is `10.0.0.7`")
         );
-        for middleware in DDS_MIDDLEWARES {
+        for middleware in ["rmw_fastrtps_cpp", "rmw_zenoh_cpp"] {
             assert_eq!(asked(&[("RMW_IMPLEMENTATION", middleware)]), "");
         }
-        for middleware in ["rmw_zenoh_cpp", "rmw_email_cpp", "fastrtps"] {
+        for middleware in ["rmw_email_cpp", "fastrtps"] {
             let warning = asked(&[("RMW_IMPLEMENTATION", middleware)]);
-            let begin = format!("RMW_IMPLEMENTATION is `{middleware}`, which is not");
+            let begin =
+                format!("RMW_IMPLEMENTATION is `{middleware}`, which this node does not know");
             assert!(warning.starts_with(&begin), "{warning}");
             assert!(warning.contains("set RMW_IMPLEMENTATION="), "{warning}");
         }
@@ -370,5 +424,25 @@ mod tests {
         assert!(secure("Enforce").contains("refused: ") && secure("Enforce").contains("Enforce"));
         assert!(secure("enforce").contains("refused: ROS_SECURITY_STRATEGY is `enforce`"));
         assert!(asked(&[("ROS_SECURITY_ENABLE", "True")]).contains("refused: ROS_SECURITY_ENABLE"));
+        assert!(secure("Enforce").contains("wm keys"));
+        // the default session uses TCP
+        #[cfg(feature = "zenoh")]
+        for (strategy, expected) in [
+            (
+                "Enforce",
+                "refused: ROS_SECURITY_STRATEGY is `Enforce`, but",
+            ),
+            ("Permissive", "neither encrypted nor"),
+        ] {
+            let answer = asked(&[
+                ("RMW_IMPLEMENTATION", "rmw_zenoh_cpp"),
+                ("ROS_SECURITY_ENABLE", "true"),
+                ("ROS_SECURITY_STRATEGY", strategy),
+            ]);
+            assert!(
+                answer.contains(expected) && answer.contains("Zenoh session"),
+                "{answer}"
+            );
+        }
     }
 }

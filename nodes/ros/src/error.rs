@@ -42,9 +42,39 @@ pub enum Error {
     /// DDS security is requested and enforced, and this build has none.
     #[error(
         "ROS_SECURITY_ENABLE is `true` and ROS_SECURITY_STRATEGY is `Enforce`, but DDS security (SROS 2) is not built in: \
-         the node does not start"
+         the node does not start; use Zenoh with TLS instead: `wm keys DIR` makes its files, then --middleware zenoh and \
+         ZENOH_SESSION_CONFIG_URI=DIR/NODE.json5 (docs/security.md)"
     )]
     NoSecurity,
+    /// The middleware is Zenoh, and this build has none.
+    #[error(
+        "the middleware is Zenoh (--middleware zenoh, or RMW_IMPLEMENTATION=rmw_zenoh_cpp), but this program is built \
+         without it: build it with `--features zenoh`, or use DDS"
+    )]
+    NoZenoh,
+    /// Zenoh connects only endpoints whose types have the same hash.
+    #[error(
+        "cannot make {endpoint}: Zenoh needs the hash of its type {type_name}, which is unknown"
+    )]
+    NoTypeHash {
+        /// The topic or service.
+        endpoint: String,
+        /// Its type.
+        type_name: String,
+    },
+    /// Security is requested and enforced, and the Zenoh session permits a connection without it.
+    #[error(
+        "ROS_SECURITY_STRATEGY is `Enforce`, but {setting} of the Zenoh session is `{found}`: expected {expected}; set \
+         ZENOH_SESSION_CONFIG_URI to a file of `wm keys` (docs/security.md)"
+    )]
+    InsecureSession {
+        /// The path of the setting.
+        setting: String,
+        /// Its value.
+        found: String,
+        /// The secured value.
+        expected: &'static str,
+    },
     /// All participant numbers are in use.
     #[error(
         "DDS domain {domain} is full on this host: all {participants} participants that it can have exist; end some \
@@ -113,6 +143,9 @@ pub enum Error {
          debugger): restart the node"
     )]
     MiddlewareEnded,
+    /// The Zenoh session has ended although the node runs.
+    #[error("the Zenoh session has ended: restart the node")]
+    SessionEnded,
     /// A thread of the process has panicked.
     #[error("{0}")]
     ThreadPanicked(String),

@@ -42,8 +42,8 @@
 //! - Loopback by default; see [`Environment`].
 //!
 //! # Not here
-//! The nodes' computations; bags. The middleware's types (ros2-client, rustdds) stay private: another middleware can
-//! implement the private module `backend`.
+//! The nodes' computations; bags. The middlewares' types stay private: DDS and Zenoh implement the private module
+//! `backend`.
 
 mod action;
 mod args;
@@ -61,8 +61,11 @@ pub mod frame_trace;
 #[doc(hidden)]
 pub mod fuzzing;
 mod lifecycle;
+mod local;
+mod lock;
 pub mod logging;
 mod mailbox;
+mod middleware;
 mod names;
 mod node;
 mod parameters;
@@ -74,6 +77,8 @@ mod rcl_interfaces;
 mod remap;
 mod requests;
 mod run;
+#[cfg(feature = "zenoh")]
+mod secured_session;
 mod service;
 mod shutdown;
 mod subscription;
@@ -89,7 +94,7 @@ pub use action::{
 pub use args::{ArgsError, LogLevels, NodeArgs};
 pub use clock::Clock;
 pub use context::Context;
-pub use definition::NodeDefinition;
+pub use definition::{ChosenTopics, GraphEndpoint, GraphNode, NodeDefinition};
 pub use diagnostics::{Deadline, Diagnostics, Input, Latency, Level};
 pub use endpoints::{Direction, Endpoint, EndpointSet, EndpointSpec};
 #[doc(hidden)]
@@ -97,6 +102,7 @@ pub use endpoints::{made_by, make_if};
 pub use environment::{Environment, EnvironmentWarning, Interface, Reach};
 pub use error::Error;
 pub use lifecycle::{Lifecycle, Machine, Managed, Outcome, Refused, State, Transition};
+pub use middleware::Middleware;
 pub use node::{Node, RemoteEndpoint, Role, TopicInfo};
 pub use parameters::{
     Descriptor, Field, Parameter, ParameterError, ParameterSet, ParameterSpec, Range,

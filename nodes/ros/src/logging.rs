@@ -3,6 +3,8 @@
 //! Control characters are escaped and long records cut, since they contain text of peers. Logging never waits for the
 //! reader of stderr: without a reader, the oldest lines are dropped and counted.
 
+#[cfg(feature = "zenoh")]
+mod denials;
 pub(crate) mod levels;
 mod outlet;
 pub(crate) mod panics;
@@ -144,6 +146,14 @@ impl<S: Subscriber + for<'a> LookupSpan<'a>> Layer<S> for RosLayer {
         }
         let mut record = Record::default();
         event.record(&mut record);
+        #[cfg(feature = "zenoh")]
+        if event.metadata().target() == denials::TARGET {
+            if let Some(warning) = denials::warning(&record.into_text()) {
+                let target = denials::TARGET;
+                write_line(&Level::WARN, system_nanos(), target, &warning);
+            }
+            return;
+        }
         let text = printable(&record.into_text(), printable::RECORD);
         let stamp = system_nanos();
         let of_span = context.event_scope(event).and_then(|scope| {
@@ -157,13 +167,7 @@ impl<S: Subscriber + for<'a> LookupSpan<'a>> Layer<S> for RosLayer {
             (None, Some(node)) => node.as_str(),
             (None, None) => event.metadata().target(),
         };
-        let line = format!(
-            "[{}] [{}] [{logger}]: {text}\n",
-            name(event.metadata().level()),
-            seconds(stamp)
-        );
-        // stderr is closed: no reader is left
-        STDERR.push(line.into_bytes()).ok();
+        write_line(event.metadata().level(), stamp, logger, &text);
         if event.metadata().target() != frame_trace::TARGET
             && let Some(Rosout {
                 logger,
@@ -175,6 +179,16 @@ impl<S: Subscriber + for<'a> LookupSpan<'a>> Layer<S> for RosLayer {
             IS_WRITING.set(false);
         }
     }
+}
+
+fn write_line(level: &Level, stamp: i64, logger: &str, text: &str) {
+    let line = format!(
+        "[{}] [{}] [{logger}]: {text}\n",
+        name(level),
+        seconds(stamp)
+    );
+    // stderr is closed: no reader is left
+    STDERR.push(line.into_bytes()).ok();
 }
 
 /// The node of the event's span, or the only node of the process.

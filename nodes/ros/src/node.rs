@@ -2,6 +2,7 @@
 
 mod actions;
 mod builtin;
+mod coverage;
 mod description;
 mod graph;
 mod interfaces;
@@ -10,12 +11,13 @@ mod services;
 
 pub use graph::{RemoteEndpoint, Role, TopicInfo};
 
+use coverage::{Coverage, Decoding};
 use interfaces::Interfaces;
 
 use crate::{
     Clock, Context, Descriptor, Diagnostics, Durability, Error, NodeArgs, Parameter, Publisher,
     Qos, RawPublisher, RawSubscription, Reliability, Shutdown, Subscription,
-    backend::{Backend, Channel, Endpoint, Reader, Writer},
+    backend::{Backend, Channel, Endpoint, Reader, TypeInfo, Writer},
     lifecycle::Gate,
     logging,
     names::{NodeName, TypeName},
@@ -252,7 +254,9 @@ impl Node {
     /// A name that ROS does not allow, or the middleware failed.
     pub fn publisher<M: Message>(&self, topic: &str, qos: Qos) -> Result<Publisher<M>, Error> {
         self.inner.interfaces.message::<M>();
-        Ok(Publisher::new(self.publish(topic, type_of::<M>(), qos)?))
+        let type_name = type_of::<M>();
+        let info = self.inner.interfaces.info(&type_name.to_string());
+        Ok(Publisher::new(self.publish(topic, type_name, info, qos)?))
     }
 
     /// Publishes a topic of any type, `package/msg/Type`, as CDR bytes.
@@ -265,10 +269,18 @@ impl Node {
         type_name: &str,
         qos: Qos,
     ) -> Result<RawPublisher, Error> {
-        self.publish(topic, TypeName::parse_message(type_name)?, qos)
+        let type_name = TypeName::parse_message(type_name)?;
+        let info = self.inner.interfaces.described(&type_name.to_string());
+        self.publish(topic, type_name, info, qos)
     }
 
-    fn publish(&self, topic: &str, type_name: TypeName, qos: Qos) -> Result<RawPublisher, Error> {
+    fn publish(
+        &self,
+        topic: &str,
+        type_name: TypeName,
+        type_info: Option<TypeInfo>,
+        qos: Qos,
+    ) -> Result<RawPublisher, Error> {
         let name = self.inner.name.resolve(topic, "topic")?;
         let qos = overrides::apply(
             &self.inner.parameters,
@@ -277,7 +289,17 @@ impl Node {
             "publisher",
             qos,
         )?;
-        let writer = self.inner.writer(Channel::Topic, &name, type_name, qos)?;
+        let endpoint = Endpoint {
+            channel: Channel::Topic,
+            name: name.clone(),
+            type_name,
+            type_info,
+            qos,
+            receives_own: true,
+            has_siblings: false,
+        };
+        let backend = self.inner.backend();
+        let writer = backend.writer(self.fully_qualified_name(), &endpoint)?;
         Ok(RawPublisher::new(
             name,
             writer,
@@ -334,7 +356,8 @@ impl Node {
         coverage: Coverage,
     ) -> Result<Subscription<M>, Error> {
         self.inner.interfaces.message::<M>();
-        let raw = self.subscribe(topic, type_of::<M>(), qos, coverage)?;
+        let decoding = Decoding::Here;
+        let raw = self.subscribe(topic, type_of::<M>(), qos, coverage, decoding)?;
         Ok(Subscription::new(raw))
     }
 
@@ -353,6 +376,7 @@ impl Node {
             TypeName::parse_message(type_name)?,
             qos,
             Coverage::NEW,
+            Decoding::ByReader,
         )
     }
 
@@ -371,6 +395,7 @@ impl Node {
             TypeName::parse_message(type_name)?,
             qos,
             Coverage::LATCHED,
+            Decoding::ByReader,
         )
     }
 
@@ -389,6 +414,7 @@ impl Node {
             TypeName::parse_message(type_name)?,
             qos,
             Coverage::ANY,
+            Decoding::ByReader,
         )
     }
 
@@ -408,6 +434,7 @@ impl Node {
             TypeName::parse_message(type_name)?,
             qos,
             Coverage::OTHERS,
+            Decoding::ByReader,
         )
     }
 
@@ -417,6 +444,7 @@ impl Node {
         type_name: TypeName,
         qos: Qos,
         coverage: Coverage,
+        decoding: Decoding,
     ) -> Result<RawSubscription, Error> {
         let name = self.inner.name.resolve(topic, "topic")?;
         let qos = overrides::apply(
@@ -434,6 +462,10 @@ impl Node {
             self.gate.clone(),
         );
         let type_text = type_name.to_string();
+        let mut type_info = self.inner.interfaces.info(&type_text);
+        if let (Some(info), Decoding::ByReader) = (&mut type_info, decoding) {
+            info.hash = None;
+        }
         let (latched, best_effort) = (
             coverage.latched && qos.durability == Durability::Volatile,
             coverage.best_effort && qos.reliability == Reliability::Reliable,
@@ -441,12 +473,16 @@ impl Node {
         let endpoint = Endpoint {
             channel: Channel::Topic,
             name,
+            type_info,
             type_name,
             qos,
             receives_own: coverage.own,
             has_siblings: best_effort,
         };
         let (backend, node) = (self.inner.backend(), self.fully_qualified_name());
+        if !backend.excludes_by_qos() {
+            return self.subscribe_once(endpoint, intake, latched);
+        }
         let sink = match latched || best_effort {
             true => intake.sink_of_two(),
             false => intake.sink(),
@@ -476,37 +512,32 @@ impl Node {
             further,
         ))
     }
-}
 
-/// The publications that a subscription receives.
-#[derive(Clone, Copy)]
-struct Coverage {
-    /// Those of this context.
-    own: bool,
-    /// Latched samples that are older than the subscription.
-    latched: bool,
-    /// Those of best-effort publishers, although the subscription requests reliable.
-    best_effort: bool,
-}
-
-impl Coverage {
-    const NEW: Self = Self {
-        own: true,
-        latched: false,
-        best_effort: false,
-    };
-    const LATCHED: Self = Self {
-        latched: true,
-        ..Self::NEW
-    };
-    const ANY: Self = Self {
-        best_effort: true,
-        ..Self::LATCHED
-    };
-    const OTHERS: Self = Self {
-        own: false,
-        ..Self::NEW
-    };
+    /// With one reader, which receives from every publisher, and with `latched` also samples older than itself.
+    fn subscribe_once(
+        &self,
+        mut endpoint: Endpoint,
+        intake: Arc<Intake>,
+        latched: bool,
+    ) -> Result<RawSubscription, Error> {
+        let (backend, node) = (self.inner.backend(), self.fully_qualified_name());
+        let sink = match latched {
+            true => {
+                endpoint.qos.durability = Durability::TransientLocal;
+                intake.sink_of_any(backend)
+            }
+            false => intake.sink(),
+        };
+        let reader = backend.reader(node, &endpoint, sink)?;
+        Ok(RawSubscription::new(
+            intake,
+            reader,
+            Arc::clone(backend),
+            self.shutdown(),
+            endpoint.type_name.to_string(),
+            Vec::new(),
+        ))
+    }
 }
 
 impl Inner {
@@ -524,6 +555,7 @@ impl Inner {
         let endpoint = Endpoint {
             channel,
             name: name.to_owned(),
+            type_info: self.interfaces.info(&type_name.to_string()),
             type_name,
             qos,
             receives_own: true,

@@ -1,7 +1,8 @@
 //! The trait of a node, and the code that runs it: arguments, parameters, topics, lifecycle and an orderly end.
 
 use crate::{
-    EndpointSet, Error, Lifecycle, Managed, NAMESPACE, Node, NodeArgs, NodeDefinition, ParameterSet,
+    ChosenTopics, EndpointSet, Error, Lifecycle, Managed, NAMESPACE, Node, NodeArgs,
+    NodeDefinition, ParameterSet,
 };
 use futures::future::{FutureExt as _, LocalBoxFuture};
 use std::{fmt::Display, process::ExitCode, sync::Arc};
@@ -110,6 +111,9 @@ pub trait NodeProgram: Sized + 'static {
     const IS_MANAGED: bool = false;
     /// Whether it is the only node of its process: it has an end of its own ([`finish`](Self::finish)).
     const RUNS_ALONE: bool = false;
+    /// Topics that it chooses at run time, beyond its endpoints: a recorder subscribes to any topic, a player publishes
+    /// the topics of its bag.
+    const CHOSEN_TOPICS: ChosenTopics = ChosenTopics::None;
     /// Whether all endpoints exist before it runs. Only then is a `qos_overrides` parameter of another topic an error.
     const HAS_FIXED_ENDPOINTS: bool = true;
     /// Its parameters, without those that every node has. Made by [`parameters!`](crate::parameters).
@@ -182,6 +186,7 @@ impl<E: From<Error> + 'static> NodeDefinition<E> {
             about: N::ABOUT,
             parameters: N::Parameters::specs,
             endpoints: N::Endpoints::specs,
+            chosen_topics: N::CHOSEN_TOPICS,
             is_managed: N::IS_MANAGED,
             runs_alone: N::RUNS_ALONE,
             run: run::<N>,

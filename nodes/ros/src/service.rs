@@ -4,7 +4,6 @@ use crate::{
     Error, Shutdown,
     backend::{
         Backend, EndpointId, Reader, RequestId, Sample, Sink, WhenFull, WriteOutcome, Writer,
-        participant_of,
     },
     lifecycle::{Gate, GatedEndpoint},
     mailbox::Mailbox,
@@ -320,9 +319,9 @@ impl<S: wm_msgs::Service> Service<S> {
 }
 
 impl<S: wm_msgs::Service> Call<S> {
-    /// The GUID prefix of the calling participant; [`Node::node_of`](crate::Node::node_of) may know its name.
-    pub fn participant(&self) -> [u8; 12] {
-        participant_of(&self.raw.id.client)
+    /// The GUID of the client; [`Node::node_of_client`](crate::Node::node_of_client) may know the name of its node.
+    pub fn client(&self) -> [u8; 16] {
+        self.raw.id.client
     }
 
     /// Answers the call.

@@ -2,12 +2,14 @@
 
 mod further_reader;
 mod gaps;
+mod known_publishers;
 
 pub(crate) use further_reader::{FurtherReader, PublisherKind};
 pub use gaps::Gaps;
+use known_publishers::KnownPublishers;
 
 use crate::{
-    Clock, Diagnostics, Reliability, Shutdown,
+    Clock, Diagnostics, Durability, Reliability, Shutdown,
     backend::{Backend, Channel, EndpointId, Reader, Sample, Sink},
     lifecycle::{Gate, GatedEndpoint},
     mailbox::Mailbox,
@@ -93,8 +95,6 @@ pub(crate) struct Intake {
 
 /// The most remembered latching publishers: far more than a topic has.
 const MAX_LATCHING: usize = 16;
-/// The most publishers with a remembered reliability.
-const MAX_PUBLISHERS: usize = 64;
 
 impl Intake {
     pub(crate) fn new(
@@ -152,28 +152,15 @@ impl Intake {
     /// As [`sink_of_two`](Self::sink_of_two), for the reader that serves best-effort publishers. It is connected to
     /// reliable publishers too, but may miss their samples; the other reader gets these late, so they are left to it.
     pub(crate) fn sink_of_best_effort(self: &Arc<Self>, backend: &Arc<dyn Backend>) -> Sink {
-        let backend = Arc::downgrade(backend);
         let mut sink = self.sink_of_two();
-        let mut known: BTreeMap<EndpointId, bool> = BTreeMap::new();
+        let mut reliable = KnownPublishers::new(backend, |publisher| {
+            publisher.qos.reliability == Reliability::Reliable
+        });
         Box::new(move |sample| {
-            if let Ok(sample) = &sample {
-                let Some(backend) = backend.upgrade() else {
-                    return;
-                };
-                if !known.contains_key(&sample.writer) {
-                    if known.len() >= MAX_PUBLISHERS {
-                        known.clear();
-                    }
-                    let seen = backend.seen();
-                    // An undiscovered publisher is looked up again at its next sample.
-                    if let Some(writer) = seen.iter().find(|seen| seen.id == sample.writer) {
-                        let is_reliable = writer.qos.reliability == Reliability::Reliable;
-                        known.insert(sample.writer, is_reliable);
-                    }
-                }
-                if known.get(&sample.writer) == Some(&true) {
-                    return;
-                }
+            if let Ok(sample) = &sample
+                && reliable.get(&sample.writer) == Some(true)
+            {
+                return;
             }
             sink(sample);
         })
@@ -191,6 +178,20 @@ impl Intake {
                 intake.remember(sample);
             }
             sink(sample);
+        })
+    }
+
+    /// As [`sink_of_latched`](Self::sink_of_latched), for the only reader of a subscription: samples of volatile
+    /// publishers are not repeated on activation.
+    pub(crate) fn sink_of_any(self: &Arc<Self>, backend: &Arc<dyn Backend>) -> Sink {
+        let (mut latched, mut volatile) = (self.sink_of_latched(), self.sink_of_two());
+        let mut latching = KnownPublishers::new(backend, |publisher| {
+            publisher.qos.durability == Durability::TransientLocal
+        });
+        Box::new(move |sample| match &sample {
+            // a latched sample may arrive before its publisher is discovered
+            Ok(known) if latching.get(&known.writer) == Some(false) => volatile(sample),
+            _ => latched(sample),
         })
     }
 

@@ -11,6 +11,14 @@ pub(crate) struct GetTypeDescriptionRequest {
     pub(crate) include_type_sources: bool,
 }
 
+impl GetTypeDescriptionRequest {
+    /// The service's type.
+    pub(crate) const SERVICE: &str = "type_description_interfaces/srv/GetTypeDescription";
+    /// Its hash in ROS 2 Jazzy to Lyrical. Its text is not among the suite's definitions.
+    pub(crate) const HASH: &str =
+        "RIHS01_69b9c19c1021405984cc60dbbb1edceb147a6538b411d812ba6afabeed962cd5";
+}
+
 /// Response of `GetTypeDescription`.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct GetTypeDescriptionResponse {

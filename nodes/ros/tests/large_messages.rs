@@ -1,4 +1,4 @@
-//! Messages that are larger than Linux's default receive buffer, between participants over DDS on loopback.
+//! Messages that are larger than Linux's default receive buffer, between participants on loopback.
 
 #![allow(clippy::unwrap_used, reason = "a test's helpers may fail the test")]
 
@@ -9,7 +9,7 @@ use participants::{PATIENCE, context, node, soon};
 use std::time::Duration;
 use wm_ros::{Node, Qos, RawSubscription};
 
-const TYPE: &str = "std_msgs/msg/UInt8MultiArray";
+const TYPE: &str = "std_msgs/msg/String";
 const TOPIC: &str = "large";
 
 /// A domain for each test, which neither other tests nor another run of this one use.

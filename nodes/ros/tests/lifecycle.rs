@@ -4,7 +4,7 @@
 
 mod participants;
 
-use participants::{PATIENCE, context, node};
+use participants::{PATIENCE, context, node, readers_of_both};
 use std::cell::{Cell, RefCell};
 use wm_msgs::{
     lifecycle_msgs::{
@@ -278,8 +278,7 @@ async fn endpoints_of_an_inactive_node_exist_and_are_silent() {
         change(&changes, "configure").await;
         said.wait_for_publishers(1).await;
         to_echo.wait_for_subscribers(1).await;
-        // the second reader of the latched topic
-        latching.wait_for_subscribers(2).await;
+        latching.wait_for_subscribers(readers_of_both()).await;
         resets.wait_for_service().await;
 
         let refusal = resets.call(&reset(7)).await.unwrap();

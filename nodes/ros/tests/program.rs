@@ -6,12 +6,14 @@ mod participants;
 
 use participants::{PATIENCE, context, node};
 use std::{
+    collections::BTreeSet,
     process::{Command, ExitCode},
     sync::Arc,
 };
 use wm_msgs::std_srvs::{Outcome, SetBool, SetBoolRequest, Trigger, TriggerRequest};
 use wm_ros::{
-    Error, Node, NodeArgs, NodeDefinition, NodeProgram, Requests, Service, Setup, answer,
+    Error, GraphEndpoint, Node, NodeArgs, NodeDefinition, NodeProgram, Requests, Service, Setup,
+    answer,
 };
 
 wm_ros::parameters! {
@@ -123,18 +125,32 @@ async fn a_service_that_is_not_made_is_documented_but_absent() {
         switch.wait_for_service().await;
         let data = true;
         switch.call(&SetBoolRequest { data }).await.unwrap();
-        let endpoints = client.remote_endpoints().into_iter();
+        let endpoints = client.remote_endpoints();
         here.shutdown().trigger();
-        endpoints.map(|endpoint| endpoint.name).collect::<Vec<_>>()
+        endpoints
     };
     let both = async { tokio::join!((definition.body)(counter), calls) };
-    let (ended, services) = tokio::time::timeout(PATIENCE, both).await.unwrap();
+    let (ended, endpoints) = tokio::time::timeout(PATIENCE, both).await.unwrap();
     ended.unwrap();
-    let has = |name: &str| services.iter().any(|service| service == name);
+    let has = |name: &str| endpoints.iter().any(|endpoint| endpoint.name == name);
     assert!(
         has("/wm/counter/switch") && !has("/wm/counter/step"),
-        "{services:?}"
+        "{endpoints:?}"
     );
+
+    // access control is made from the declarations: an undeclared endpoint would be denied
+    let args = NodeArgs::parse(std::iter::empty::<&str>()).unwrap();
+    let declared = definition.in_graph(&args, "/wm").unwrap().endpoints;
+    let found = endpoints.into_iter().map(|endpoint| GraphEndpoint {
+        role: endpoint.role,
+        name: endpoint.name,
+    });
+    let found: BTreeSet<_> = found.collect();
+    let undeclared: Vec<_> = found.difference(&declared).collect();
+    assert!(undeclared.is_empty(), "{undeclared:?}");
+    let absent: BTreeSet<_> = declared.difference(&found).map(|e| &*e.name).collect();
+    let expected = ["/clock", "/parameter_events", "/wm/counter/step"];
+    assert_eq!(absent, BTreeSet::from(expected));
 }
 
 /// Works once, fails, and leaves its exit code in `finish`.

@@ -2,8 +2,8 @@
 //! client's reader, and a volatile writer sends only to connected readers. So such a response waits, as in
 //! rmw_fastrtps; otherwise the call would never end.
 
-use super::{identity::is_same_participant, lock::lock, shared::Shared};
-use crate::backend::EndpointId;
+use super::{identity::is_same_participant, shared::Shared};
+use crate::{backend::EndpointId, lock::lock};
 use std::{collections::BTreeSet, time::Duration};
 
 /// The longest wait: discovery takes less than a second, or fails.

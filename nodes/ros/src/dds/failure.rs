@@ -1,7 +1,7 @@
 //! Permanent failures of a participant: a task panicked, the wall clock was set back, or rustdds ended.
 
-use super::{lock::lock, workarounds::wall_clock::WallClock};
-use crate::{Error, clock::system_nanos};
+use super::workarounds::wall_clock::WallClock;
+use crate::{Error, clock::system_nanos, lock::lock};
 use futures::FutureExt as _;
 use std::{
     any::Any,

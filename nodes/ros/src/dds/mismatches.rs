@@ -2,8 +2,8 @@
 //! is frequent in ROS 2. So each pair is logged once, with the policy or the types, and stays on the diagnostics while
 //! both exist.
 
-use super::{lock::lock, qos};
-use crate::backend::EndpointId;
+use super::qos;
+use crate::{backend::EndpointId, lock::lock};
 use rustdds::QosPolicies;
 use std::{
     collections::{BTreeMap, BTreeSet},

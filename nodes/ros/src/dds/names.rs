@@ -1,5 +1,6 @@
 //! Conversion of names and types between ROS and DDS.
 
+use super::buffer_channels;
 use crate::{
     backend::{Channel, Endpoint},
     names::TypeKind,
@@ -25,7 +26,7 @@ pub(super) fn dds_type(endpoint: &Endpoint) -> String {
     format!("{package}::{kind}::dds_::{name}{suffix}")
 }
 
-/// The channel, ROS name and ROS type of a DDS topic; `None` if it does not belong to ROS.
+/// The channel, ROS name and ROS type of a DDS topic; `None` if it does not belong to ROS, or is a channel of buffers.
 pub(super) fn ros_names(dds_name: &str, dds_type: &str) -> Option<(Channel, String, String)> {
     let (prefix, rest) = dds_name.split_at_checked(2)?;
     let (channel, name, kind, suffix) = match prefix {
@@ -51,7 +52,7 @@ pub(super) fn ros_names(dds_name: &str, dds_type: &str) -> Option<(Channel, Stri
     if found != kind && found != TypeKind::Action {
         return None;
     }
-    (name.starts_with('/') && name.len() > 1).then(|| {
+    (name.starts_with('/') && name.len() > 1 && !buffer_channels::is_channel(name)).then(|| {
         let type_name = format!("{package}/{}/{type_name}", found.text());
         (channel, name.to_owned(), type_name)
     })
@@ -71,6 +72,7 @@ pub(super) mod tests {
                 Channel::Topic => TypeName::message("wm_msgs", "Reset"),
                 Channel::Request | Channel::Response => TypeName::service("wm_msgs", "Reset"),
             },
+            type_info: None,
             qos: Qos::reliable(10),
             receives_own: true,
             has_siblings: false,
@@ -132,5 +134,13 @@ pub(super) mod tests {
         );
         assert_eq!(ros_names("rt/a", "x::srv::dds_::B_"), None);
         assert_eq!(ros_names("rt", "a::msg::dds_::B_"), None);
+    }
+
+    #[test]
+    fn buffer_channels_of_lyrical_are_no_topics() {
+        let image = "sensor_msgs::msg::dds_::Image_";
+        assert_eq!(ros_names("rt/camera/image_raw/_buf_cpu", image), None);
+        let plain = ros_names("rt/camera/image_raw", image);
+        assert!(plain.is_some_and(|(_, name, _)| name == "/camera/image_raw"));
     }
 }

@@ -2,13 +2,14 @@
 
 use super::{
     codec::Raw,
-    lock::lock,
     names::{dds_name, dds_type, ros_names},
     own_endpoints::OwnEndpoint,
 };
 use crate::{
     Error,
     backend::{Channel, DiscoveredEndpoint, Endpoint, EndpointId},
+    dds::identity::participant_of,
+    lock::lock,
 };
 use bytes::Bytes;
 use ros2_client::{
@@ -105,6 +106,7 @@ impl Nodes {
                 qos: endpoint.qos,
                 is_writer,
                 id,
+                participant: participant_of(&id),
                 is_own: true,
                 type_hash: None,
             },

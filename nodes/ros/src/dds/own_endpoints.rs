@@ -1,7 +1,7 @@
 //! The endpoints of this process as DDS describes them.
 
-use super::lock::lock;
 use crate::backend::EndpointId;
+use crate::lock::lock;
 use rustdds::QosPolicies;
 use std::{collections::BTreeMap, sync::Mutex};
 

@@ -1,39 +1,39 @@
 //! DDS readers.
 
 use super::{
-    codec::Raw, identity::is_foreign, local::WAITING, shared::Shared, workarounds::latched::Latest,
+    channel_reader, codec::Raw, identity::is_foreign, own_endpoints::OwnEndpoint,
+    received::into_sample, shared::Shared, workarounds::latched::Latest,
 };
 use crate::{
     Durability,
-    backend::{Channel, Endpoint, EndpointId, Reader, RequestId, Sample, Sink},
+    backend::{Channel, Endpoint, EndpointId, Reader, Sink},
+    local::WAITING,
     mailbox::Mailbox,
-    payload::Payload,
 };
 use bytes::Bytes;
 use futures::StreamExt as _;
-use rustdds::{
-    SequenceNumber, Timestamp,
-    no_key::{DeserializedCacheChange, SimpleDataReader},
-};
+use rustdds::{Timestamp, no_key::SimpleDataReader};
 use std::sync::Arc;
-use tokio::{runtime::Handle, task::AbortHandle};
+use tokio::task::AbortHandle;
 
 pub(super) struct DdsReader {
     id: EndpointId,
     shared: Arc<Shared>,
     pump: AbortHandle,
+    /// Of the samples in a channel of buffers.
+    channel: Option<AbortHandle>,
 }
 
 impl DdsReader {
-    /// `began`: a moment before rustdds made the reader.
+    /// `began`: a moment before rustdds made the reader. `own`: the reader as DDS describes it.
     pub(super) fn new(
         reader: SimpleDataReader<Bytes, Raw>,
         began: Timestamp,
         endpoint: &Endpoint,
+        own: OwnEndpoint,
         node: &str,
         shared: &Arc<Shared>,
         mut sink: Sink,
-        runtime: &Handle,
     ) -> Self {
         let id = reader.guid().to_bytes();
         let inbox = if endpoint.receives_own {
@@ -46,9 +46,13 @@ impl DdsReader {
             shared.parts.add_reader(id, endpoint, &inbox);
         }
         shared.nodes.add_endpoint(id, node, endpoint, false);
+        shared.own.add(id, own.clone());
         shared.changed();
         let is_server = endpoint.channel == Channel::Request;
         let is_latched = endpoint.qos.durability == Durability::TransientLocal;
+        // publishers that latch use no channels
+        let has_channel = is_topic && !is_latched && !shared.is_alone;
+        let channel = has_channel.then(|| channel_reader::follow(shared, own, Arc::clone(&inbox)));
         let graph = Arc::clone(shared);
         let mut began = Some(began);
         let mut latest = Latest::default();
@@ -93,39 +97,13 @@ impl DdsReader {
                 sink(sample);
             }
         };
-        let pump = shared.failure.watch(runtime, "subscription", pump);
+        let pump = shared.failure.watch(&shared.runtime, "subscription", pump);
         Self {
             id,
             shared: Arc::clone(shared),
             pump,
+            channel,
         }
-    }
-}
-
-fn into_sample(change: DeserializedCacheChange<Bytes>, is_server: bool) -> Sample {
-    let (writer, sequence) = (
-        change.writer_guid().to_bytes(),
-        i64::from(change.sequence_number),
-    );
-    let mut request = change.related_sample_identity().map(|identity| RequestId {
-        client: identity.writer_guid.to_bytes(),
-        sequence: identity.sequence_number.into(),
-    });
-    if is_server {
-        // A client may omit its identity, or (Fast DDS) the number: the sample's own ones apply then.
-        let request = request.get_or_insert(RequestId {
-            client: writer,
-            sequence,
-        });
-        if request.sequence == i64::from(SequenceNumber::UNKNOWN) {
-            request.sequence = sequence;
-        }
-    }
-    Sample {
-        writer,
-        sequence,
-        request,
-        payload: Payload::Cdr(change.into_value()),
     }
 }
 
@@ -137,8 +115,9 @@ impl Reader for DdsReader {
 
 impl Drop for DdsReader {
     fn drop(&mut self) {
-        // dropping the task drops the DDS reader
+        // dropping a task drops its DDS reader
         self.pump.abort();
+        self.channel.iter().for_each(AbortHandle::abort);
         self.shared.forget(&self.id);
     }
 }

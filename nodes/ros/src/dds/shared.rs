@@ -1,10 +1,9 @@
 //! State shared by the endpoints of a participant: endpoints, connections, tasks.
 
 use super::{
+    buffer_channels::BufferChannels,
     failure::Failure,
     identity::{Peer, is_foreign},
-    local::Local,
-    lock::lock,
     mismatches::Mismatches,
     names::ros_names,
     nodes::Nodes,
@@ -19,7 +18,12 @@ use super::{
         wire::{Wire, usable},
     },
 };
-use crate::backend::{Channel, EndpointId, participant_of};
+use crate::{
+    backend::{Channel, EndpointId},
+    dds::identity::participant_of,
+    local::Local,
+    lock::lock,
+};
 use futures::StreamExt as _;
 use rustdds::{
     DomainParticipant, DomainParticipantStatusEvent as Event, EndpointDescription,
@@ -63,6 +67,7 @@ pub(super) struct Shared {
     pub(super) local: Local,
     pub(super) lines: Lines,
     pub(super) parts: Parts,
+    pub(super) buffer_channels: BufferChannels,
     /// Connections to other participants.
     pub(super) matches: Mutex<Matches>,
     /// Live writers of other participants.
@@ -311,6 +316,7 @@ pub(super) async fn follow(
                 if shared.is_own(&other.guid.to_bytes()) => {}
             Event::WriterDetected { writer } => {
                 lock(&shared.writers).insert(writer.guid.to_bytes());
+                shared.buffer_channels.detect(&writer.topic_name);
                 shared.compare_types(&writer, true);
             }
             Event::ReaderDetected { reader } => {

@@ -9,6 +9,7 @@ async fn response_waits_until_its_client_is_connected() {
     let environment = Environment {
         domain_id: 100 + (std::process::id() % 20) as u16,
         reach: crate::Reach::Localhost,
+        middleware: crate::Middleware::Dds,
     };
     let join = || Dds::join(&environment, Handle::current()).unwrap();
     let (server, client) = (join(), join());
@@ -69,6 +70,7 @@ async fn lost_discovery_events_are_repaired() {
     let environment = Environment {
         domain_id: 80 + (std::process::id() % 20) as u16,
         reach: crate::Reach::Localhost,
+        middleware: crate::Middleware::Dds,
     };
     let join = || Dds::join(&environment, Handle::current()).unwrap();
     let (here, there) = (join(), join());
@@ -109,6 +111,7 @@ async fn panic_in_subscription_fails_the_participant() {
     let environment = Environment {
         domain_id: 0,
         reach: crate::Reach::Process,
+        middleware: crate::Middleware::Dds,
     };
     let dds = Dds::join(&environment, Handle::current()).unwrap();
     let sink = Box::new(|_: Result<crate::backend::Sample, String>| panic!("on purpose"));
@@ -139,6 +142,7 @@ fn last_sample_of_a_dropped_writer_reaches_a_busy_reader() {
     let environment = Environment {
         domain_id: 60 + (std::process::id() % 20) as u16,
         reach: crate::Reach::Localhost,
+        middleware: crate::Middleware::Dds,
     };
     let runtime = |threads| {
         let mut builder = tokio::runtime::Builder::new_multi_thread();
@@ -211,6 +215,7 @@ fn on_loopback(domain_id: u16) -> Environment {
     Environment {
         domain_id,
         reach: crate::Reach::Localhost,
+        middleware: crate::Middleware::Dds,
     }
 }
 

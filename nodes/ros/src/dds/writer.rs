@@ -3,7 +3,6 @@
 use super::{
     codec::HEADER_LEN,
     identity::is_foreign,
-    lock::lock,
     names::{dds_name, dds_type},
     own_endpoints::OwnEndpoint,
     shared::Shared,
@@ -22,11 +21,10 @@ use super::{
 };
 use crate::{
     Durability, Error, Reliability,
-    backend::{
-        Audience, Channel, Endpoint, EndpointId, RequestId, WhenFull, WriteOutcome, Writer,
-        participant_of,
-    },
+    backend::{Audience, Channel, Endpoint, EndpointId, RequestId, WhenFull, WriteOutcome, Writer},
     clock::system_nanos,
+    dds::identity::participant_of,
+    lock::lock,
     payload::Payload,
 };
 use bytes::Bytes;

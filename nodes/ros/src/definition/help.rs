@@ -17,6 +17,7 @@ impl<E> NodeDefinition<E> {
             ("Publishes", Direction::Published),
             ("Services", Direction::Served),
             ("Actions", Direction::Performed),
+            ("Calls", Direction::Called),
         ] {
             let specs = self.endpoints_of(direction);
             if !specs.is_empty() {
@@ -58,6 +59,7 @@ impl<E> NodeDefinition<E> {
                 (Direction::Subscribed, Some(qos)) => ("subscribes", qos.to_string()),
                 (Direction::Published, Some(qos)) => ("publishes", qos.to_string()),
                 (Direction::Performed, _) => ("performs", String::new()),
+                (Direction::Called, _) => ("calls", String::new()),
                 _ => ("serves", String::new()),
             };
             let (name, type_name, text_) = (spec.name, spec.type_name, spec.text);

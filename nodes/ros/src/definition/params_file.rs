@@ -108,6 +108,7 @@ mod tests {
             about: "",
             parameters: Parameters::specs,
             endpoints: Vec::new,
+            chosen_topics: crate::ChosenTopics::None,
             is_managed: true,
             runs_alone: false,
             run: |_| Ok(std::process::ExitCode::SUCCESS),

@@ -22,20 +22,38 @@ struct Levels {
     filter: reload::Handle<Targets, Registry>,
 }
 
-/// `--log-level` as a filter. A name that begins with `wm_` is a Rust module of this suite, dots for colons; any other
-/// is a node's logger (`wm.encoder`) and applies to all records of its process, since a process runs one node.
+/// The module of Zenoh that logs each start of a session, with a warning if there is no router, of which this runtime
+/// warns too.
+const ZENOH_START: &str = "zenoh::net::runtime";
+/// The module of Zenoh that logs each end of a session.
+const ZENOH_END: &str = "zenoh::api::session";
+
+/// `--log-level` as a filter. A name that begins with `wm_` or `zenoh` is a Rust module, dots for colons; any other is a
+/// node's logger (`wm.encoder`) and applies to all records of its process, since a process runs one node.
 pub(super) fn filter(levels: &LogLevels) -> Targets {
     let default = levels.default.unwrap_or(LevelFilter::INFO);
-    levels.loggers.iter().fold(
-        Targets::new().with_default(default),
-        |filter, (logger, level)| {
-            if logger.starts_with("wm_") {
+    let mut filter = Targets::new().with_default(default);
+    if default == LevelFilter::INFO {
+        filter = filter
+            .with_target(ZENOH_START, LevelFilter::ERROR)
+            .with_target(ZENOH_END, LevelFilter::WARN);
+    }
+    let filter = levels
+        .loggers
+        .iter()
+        .fold(filter, |filter, (logger, level)| {
+            if logger.starts_with("wm_") || logger.starts_with("zenoh") {
                 filter.with_target(logger.replace('.', "::"), *level)
             } else {
                 filter.with_default(*level)
             }
-        },
-    )
+        });
+    #[cfg(feature = "zenoh")]
+    if filter.would_enable(super::denials::TARGET, &tracing::Level::WARN) {
+        // they are warnings for the user, and only a router with access control has them
+        return filter.with_target(super::denials::TARGET, LevelFilter::TRACE);
+    }
+    filter
 }
 
 /// The filter of these levels; the services change it.
@@ -176,6 +194,22 @@ mod tests {
         let module = levels("--ros-args --log-level wm_ros.dds:=debug");
         assert!(module.would_enable("wm_ros::dds", &Level::DEBUG));
         assert!(!module.would_enable("wm_nodes", &Level::DEBUG));
+        let start = "zenoh::net::runtime::orchestrator";
+        assert!(!levels("").would_enable(start, &Level::WARN));
+        let zenoh = levels("--ros-args --log-level zenoh.net.runtime:=debug");
+        assert!(zenoh.would_enable(start, &Level::DEBUG));
+    }
+
+    #[cfg(feature = "zenoh")]
+    #[test]
+    fn denials_are_enabled_as_warnings() {
+        let is_enabled = |line: &str| {
+            let levels = NodeArgs::parse(line.split_whitespace()).unwrap().log_levels;
+            let target = super::super::denials::TARGET;
+            filter(&levels).would_enable(target, &Level::TRACE)
+        };
+        assert!(is_enabled("") && is_enabled("--ros-args --log-level warn"));
+        assert!(!is_enabled("--ros-args --log-level error"));
     }
 
     #[test]

@@ -34,13 +34,16 @@ impl Node {
         let told = self.ungated();
         let get_result = TypeName::of_action::<A>("GetResult");
         let result_name = inner.name.resolve(&part(&name, "get_result"), "service")?;
+        let feedback = TypeName::of_action::<A>("FeedbackMessage");
+        let feedback_info = inner.interfaces.info(&feedback.to_string());
         let core = server::Core::new(server::Parts {
             name: name.clone(),
             clock: self.clock(),
             statuses: told.publisher::<GoalStatusArray>(&part(&name, "status"), STATUS_QOS)?,
             feedback: told.publish(
                 &part(&name, "feedback"),
-                TypeName::of_action::<A>("FeedbackMessage"),
+                feedback,
+                feedback_info,
                 FEEDBACK_QOS,
             )?,
             results: inner.answers(&result_name, get_result.clone())?,
@@ -121,6 +124,7 @@ impl Node {
         let endpoint = Endpoint {
             channel: Channel::Topic,
             name: name.clone(),
+            type_info: self.inner.interfaces.info(&type_name.to_string()),
             type_name,
             qos,
             receives_own: true,

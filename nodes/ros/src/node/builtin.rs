@@ -104,6 +104,8 @@ fn follow_clock(node: &Node) {
         inner.name.fully_qualified.clone(),
     );
     let clock = inner.clock.clone();
+    let type_name = TypeName::message("rosgraph_msgs", "Clock");
+    let type_info = inner.interfaces.info(&type_name.to_string());
     let reader: Mutex<Option<Box<dyn Reader>>> = Mutex::default();
     inner
         .parameters
@@ -122,11 +124,11 @@ fn follow_clock(node: &Node) {
             clock.set_simulated(is_simulated);
             *reader = None;
             if is_simulated {
-                let type_name = TypeName::message("rosgraph_msgs", "Clock");
                 let endpoint = Endpoint {
                     channel: Channel::Topic,
                     name: "/clock".to_owned(),
-                    type_name,
+                    type_name: type_name.clone(),
+                    type_info: type_info.clone(),
                     qos: CLOCK_QOS,
                     receives_own: true,
                     has_siblings: false,

@@ -7,13 +7,19 @@ use wm_msgs::{Field, FieldType, IndividualType, TypeDescription, cdr};
 use super::Node;
 use crate::{
     Error,
-    backend::{Channel, participant_of},
+    backend::Channel,
     type_description_interfaces::{
         GetTypeDescriptionRequest, GetTypeDescriptionResponse, IndividualTypeDescription,
     },
 };
 
 impl Node {
+    /// Sets the definition of a type, as a bag has it, for publishers that are then made by the type's name. Zenoh connects
+    /// only endpoints whose types have the same hash.
+    pub fn describe_type(&self, description: &TypeDescription) {
+        self.inner.interfaces.describe(description);
+    }
+
     /// The publishers of a topic in other participants that announce the hash of their type: GUID prefix of the
     /// participant, and hash. `topic` is absolute.
     pub fn type_hashes(&self, topic: &str) -> BTreeSet<([u8; 12], String)> {
@@ -22,7 +28,7 @@ impl Node {
             seen.channel == Channel::Topic && seen.is_writer && !seen.is_own && seen.name == topic
         });
         publishers
-            .filter_map(|seen| Some((participant_of(&seen.id), seen.type_hash?)))
+            .filter_map(|seen| Some((seen.participant, seen.type_hash?)))
             .collect()
     }
 
@@ -38,10 +44,7 @@ impl Node {
         type_hash: &str,
     ) -> Result<Result<TypeDescription, String>, Error> {
         let service = format!("{node}/get_type_description");
-        let client = self.raw_client(
-            &service,
-            "type_description_interfaces/srv/GetTypeDescription",
-        )?;
+        let client = self.raw_client(&service, GetTypeDescriptionRequest::SERVICE)?;
         client.wait_for_service().await;
         let request = GetTypeDescriptionRequest {
             type_name: type_name.to_owned(),

@@ -3,7 +3,7 @@
 use super::Node;
 use crate::{
     Error, Qos,
-    backend::{Channel, DiscoveredEndpoint, participant_of},
+    backend::{Channel, DiscoveredEndpoint},
 };
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -62,7 +62,7 @@ impl RemoteEndpoint {
             name: seen.name,
             type_name: seen.type_name,
             qos: seen.qos,
-            participant: participant_of(&seen.id),
+            participant: seen.participant,
         })
     }
 }
@@ -70,7 +70,7 @@ impl RemoteEndpoint {
 impl Node {
     /// The GUID prefix of this context's participant.
     pub fn participant(&self) -> [u8; 12] {
-        participant_of(&self.inner.backend().participant())
+        self.inner.backend().participant()
     }
 
     /// Every endpoint of topics and services of the other participants.
@@ -88,12 +88,18 @@ impl Node {
             .flatten()
     }
 
+    /// The full name of a client's node, as [`node_of`](Self::node_of). `client` is its GUID:
+    /// [`Call::client`](crate::Call::client).
+    pub fn node_of_client(&self, client: &[u8; 16]) -> Option<String> {
+        self.node_of(self.inner.backend().participant_of(client)?)
+    }
+
     /// The full names of a participant's nodes with parameter services.
     pub fn nodes_of(&self, participant: [u8; 12]) -> BTreeSet<String> {
         let seen = self.inner.backend().seen().into_iter();
         let nodes = seen.filter_map(|seen| {
             let is_server = seen.channel == Channel::Request && !seen.is_writer;
-            let is_its = is_server && participant_of(&seen.id) == participant;
+            let is_its = is_server && seen.participant == participant;
             let name = is_its.then(|| seen.name.strip_suffix("/get_parameters"));
             name.flatten().map(str::to_owned)
         });

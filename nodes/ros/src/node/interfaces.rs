@@ -1,15 +1,18 @@
 //! `~/get_type_description`: the definitions of the types that a node uses, as in rcl.
 
-use crate::type_description_interfaces::{
-    Field, FieldType, GetTypeDescriptionRequest, GetTypeDescriptionResponse,
-    IndividualTypeDescription, TypeDescription as Description, TypeSource,
+use crate::{
+    backend::TypeInfo,
+    type_description_interfaces::{
+        Field, FieldType, GetTypeDescriptionRequest, GetTypeDescriptionResponse,
+        IndividualTypeDescription, TypeDescription as Description, TypeSource,
+    },
 };
 use std::{
     collections::BTreeMap,
-    sync::{Mutex, PoisonError},
+    sync::{Mutex, MutexGuard, PoisonError},
 };
 use wm_msgs::{
-    Action, DescriptionError, IndividualType, Message, Service, TypeDescription,
+    Action, DescriptionError, IndividualType, Message, MessageType, Service, TypeDescription,
     action_msgs::{CancelGoal, GoalStatusArray},
 };
 
@@ -26,6 +29,8 @@ struct Interface {
 #[derive(Default)]
 pub(super) struct Interfaces {
     used: Mutex<BTreeMap<String, Interface>>,
+    /// Types with definitions from elsewhere.
+    foreign: Mutex<BTreeMap<String, TypeInfo>>,
 }
 
 impl Interfaces {
@@ -57,12 +62,53 @@ impl Interfaces {
         text: &'static str,
         dependencies: impl FnOnce() -> Vec<(&'static str, &'static str)>,
     ) {
-        let mut used = self.used.lock().unwrap_or_else(PoisonError::into_inner);
-        used.entry(name).or_insert_with(|| Interface {
+        self.used().entry(name).or_insert_with(|| Interface {
             defined,
             text,
             dependencies: dependencies(),
         });
+    }
+
+    /// The hash of a type that the node uses, or that this suite defines; `None` for any other.
+    pub(super) fn info(&self, name: &str) -> Option<TypeInfo> {
+        let interface = self.used().get(name).cloned();
+        let description = match (interface, MessageType::find(name)) {
+            (Some(interface), _) => interface.describe(name),
+            (None, Some(message)) => message.description(),
+            (None, None) if name == GetTypeDescriptionRequest::SERVICE => {
+                return Some(TypeInfo {
+                    hash: Some(GetTypeDescriptionRequest::HASH.to_owned()),
+                    has_byte_sequence: false,
+                });
+            }
+            (None, None) => return None,
+        };
+        // a test describes every definition of the suite
+        description
+            .ok()
+            .map(|description| TypeInfo::of(&description))
+    }
+
+    /// As [`info`](Self::info), of the definition given to [`describe`](Self::describe), if any.
+    pub(super) fn described(&self, name: &str) -> Option<TypeInfo> {
+        let foreign = self.foreign().get(name).cloned();
+        foreign.or_else(|| self.info(name))
+    }
+
+    /// Sets the definition of a type for endpoints made by name.
+    pub(super) fn describe(&self, description: &TypeDescription) {
+        let name = description.described.name.clone();
+        self.foreign().insert(name, TypeInfo::of(description));
+    }
+
+    /// No invariant spans the lock.
+    fn used(&self) -> MutexGuard<'_, BTreeMap<String, Interface>> {
+        self.used.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// No invariant spans the lock.
+    fn foreign(&self) -> MutexGuard<'_, BTreeMap<String, TypeInfo>> {
+        self.foreign.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// The reply to a request.
@@ -81,10 +127,7 @@ impl Interfaces {
         request: &GetTypeDescriptionRequest,
     ) -> Result<GetTypeDescriptionResponse, String> {
         let name = request.type_name.as_str();
-        let interface = {
-            let used = self.used.lock().unwrap_or_else(PoisonError::into_inner);
-            used.get(name).cloned()
-        };
+        let interface = self.used().get(name).cloned();
         let interface =
             interface.ok_or_else(|| format!("this node does not use the type {name}"))?;
         let description = interface
@@ -160,6 +203,21 @@ impl Interface {
             .chain(&description.referenced)
             .map(source)
             .collect()
+    }
+}
+
+/// The type ids of unbounded sequences of `uint8` and `char` (REP 2016).
+const BYTE_SEQUENCES: [u8; 2] = [147, 157];
+
+impl TypeInfo {
+    fn of(description: &TypeDescription) -> Self {
+        let parts = std::iter::once(&description.described).chain(&description.referenced);
+        let mut fields = parts.flat_map(|part| &part.fields);
+        Self {
+            hash: Some(description.hash().to_string()),
+            has_byte_sequence: fields
+                .any(|field| BYTE_SEQUENCES.contains(&field.field_type.type_id)),
+        }
     }
 }
 

@@ -129,6 +129,7 @@ impl Inner {
         let endpoint = Endpoint {
             channel: Channel::Response,
             name,
+            type_info: self.interfaces.info(&type_name.to_string()),
             type_name,
             qos: SERVICE_QOS,
             receives_own: true,
@@ -197,6 +198,7 @@ impl Inner {
         let endpoint = Endpoint {
             channel: Channel::Request,
             name,
+            type_info: self.interfaces.info(&type_name.to_string()),
             type_name,
             qos: SERVICE_QOS,
             receives_own,

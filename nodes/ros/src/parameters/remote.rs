@@ -1,6 +1,6 @@
 //! Parameters of another node.
 
-use crate::{Client, Error, Node, ParameterType};
+use crate::{Client, Endpoint, EndpointSpec, Error, Node, ParameterType, Qos};
 use wm_msgs::rcl_interfaces::{
     Parameter, ParameterValue, SetParameters, SetParametersRequest, SetParametersResult,
 };
@@ -45,5 +45,16 @@ impl RemoteParameters {
             Some(SetParametersResult { reason, .. }) => Err(reason),
             None => Err("expected one result, got none".to_owned()),
         })
+    }
+}
+
+/// Of the node with this name.
+impl Endpoint for RemoteParameters {
+    fn specs(name: &str, qos: Qos, text: &str) -> Vec<EndpointSpec> {
+        Client::<SetParameters>::specs(&format!("{name}/set_parameters"), qos, text)
+    }
+
+    fn make(node: &Node, name: &str, _: Qos) -> Result<Self, Error> {
+        Self::new(node, name)
     }
 }

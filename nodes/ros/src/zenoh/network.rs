@@ -13,13 +13,13 @@ use std::path::PathBuf;
 const LOCAL_ENDPOINT: &str = "tcp/127.0.0.1:7447";
 
 /// The largest accepted message \[byte\], instead of Zenoh's 1 GiB: twice a raw picture of 4096 x 2160.
-const LARGEST_MESSAGE: usize = 64 << 20;
+pub(super) const LARGEST_MESSAGE: usize = 64 << 20;
 
 /// Batches of 64 KiB that wait for a link, per priority: Zenoh's maximum, instead of its 2. Repeated packet loss stalls
 /// TCP for seconds, and a burst of samples fills 128 KiB in a few milliseconds; further samples are dropped. Memory is
 /// allocated on demand.
-const WAITING_BATCHES: usize = 16;
-const SAMPLE_QUEUES: [&str; 7] = [
+pub(super) const WAITING_BATCHES: usize = 16;
+pub(super) const SAMPLE_QUEUES: [&str; 7] = [
     "transport/link/tx/queue/size/real_time",
     "transport/link/tx/queue/size/interactive_high",
     "transport/link/tx/queue/size/interactive_low",

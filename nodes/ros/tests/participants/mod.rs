@@ -1,16 +1,34 @@
-//! Participants of one process that see each other over DDS on loopback, as two processes would.
+//! Participants of one process that discover each other on loopback, as two processes would, over the middleware that
+//! `RMW_IMPLEMENTATION` names.
 
 #![allow(dead_code, reason = "each test program uses a part of it")]
 
 use std::time::Duration;
-use wm_ros::{Context, Environment, Node, NodeArgs, Reach};
+use wm_ros::{Context, Environment, Middleware, Node, NodeArgs, Reach};
 
 /// Far longer than discovery takes; only ends a hanging test.
 pub const PATIENCE: Duration = Duration::from_secs(60);
 
 pub fn context(domain_id: u16) -> Context {
     let reach = Reach::Localhost;
-    Context::new(&Environment { domain_id, reach }).unwrap()
+    Context::new(&Environment {
+        domain_id,
+        reach,
+        middleware: Middleware::from_env().unwrap(),
+    })
+    .unwrap()
+}
+
+pub fn is_over_dds() -> bool {
+    Middleware::from_env().unwrap() == Middleware::Dds
+}
+
+/// The readers of a subscription that receives latched samples and those of volatile publishers.
+pub fn readers_of_both() -> usize {
+    match is_over_dds() {
+        true => 2,
+        false => 1,
+    }
 }
 
 /// A node with the arguments of `line`, separated by spaces.

@@ -9,7 +9,7 @@ use std::{
     time::{Duration, Instant},
 };
 use wm_msgs::std_msgs;
-use wm_ros::{Context, Environment, Error, Qos, Reach};
+use wm_ros::{Context, Environment, Error, Middleware, Qos, Reach};
 
 const TYPE: &str = "std_msgs/msg/UInt8MultiArray";
 const KIB: usize = 1024;
@@ -65,7 +65,12 @@ fn station() {
     let size: usize = size.parse().unwrap();
     let runtime = tokio::runtime::Runtime::new().unwrap();
     runtime.block_on(async {
-        let context = Context::new(&Environment { domain_id, reach }).unwrap();
+        let context = Context::new(&Environment {
+            domain_id,
+            reach,
+            middleware: Middleware::Dds,
+        })
+        .unwrap();
         let node = node(&context, &format!("station_{own}"), "");
         let topic = |name: &str, what: &str| format!("/{name}/{what}");
         let stream = node

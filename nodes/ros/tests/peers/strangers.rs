@@ -14,7 +14,7 @@ use std::{
     time::{Duration, Instant},
 };
 use wm_msgs::std_msgs;
-use wm_ros::{Context, Environment, Qos, Reach};
+use wm_ros::{Context, Environment, Middleware, Qos, Reach};
 
 /// A vendor of DDS.
 const SOMEBODY: u8 = 0x10;
@@ -52,7 +52,12 @@ fn listener() {
     };
     let runtime = tokio::runtime::Runtime::new().unwrap();
     runtime.block_on(async {
-        let context = Context::new(&Environment { domain_id, reach }).unwrap();
+        let context = Context::new(&Environment {
+            domain_id,
+            reach,
+            middleware: Middleware::Dds,
+        })
+        .unwrap();
         let node = node(&context, "listener", "");
         let mut told = node
             .subscription::<std_msgs::String>("/wm/told", Qos::reliable(10))

@@ -2,7 +2,7 @@
 //! multicast group on these only. The kernel drops the membership with the address. So after a change, a participant
 //! would silently receive nothing.
 
-use crate::{Environment, Error, Interface, Reach, dds::lock::lock};
+use crate::{Environment, Error, Interface, Reach, lock::lock};
 use std::{
     net::{IpAddr, Ipv4Addr},
     sync::Mutex,

@@ -11,7 +11,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use crate::{backend::EndpointId, dds::lock::lock};
+use crate::{backend::EndpointId, lock::lock};
 
 /// eProsima's identifier (<https://www.omg.org/dds/vendor-ids/>), the first bytes of its participants' identities.
 const EPROSIMA: [u8; 2] = [0x01, 0x0f];

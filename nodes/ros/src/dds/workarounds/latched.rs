@@ -5,10 +5,7 @@
 //! increasing times that contain the number of the publisher. Readers of this suite drop repeated samples, and samples
 //! older than one from a later writer.
 
-use crate::{
-    backend::{EndpointId, participant_of},
-    dds::identity::Peer,
-};
+use crate::{backend::EndpointId, dds::identity::Peer, dds::identity::participant_of};
 use rustdds::Timestamp;
 use std::collections::BTreeMap;
 

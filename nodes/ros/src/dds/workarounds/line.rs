@@ -9,7 +9,8 @@
 use super::window::Window;
 use crate::{
     backend::{EndpointId, RequestId},
-    dds::{codec::Raw, lock::lock},
+    dds::codec::Raw,
+    lock::lock,
 };
 use bytes::Bytes;
 use futures::{FutureExt as _, future::BoxFuture, task::noop_waker_ref};

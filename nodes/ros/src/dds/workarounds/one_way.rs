@@ -5,10 +5,7 @@
 //! readers of a writer have acknowledged a sample, not which reader has not. So a participant is a suspect if it reads
 //! from a writer without acknowledgements, and from no writer with recent ones ([`super::renewal`]).
 
-use crate::{
-    backend::EndpointId,
-    dds::{identity::Peer, lock::lock},
-};
+use crate::{backend::EndpointId, dds::identity::Peer, lock::lock};
 use std::{
     collections::{BTreeMap, BTreeSet},
     sync::Mutex,

@@ -25,8 +25,10 @@ mod tests;
 
 use crate::{
     Durability, Qos, Reliability,
-    backend::{Channel, Endpoint, EndpointId, Sample, participant_of},
-    dds::{codec::Raw, identity::Peer, lock::lock, own_endpoints::OwnEndpoint, qos},
+    backend::{Channel, Endpoint, EndpointId, Sample},
+    dds::identity::participant_of,
+    dds::{codec::Raw, identity::Peer, own_endpoints::OwnEndpoint, qos},
+    lock::lock,
     mailbox::Mailbox,
 };
 use bytes::Bytes;

@@ -3,7 +3,8 @@
 
 use crate::{
     backend::EndpointId,
-    dds::{lock::lock, own_endpoints::OwnEndpoint, shared::Shared},
+    dds::{own_endpoints::OwnEndpoint, shared::Shared},
+    lock::lock,
 };
 use rustdds::QosPolicies;
 use std::{
@@ -155,6 +156,7 @@ impl Shared {
         });
         let writers = participant.discovered_writers().into_iter().map(|writer| {
             let topic = &writer.publication_topic_data;
+            self.buffer_channels.detect(&topic.topic_name);
             RemoteEndpoint {
                 id: writer.writer_proxy.remote_writer_guid.to_bytes(),
                 topic: topic.topic_name.clone(),

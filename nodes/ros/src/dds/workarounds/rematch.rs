@@ -10,11 +10,11 @@ use crate::{
     backend::EndpointId,
     dds::{
         codec::Raw,
-        lock::lock,
         own_endpoints::OwnEndpoint,
         qos::for_reader,
         shared::{SecondParticipant, Shared},
     },
+    lock::lock,
 };
 use bytes::Bytes;
 use rustdds::{

@@ -3,7 +3,8 @@
 use super::one_way::LEASE;
 use crate::{
     Reliability,
-    backend::{EndpointId, participant_of},
+    backend::EndpointId,
+    dds::identity::participant_of,
     dds::{
         identity::{Peer, is_foreign},
         qos,

@@ -2,8 +2,9 @@
 //! [`super::introduction`] and [`super::lease`] send them and explain why.
 
 use crate::{
-    backend::{EndpointId, RequestId, participant_of},
+    backend::{EndpointId, RequestId},
     dds::identity::Peer,
+    dds::identity::participant_of,
 };
 use bytes::{BufMut as _, Bytes, BytesMut};
 use rustdds::Timestamp;

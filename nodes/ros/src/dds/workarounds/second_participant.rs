@@ -8,14 +8,14 @@
 use super::{introduction::introduce, lease::OwnPort, line::Maker, socket_filter::Ports};
 use crate::{
     Error, Reliability,
-    backend::{Channel, Endpoint, participant_of},
+    backend::{Channel, Endpoint},
+    dds::identity::participant_of,
     dds::{
-        Dds,
-        lock::lock,
-        participant,
+        Dds, participant,
         qos::for_reader,
         shared::{SecondParticipant, follow},
     },
+    lock::lock,
 };
 use futures::FutureExt as _;
 use rustdds::{DomainParticipant, QosPolicies, RTPSEntity as _};

@@ -9,13 +9,14 @@ use super::{
 };
 use crate::{
     Error,
-    backend::{EndpointId, Sample, participant_of},
+    backend::{EndpointId, Sample},
+    dds::identity::participant_of,
     dds::{
         codec::Raw,
         identity::{Peer, is_same_participant},
-        lock::lock,
         shared::Shared,
     },
+    lock::lock,
     payload::Payload,
 };
 use bytes::Bytes;

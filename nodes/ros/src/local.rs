@@ -1,14 +1,12 @@
-//! Delivery within the process, without encoding. rustdds connects a participant's writers with its own readers only if
-//! multicast reflects its announcements, which loopback does not. If it does connect them, readers ignore its samples.
+//! Delivery within the process, without encoding, for every middleware: readers ignore samples of their own process that
+//! the middleware delivers.
 
-use super::{
-    lock::lock,
-    names::{dds_name, dds_type},
-};
 use crate::{
     Durability, Qos,
-    backend::{Endpoint, EndpointId, RequestId, Sample},
+    backend::{Channel, Endpoint, EndpointId, RequestId, Sample},
+    lock::lock,
     mailbox::Mailbox,
+    names::TypeName,
     payload::Payload,
 };
 use std::{
@@ -17,13 +15,14 @@ use std::{
 };
 
 /// Samples that wait for a reader's task.
-pub(super) const WAITING: usize = 512;
+pub(crate) const WAITING: usize = 512;
 
 /// Two endpoints with equal topics are connected if their QoS matches.
 #[derive(Clone, PartialEq, Eq)]
 struct Topic {
+    channel: Channel,
     name: String,
-    type_name: String,
+    type_name: TypeName,
 }
 
 struct LocalWriter {
@@ -47,19 +46,20 @@ struct Table {
 
 /// The endpoints of this process and the delivery between them.
 #[derive(Default)]
-pub(super) struct Local {
+pub(crate) struct Local {
     table: Mutex<Table>,
 }
 
 fn topic_of(endpoint: &Endpoint) -> Topic {
     Topic {
-        name: dds_name(endpoint),
-        type_name: dds_type(endpoint),
+        channel: endpoint.channel,
+        name: endpoint.name.clone(),
+        type_name: endpoint.type_name.clone(),
     }
 }
 
 impl Local {
-    pub(super) fn add_writer(&self, id: EndpointId, endpoint: &Endpoint) {
+    pub(crate) fn add_writer(&self, id: EndpointId, endpoint: &Endpoint) {
         let writer = LocalWriter {
             topic: topic_of(endpoint),
             qos: endpoint.qos,
@@ -69,7 +69,7 @@ impl Local {
     }
 
     /// Returns the reader's inbox, which already holds the latched samples.
-    pub(super) fn add_reader(&self, id: EndpointId, endpoint: &Endpoint) -> Arc<Mailbox<Sample>> {
+    pub(crate) fn add_reader(&self, id: EndpointId, endpoint: &Endpoint) -> Arc<Mailbox<Sample>> {
         let inbox = Arc::new(Mailbox::new(WAITING));
         let reader = LocalReader {
             topic: topic_of(endpoint),
@@ -92,13 +92,13 @@ impl Local {
         inbox
     }
 
-    pub(super) fn remove(&self, id: &EndpointId) {
+    pub(crate) fn remove(&self, id: &EndpointId) {
         let mut table = lock(&self.table);
         table.writers.remove(id);
         table.readers.remove(id);
     }
 
-    pub(super) fn deliver(
+    pub(crate) fn deliver(
         &self,
         writer: EndpointId,
         sequence: i64,
@@ -132,8 +132,24 @@ impl Local {
         }
     }
 
+    #[cfg_attr(
+        not(feature = "zenoh"),
+        allow(dead_code, reason = "DDS has readers of its own")
+    )]
+    /// Hands a sample from another process to the readers of an endpoint's topic or service.
+    pub(crate) fn receive(&self, endpoint: &Endpoint, sample: &Sample) {
+        let (topic, table) = (topic_of(endpoint), lock(&self.table));
+        for reader in table
+            .readers
+            .values()
+            .filter(|reader| reader.topic == topic)
+        {
+            reader.inbox.push(sample.clone());
+        }
+    }
+
     /// How many endpoints of this process are connected to the endpoint.
-    pub(super) fn matched(&self, id: &EndpointId) -> usize {
+    pub(crate) fn matched(&self, id: &EndpointId) -> usize {
         let table = lock(&self.table);
         if let Some(writer) = table.writers.get(id) {
             return table
@@ -159,7 +175,6 @@ fn connects(writer: &LocalWriter, reader: &LocalReader) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{backend::Channel, names::TypeName};
     use bytes::Bytes;
 
     fn endpoint(name: &str, qos: Qos) -> Endpoint {
@@ -168,6 +183,7 @@ mod tests {
             channel: Channel::Topic,
             name: name.into(),
             type_name,
+            type_info: None,
             qos,
             receives_own: true,
             has_siblings: false,
