@@ -199,6 +199,29 @@ impl Framing {
         Ok(beside)
     }
 
+    /// One picture of each camera, in the order of the training, as the encoder takes them: each placed by itself, side by
+    /// side. The pictures may differ in size.
+    ///
+    /// # Errors
+    /// If the number of pictures is not that of the cameras, the width is no multiple of it, or a picture is empty.
+    pub fn join(&self, pictures: &[RgbImage]) -> Result<RgbImage> {
+        let (count, views) = (pictures.len(), self.views.max(1));
+        if count != views || !self.size.1.is_multiple_of(views) {
+            let (height, width) = self.size;
+            return Err(fail(format!(
+                "{count} pictures side by side: expected {views} in {height}x{width}"
+            )));
+        }
+        let to = self.view_size()?;
+        let mut joined = RgbImage::new(to.width * (count as u32), to.height);
+        for (view, picture) in (0..).zip(pictures) {
+            let whole = Part::whole(PictureSize::of(picture));
+            let placed = self.fit.place(picture, whole, to)?;
+            paste(&mut joined, &placed, (view * to.width, 0))?;
+        }
+        Ok(joined)
+    }
+
     /// The pixel of the encoder's picture in which pixel (`x`, `y`) of one of the size `from` lies; `None` if it is cut off.
     ///
     /// # Errors

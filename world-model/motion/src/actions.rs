@@ -7,14 +7,17 @@
 
 mod encoding;
 mod error;
+mod fit;
 mod kind;
 mod limits;
 mod metadata;
+mod nominal;
 mod space;
 mod survey;
 
 pub use encoding::{Accumulation, ActionEncoding, ModelAction};
 pub use error::ActionError;
+pub use fit::Spread;
 pub use kind::Kind;
 pub use space::{ActionSpace, Dimension, MAX_DIMENSIONS};
-pub use survey::{ActionSurvey, Cause, Contradiction, Hint, Range};
+pub use survey::{ActionSurvey, Cause, Contradiction, Hint, Range, StateComparison, StateRelation};

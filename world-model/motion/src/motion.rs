@@ -129,7 +129,8 @@ impl Motion {
         integrate(space, &self.pieces(), from_ns, to_ns)
     }
 
-    /// The action of the model step from `from_ns` to `to_ns`, by the model's rule over its intervals.
+    /// The action of the model step from `from_ns` to `to_ns`, by the model's rule over its intervals. Its velocities are
+    /// those of the same motion in intervals of the model's rate ([`ActionSpace::to_nominal`]).
     ///
     /// # Errors
     /// [`ActionError::Unknown`] if no action is known at the start of an interval, and those of
@@ -144,6 +145,7 @@ impl Motion {
         let skip = encoding.frame_skip().max(1) as i64;
         let at = |index: i64| from_ns + (to_ns - from_ns) / skip * index;
         let mut intervals = Vec::with_capacity(encoding.frame_skip());
+        let mut nominal = Vec::with_capacity(encoding.frame_skip());
         for index in 0..skip {
             let start_ns = at(index);
             let end_ns = if index + 1 == skip {
@@ -152,14 +154,15 @@ impl Motion {
                 at(index + 1)
             };
             let interval = self.between(encoding.space(), start_ns, end_ns);
-            intervals.push(interval.ok_or(ActionError::Unknown { at_ns: start_ns })?);
+            let interval = interval.ok_or(ActionError::Unknown { at_ns: start_ns })?;
+            let mut values = interval.values.clone();
+            let span_ns = end_ns.saturating_sub(start_ns);
+            encoding.space().to_nominal(&mut values, span_ns);
+            nominal.push(values);
+            intervals.push(interval);
         }
-        let values: Vec<&[f32]> = intervals
-            .iter()
-            .map(|interval| interval.values.as_slice())
-            .collect();
         Ok(StepAction {
-            model: encoding.encode_step(&values)?,
+            model: encoding.encode_step(&nominal)?,
             intervals,
         })
     }

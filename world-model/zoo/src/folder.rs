@@ -57,7 +57,7 @@ use sha2::{Digest as _, Sha256};
 use wm_model::WorldModel;
 use wm_model::autoencoder::Normalisation;
 use wm_model::transition::{Transition, TransitionConfig};
-use wm_model::{Compute, Decoder, Encoder, LatentSpace, NumberFormat};
+use wm_model::{Compute, Decoder, Encoder, Framing, LatentSpace, NumberFormat};
 use wm_motion::actions::ActionEncoding;
 
 pub use description::{
@@ -382,6 +382,16 @@ impl DescribedFolder {
             views: self.views,
             space: self.space()?,
         })))
+    }
+
+    /// How pictures become those of its encoder, without loading it.
+    pub fn framing(&self) -> Framing {
+        let [height, width] = self.description.image;
+        Framing {
+            size: (height, width * self.views),
+            views: self.views,
+            fit: self.description.fit,
+        }
     }
 
     /// Whether there is a transition model; without one it encodes and decodes only.

@@ -12,8 +12,8 @@ use wm_model::transition::{
     ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition, TransitionConfig,
 };
 use wm_model::{
-    Autoencoder, Compute, Decoder, Encoder, Fit, Kernels, LatentSpace, PictureSize, Weights,
-    WorldModel,
+    Autoencoder, Compute, Decoder, Encoder, Fit, Framing, Kernels, LatentSpace, PictureSize,
+    Weights, WorldModel,
 };
 use wm_motion::actions::ActionEncoding;
 
@@ -157,6 +157,28 @@ impl ModelFolder {
         match &self.files {
             Files::Trained(folder) => Ok(folder.autoencoder()?.config().fit),
             Files::Described(folder) => Ok(folder.description().fit),
+        }
+    }
+
+    /// How pictures become those of its encoder, with the number of cameras side by side in its training; without loading
+    /// the encoder of a described folder. An autoencoder takes any number, so that of the transition model counts.
+    ///
+    /// # Errors
+    /// Names missing and wrong weights.
+    pub fn framing(&self) -> Result<Framing> {
+        match &self.files {
+            Files::Trained(folder) => {
+                let framing = folder.autoencoder()?.config().framing();
+                let views = match folder.has_transition() {
+                    true => {
+                        let config: TransitionConfig = folder.transition()?.json(CONFIG_KEY)?;
+                        config.views
+                    }
+                    false => framing.views,
+                };
+                Ok(Framing { views, ..framing })
+            }
+            Files::Described(folder) => Ok(folder.framing()),
         }
     }
 

@@ -138,6 +138,46 @@ fn empty_pictures_and_sizes_are_refused() {
 }
 
 #[test]
+fn joined_pictures_are_placed_one_by_one() {
+    for fit in Fit::ALL {
+        let framing = Framing {
+            views: 2,
+            ..Framing::new((32, 48), fit)
+        };
+        let cameras = [picture(64, 48), picture(30, 90)];
+        let joined = framing.join(&cameras).unwrap();
+        assert_eq!(joined.dimensions(), (48, 32));
+        for (view, camera) in (0..).zip(&cameras) {
+            let own = Framing::new((32, 24), fit).apply(camera).unwrap();
+            let part = image::imageops::crop_imm(&joined, view * 24, 0, 24, 32);
+            assert_eq!(part.to_image(), own, "{fit}");
+        }
+        // The encoder leaves it as it is.
+        assert_eq!(framing.apply(&joined).unwrap(), joined);
+    }
+}
+
+#[test]
+fn wrong_number_of_joined_pictures_is_refused() {
+    let framing = Framing {
+        views: 3,
+        ..Framing::new((32, 48), Fit::Crop)
+    };
+    let error = framing.join(&[picture(8, 8), picture(8, 8)]).unwrap_err();
+    assert!(
+        error
+            .to_string()
+            .contains("2 pictures side by side: expected 3")
+    );
+    let uneven = Framing {
+        size: (32, 50),
+        ..framing
+    };
+    let pictures = [picture(8, 8), picture(8, 8), picture(8, 8)];
+    assert!(uneven.join(&pictures).is_err());
+}
+
+#[test]
 fn fits_are_read_by_their_names() {
     for fit in Fit::ALL {
         assert_eq!(fit.name().parse(), Ok(fit));

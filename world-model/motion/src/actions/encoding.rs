@@ -301,8 +301,8 @@ impl ActionEncoding {
 }
 
 impl Dimension {
-    /// Value in model units, and whether it was clipped.
-    fn to_model(&self, value: f32) -> (f32, bool) {
+    /// A value in model units, and whether it was clipped.
+    pub fn to_model(&self, value: f32) -> (f32, bool) {
         let scaled = match self.kind {
             // Halves round to even, as in the authors' release (numpy): an opening of exactly 0.5 counts as closed.
             Kind::GripperBinary => {

@@ -1,12 +1,15 @@
 //! Checks the ranges of recorded actions against their kinds and units.
 
 mod agreement;
+mod comparison;
 mod finding;
+mod moments;
 
 use std::fmt;
 
 use super::{ActionSpace, Dimension, Kind, limits::Unit};
 use agreement::Agreement;
+pub use comparison::{StateComparison, StateRelation};
 pub use finding::{Cause, Contradiction, Hint};
 
 /// Longest net translation along one axis in an episode \[m\]. Beyond it, the "deltas" are positions.

@@ -367,3 +367,39 @@ fn velocity_holds_for_the_longest_time_only() {
     assert_eq!(mean(0, 20), 0.125);
     assert_eq!(mean(50, 51), 0.0);
 }
+
+proptest! {
+    /// A model knows no durations: a constant velocity over a longer step is a larger motion, as with deltas.
+    #[test]
+    fn velocity_over_a_longer_step_is_more_motion(
+        speed in -1.0_f32..1.0, percent in 30_i64..300, skip in 1_usize..4,
+        rule in prop_oneof![Just(Accumulation::Mean), Just(Accumulation::Sum)],
+    ) {
+        let dimension = |name: &str, kind, scale| Dimension {
+            name: name.into(),
+            unit: "rad".into(),
+            kind,
+            offset: 0.0,
+            scale,
+            clip: 10.0,
+        };
+        let space = ActionSpace::new("joints".into(), 5.0, vec![
+            dimension("velocity", Kind::JointVelocity, 1.0),
+            // The motion in 0.2 s.
+            dimension("delta", Kind::JointDelta, 5.0),
+        ]).unwrap();
+        let mut motion = motion();
+        for tick in 0..100 {
+            motion.take(START + tick * FRAME / 5, [speed, speed * 0.04].into());
+        }
+        let encoding = ActionEncoding::new(space, 2, skip, rule).unwrap();
+        let nominal_ns = skip as i64 * FRAME;
+        let of = |span_ns| motion.step(&encoding, START, START + span_ns).unwrap().model.values;
+        let (nominal, found) = (of(nominal_ns), of(nominal_ns * percent / 100));
+        let expected = speed * percent as f32 / 100.0;
+        prop_assert!((nominal[0] - speed).abs() < 1e-5, "{:?}", nominal);
+        prop_assert!((found[0] - expected).abs() < 1e-4, "{:?} {}", found, expected);
+        let intervals = if rule == Accumulation::Sum { skip as f32 } else { 1.0 };
+        prop_assert!((found[1] - expected * intervals).abs() < 1e-3, "{:?} {}", found, expected);
+    }
+}

@@ -357,6 +357,7 @@ fn the_fit_is_described_and_part_of_the_space_unless_stretch() {
     let opened = ModelFolder::open(&folder.path().to_string_lossy()).unwrap();
     let expected = Framing::new((32, 32), Fit::Crop);
     assert_eq!(opened.encoder().unwrap().framing(), expected);
+    assert_eq!(opened.framing().unwrap(), expected);
     assert_eq!(opened.fit().unwrap(), Fit::Crop);
     let trained_on = opened.trained_on().unwrap().unwrap();
     assert_eq!(trained_on.to_string(), "640x480");
@@ -390,6 +391,8 @@ fn views_lie_beside_each_other() {
     let model = DescribedFolder::open(folder.path()).unwrap();
     let encoder = model.encoder(&Compute::default()).unwrap();
     assert_eq!(encoder.input_size(), (32, 64));
+    assert_eq!(model.framing(), encoder.framing());
+    assert_eq!(model.framing().views, 2);
     assert_eq!(encoder.space().shape(), (4, 8, 6));
     let image = Tensor::rand(0f32, 1.0, (1, 32, 64, 3), &Device::Cpu).unwrap();
     let latent = encoder.encode(&image).unwrap();

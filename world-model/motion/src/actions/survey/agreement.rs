@@ -1,6 +1,6 @@
 //! Compares actions with the state changes that follow them.
 
-use super::Hint;
+use super::{Hint, moments::Moments};
 use crate::actions::{ActionSpace, Kind};
 
 /// Greatest shift between actions and states that is tried \[frames\].
@@ -28,40 +28,6 @@ struct Products {
     action: f64,
     change: f64,
     both: f64,
-}
-
-/// Running sums for the correlation of two quantities.
-#[derive(Clone, Copy, Debug, Default)]
-struct Moments {
-    count: f64,
-    x: f64,
-    y: f64,
-    xx: f64,
-    yy: f64,
-    xy: f64,
-}
-
-impl Moments {
-    fn add(&mut self, x: f64, y: f64) {
-        self.count += 1.0;
-        self.x += x;
-        self.y += y;
-        self.xx += x * x;
-        self.yy += y * y;
-        self.xy += x * y;
-    }
-
-    /// Pearson's r; 0 without variance.
-    fn correlation(&self) -> f64 {
-        let covariance = self.count * self.xy - self.x * self.y;
-        let variance = |sum: f64, squares: f64| self.count * squares - sum * sum;
-        let variances = variance(self.x, self.xx) * variance(self.y, self.yy);
-        if variances > 1e-12 {
-            covariance / variances.sqrt()
-        } else {
-            0.0
-        }
-    }
 }
 
 impl Agreement {
