@@ -330,7 +330,8 @@ impl<'a> Alignment<'a> {
         }
     }
 
-    /// Motion from `from_ns` to `to_ns`, at or after the last call; `None` if no action is known then.
+    /// Motion from `from_ns` to `to_ns`, at or after the last call; `None` if no action is known then. Velocities are those
+    /// of the same motion in one period.
     pub fn between(&mut self, from_ns: i64, to_ns: i64) -> Option<Interval> {
         let from_ns = from_ns.saturating_sub(self.shift_ns);
         let to_ns = to_ns.saturating_sub(self.shift_ns);
@@ -344,6 +345,8 @@ impl<'a> Alignment<'a> {
             self.next += 1;
         }
         let mut interval = self.motion.between(self.space, from_ns, to_ns)?;
+        let span_ns = to_ns.saturating_sub(from_ns);
+        self.space.to_nominal(&mut interval.values, span_ns);
         let doubtful_from_ns = from_ns.saturating_sub(self.period_ns);
         interval.is_given &= !self.log.is_doubtful(doubtful_from_ns, to_ns);
         Some(interval)

@@ -9,8 +9,9 @@ use super::{
     Data, DataOptions, Dataset, DatasetError, Size,
     data::{log_exclusions, log_mixed_sizes},
     preparation::Preparation,
+    scales::remark,
     search::{find, find_others},
-    store::{add_latent_statistics, is_prepared, read_audit, read_manifest},
+    store::{ACTION_SPACE, Folder, add_latent_statistics, is_prepared, read_audit, read_manifest},
 };
 use crate::Latents;
 
@@ -150,6 +151,12 @@ impl DatasetArgs {
         println!("{manifest}");
         if let Some(audit) = audit {
             println!("{audit}");
+        }
+        let folder = Folder::open(out)?;
+        let (space, file) = (&manifest.action_space, out.join(ACTION_SPACE));
+        let remark = remark(space, folder.all_episodes(), &file);
+        if let Some(remark) = remark.map_err(DatasetError::of_scales)? {
+            println!("{remark}");
         }
         Ok(())
     }

@@ -13,6 +13,8 @@ use super::{
 /// An episode without its pictures.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Draft {
+    /// Stamp of the first frame of its episode, which gaps may divide into several drafts \[ns\].
+    pub episode_ns: i64,
     /// Stamps of the frames' pictures \[ns\], by stream.
     pub stamps: Vec<Vec<i64>>,
     /// Log times of the first and the last picture \[ns\].
@@ -54,6 +56,13 @@ struct Moment {
     stamp_ns: i64,
 }
 
+/// Frames without a gap.
+struct Part {
+    moments: Vec<Moment>,
+    /// Whether it continues the episode of the part before it, after a gap.
+    continues: bool,
+}
+
 /// Cuts a recording into episodes of frames one action period apart, with the motion between them.
 ///
 /// # Errors
@@ -81,6 +90,7 @@ pub(super) fn cut(
         },
         drafts: Vec::new(),
         omissions: Vec::new(),
+        episode_ns: None,
     };
     for (count, thing, what) in &recording.complaints {
         cutter.omissions.push(Omission {
@@ -103,8 +113,15 @@ pub(super) fn cut(
     }
     let parts = cutter.parts(moments, gap_ns);
     for (index, part) in parts.iter().enumerate() {
-        let next = parts.get(index + 1).and_then(|part| part.first());
-        cutter.align(part, next.map(|moment| moment.place), parts.len() == 1);
+        let next = parts.get(index + 1).and_then(|part| part.moments.first());
+        if !part.continues {
+            cutter.episode_ns = None;
+        }
+        cutter.align(
+            &part.moments,
+            next.map(|moment| moment.place),
+            parts.len() == 1,
+        );
     }
     if cutter.actions_unknown.count > 0 {
         cutter.omissions.push(cutter.actions_unknown);
@@ -121,6 +138,8 @@ struct Cutter<'a> {
     actions_unknown: Omission,
     drafts: Vec<Draft>,
     omissions: Vec<Omission>,
+    /// Stamp of the first frame of the current episode, if it has a draft \[ns\].
+    episode_ns: Option<i64>,
 }
 
 impl Cutter<'_> {
@@ -160,7 +179,7 @@ impl Cutter<'_> {
     }
 
     /// Frames one period apart, split where no motion may be learned across.
-    fn parts(&self, moments: Vec<Moment>, gap_ns: i64) -> Vec<Vec<Moment>> {
+    fn parts(&self, moments: Vec<Moment>, gap_ns: i64) -> Vec<Part> {
         let longest_ns = self.settings.gap_periods * self.period_ns as f64;
         let mut cuts = self.recording.cuts.clone();
         if self.settings.cut.contains(&Cut::Instruction) {
@@ -174,32 +193,38 @@ impl Cutter<'_> {
         }
         cuts.sort_unstable();
         let mut pace = Pace::new(self.period_ns, gap_ns);
-        let mut parts: Vec<Vec<Moment>> = Vec::new();
+        let mut parts: Vec<Part> = Vec::new();
         let mut before: Option<(usize, i64)> = None;
         for moment in moments {
-            let begins = before.is_none_or(|(place, stamp_ns)| {
-                let is_gap = (moment.stamp_ns - stamp_ns) as f64 > longest_ns;
+            let (mut is_gap, mut is_cut) = (false, before.is_none());
+            if let Some((place, stamp_ns)) = before {
                 // A message between that picture and this one.
-                let next = cuts.partition_point(|cut| *cut <= place);
-                let is_cut = cuts.get(next).is_some_and(|cut| *cut <= moment.place);
-                let begun_ns = parts.last().and_then(|part| part.first());
+                let is_between = |places: &[usize]| {
+                    let next = places.partition_point(|at| *at <= place);
+                    places.get(next).is_some_and(|at| *at <= moment.place)
+                };
+                let begun = parts.last().and_then(|part| part.moments.first());
                 let is_long = self.settings.cut_seconds.is_some_and(|seconds| {
                     // The frame nearest to the cut starts the part, since stamps jitter.
                     let end_ns = seconds * 1e9 - (gap_ns / 2).min(self.period_ns / 4) as f64;
-                    begun_ns
-                        .is_some_and(|begun| (moment.stamp_ns - begun.stamp_ns) as f64 >= end_ns)
+                    begun.is_some_and(|begun| (moment.stamp_ns - begun.stamp_ns) as f64 >= end_ns)
                 });
-                is_gap || is_cut || is_long
-            });
+                is_gap = (moment.stamp_ns - stamp_ns) as f64 > longest_ns
+                    || is_between(&self.recording.breaks);
+                is_cut = is_long || is_between(&cuts);
+            }
             before = Some((moment.place, moment.stamp_ns));
-            if begins {
+            if is_gap || is_cut {
                 pace.restart();
-                parts.push(Vec::new());
+                parts.push(Part {
+                    moments: Vec::new(),
+                    continues: !is_cut,
+                });
             }
             if pace.is_due(moment.stamp_ns)
                 && let Some(part) = parts.last_mut()
             {
-                part.push(moment);
+                part.moments.push(moment);
             }
         }
         parts
@@ -259,6 +284,7 @@ impl Cutter<'_> {
         }
         let stream_count = self.recording.streams.len();
         let mut draft = Draft {
+            episode_ns: *self.episode_ns.get_or_insert(span_ns.0),
             stamps: vec![Vec::with_capacity(run.len()); stream_count],
             logged_ns: (u64::MAX, 0),
             instruction: at(&self.recording.instructions, first.place, last.place)

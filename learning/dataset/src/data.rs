@@ -12,7 +12,7 @@ use super::{
     manifest::Split,
     preparation::{Preparation, identity},
     search::{FoundBags, find_others},
-    split::split,
+    split::{Identity, split},
     store::{Folder, cache_name, if_another_was_first, is_prepared, read_audit, read_manifest},
 };
 
@@ -155,14 +155,14 @@ pub(super) struct OpenFolder {
 
 impl OpenFolder {
     /// Identities of its episodes, independent of the bags' location.
-    fn identities(&self) -> Vec<String> {
+    fn identities(&self) -> Vec<Identity> {
         let manifest = self.folder.manifest();
         let episodes = manifest.episodes.iter().map(|episode| {
             let source = manifest.sources.get(episode.source);
             // A manifest without sources was edited: use the name instead.
             source.map_or_else(
-                || episode.name.clone(),
-                |source| identity(source, episode.begin_ns),
+                || Identity::of(episode.name.clone()),
+                |source| identity(source, episode.begin_ns, episode.continues_ns),
             )
         });
         episodes.collect()
@@ -178,7 +178,7 @@ fn is_chosen(options: &DataOptions) -> bool {
 fn splits(folders: &[OpenFolder], options: &DataOptions, rule: SplitRule) -> Vec<Vec<Split>> {
     let is_free = |opened: &&OpenFolder| is_chosen(options) || !opened.is_given;
     let free = folders.iter().filter(is_free);
-    let free: Vec<String> = free.flat_map(OpenFolder::identities).collect();
+    let free: Vec<Identity> = free.flat_map(OpenFolder::identities).collect();
     let mut chosen = split(&free, rule).into_iter();
     let splits = folders.iter().map(|opened| {
         let listed = &opened.folder.manifest().episodes;
@@ -305,11 +305,11 @@ pub(super) fn log_mixed_sizes(manifest: &Manifest, audit: Option<&Audit>) {
 /// Rejects an episode in both parts.
 fn expect_apart(training: &[OpenFolder], held_out: &[OpenFolder]) -> Result<(), DatasetError> {
     let identities = training.iter().flat_map(OpenFolder::identities);
-    let training: BTreeSet<String> = identities.collect();
+    let training: BTreeSet<String> = identities.map(|identity| identity.piece).collect();
     for opened in held_out {
         let manifest = opened.folder.manifest();
         for (episode, identity) in manifest.episodes.iter().zip(opened.identities()) {
-            if training.contains(&identity) {
+            if training.contains(&identity.piece) {
                 let source = manifest.sources.get(episode.source);
                 return Err(DatasetError::Episode {
                     bag: source.map_or_else(PathBuf::new, |source| source.bag.clone()),

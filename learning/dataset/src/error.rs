@@ -1,6 +1,7 @@
 use std::path::{Path, PathBuf};
 
 use thiserror::Error;
+use wm_motion::actions::ActionError;
 
 /// Accepted inputs.
 const EXPECTED: &str = "bags (folders with metadata.yaml, or .mcap files), a folder of them, or one that \
@@ -84,6 +85,14 @@ impl DatasetError {
     pub(super) fn io(path: &Path) -> impl FnOnce(std::io::Error) -> Self + use<> {
         let path = path.to_owned();
         move |reason| Self::Io { path, reason }
+    }
+
+    /// No scale fits the actions.
+    pub(super) fn of_scales(error: ActionError) -> Self {
+        Self::Option {
+            option: "--action-space",
+            what: error.to_string(),
+        }
     }
 
     pub(super) fn file(path: &Path, what: impl ToString) -> Self {

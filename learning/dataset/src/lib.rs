@@ -25,6 +25,7 @@ mod mask;
 mod options;
 mod preparation;
 mod recording;
+mod scales;
 mod search;
 mod size;
 mod source_sizes;
@@ -36,7 +37,7 @@ mod store;
 pub mod testing;
 mod unusable_bag;
 
-use std::{collections::BTreeMap, sync::Arc};
+use std::{collections::BTreeMap, path::Path, sync::Arc};
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
@@ -226,10 +227,20 @@ impl Dataset {
     /// If no scale fits the range of a dimension.
     pub fn statistics(&self) -> Result<DataStatistics, DatasetError> {
         let statistics = DataStatistics::of_episodes(self.episodes().iter(), &self.space);
-        statistics.map_err(|error| DatasetError::Option {
-            option: "--action-space",
-            what: error.to_string(),
-        })
+        statistics.map_err(DatasetError::of_scales)
+    }
+
+    /// Names the dimensions whose scales do not suit the actions, with the option that uses fitted ones; `None` if all do.
+    ///
+    /// # Errors
+    /// Those of [`Self::statistics`].
+    pub fn scale_remark(&self) -> Result<Option<String>, DatasetError> {
+        let dir = self
+            .folders
+            .first()
+            .map_or(Path::new(""), |folder| folder.dir());
+        let file = dir.join(store::ACTION_SPACE);
+        scales::remark(&self.space, self.episodes(), &file).map_err(DatasetError::of_scales)
     }
 
     pub(crate) fn layout(&self) -> &Layout {

@@ -79,6 +79,10 @@ pub struct ManifestEpisode {
     pub source: usize,
     /// Stamp of its first frame \[ns\].
     pub begin_ns: i64,
+    /// Stamp of the first frame of the episode that this one continues after a gap \[ns\]: both are on one side of the
+    /// split.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub continues_ns: Option<i64>,
     /// Stamp of its last frame \[ns\].
     pub end_ns: i64,
     /// Number of frames.

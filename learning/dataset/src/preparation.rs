@@ -18,12 +18,16 @@ use super::{
     recording::BrokenPictures,
     search::FoundBags,
     source_sizes::source_sizes,
-    split::split,
+    split::{Identity, split},
     statistics::DataStatistics,
     store::{Folder, NewFolder},
 };
 use bags::Survey;
 use frames::DecodedFrames;
+
+/// Rules that change the contents of a cached folder, but not its form: velocities are motions per period, and pieces of an
+/// episode share a side of the split.
+const RULES: u32 = 1;
 
 /// Inputs and settings of a prepared folder.
 pub(super) struct Preparation {
@@ -85,7 +89,7 @@ impl Preparation {
             });
         }
         let mut hash = Sha256::new();
-        hash.update(format!("{VERSION} {size} {fit}\n"));
+        hash.update(format!("{VERSION} {RULES} {size} {fit}\n"));
         // Settings are numbers, lists and texts: JSON cannot fail.
         hash.update(serde_json::to_vec(&settings).unwrap_or_default());
         for source in &sources {
@@ -158,12 +162,15 @@ impl Preparation {
                     format!("{stem}#{}", number + 1)
                 };
                 let (begin_ns, end_ns) = draft.span_ns();
-                identities.push((source.held_out, identity(source, begin_ns)));
+                let continues_ns =
+                    Some(draft.episode_ns).filter(|episode_ns| *episode_ns != begin_ns);
+                identities.push((source.held_out, identity(source, begin_ns, continues_ns)));
                 actions.extend(draft.actions.iter().cloned());
                 episodes.push(ManifestEpisode {
                     name,
                     source: bag.source,
                     begin_ns,
+                    continues_ns,
                     end_ns,
                     frames: draft.actions.len(),
                     split: Split::Validation,
@@ -183,7 +190,7 @@ impl Preparation {
             },
             ..self.split
         };
-        let free: Vec<String> = identities
+        let free: Vec<Identity> = identities
             .iter()
             .filter(|(held_out, _)| !held_out)
             .map(|(_, identity)| identity.clone())
@@ -216,9 +223,13 @@ impl Preparation {
     }
 }
 
-/// Identity of an episode, independent of the bag's location and of other bags.
-pub(super) fn identity(source: &Source, begin_ns: i64) -> String {
-    format!("{} {begin_ns}", source.digest)
+/// Identity of an episode that starts at `begin_ns` and may continue the one of `continues_ns`.
+pub(super) fn identity(source: &Source, begin_ns: i64, continues_ns: Option<i64>) -> Identity {
+    let of = |begin_ns: i64| format!("{} {begin_ns}", source.digest);
+    Identity {
+        piece: of(begin_ns),
+        episode: of(continues_ns.unwrap_or(begin_ns)),
+    }
 }
 
 /// The audit of each bag and of all episodes.
@@ -258,10 +269,6 @@ fn statistics(manifest: &Manifest, actions: &[Vec<f32>]) -> Result<DataStatistic
     let training = manifest.episodes.iter().zip(&episodes);
     let training = training.filter(|(listed, _)| listed.split == Split::Training);
     let training = training.map(|(_, episode)| episode);
-    DataStatistics::of_episodes(training, &manifest.action_space).map_err(|error| {
-        DatasetError::Option {
-            option: "--action-space",
-            what: error.to_string(),
-        }
-    })
+    let statistics = DataStatistics::of_episodes(training, &manifest.action_space);
+    statistics.map_err(DatasetError::of_scales)
 }

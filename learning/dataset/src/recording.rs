@@ -70,6 +70,8 @@ pub(super) struct Recording {
     pub labels: Vec<(usize, BTreeMap<u8, String>)>,
     /// Positions of messages of a `--cut-topic`.
     pub cuts: Vec<usize>,
+    /// Positions at which the clock is set back or the pictures change in size, within a recording.
+    pub breaks: Vec<usize>,
     /// Whether the bag has such a topic.
     pub has_cut_topic: bool,
     /// Invalid messages: count, kind and the first fault.
@@ -153,6 +155,7 @@ impl Recording {
             successes: Vec::new(),
             labels: Vec::new(),
             cuts: Vec::new(),
+            breaks: Vec::new(),
             has_cut_topic: settings.cut_topics.iter().any(|name| has_messages(name)),
             complaints: Vec::new(),
         };
@@ -214,9 +217,9 @@ impl Recording {
         recording.finish(settings)
     }
 
-    /// Starts an episode at the next picture.
+    /// Ends a piece of the recording at the next picture.
     fn cut(&mut self) {
-        self.cuts.push(self.place());
+        self.breaks.push(self.place());
     }
 
     /// Index of the first camera's next picture.
@@ -300,7 +303,7 @@ impl Recording {
                 let bytes = (frame.fingerprint(), size);
                 self.recorded.picture(view, (stamps, stamp_ns), bytes, None);
                 if stream.resize(size) {
-                    self.cuts.push(place);
+                    self.breaks.push(place);
                 }
             }
             stream.push(stamp_ns, message.log_time_ns);

@@ -1,13 +1,9 @@
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
-use wm_motion::actions::{ActionError, ActionSpace, Dimension, Kind};
+use wm_motion::actions::{ActionError, ActionSpace, Spread};
 
 use super::Episode;
-
-/// Greatest magnitude of a fitted dimension in model units. The outer quantiles map to 1; a slightly faster robot is
-/// not yet clipped.
-const CLIP: f32 = 1.5;
 
 /// Statistics of values, one number per dimension, with the names of LeRobot.
 ///
@@ -79,43 +75,6 @@ impl Statistics {
             quantiles.push(low + (high - low) * place.fract());
         }
     }
-
-    /// `space` with scales, offsets and clips fitted to these action statistics: the quantiles 0.01 and 0.99 map to -1
-    /// and 1; for a delta or velocity, the one farther from 0 maps to 1. Binary gripper and constant dimensions stay.
-    ///
-    /// # Errors
-    /// [`ActionError::Space`] if a range is too narrow for any scale.
-    pub fn fit(&self, space: &ActionSpace) -> Result<ActionSpace, ActionError> {
-        if self.q01.is_empty() {
-            return Ok(space.clone());
-        }
-        let quantiles = self.q01.iter().zip(&self.q99);
-        let dimensions = space.dimensions().iter().zip(quantiles);
-        let dimensions = dimensions.map(|(dimension, (low, high))| fit(dimension, *low, *high));
-        ActionSpace::new(space.name().to_owned(), space.rate(), dimensions.collect())
-    }
-}
-
-fn fit(dimension: &Dimension, low: f64, high: f64) -> Dimension {
-    // Model actions are f32.
-    let fitted = |offset: f64, range: f64| Dimension {
-        offset: offset as f32,
-        scale: (1.0 / range) as f32,
-        clip: CLIP,
-        ..dimension.clone()
-    };
-    let (range, offset) = match dimension.kind {
-        Kind::GripperBinary => return dimension.clone(),
-        // From 1 at the offset to -1.
-        Kind::GripperContinuous => (high - low, low),
-        kind if kind.is_motion() => (low.abs().max(high.abs()), 0.0),
-        _ => ((high - low) / 2.0, (high + low) / 2.0),
-    };
-    if range > 1e-9 {
-        fitted(offset, range)
-    } else {
-        dimension.clone()
-    }
 }
 
 /// Statistics of a prepared folder: `statistics.json`.
@@ -129,7 +88,7 @@ pub struct DataStatistics {
     /// Latents of the training episodes, if encoded.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub latent: Option<LatentStatistics>,
-    /// The action space with scales and clips fitted to the quantiles.
+    /// The action space with scales, offsets and clips fitted to the actions.
     pub action_space: ActionSpace,
     /// Number of episodes with each instruction.
     pub instructions: BTreeMap<String, usize>,
@@ -167,16 +126,18 @@ impl DataStatistics {
     /// Statistics of training episodes.
     ///
     /// # Errors
-    /// Those of [`Statistics::fit`].
+    /// Those of [`ActionSpace::fitted`].
     pub fn of_episodes<'a>(
         episodes: impl Iterator<Item = &'a Episode> + Clone,
         space: &ActionSpace,
     ) -> Result<Self, ActionError> {
         let rows = episodes.clone().flat_map(|episode| &episode.actions);
-        let action = Statistics::of_rows(rows.map(Vec::as_slice), space.len());
+        let action = Statistics::of_rows(rows.clone().map(Vec::as_slice), space.len());
+        let spread = |index| Spread::of(rows.clone().filter_map(|row| row.get(index).copied()));
+        let spreads: Vec<Spread> = (0..space.len()).filter_map(spread).collect();
         let mut statistics = Self {
             names: space.dimensions().iter().map(|d| d.name.clone()).collect(),
-            action_space: action.fit(space)?,
+            action_space: space.fitted(&spreads)?,
             action,
             latent: None,
             instructions: BTreeMap::new(),

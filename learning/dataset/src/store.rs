@@ -24,6 +24,8 @@ use super::{
 
 const MANIFEST: &str = "dataset.json";
 const AUDIT: &str = "audit.json";
+/// The action space with fitted scales.
+pub(super) const ACTION_SPACE: &str = "action_space.json";
 
 /// Whether a folder was prepared by `wm dataset`.
 pub(super) fn is_prepared(dir: &Path) -> bool {
@@ -155,7 +157,7 @@ impl Folder {
         if !is_prepared(&dir) {
             let folder = NewFolder::create(&dir)?;
             self.resize(&manifest, &folder)?;
-            for name in ["actions", "statistics.json", "action_space.json", AUDIT] {
+            for name in ["actions", "statistics.json", ACTION_SPACE, AUDIT] {
                 let (from, to) = (self.dir.join(name), folder.partial.join(name));
                 // Folders older than the audit have none.
                 if name == AUDIT && !from.exists() {
@@ -342,7 +344,7 @@ impl NewFolder {
 
     pub fn write_statistics(&self, statistics: &DataStatistics) -> Result<(), DatasetError> {
         self.write_json("statistics.json", statistics)?;
-        self.write_json("action_space.json", &statistics.action_space)
+        self.write_json(ACTION_SPACE, &statistics.action_space)
     }
 
     pub fn write_audit(&self, audit: &Audit) -> Result<(), DatasetError> {

@@ -11,7 +11,7 @@ pub struct ImportReport {
     pub bags: Vec<PathBuf>,
     /// Reasons of skipped episodes, with file and episode.
     pub skipped: Vec<String>,
-    /// Measured ranges of the actions, in words; `None` without actions.
+    /// Measured ranges of the actions in words, or a derived action space as a table; `None` without actions.
     pub ranges: Option<String>,
     /// Remarks on the data.
     pub notes: Notes,

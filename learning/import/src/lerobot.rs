@@ -39,4 +39,4 @@ mod topics;
 
 pub use error::LeRobotError;
 pub use export::{ExportOptions, ExportReport, export};
-pub use import::{ImportOptions, import};
+pub use import::{ACTION_SPACE_FILE, ImportOptions, import};

@@ -1,5 +1,6 @@
-//! Real Bridge V2 and DROID episodes, from the directory that the environment variable WM_SHARED_DATA names (with
-//! `bridge_v2/`, `bridge_rlds/` and `droid/` in it). They are not part of the repository.
+//! Real episodes of Bridge V2, DROID and two LeRobot data sets, from the directory that the environment variable
+//! WM_SHARED_DATA names (with `bridge_v2/`, `bridge_rlds/`, `droid/`, `cr5_banana/` and `g1_bottle/` in it). They are not
+//! part of the repository.
 
 #![allow(clippy::unwrap_used, clippy::expect_used)] // the lint exempts #[test] functions, not their helpers
 
@@ -9,7 +10,8 @@ mod folder;
 use image::{ImageFormat, RgbImage};
 use tempfile::TempDir;
 use wm_bag::{BagMessage, BagReader};
-use wm_import::{ImportOptions, import_bridge, import_droid};
+use wm_import::{ImportOptions, import_bridge, import_droid, lerobot};
+use wm_motion::actions::{ActionSpace, Dimension, Kind};
 use wm_msgs::{
     builtin_interfaces::Time,
     geometry_msgs::PoseStamped,
@@ -215,4 +217,50 @@ fn droid_becomes_bags() {
         "eight episodes of one folder, seven and four of the splits of the other"
     );
     assert_eq!((successes, instructions), (12, 14));
+}
+
+/// The action space that the import of one episode derives.
+fn derived(name: &str) -> Option<Vec<Dimension>> {
+    let src = shared(name)?;
+    let out = TempDir::new().unwrap();
+    let options = lerobot::ImportOptions {
+        episodes: Some(0..=0),
+        ..lerobot::ImportOptions::default()
+    };
+    let imported = lerobot::import(&src, out.path(), &options).unwrap();
+    let reader = BagReader::open(&imported.bags[0]).unwrap();
+    let note = reader.note(ActionSpace::NOTE);
+    let space = ActionSpace::of_note(Some(note.unwrap())).unwrap();
+    Some(space.dimensions().to_vec())
+}
+
+/// A Dobot CR5: six joint velocities and a gripper, of which the fifth joint hardly moves.
+#[test]
+fn joint_velocities_of_a_real_arm_are_derived() {
+    let Some(dimensions) = derived("cr5_banana") else {
+        return;
+    };
+    let (gripper, joints) = dimensions.split_last().unwrap();
+    assert_eq!((joints.len(), gripper.kind), (6, Kind::GripperBinary));
+    for joint in joints {
+        assert_eq!((joint.kind, &*joint.unit), (Kind::JointVelocity, "rad/s"));
+        assert!((1.0..20.0).contains(&joint.scale), "{joint:?}");
+    }
+}
+
+/// A Unitree G1: targets of 14 arm joints and 12 fingers, one arm nearly still.
+#[test]
+fn joint_targets_of_a_real_humanoid_are_derived() {
+    let Some(dimensions) = derived("g1_bottle") else {
+        return;
+    };
+    assert_eq!(dimensions.len(), 26);
+    for (index, joint) in dimensions.iter().enumerate() {
+        let expected = match index < 14 {
+            true => (Kind::JointPosition, "rad"),
+            false => (Kind::Position, "1"),
+        };
+        assert_eq!((joint.kind, &*joint.unit), expected, "{joint:?}");
+        assert!((1.0..20.0).contains(&joint.scale), "{joint:?}");
+    }
 }

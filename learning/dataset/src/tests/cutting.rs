@@ -1,5 +1,5 @@
 use super::{
-    super::{Cut, DataOptions},
+    super::{Cut, DataOptions, Episode},
     outcome::Outcome,
 };
 use crate::testing::{CAMERA, Recorder, START_NS};
@@ -45,6 +45,70 @@ fn camera_gap_starts_an_episode() {
         ..DataOptions::default()
     };
     assert_eq!(recorded(write, options).lengths(), [20]);
+}
+
+/// For each of some bags, whether its pieces are on both sides of the split.
+fn is_divided(write: impl Fn(&mut Recorder), options: DataOptions) -> Vec<bool> {
+    let dir = tempfile::tempdir().unwrap();
+    for number in 0..12 {
+        let mut recorder = Recorder::new(&dir.path().join(format!("run_{number}")));
+        recorder.frame(CAMERA, -200, number);
+        recorder.action(-200, 0.01);
+        write(&mut recorder);
+        recorder.finish();
+    }
+    let options = DataOptions {
+        validation: Some(0.5),
+        ..options
+    };
+    let outcome = Outcome::of(dir.path(), options).unwrap();
+    let validation = outcome.data.validation.as_ref().unwrap().episodes();
+    let has = |episodes: &[Episode], bag: &str| {
+        episodes.iter().any(|episode| episode.name.starts_with(bag))
+    };
+    let is_divided = |number| {
+        let bag = format!("run_{number}#");
+        let (training, validation) = (has(outcome.episodes(), &bag), has(validation, &bag));
+        assert!(training || validation, "{bag} has several episodes");
+        training && validation
+    };
+    (0..12).map(is_divided).collect()
+}
+
+#[test]
+fn pieces_of_a_recording_are_on_one_side() {
+    let frames = |recorder: &mut Recorder, missing: &dyn Fn(i64) -> bool| {
+        for frame in 0..30 {
+            if !missing(frame) {
+                recorder.frame(CAMERA, frame * 200, frame as u8);
+            }
+        }
+    };
+    let actions = |recorder: &mut Recorder, from: i64, to: i64| {
+        (from..to).for_each(|frame| recorder.action(frame * 200, 0.01));
+    };
+    let gaps = |recorder: &mut Recorder| {
+        frames(recorder, &|frame| frame == 10 || frame == 20);
+        actions(recorder, 0, 30);
+    };
+    assert_eq!(is_divided(gaps, DataOptions::default()), [false; 12]);
+    let without_actions = |recorder: &mut Recorder| {
+        frames(recorder, &|_| false);
+        actions(recorder, 0, 10);
+        actions(recorder, 20, 30);
+    };
+    let options = DataOptions::default();
+    assert_eq!(is_divided(without_actions, options), [false; 12]);
+    // Explicit cuts make episodes of their own.
+    let whole = |recorder: &mut Recorder| {
+        frames(recorder, &|_| false);
+        actions(recorder, 0, 30);
+    };
+    let options = DataOptions {
+        cut_seconds: Some(2.0),
+        ..DataOptions::default()
+    };
+    assert!(is_divided(whole, options).contains(&true));
 }
 
 /// The clock passes 12 of 20 s twice; these are excluded. Setting it back without overlap starts an episode.

@@ -423,6 +423,7 @@ prop_compose! {
         name in "[a-z#0-9]{1,12}",
         source in 0_usize..3,
         begin_ns in any::<i64>(),
+        continues_ns in any::<Option<i64>>(),
         frames in 0_usize..10_000,
         is_training in any::<bool>(),
         instruction in proptest::option::of("\\PC{0,20}"),
@@ -430,7 +431,7 @@ prop_compose! {
     ) -> ManifestEpisode {
         let split = if is_training { Split::Training } else { Split::Validation };
         ManifestEpisode {
-            name, source, begin_ns, end_ns: begin_ns, frames, split, instruction, success, labels: std::collections::BTreeMap::new(),
+            name, source, begin_ns, continues_ns, end_ns: begin_ns, frames, split, instruction, success, labels: std::collections::BTreeMap::new(),
         }
     }
 }

@@ -215,6 +215,32 @@ fn joints_of_two_publishers_are_merged() {
     }
 }
 
+/// A model knows no durations: an interval 1.5 periods long has 1.5 times the motion, as with deltas.
+#[test]
+fn velocity_over_a_long_interval_is_more_motion() {
+    let dir = tempfile::tempdir().unwrap();
+    let elbow = Dimension {
+        kind: Kind::JointVelocity,
+        unit: "rad/s".into(),
+        ..two_joints().dimensions()[0].clone()
+    };
+    let space = ActionSpace::new("elbow".into(), 5.0, vec![elbow]).unwrap();
+    let bag = dir.path().join("run");
+    let mut recorder = Recorder::with_space(&bag, &space);
+    for ms in [0, 200, 500, 700, 850, 1050] {
+        recorder.frame(CAMERA, ms, 1);
+        recorder.values(ms, vec![0.5]);
+    }
+    recorder.finish();
+    let outcome = Outcome::of(&bag, DataOptions::default()).unwrap();
+    let actions: Vec<f32> = outcome.episodes()[0].actions.iter().map(|a| a[0]).collect();
+    let expected = [0.5, 0.75, 0.5, 0.375, 0.5, 0.5];
+    assert_eq!(actions.len(), expected.len());
+    for (found, expected) in actions.iter().zip(expected) {
+        assert!((found - expected).abs() < 1e-6, "{actions:?}");
+    }
+}
+
 #[test]
 fn velocities_move_joints_without_positions() {
     let dir = tempfile::tempdir().unwrap();

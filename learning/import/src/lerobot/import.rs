@@ -2,21 +2,27 @@
 
 mod actions;
 mod bag;
+mod derived;
 mod episode;
 mod placement;
 mod timing;
+mod value_name;
 mod videos;
 
-use std::{ops::RangeInclusive, path::Path};
+use std::{
+    fs,
+    io::{ErrorKind, Write as _},
+    ops::RangeInclusive,
+    path::Path,
+};
 
 use crate::{ActionMapping, ImportReport};
 use wm_bag::Shard;
-use wm_motion::actions::{ActionSpace, ActionSurvey, Cause, Dimension, Kind};
+use wm_motion::actions::{ActionSpace, ActionSurvey, Cause};
 
 use crate::lerobot::{
     LeRobotError,
     dataset::{Dataset, EpisodeEntry, Rows},
-    info::ACTION,
 };
 use actions::Actions;
 use episode::{Episode, ReadOptions};
@@ -24,6 +30,9 @@ use videos::Videos;
 
 /// Number of episodes in the survey before the import, the same for all shards.
 const SURVEY_EPISODES: usize = 256;
+
+/// Name of the file beside the bags with a derived action space.
+pub const ACTION_SPACE_FILE: &str = "action_space.json";
 
 /// Options of an import.
 #[derive(Clone, Debug)]
@@ -37,7 +46,8 @@ pub struct ImportOptions {
     /// Stamp of the first frame of each episode, in ns since the epoch, as LeRobot has no time of day. Episodes from our own
     /// export keep theirs.
     pub start_ns: u64,
-    /// Action space of the data set. `None`: Bridge V2's if the names are Bridge V2's, otherwise the bags have no action space.
+    /// Action space of the data set. `None`: Bridge V2's if the names are Bridge V2's, otherwise one that is derived from the
+    /// names and the recorded values, and written to [`ACTION_SPACE_FILE`].
     pub action_space: Option<ActionSpace>,
     /// Mapping of the action values to the action space.
     pub actions: ActionMapping,
@@ -68,6 +78,10 @@ impl Default for ImportOptions {
 /// Frame k of an episode belongs to row k. Its stamp is `start + k / fps`, to the nanosecond, if the `timestamp` of each row
 /// agrees; otherwise `start` plus the time since the first row.
 ///
+/// An action space that neither the options nor the names give is derived from the names and values of the first 256
+/// episodes of the data set: the same for all shards and all `episodes`. The bags keep it, and it is written to
+/// `OUT/action_space.json`, unless that file exists.
+///
 /// # Errors
 /// `meta/` is missing or invalid, the actions do not fit the action space, no episode has a requested number or can be
 /// imported (the error of the first), or a bag exists.
@@ -86,7 +100,6 @@ pub fn import(
         let text = format!("features without a topic are ignored: {}", other.join(", "));
         imported.notes.of_data(text);
     }
-    let actions = Actions::of(&dataset, options.action_space.as_ref(), options.actions)?;
     let is_wanted = |entry: &&EpisodeEntry| {
         let wanted = options.episodes.as_ref();
         wanted.is_none_or(|wanted| wanted.contains(&entry.index))
@@ -100,7 +113,15 @@ pub fn import(
         )));
     }
     let mut rows = Rows::default();
+    let given = options.action_space.as_ref();
+    let actions = Actions::of(&dataset, given, options.actions, &mut rows)?;
     if let Some(actions) = &actions {
+        if let Some(error) = &actions.unfit {
+            tracing::warn!(%error, "importing bags without an action space");
+            imported.notes.of_data(format!(
+                "{error}; the bags have no action space, so no model of actions can be trained on them"
+            ));
+        }
         survey(&dataset, &wanted, actions, &mut rows, &mut imported, src)?;
     }
     let own = wanted.into_iter().enumerate();
@@ -129,6 +150,13 @@ pub fn import(
         let space = actions.as_ref().and_then(|actions| actions.space.as_ref());
         bag::write(&episode, space, &path, start_ns, &origin)?;
         tracing::info!(episode = entry.index, bag = %path.display(), frames = entry.length, "imported");
+        if let Some(derived) = actions
+            .as_ref()
+            .and_then(|actions| actions.derived.as_ref())
+            && imported.bags.is_empty()
+        {
+            write_derived(&derived.space, out, &mut imported)?;
+        }
         for note in episode.notes {
             imported.notes.of_episode(note);
         }
@@ -158,7 +186,8 @@ fn read_mapped(
 ) -> Result<Episode, LeRobotError> {
     if let Some(actions) = actions {
         actions.map(&mut episode.actions);
-        if let Some(space) = &actions.space {
+        // A derived space is no reason to skip an episode.
+        if let Some(space) = actions.space.as_ref().filter(|_| actions.derived.is_none()) {
             let mut survey = ActionSurvey::new(space.clone(), dataset.info.fps);
             survey.add(&episode.actions, &[] as &[Vec<f32>]);
             if let Some(reason) = actions.source().contradiction(&survey) {
@@ -181,7 +210,7 @@ fn survey(
     imported: &mut ImportReport,
     src: &Path,
 ) -> Result<(), LeRobotError> {
-    let Some(space) = actions.space.clone().or_else(|| plain_space(dataset)) else {
+    let Some(space) = &actions.space else {
         return Ok(());
     };
     let new = || ActionSurvey::new(space.clone(), dataset.info.fps);
@@ -189,7 +218,7 @@ fn survey(
     let mut contradicting = 0;
     for entry in wanted.iter().take(SURVEY_EPISODES) {
         // Unreadable episodes are named during the import.
-        let Ok(mut values) = episode::read_actions(dataset, entry, rows) else {
+        let Ok((mut values, _)) = episode::read_values(dataset, entry, rows) else {
             continue;
         };
         actions.map(&mut values);
@@ -204,20 +233,16 @@ fn survey(
     imported.ranges = Some(whole.to_string());
     let source = actions.source();
     let found = whole.contradictions();
-    if actions.space.is_none() {
-        // Kinds by name are guesses.
+    if let Some(derived) = &actions.derived {
+        imported.ranges = Some(derived.to_string());
         for found in &found {
             imported.notes.of_data(source.remedy(found));
         }
-        let hints = whole.hints();
-        hints
-            .iter()
-            .for_each(|hint| imported.notes.of_data(source.advice(hint)));
-        return Ok(());
     }
     let is_gripper = |cause: &Cause| matches!(cause, Cause::Gripper { .. });
     let has_gripper = found.iter().any(|found| is_gripper(&found.cause));
-    if (has_gripper || 2 * contradicting > whole.episodes())
+    if actions.derived.is_none()
+        && (has_gripper || 2 * contradicting > whole.episodes())
         && let Some(reason) = source.contradiction(&whole)
     {
         return Err(crate::ImportError::Contradiction {
@@ -234,22 +259,40 @@ fn survey(
     Ok(())
 }
 
-/// A space with names only, to show the ranges: grippers by name, other values plain.
-fn plain_space(dataset: &Dataset) -> Option<ActionSpace> {
-    let names = dataset.info.features.get(ACTION)?.value_names();
-    let dimensions = names.into_iter().map(|name| Dimension {
-        kind: match name.to_ascii_lowercase().contains("grip") {
-            true => Kind::GripperContinuous,
-            false => Kind::JointPosition,
-        },
-        name,
-        unit: "1".into(),
-        offset: 0.0,
-        scale: 1.0,
-        clip: 1.0,
-    });
-    // More values than an action may have: no ranges.
-    ActionSpace::new("unknown".into(), 1.0, dimensions.collect()).ok()
+/// Writes a derived space to [`ACTION_SPACE_FILE`], unless that file exists.
+fn write_derived(
+    space: &ActionSpace,
+    out: &Path,
+    imported: &mut ImportReport,
+) -> Result<(), LeRobotError> {
+    let path = out.join(ACTION_SPACE_FILE);
+    let io = |error| LeRobotError::io(&path, error);
+    let mut text = serde_json::to_string_pretty(space).map_err(|error| io(error.into()))?;
+    text.push('\n');
+    let how = "check kinds and units; to correct them, edit a copy of";
+    let again = "and import again into another folder with --action-space COPY";
+    match fs::File::create_new(&path) {
+        Ok(mut file) => {
+            file.write_all(text.as_bytes()).map_err(io)?;
+            let text = format!("the derived action space: {how} {} {again}", path.display());
+            imported.notes.of_data(text);
+        }
+        // Another shard, or an earlier import.
+        Err(error) if error.kind() == ErrorKind::AlreadyExists => {
+            let is_same = fs::read(&path).is_ok_and(|found| found == text.as_bytes());
+            imported.notes.of_data(match is_same {
+                true => format!("the derived action space: {how} {} {again}", path.display()),
+                false => format!(
+                    "{} exists with other contents and stays as it is; the bags have the derived action space. \
+                     If the file is yours, import again into another folder with --action-space {}",
+                    path.display(),
+                    path.display()
+                ),
+            });
+        }
+        Err(error) => return Err(io(error)),
+    }
+    Ok(())
 }
 
 /// Describes the differences of frame periods from `1 / fps`; `None` without differences.

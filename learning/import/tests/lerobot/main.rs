@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used)] // the lint exempts #[test] functions, not their helpers
 
 mod damage;
+mod derived;
 mod gaps;
 mod made;
 mod peers;

@@ -193,7 +193,7 @@ fn action_space_survives_a_round_trip() {
     };
     assert_eq!(space(&back[0]), Some(ActionSpace::bridge()));
 
-    // For another arm, the names survive, and their meaning only with the action space.
+    // For another arm, the names survive; their scales only with the action space.
     let joints = r#"{"name": "my_arm", "dimensions": [
         {"name": "shoulder", "unit": "rad", "kind": "joint_position"},
         {"name": "elbow", "unit": "rad", "kind": "joint_position"}]}"#;
@@ -216,7 +216,8 @@ fn action_space_survives_a_round_trip() {
         };
         import(&dataset, &scratch.path().join(name), &options)
     };
-    assert_eq!(space(&imported("unsaid", None).unwrap().bags[0]), None);
+    let derived = space(&imported("unsaid", None).unwrap().bags[0]).unwrap();
+    assert_eq!(derived.expect_same(&joints, "", ""), Ok(()), "by name");
     let said = imported("said", Some(joints.clone())).unwrap();
     assert_eq!(space(&said.bags[0]), Some(joints));
     let error = imported("wrong", Some(ActionSpace::bridge())).unwrap_err();

@@ -85,7 +85,8 @@ struct FromLerobot {
     #[arg(long, value_parser = parse_episodes)]
     episodes: Option<RangeInclusive<i64>>,
     /// Action space of the data set: a JSON file with name, rate in Hz and dimensions, like "space" in model.json. The bags
-    /// keep it. Without it, only Bridge V2's names (dx dy dz droll dpitch dyaw gripper) are recognised
+    /// keep it. Without it, Bridge V2's names (dx dy dz droll dpitch dyaw gripper) are recognised; otherwise names and recorded
+    /// values decide, and the result is printed and written to OUTPUT/action_space.json
     #[arg(long, value_name = "FILE")]
     action_space: Option<PathBuf>,
     /// Stamps of frames: recorded (column timestamp) or rate (frame_index and fps)

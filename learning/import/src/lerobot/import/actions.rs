@@ -3,7 +3,12 @@
 use crate::{ActionForm, ActionMapping, remedy::ValueSource};
 use wm_motion::actions::{ActionError, ActionSpace, Kind};
 
-use crate::lerobot::{LeRobotError, dataset::Dataset, info::ACTION};
+use super::derived::DerivedSpace;
+use crate::lerobot::{
+    LeRobotError,
+    dataset::{Dataset, Rows},
+    info::ACTION,
+};
 
 /// Number of values in Bridge V2's actions.
 const BRIDGE: usize = 7;
@@ -13,6 +18,10 @@ const BRIDGE: usize = 7;
 pub(super) struct Actions {
     /// The bags' action space, if known.
     pub space: Option<ActionSpace>,
+    /// The space with its reasons, if it was derived from the data set.
+    pub derived: Option<DerivedSpace>,
+    /// Why no space describes the values, if none does.
+    pub unfit: Option<ActionError>,
     /// The column of each value of the space, if the order differs.
     order: Option<Vec<usize>>,
     mapping: ActionMapping,
@@ -20,7 +29,8 @@ pub(super) struct Actions {
 }
 
 impl Actions {
-    /// The actions of a data set, with the user's action space, if given.
+    /// The actions of a data set, with the user's action space, if given; else Bridge V2's if the names are its names;
+    /// else one that is derived from names and values.
     ///
     /// # Errors
     /// The space does not fit the data set, or the mapping does not apply.
@@ -28,6 +38,7 @@ impl Actions {
         dataset: &Dataset,
         given: Option<&ActionSpace>,
         mapping: ActionMapping,
+        rows: &mut Rows,
     ) -> Result<Option<Self>, LeRobotError> {
         let Some(feature) = dataset.info.features.get(ACTION) else {
             return Ok(None);
@@ -36,10 +47,20 @@ impl Actions {
         let is_hand = mapping.form != ActionForm::Delta
             || mapping.translation_scale != 1.0
             || mapping.rotation_scale != 1.0;
-        let (space, order) = match given {
-            Some(space) => (Some(space.clone()), find_order(space, &names)?),
+        let known = match given {
+            Some(space) => Some((space.clone(), find_order(space, &names)?)),
             None => recognise_space(&names, is_hand),
         };
+        let derived = match known {
+            None if !is_hand => DerivedSpace::of(dataset, mapping, rows),
+            _ => Ok(None),
+        };
+        let (derived, unfit) = match derived {
+            Ok(derived) => (derived, None),
+            Err(error) => (None, Some(error)),
+        };
+        let (space, order) = known.map_or((None, None), |(space, order)| (Some(space), order));
+        let space = space.or_else(|| derived.as_ref().map(|derived| derived.space.clone()));
         let is_bridge = |space: &ActionSpace| {
             let kinds: Vec<Kind> = space.dimensions().iter().map(|d| d.kind).collect();
             let bridge = ActionSpace::bridge();
@@ -48,9 +69,9 @@ impl Actions {
                 && hand.zip(&kinds).all(|(bridge, kind)| bridge.kind == *kind)
                 && kinds.last().is_some_and(|kind| kind.is_gripper())
         };
-        let unfit = |text: String| Err(ActionError::Space(text).into());
+        let refused = |text: String| Err(ActionError::Space(text).into());
         if is_hand && !space.as_ref().is_some_and(is_bridge) {
-            return unfit(format!(
+            return refused(format!(
                 "--actions, --translation-scale and --rotation-scale map to the seven values of Bridge V2; describe {} with \
                  --action-space FILE",
                 names.join(" ")
@@ -59,13 +80,15 @@ impl Actions {
         let has_gripper =
             |space: &ActionSpace| space.dimensions().iter().any(|d| d.kind.is_gripper());
         if mapping.gripper.is_some() && !space.as_ref().is_some_and(has_gripper) {
-            return unfit(format!(
+            return refused(format!(
                 "--gripper-range needs a gripper: describe {} with --action-space FILE",
                 names.join(" ")
             ));
         }
         Ok(Some(Self {
             space,
+            derived,
+            unfit,
             order,
             mapping,
             period_s: dataset.info.fps.recip(),
@@ -113,20 +136,14 @@ impl Actions {
     }
 }
 
-/// Bridge V2's space if the names are its names, in any order, or if the values are mapped to it.
-fn recognise_space(names: &[String], is_mapped: bool) -> (Option<ActionSpace>, Option<Vec<usize>>) {
+/// Bridge V2's space if the names are its names, in any order, or if the values are mapped to it, with the column of each
+/// dimension.
+fn recognise_space(names: &[String], is_mapped: bool) -> Option<(ActionSpace, Option<Vec<usize>>)> {
     let bridge = ActionSpace::bridge();
     match match_names(&bridge, names) {
-        Some(order) => (Some(bridge), order),
-        None if is_mapped && names.len() == BRIDGE => (Some(bridge), None),
-        None => {
-            tracing::warn!(
-                actions = names.join(" "),
-                "the meaning of these values is unknown, so the bags have no action space, and a training takes seven values \
-                 for Bridge V2's; describe them with --action-space FILE"
-            );
-            (None, None)
-        }
+        Some(order) => Some((bridge, order)),
+        None if is_mapped && names.len() == BRIDGE => Some((bridge, None)),
+        None => None,
     }
 }
 
@@ -189,6 +206,8 @@ mod tests {
         assert!(error.contains("dy dx c d e f g"), "{error}");
         let actions = Actions {
             space: Some(bridge),
+            derived: None,
+            unfit: None,
             order: first,
             mapping: ActionMapping {
                 gripper: Some("-1:1".parse().unwrap()),

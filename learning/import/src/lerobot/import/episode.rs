@@ -72,22 +72,32 @@ pub(super) struct ReadOptions {
     pub is_nominal: bool,
 }
 
-/// Reads only the actions of an episode: (T, values).
-pub(super) fn read_actions(
+/// Actions and states of an episode, (T, values) each; empty without such a feature.
+pub(super) type Values = (Vec<Vec<f32>>, Vec<Vec<f64>>);
+
+/// Reads only the actions and the states of an episode.
+pub(super) fn read_values(
     dataset: &Dataset,
     entry: &EpisodeEntry,
     rows: &mut Rows,
-) -> Result<Vec<Vec<f32>>, LeRobotError> {
-    let mut actions = Vec::new();
-    if let Some(feature) = dataset.info.features.get(ACTION) {
-        let found = rows.find(dataset, entry)?;
-        let table = Table::open(&found.file)?;
-        table.rows(&[ACTION], found.rows, |_, cells| {
-            actions.push(to_single(numbers(ACTION, cells.first(), feature.width())?));
-            Ok(())
-        })?;
-    }
-    Ok(actions)
+) -> Result<Values, LeRobotError> {
+    let (mut actions, mut states) = (Vec::new(), Vec::new());
+    let features = [ACTION, STATE].map(|name| Some((name, dataset.info.features.get(name)?)));
+    let features: Vec<_> = features.into_iter().flatten().collect();
+    let columns: Vec<&str> = features.iter().map(|(name, _)| *name).collect();
+    let found = rows.find(dataset, entry)?;
+    let table = Table::open(&found.file)?;
+    table.rows(&columns, found.rows, |_, cells| {
+        for ((name, feature), cell) in features.iter().zip(cells) {
+            let values = numbers(name, Some(cell), feature.width())?;
+            match *name {
+                ACTION => actions.push(to_single(values)),
+                _ => states.push(values),
+            }
+        }
+        Ok(())
+    })?;
+    Ok((actions, states))
 }
 
 pub(super) fn read(
