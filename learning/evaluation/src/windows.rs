@@ -9,7 +9,7 @@ use wm_model::{
     sampler::{Given, Rollout, Sampler},
     transition::LoadedTransition,
 };
-use wm_motion::actions::{ActionEncoding, ActionSpace};
+use wm_motion::actions::{ActionEncoding, ActionSpace, Kind};
 
 /// Observed frames at the start of a prediction.
 pub const CONTEXT: usize = 2;
@@ -22,9 +22,10 @@ pub const SEED: u64 = 0;
 pub enum ActionChange {
     /// The true actions.
     None,
-    /// Changes of position, orientation and joints negated; grippers and other states stay.
+    /// The opposite motion: changes and velocities negated, targets mirrored at the last one before the prediction;
+    /// grippers stay.
     Negated,
-    /// All zero.
+    /// No motion: changes, velocities and grippers zero, targets as the last one before the prediction.
     Zero,
     /// Actions of another window.
     Shuffled,
@@ -45,11 +46,11 @@ impl ActionChange {
         }
     }
 
-    /// Whether it has an effect: states have no opposite.
+    /// Whether it has an effect: a gripper's state has no opposite.
     #[must_use]
     pub fn applies_to(self, space: &ActionSpace) -> bool {
         let mut dimensions = space.dimensions().iter();
-        self != Self::Negated || dimensions.any(|dimension| dimension.kind.is_motion())
+        self != Self::Negated || dimensions.any(|dimension| !dimension.kind.is_gripper())
     }
 }
 
@@ -82,8 +83,7 @@ pub struct Windows {
     horizon: usize,
     /// Camera frames per model step.
     frame_skip: usize,
-    /// Factors of negated actions, by value.
-    signs: Vec<f32>,
+    values: Values,
 }
 
 impl Windows {
@@ -113,7 +113,7 @@ impl Windows {
             all: cases.collect::<Result<_>>()?,
             horizon,
             frame_skip: encoding.frame_skip(),
-            signs: signs(encoding),
+            values: Values::of(encoding)?,
         })
     }
 
@@ -147,10 +147,7 @@ impl Windows {
         sampler: &Sampler,
         change: ActionChange,
     ) -> Result<Vec<f64>> {
-        let errors = (0..self.all.len())
-            .into_par_iter()
-            .map(|index| self.errors(index, model, sampler, change))
-            .collect::<Result<Vec<_>>>()?;
+        let errors = self.errors_of_all(model, sampler, change)?;
         let sums = (0..self.horizon).map(|k| {
             let at = |errors: &[Vec<(f64, f64)>]| {
                 let of_step = errors.iter().filter_map(|case| case.get(k));
@@ -161,6 +158,22 @@ impl Windows {
         Ok(sums
             .map(|(model, persistence)| model / persistence)
             .collect())
+    }
+
+    /// Squared latent errors of prediction and persistence, by window and step.
+    ///
+    /// # Errors
+    /// If the model does not fit the latents.
+    pub fn errors_of_all(
+        &self,
+        model: &LoadedTransition,
+        sampler: &Sampler,
+        change: ActionChange,
+    ) -> Result<Vec<Vec<(f64, f64)>>> {
+        (0..self.all.len())
+            .into_par_iter()
+            .map(|index| self.errors(index, model, sampler, change))
+            .collect()
     }
 
     /// Squared errors of prediction and persistence, by step.
@@ -281,32 +294,57 @@ impl Windows {
         let own = self.actions(index)?;
         Ok(match change {
             ActionChange::None => own,
-            ActionChange::Zero => own.zeros_like()?,
+            ActionChange::Zero => self.values.still(&own, &self.last_target(index)?)?,
             ActionChange::Shuffled => {
                 let other = self.other(index);
                 self.actions(other.context("no window of another episode")?)?
             }
-            ActionChange::Negated => {
-                let signs =
-                    Tensor::from_vec(self.signs.clone(), (1, self.signs.len()), &Device::Cpu)?;
-                own.broadcast_mul(&signs)?
-            }
+            ActionChange::Negated => self.values.opposite(&own, &self.last_target(index)?)?,
         })
+    }
+
+    /// The action (1, A) before the prediction.
+    fn last_target(&self, index: usize) -> Result<Tensor> {
+        Ok(self.case(index)?.actions.narrow(0, CONTEXT - 2, 1)?)
     }
 }
 
-/// -1 for changes and velocities, 1 for states and for values beyond the action space.
-fn signs(encoding: &ActionEncoding) -> Vec<f32> {
-    let dimensions = encoding.space().dimensions().iter();
-    let signs = dimensions.map(|dimension| {
-        if dimension.kind.is_motion() {
-            -1.0
-        } else {
-            1.0
-        }
-    });
-    let rest = std::iter::repeat(1.0);
-    signs.chain(rest).take(encoding.action_dim()).collect()
+/// The kinds of the values of an action, as (1, A) of ones and zeros. Values beyond the action space are none of them.
+struct Values {
+    /// Changes and velocities.
+    motions: Tensor,
+    /// Positions, orientations and joints to be reached.
+    targets: Tensor,
+}
+
+impl Values {
+    fn of(encoding: &ActionEncoding) -> Result<Self> {
+        let of = |is_of: fn(Kind) -> bool| {
+            let dimensions = encoding.space().dimensions().iter();
+            let values = dimensions.map(|dimension| f32::from(u8::from(is_of(dimension.kind))));
+            let rest = std::iter::repeat(0.0);
+            let values: Vec<f32> = values.chain(rest).take(encoding.action_dim()).collect();
+            let shape = (1, values.len());
+            Tensor::from_vec(values, shape, &Device::Cpu)
+        };
+        Ok(Self {
+            motions: of(Kind::is_motion)?,
+            targets: of(|kind| !kind.is_motion() && !kind.is_gripper())?,
+        })
+    }
+
+    /// The opposite of `actions` (N, A) after the target `last` (1, A).
+    fn opposite(&self, actions: &Tensor, last: &Tensor) -> Result<Tensor> {
+        let from_last = actions.broadcast_sub(last)?.broadcast_mul(&self.targets)?;
+        let motion = (actions.broadcast_mul(&self.motions)? + from_last)?;
+        Ok((actions - (motion * 2.0)?)?)
+    }
+
+    /// No motion after the target `last` (1, A), in the shape of `actions` (N, A).
+    fn still(&self, actions: &Tensor, last: &Tensor) -> Result<Tensor> {
+        let targets = last.broadcast_mul(&self.targets)?;
+        Ok(actions.zeros_like()?.broadcast_add(&targets)?)
+    }
 }
 
 /// Sum of the squared differences.
@@ -316,4 +354,38 @@ fn signs(encoding: &ActionEncoding) -> Vec<f32> {
 pub fn squared(a: &Tensor, b: &Tensor) -> Result<f64> {
     let error = (a - b)?.sqr()?.sum_all()?.to_scalar::<f32>()?;
     Ok(f64::from(error))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn wrong_actions_are_the_opposite_motion_and_no_motion() {
+        let space = r#"{"name": "arm", "rate": 10.0, "dimensions": [
+            {"name": "v", "unit": "rad/s", "kind": "joint_velocity"},
+            {"name": "q", "unit": "rad", "kind": "joint_position"},
+            {"name": "g", "unit": "1", "kind": "gripper_binary"}]}"#;
+        let space: ActionSpace = serde_json::from_str(space).unwrap();
+        let encoding = ActionEncoding::new(space, 4, 2, Default::default()).unwrap();
+        let values = Values::of(&encoding).unwrap();
+        let rows = |rows: &[[f32; 4]]| {
+            Tensor::from_vec(rows.concat(), (rows.len(), 4), &Device::Cpu).unwrap()
+        };
+        let (actions, last) = (
+            rows(&[[0.5, 1.0, 1.0, 0.0], [-0.2, 1.5, -1.0, 0.0]]),
+            rows(&[[9.0, 0.8, 1.0, 0.0]]),
+        );
+        let of = |tensor: Result<Tensor>| tensor.unwrap().to_vec2::<f32>().unwrap();
+        let opposite = of(values.opposite(&actions, &last));
+        let expected = [[-0.5, 0.6, 1.0, 0.0], [0.2, 0.1, -1.0, 0.0]];
+        for (row, expected) in opposite.iter().zip(expected) {
+            assert!(
+                row.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6),
+                "{row:?}"
+            );
+        }
+        let still = of(values.still(&actions, &last));
+        assert_eq!(still, [[0.0, 0.8, 0.0, 0.0]; 2]);
+    }
 }

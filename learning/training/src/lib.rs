@@ -14,6 +14,7 @@ pub mod encoder;
 #[cfg(test)]
 mod fixture;
 mod fresh_weights;
+mod gradient_tree;
 pub mod idm;
 pub mod model;
 pub mod model_card;
@@ -21,7 +22,9 @@ mod model_folder;
 mod network_variables;
 mod optimiser;
 pub mod probe;
+mod processes;
 mod recipe;
+pub mod round;
 pub mod run;
 pub mod stopped;
 mod trained_weights;

@@ -22,9 +22,10 @@ use wm_training::{
     model::TrainModelArgs,
     model_card,
     probe::{EvaluateProbeArgs, TrainProbeArgs},
+    round::TrainRoundArgs,
     run::{RunEnd, Stop},
     stopped,
-    transition::{EvaluateTransitionArgs, TrainTransitionArgs},
+    transition::{EvaluateTransitionArgs, TrainTransitionArgs, TrainWorkerArgs},
 };
 
 /// Exit code after a signal, as in a shell.
@@ -70,6 +71,8 @@ enum TrainCommand {
     Encoder(TrainEncoderArgs),
     /// Train the transition model on the latents of a frozen encoder
     Transition(TrainTransitionArgs),
+    /// Compute a share of each step of `wm train transition --listen`, on this machine or another
+    Worker(TrainWorkerArgs),
     /// Train the S-VAE adapter and its pixel decoder on the features of a frozen encoder
     Adapter(TrainAdapterArgs),
     /// Train a student that samples in one or two steps like a transition model, its teacher, in ten
@@ -78,6 +81,8 @@ enum TrainCommand {
     Idm(TrainIdmArgs),
     /// Train the success probe on the latents of a frozen encoder
     Probe(TrainProbeArgs),
+    /// Train a new model from the present one on recordings, and test both on the newest: a round of the node learner
+    Round(TrainRoundArgs),
 }
 
 #[derive(Debug, Subcommand)]
@@ -120,10 +125,17 @@ enum EvalCommand {
 
 impl TrainCommand {
     fn run(self) -> anyhow::Result<ExitCode> {
-        let stop = Stop::on_signals()?;
+        let then = match self {
+            Self::Worker(_) => "leaves the training",
+            _ => "finishes the step, saves, and writes the model as it is",
+        };
+        let stop = Stop::on_signals(then)?;
         let (ended, of) = match self {
             // It prints its own card and summary, for all parts.
             Self::Model(arguments) => (arguments.run(&stop)?, None),
+            Self::Round(arguments) => (arguments.run(&stop)?, None),
+            // The training writes the model.
+            Self::Worker(arguments) => (arguments.run(&stop)?, None),
             Self::Autoencoder(arguments) => (
                 arguments.run(&stop)?,
                 Some((arguments.on.run, "autoencoder")),

@@ -17,7 +17,7 @@ use crate::{
     recipe::Override,
     run::{RunEnd, Stop, checkpoint, expect_nothing_to_overwrite},
     stopped,
-    transition::{TrainTransitionArgs, TransitionRecipe},
+    transition::{ListenArgs, TrainTransitionArgs, TransitionRecipe},
 };
 
 /// Train a whole world model into one folder: the autoencoder, the transition model and the inverse dynamics model on its
@@ -65,6 +65,9 @@ pub struct TrainModelArgs {
     /// Device: cpu, cuda or cuda:N; the autoencoder always trains on the CPU
     #[arg(long, default_value = "cpu")]
     pub device: Compute,
+    /// Worker processes of the transition model.
+    #[command(flatten)]
+    pub listen: ListenArgs,
 }
 
 /// Parts in the order of training.
@@ -100,7 +103,11 @@ impl TrainModelArgs {
                     on: PictureRunArgs { run, fit },
                 }
                 .run(stop)?,
-                "transition" => TrainTransitionArgs { on: on(run) }.run(stop)?,
+                "transition" => TrainTransitionArgs {
+                    on: on(run),
+                    listen: self.listen.clone(),
+                }
+                .run(stop)?,
                 "idm" => TrainIdmArgs { on: on(run) }.run(stop)?,
                 _ => TrainProbeArgs {
                     on: on(run),
@@ -145,6 +152,7 @@ impl TrainModelArgs {
         self.of("probe")?.load_recipe::<ProbeRecipe>([])?;
         Data::require(&self.data, &self.options)?;
         self.device.device()?;
+        self.listen.check()?;
         for part in self.parts() {
             if !checkpoint(&self.out, part).is_file() {
                 let weights = format!("{part}.safetensors");

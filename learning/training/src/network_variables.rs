@@ -1,6 +1,6 @@
 //! Networks in training that compute on tensors.
 
-use std::collections::BTreeSet;
+use std::{collections::BTreeSet, ops::Range};
 
 use anyhow::Result;
 use rand_chacha::ChaCha8Rng;
@@ -8,9 +8,11 @@ use rand_chacha::ChaCha8Rng;
 use crate::{
     arguments::RunArgs,
     fresh_weights::FreshWeights,
+    gradient_tree::{GradientTree, Node},
     optimiser::{Group, Parameter, ParameterValues, Variables},
+    processes::{Computation, Coordinator},
     recipe::Recipe,
-    run::{Learner, StepLoss},
+    run::{Learner, StepLoss, Stop},
     workers::{BatchLoss, Batches, Workers},
 };
 
@@ -24,6 +26,8 @@ pub(crate) struct NetworkVariables {
     workers: Workers,
     /// Batches of step 0.
     batches: Batches,
+    /// Shares the batches with other processes.
+    pub coordinator: Option<Coordinator>,
 }
 
 impl NetworkVariables {
@@ -35,6 +39,7 @@ impl NetworkVariables {
             second: BTreeSet::new(),
             workers: Workers::new(run.threads()?)?,
             batches: recipe.course().batches(),
+            coordinator: None,
         })
     }
 
@@ -88,14 +93,27 @@ impl<T: NetworkLearner> Learner for T {
         self.variables().groups.clone()
     }
 
+    fn begin(&mut self, stop: &Stop) {
+        if let Some(coordinator) = &self.variables().coordinator {
+            coordinator.wait_for_workers(stop);
+        }
+    }
+
     fn step(&mut self, step: u64) -> Result<StepLoss> {
         let variables = self.variables();
-        let batches = Batches {
-            step,
-            ..variables.batches
+        let batches = variables.batches.at(step);
+        let Some(coordinator) = &variables.coordinator else {
+            let loss = |rng: &mut ChaCha8Rng| self.batch_loss(step, rng);
+            return variables.workers.step(&variables.tensors, batches, &loss);
         };
-        let loss = |rng: &mut ChaCha8Rng| self.batch_loss(step, rng);
-        variables.workers.step(&variables.tensors, batches, &loss)
+        let weights = || Ok(variables.tensors.values()?);
+        let compute = |tree: &GradientTree, part| add(self, tree, step, part);
+        batches.mean(coordinator.step((step, batches.count), weights, &compute)?)
+    }
+
+    fn take_notices(&mut self) -> Vec<String> {
+        let coordinator = self.variables().coordinator.as_ref();
+        coordinator.map_or_else(Vec::new, Coordinator::take_notices)
     }
 
     fn assign(&mut self, weights: &mut dyn Iterator<Item = ParameterValues<'_>>) -> Result<()> {
@@ -108,5 +126,45 @@ impl<T: NetworkLearner> Learner for T {
         averaged: &mut dyn Iterator<Item = ParameterValues<'_>>,
     ) -> Result<()> {
         self.follow_averaged(averaged)
+    }
+}
+
+/// Adds the batches `part` of a step to their tree.
+fn add(
+    learner: &(impl NetworkLearner + ?Sized),
+    tree: &GradientTree,
+    step: u64,
+    part: Range<usize>,
+) -> Result<()> {
+    let variables = learner.variables();
+    let batches = variables.batches.at(step);
+    let loss = |rng: &mut ChaCha8Rng| learner.batch_loss(step, rng);
+    let workers = &variables.workers;
+    workers.add(tree, (&variables.tensors, batches), part, &loss)
+}
+
+/// The share of a worker process in the training of a network.
+pub(crate) struct Share<T>(pub T);
+
+impl<T: NetworkLearner> Computation for Share<T> {
+    fn sizes(&self) -> Vec<usize> {
+        self.0.variables().tensors.sizes()
+    }
+
+    fn count(&self) -> usize {
+        self.0.variables().batches.count
+    }
+
+    fn sums(
+        &mut self,
+        step: u64,
+        batches: Range<usize>,
+        weights: &[Vec<f32>],
+    ) -> Result<Vec<Node>> {
+        let tree = GradientTree::new(self.count());
+        self.0.variables().tensors.assign_values(weights)?;
+        self.0.follow()?;
+        add(&self.0, &tree, step, batches)?;
+        Ok(tree.into_nodes())
     }
 }

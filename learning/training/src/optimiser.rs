@@ -15,6 +15,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+pub(crate) use checkpoint::differences;
 pub use schedule::Schedule;
 pub use variables::Variables;
 

@@ -58,11 +58,21 @@ pub trait Learner {
         vec![Group::default()]
     }
 
+    /// Prepares for the first step of a run, whose parameters are assigned.
+    fn begin(&mut self, stop: &Stop) {
+        let _ = stop;
+    }
+
     /// Loss and gradient of the samples of step `step`, which depend only on the step and the seed.
     ///
     /// # Errors
     /// If data or network fail; a loss that is not finite is not an error.
     fn step(&mut self, step: u64) -> Result<StepLoss>;
+
+    /// Notices for the user since the last call.
+    fn take_notices(&mut self) -> Vec<String> {
+        Vec::new()
+    }
 
     /// Assigns the parameters after a step.
     ///
@@ -162,6 +172,9 @@ pub fn train(task: &mut dyn Task, settings: &RunSettings, stop: &Stop) -> Result
     let mut run = Run::new(task, settings)?;
     run.resume()?;
     run.announce();
+    if run.optimiser.steps_taken() < settings.steps {
+        run.task.begin(stop);
+    }
     let mut progress = Progress::new(settings.steps, run.optimiser.steps_taken());
     let mut saved = Instant::now();
     while run.optimiser.steps_taken() < settings.steps {
@@ -184,6 +197,9 @@ pub fn train(task: &mut dyn Task, settings: &RunSettings, stop: &Stop) -> Result
             return Ok(RunEnd::Stopped);
         }
         let line = run.step()?;
+        for notice in run.task.take_notices() {
+            progress.say(&notice);
+        }
         progress.step(&line);
         let done = run.optimiser.steps_taken();
         let is_last = done == settings.steps;

@@ -10,6 +10,7 @@ mod draws;
 mod noised_at_once;
 mod objective;
 mod recipe;
+mod worker;
 
 use std::path::Path;
 
@@ -39,10 +40,11 @@ use crate::{
     trained_weights::trained_weights_of_actions,
     workers::BatchLoss,
 };
-pub use arguments::{EvaluateTransitionArgs, TrainTransitionArgs};
+pub use arguments::{EvaluateTransitionArgs, ListenArgs, TrainTransitionArgs, TrainWorkerArgs};
 pub(crate) use objective::{Batch, normals};
 pub use objective::{Forcing, Objective, ObjectiveRecipe, TauDistribution};
 pub use recipe::{ModelRecipe, SamplerRecipe, TransitionRecipe};
+use worker::Setup;
 
 /// Predicted model steps of an evaluation.
 pub(crate) const HORIZON: usize = 8;
@@ -58,7 +60,11 @@ impl TrainTransitionArgs {
     /// If data, recipe, checkpoint or weights cannot be read or written, or the training diverges.
     pub fn run(&self, stop: &Stop) -> Result<RunEnd> {
         let recipe: TransitionRecipe = self.on.run.load_recipe([])?;
+        self.listen.check()?;
         let (folder, on) = self.on.open()?;
+        if let Some(remark) = on.data.training.scale_remark()? {
+            tracing::warn!("{remark}");
+        }
         let decoder = folder.decoder()?;
         let pictures = decoder.as_deref().zip(on.data.validation.as_ref());
         let held_out = on.held_out.as_ref().map(|latents| (latents, pictures));
@@ -66,7 +72,8 @@ impl TrainTransitionArgs {
         let from = run.from.as_deref();
         let from = from.map(|from| ModelFolder::open(from)?.transition_tensors());
         let from = from.transpose()?;
-        train_on(run, &recipe, from, &on.train, held_out, stop)
+        let listen = &self.listen;
+        train_on(run, &recipe, from, &on.train, held_out, (listen, stop))
     }
 }
 
@@ -79,7 +86,7 @@ pub(crate) fn train_on(
     from: Option<TransitionTensors>,
     train: &Latents,
     held_out: Option<(&Latents, Option<Pictures<'_>>)>,
-    stop: &Stop,
+    (listen, stop): (&ListenArgs, &Stop),
 ) -> Result<RunEnd> {
     let recipe = &recipe.of_views(train.views())?;
     let (encoding, config) = match &from {
@@ -92,14 +99,23 @@ pub(crate) fn train_on(
     };
     let old = from.map(|from| from.tensors).unwrap_or_default();
     let fresh = FreshWeights::tuning(recipe.seed, old).on(&run.compute()?)?;
+    let setup = Setup::new(recipe, &encoding, &config, run);
     let mut task = TransitionTask::new(recipe, (&encoding, config), fresh, train, held_out, run)?;
+    if let Some(address) = &listen.listen {
+        let processes = (run.threads()?, listen.workers);
+        task.variables.coordinator = Some(setup.listen(address, train, processes)?);
+    }
     let data = [
         ("latent_space", json!(train.space().to_string())),
         ("data", json!(train.digest())),
         ("actions", json!(task.encoding)),
     ];
     let data = (task.clips.len(), data);
-    run.train_on_clips(&mut task, recipe, data, stop)
+    let ended = run.train_on_clips(&mut task, recipe, data, stop)?;
+    if let Some(coordinator) = task.variables.coordinator.take() {
+        coordinator.end(ended.into());
+    }
+    Ok(ended)
 }
 
 /// Held-out latents, and some windows of them.

@@ -1,14 +1,18 @@
 //! Worker threads for the small batches of a step.
 
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::{
+    ops::Range,
+    sync::atomic::{AtomicUsize, Ordering},
+};
 
 use anyhow::{Context as _, Result, anyhow, ensure};
 use candle_core::{Tensor, backprop::GradStore};
 use rand_chacha::ChaCha8Rng;
-use rayon::{ThreadPool, ThreadPoolBuilder, prelude::*};
+use rayon::{ThreadPool, ThreadPoolBuilder};
 use wm_model::transition::WeightGradients;
 
 use crate::{
+    gradient_tree::GradientTree,
     optimiser::{Variables, step_rng},
     run::StepLoss,
 };
@@ -33,6 +37,9 @@ impl From<Tensor> for BatchLoss {
     }
 }
 
+/// Computes the loss of a small batch, with samples drawn by the generator.
+pub type BatchFn<'a> = dyn Fn(&mut ChaCha8Rng) -> Result<BatchLoss> + Sync + 'a;
+
 /// Threads that each compute whole small batches.
 ///
 /// Operations split over threads wait for each other at every layer; whole batches in parallel do not.
@@ -50,6 +57,25 @@ pub struct Batches {
     pub seed: u64,
     /// Index of the step.
     pub step: u64,
+}
+
+impl Batches {
+    /// The batches of step `step`.
+    pub fn at(self, step: u64) -> Self {
+        Self { step, ..self }
+    }
+
+    /// Mean loss of a tree of sums.
+    ///
+    /// # Errors
+    /// If a batch is missing, or there are none.
+    pub fn mean(self, tree: GradientTree) -> Result<StepLoss> {
+        let mut mean = tree.into_root().context("a step without all its batches")?;
+        for (_, part) in &mut mean.parts {
+            *part /= self.count as f64;
+        }
+        Ok(mean)
+    }
 }
 
 impl Workers {
@@ -74,79 +100,61 @@ impl Workers {
         &self,
         variables: &Variables,
         batches: Batches,
-        loss: &(dyn Fn(&mut ChaCha8Rng) -> Result<BatchLoss> + Sync),
+        loss: &BatchFn<'_>,
     ) -> Result<StepLoss> {
+        let tree = GradientTree::new(batches.count);
+        self.add(&tree, (variables, batches), 0..batches.count, loss)?;
+        batches.mean(tree)
+    }
+
+    /// Adds the batches `part` of a step to the tree of all its batches.
+    ///
+    /// # Errors
+    /// Those of [`step`](Self::step).
+    pub fn add(
+        &self,
+        tree: &GradientTree,
+        (variables, batches): (&Variables, Batches),
+        part: Range<usize>,
+        loss: &BatchFn<'_>,
+    ) -> Result<()> {
         let Batches { count, seed, step } = batches;
-        let next = AtomicUsize::new(0);
-        let batch = |index: usize| -> Result<(BatchLoss, GradStore)> {
+        let next = AtomicUsize::new(part.start);
+        let batch = |index: usize| -> Result<StepLoss> {
             // An independent stream per batch, whichever worker takes it.
             let mut rng = step_rng(seed, step * count as u64 + index as u64);
-            let mut found = loss(&mut rng)?;
-            found.loss = (found.loss / count as f64)?;
-            let gradients = found.loss.backward()?;
-            Ok((found, gradients))
+            let found = loss(&mut rng)?;
+            let mean = (found.loss / count as f64)?;
+            let gradients: GradStore = mean.backward()?;
+            Ok(StepLoss {
+                gradient: variables.gradients(&gradients, &found.gradients)?,
+                loss: mean.to_scalar()?,
+                parts: found.parts,
+            })
         };
-        let work = || {
-            let mut done = Vec::new();
+        let work = || -> Result<()> {
             loop {
                 let index = next.fetch_add(1, Ordering::Relaxed);
-                if index >= count {
-                    return done;
+                if index >= part.end {
+                    return Ok(());
                 }
-                done.push((
-                    index,
-                    batch(index).and_then(|(loss, gradients)| {
-                        Ok(StepLoss {
-                            gradient: variables.gradients(&gradients, &loss.gradients)?,
-                            loss: loss.loss.to_scalar()?,
-                            parts: loss.parts,
-                        })
-                    }),
-                ));
+                let found =
+                    batch(index).inspect_err(|_| next.store(part.end, Ordering::Relaxed))?;
+                tree.add_leaf(index, found);
             }
         };
-        let mut results = std::thread::scope(|scope| -> Result<Vec<_>> {
+        std::thread::scope(|scope| {
             let running: Vec<_> = self
                 .pools
                 .iter()
                 .map(|pool| scope.spawn(|| pool.install(work)))
                 .collect();
-            let mut results = Vec::new();
-            for worker in running {
-                results.extend(
-                    worker
-                        .join()
-                        .map_err(|_| anyhow!("a training thread panicked"))?,
-                );
-            }
-            Ok(results)
-        })?;
-        // Sorted, so that sums do not depend on the speed of workers.
-        results.sort_by_key(|(index, _)| *index);
-        let results = results.into_iter().map(|(_, result)| result);
-        let mut results = results.collect::<Result<Vec<StepLoss>>>()?.into_iter();
-        let mut total = results.next().context("a step without batches")?;
-        let rest: Vec<StepLoss> = results.collect();
-        for batch in &rest {
-            total.loss += batch.loss;
-            for ((_, sum), (_, part)) in total.parts.iter_mut().zip(&batch.parts) {
-                *sum += part;
-            }
-        }
-        let sums = total.gradient.par_iter_mut().enumerate();
-        sums.for_each(|(parameter, sums)| {
-            let parts = rest
-                .iter()
-                .filter_map(|batch| batch.gradient.get(parameter));
-            for part in parts {
-                for (sum, part) in sums.iter_mut().zip(part) {
-                    *sum += part;
-                }
-            }
-        });
-        for (_, part) in &mut total.parts {
-            *part /= count as f64;
-        }
-        Ok(total)
+            let ends = running.into_iter().map(|worker| {
+                let ended = worker.join();
+                ended.map_err(|_| anyhow!("a training thread panicked"))?
+            });
+            // All of them, also after an error.
+            ends.fold(Ok(()), Result::and)
+        })
     }
 }

@@ -3,9 +3,9 @@
 #![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
 
 use std::{
-    io::{BufRead as _, BufReader},
+    io::{BufRead as _, BufReader, Lines},
     path::Path,
-    process::{Command, Output, Stdio},
+    process::{Child, ChildStdout, Command, Output, Stdio},
 };
 
 use wm_zoo::ModelFolder;
@@ -127,8 +127,13 @@ fn interrupted_model_training_gives_the_same_bytes() {
     assert!(summary.contains("6 bags"), "{summary}");
 
     let whole = at("whole");
-    let output = done(&mut train_model(&data, &cache, &whole));
+    let listen = ["--listen", "127.0.0.1:0"];
+    let output = done(train_model(&data, &cache, &whole).args(listen));
     assert!(output.contains("model:="), "{output}");
+    assert!(
+        output.contains("listening for workers on 127.0.0.1:"),
+        "{output}"
+    );
 
     // Stopped in its first and second part, and restarted until complete.
     let parts = at("parts");
@@ -328,6 +333,132 @@ fn resumed_semantic_trainings_give_the_same_bytes() {
     }
 }
 
+/// A process that ends with the test.
+struct Running {
+    process: Child,
+    lines: Lines<BufReader<ChildStdout>>,
+}
+
+impl Running {
+    fn start(command: &mut Command) -> Self {
+        let mut process = command.stdout(Stdio::piped()).spawn().unwrap();
+        let lines = BufReader::new(process.stdout.take().unwrap()).lines();
+        Self { process, lines }
+    }
+
+    /// The next line of its output with `text`.
+    fn line_with(&mut self, text: &str) -> String {
+        let mut lines = self.lines.by_ref().map(Result::unwrap);
+        let line = lines.find(|line| line.contains(text));
+        line.unwrap_or_else(|| panic!("no line with {text}"))
+    }
+
+    /// Its exit code and the rest of its output.
+    fn end(mut self) -> (Option<i32>, String) {
+        let lines: Vec<String> = self.lines.by_ref().map(Result::unwrap).collect();
+        let code = self.process.wait().unwrap().code();
+        (code, lines.join("\n"))
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        // It has usually ended.
+        self.process.kill().ok();
+        self.process.wait().ok();
+    }
+}
+
+/// Workers are killed and refused, and the training is interrupted.
+#[test]
+fn several_processes_give_the_same_bytes_as_one() {
+    let scratch = tempfile::tempdir().unwrap();
+    let at = |name: &str| scratch.path().join(name);
+    let (bags, cache) = (at("bags"), at("cache"));
+    let sim = ["sim", "--episodes", "2", "--frames", "24", "--out"];
+    done(wm_training().args(sim).arg(&bags));
+    let on_data = |command: &[&str]| {
+        let mut process = wm_training();
+        process.arg("train").args(command);
+        process.args(["--threads", "1", "--validation", "0", "--encoder", "tiny"]);
+        process.arg("--data").arg(&bags).arg("--cache").arg(&cache);
+        process
+    };
+    let train = |out: &str| {
+        let mut process = on_data(&["transition", "--steps", "100"]);
+        process.arg("--out").arg(at(out));
+        for setting in [
+            "batch=4",
+            "micro_batch=1",
+            "model.hidden=32",
+            "model.depth=1",
+            "model.heads=2",
+            "model.frames=5",
+        ] {
+            process.args(["--set", setting]);
+        }
+        process
+    };
+    let begin = |out: &str, workers: &str| {
+        let listen = ["--listen", "127.0.0.1:0", "--workers", workers];
+        let mut training = Running::start(train(out).args(listen));
+        let line = training.line_with("listening for workers on ");
+        let address = line
+            .split([' ', ','])
+            .find(|word| word.contains("127.0.0.1:"));
+        (training, address.unwrap().to_owned())
+    };
+    let expect_same = |out: &str| {
+        for file in [
+            "transition.safetensors",
+            "transition.checkpoint.safetensors",
+            "transition.journal.jsonl",
+        ] {
+            let read = |out: &str| std::fs::read(at(out).join(file)).unwrap();
+            assert!(read("alone") == read(out), "{out}: {file}");
+        }
+    };
+    done(&mut train("alone"));
+
+    // Of other data, although it would join.
+    let (mut training, address) = begin("shared", "2");
+    let other = on_data(&["worker", &address, "--shift-actions", "1"]).output();
+    let error = String::from_utf8(other.unwrap().stderr).unwrap();
+    assert!(error.contains("of the coordinator"), "{error}");
+    training.line_with("refused a worker at 127.0.0.1:");
+    let worker = || Running::start(&mut on_data(&["worker", &address]));
+    let (first, mut second) = (worker(), worker());
+    training.line_with("joined: 2 workers");
+    second.process.kill().unwrap();
+    let (code, output) = training.end();
+    assert_eq!(code, Some(0), "{output}");
+    let (code, output) = first.end();
+    assert!(output.contains("is finished"), "{output}");
+    assert!(output.contains("computed "), "{output}");
+    assert_eq!(code, Some(0), "{output}");
+    expect_same("shared");
+
+    let (mut training, address) = begin("stopped", "1");
+    let worker = Running::start(&mut on_data(&["worker", &address]));
+    training.line_with("joined: 1 worker");
+    let pid = training.process.id().to_string();
+    assert!(
+        Command::new("kill")
+            .args(["-s", "INT", &pid])
+            .status()
+            .unwrap()
+            .success()
+    );
+    let (code, output) = training.end();
+    assert!(output.contains("the same command resumes"), "{output}");
+    assert_eq!(code, Some(130), "{output}");
+    let (code, output) = worker.end();
+    assert!(output.contains("is stopped and saved"), "{output}");
+    assert_eq!(code, Some(130), "{output}");
+    done(&mut train("stopped"));
+    expect_same("stopped");
+}
+
 #[test]
 fn wrong_setting_is_named_first() {
     let mut train = wm_training();
@@ -373,28 +504,30 @@ fn faults_of_later_parts_are_named_first() {
         assert!(!out.exists(), "{wrong:?}");
     }
     // Data too: once, by name, with the expectation.
-    let train = || {
+    let train = |more: &[&str]| {
         let mut train = wm_training();
-        train.args(["train", "model"]);
+        train.args(["train", "model"]).args(more);
         train.arg("--data").arg(&data).arg("--out").arg(&out);
         let output = train.output().unwrap();
         assert_eq!(output.status.code(), Some(1));
         assert!(output.stdout.is_empty(), "a part has begun");
         String::from_utf8_lossy(&output.stderr).into_owned()
     };
-    let error = train();
+    let error = train(&[]);
     assert_eq!(error.matches("no such file").count(), 1, "{error}");
     assert!(error.contains(data.to_str().unwrap()), "{error}");
     assert!(error.contains("wm dataset BAGS --out FOLDER"), "{error}");
     std::fs::create_dir(&data).unwrap();
-    let error = train();
+    let error = train(&[]);
     assert!(error.contains("found no recording"), "{error}");
-    // And files that a later part would replace.
-    std::fs::create_dir(&out).unwrap();
-    std::fs::write(out.join("idm.safetensors"), "theirs").unwrap();
+    // An address of another machine, too, and files that a later part would replace.
     std::fs::create_dir(data.join("bag")).unwrap();
     std::fs::write(data.join("bag/metadata.yaml"), "").unwrap();
-    let error = train();
+    let error = train(&["--listen", "192.0.2.1:7450"]);
+    assert!(error.contains("--listen 192.0.2.1:7450"), "{error}");
+    std::fs::create_dir(&out).unwrap();
+    std::fs::write(out.join("idm.safetensors"), "theirs").unwrap();
+    let error = train(&[]);
     assert!(error.contains("idm.safetensors is there"), "{error}");
 }
 

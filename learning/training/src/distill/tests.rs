@@ -45,7 +45,8 @@ fn taught(
     recipe.optimisation.final_rate = 0.05;
     recipe.optimisation.ema_decay = 0.98;
     let out = dir.join(format!("teacher {predicts:?} {alignment:?} {steps}"));
-    transition::train_on(&run_in(&out), &recipe, None, train, None, &Stop::default()).unwrap();
+    transition::tests::train_on(&run_in(&out), &recipe, None, train, None, &Stop::default())
+        .unwrap();
     out.join(FILE)
 }
 

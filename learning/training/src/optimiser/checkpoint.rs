@@ -80,8 +80,7 @@ impl AdamW {
         let metadata = metadata.ok_or_else(|| refused(path, "not a checkpoint of a training"))?;
         let metadata: CheckpointMetadata = serde_json::from_str(metadata)
             .map_err(|error| refused(path, format!("metadata entry `{METADATA_KEY}`: {error}")))?;
-        let mut differences = Vec::new();
-        differ("", Some(&metadata.run), Some(run), &mut differences);
+        let differences = differences(&metadata.run, run, ["in the checkpoint", "now"]);
         if !differences.is_empty() {
             return Err(OptimiserError::OtherTraining {
                 path: path.display().to_string(),
@@ -111,19 +110,29 @@ impl AdamW {
     }
 }
 
-/// Differences between two descriptions, one line per value.
-fn differ(path: &str, saved: Option<&Value>, now: Option<&Value>, lines: &mut Vec<String>) {
-    if let (Some(Value::Object(saved)), Some(Value::Object(now))) = (saved, now) {
-        let keys: BTreeSet<&String> = saved.keys().chain(now.keys()).collect();
+/// Differences between two descriptions, one line per value; `owners` names theirs.
+pub fn differences(first: &Value, second: &Value, owners: [&str; 2]) -> Vec<String> {
+    let mut lines = Vec::new();
+    differ("", [Some(first), Some(second)], owners, &mut lines);
+    lines
+}
+
+fn differ(path: &str, both: [Option<&Value>; 2], owners: [&str; 2], lines: &mut Vec<String>) {
+    let [first, second] = both;
+    if let (Some(Value::Object(first)), Some(Value::Object(second))) = (first, second) {
+        let keys: BTreeSet<&String> = first.keys().chain(second.keys()).collect();
         for key in keys {
             let dot = if path.is_empty() { "" } else { "." };
             let below = format!("{path}{dot}{key}");
-            differ(&below, saved.get(key), now.get(key), lines);
+            differ(&below, [first.get(key), second.get(key)], owners, lines);
         }
-    } else if saved != now {
-        let metadata = |value: Option<&Value>| value.map_or("nothing".to_owned(), Value::to_string);
-        let (saved, now) = (metadata(saved), metadata(now));
-        lines.push(format!("{path}: {saved} in the checkpoint, {now} now"));
+    } else if first != second {
+        let text = |value: Option<&Value>| value.map_or("nothing".to_owned(), Value::to_string);
+        let [first_owner, second_owner] = owners;
+        let (first, second) = (text(first), text(second));
+        lines.push(format!(
+            "{path}: {first} {first_owner}, {second} {second_owner}"
+        ));
     }
 }
 

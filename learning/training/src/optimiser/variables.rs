@@ -50,6 +50,36 @@ impl Variables {
         parameters.collect()
     }
 
+    /// Values of all tensors, in the order of names.
+    ///
+    /// # Errors
+    /// If a value cannot be read.
+    pub fn values(&self) -> Result<Vec<Vec<f32>>> {
+        self.0.values().map(|var| values(var)).collect()
+    }
+
+    /// Numbers of values, in the order of names.
+    #[must_use]
+    pub fn sizes(&self) -> Vec<usize> {
+        self.0.values().map(|var| var.elem_count()).collect()
+    }
+
+    /// Assigns values in the order of names.
+    ///
+    /// # Errors
+    /// If a size differs.
+    pub fn assign_values(&self, values: &[Vec<f32>]) -> Result<()> {
+        let trained = self.0.iter().zip(values).map(|((name, var), values)| {
+            let shape = var.dims();
+            ParameterValues {
+                name,
+                shape,
+                values,
+            }
+        });
+        self.assign(trained)
+    }
+
     /// Assigns trained values; unknown names are skipped.
     ///
     /// # Errors

@@ -10,11 +10,11 @@ use anyhow::{Context as _, Result};
 pub struct Stop(Arc<AtomicBool>);
 
 impl Stop {
-    /// Set by SIGINT, SIGTERM or SIGHUP; a second signal ends the process at once.
+    /// Set by SIGINT, SIGTERM or SIGHUP, which prints `then`, what follows; a second signal ends the process at once.
     ///
     /// # Errors
     /// If the handler cannot be set, or exists already.
-    pub fn on_signals() -> Result<Self> {
+    pub fn on_signals(then: &'static str) -> Result<Self> {
         let stop = Self::default();
         let of_handler = stop.clone();
         ctrlc::set_handler(move || {
@@ -22,9 +22,7 @@ impl Stop {
                 // Exit code of a process ended by SIGINT, as in a shell.
                 std::process::exit(130);
             }
-            eprintln!(
-                "\nfinishes the step, saves, and writes the model as it is; once more to end at once"
-            );
+            eprintln!("\n{then}; once more to end at once");
         })
         .context("the handler of SIGINT and SIGTERM")?;
         Ok(stop)

@@ -17,6 +17,19 @@ use crate::{
     workers::{Batches, Workers},
 };
 
+/// [`super::train_on`] in one process.
+pub(crate) fn train_on(
+    run: &RunArgs,
+    recipe: &TransitionRecipe,
+    from: Option<TransitionTensors>,
+    train: &Latents,
+    held_out: Option<(&Latents, Option<Pictures<'_>>)>,
+    stop: &Stop,
+) -> Result<RunEnd> {
+    let alone = ListenArgs::default();
+    super::train_on(run, recipe, from, train, held_out, (&alone, stop))
+}
+
 const SIDE: usize = 4;
 const CHANNELS: usize = 2;
 const FRAMES: usize = 12;

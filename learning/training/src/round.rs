@@ -1,0 +1,319 @@
+//! A round of the learner: trains a new model from the present one on recordings, and tests both on the newest
+//! recordings, on which neither was trained.
+//!
+//! Each round has a folder in the folder of models, `round-NNNN`: the new model, [`PLAN`] with what it is trained and
+//! tested on, and [`RESULT`] once it is finished. A killed round resumes.
+
+mod plan;
+mod verdict;
+
+use std::{
+    fs::File,
+    path::{Path, PathBuf},
+};
+
+use anyhow::{Context as _, Result, bail, ensure};
+use clap::Args;
+use rustix::{fs::FlockOperation, process::Signal};
+use serde::{Deserialize, Serialize};
+use wm_dataset::{DataOptions, Dataset};
+use wm_model::{Autoencoder, Compute, Fit, NumberFormat};
+use wm_zoo::{IDM_FILE, ModelFolder};
+
+use crate::{
+    arguments::{LatentRunArgs, PictureRunArgs, RunArgs},
+    autoencoder::{TrainAutoencoderArgs, evaluate},
+    idm::TrainIdmArgs,
+    recipe::Override,
+    run::{RunEnd, Stop},
+    transition::{ListenArgs, TrainTransitionArgs},
+};
+pub use plan::Plan;
+use verdict::Verdict;
+
+/// The file with the recordings of a round, in its folder.
+pub const PLAN: &str = "round.json";
+/// The file with the result of a round, in its folder.
+pub const RESULT: &str = "result.json";
+/// Time between checkpoints, with which the journal and so the learner's progress are written \[s\]. A killed round loses
+/// at most this much.
+const CHECKPOINT_SECONDS: u64 = 30;
+/// Frames on which the autoencoder is measured.
+const MEASURED: usize = 64;
+/// Learning rate of weights that were already trained in this latent space, as a fraction of the recipe's.
+const CONTINUED_RATE: f64 = 0.5;
+
+/// Train a new model from the present one on recordings, and test both on the newest recordings. The node learner runs this
+#[derive(Clone, Debug, Args)]
+pub struct TrainRoundArgs {
+    /// Folder with bags, whose names sort by age; the newest ones are for the test
+    #[arg(long, value_name = "DIR")]
+    pub recordings: PathBuf,
+    /// Options of the data.
+    #[command(flatten)]
+    pub options: DataOptions,
+    /// Folder for the models
+    #[arg(long, value_name = "DIR")]
+    pub models: PathBuf,
+    /// The present model: tiny, or a model's folder
+    #[arg(long, value_name = "MODEL")]
+    pub from: String,
+    /// Train the autoencoder first if the PSNR of the present one's pictures is below this, in dB
+    #[arg(long, default_value_t = 30.0, value_name = "DB")]
+    pub least_psnr: f64,
+    /// Optimiser steps of the autoencoder
+    #[arg(long, default_value_t = 500, value_name = "STEPS")]
+    pub autoencoder_steps: u64,
+    /// Optimiser steps of the transition model
+    #[arg(long, default_value_t = 300, value_name = "STEPS")]
+    pub transition_steps: u64,
+    /// Optimiser steps of the inverse dynamics model; 0: none
+    #[arg(long, default_value_t = 200, value_name = "STEPS")]
+    pub idm_steps: u64,
+    /// Most bags to train on: half of them the newest, the others drawn from all
+    #[arg(long, default_value_t = 40, value_name = "BAGS")]
+    pub most_bags: usize,
+    /// Newest bags that are for the test alone
+    #[arg(long, default_value_t = 2, value_name = "BAGS")]
+    pub test_bags: usize,
+    /// How pictures of another aspect fit the model: crop (the middle), stretch or pad (black bars) [default: as the
+    /// present model's]
+    #[arg(long, value_name = "FIT")]
+    pub fit: Option<Fit>,
+    /// Setting of a part's recipe, such as transition.model.frame_skip=3 (repeatable)
+    #[arg(long, value_name = "PART.PATH=VALUE")]
+    pub set: Vec<Override>,
+    /// Number of threads [default: one for each processor]
+    #[arg(long)]
+    pub threads: Option<usize>,
+    /// Added to the nice value, as with nice(1)
+    #[arg(long, default_value_t = 0, value_name = "N")]
+    pub nice: i32,
+    /// Processors to run on, as numbers of Linux [default: all]
+    #[arg(long, value_delimiter = ',', value_name = "CPU")]
+    pub processors: Vec<usize>,
+}
+
+/// How a round ended.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RoundResult {
+    /// Its number, from 1.
+    pub round: u32,
+    /// Duration of the data that it trained on \[s\].
+    pub trained_on: f64,
+    /// Duration of the data that it was tested on \[s\].
+    pub tested_on: f64,
+    /// The comparison of the new model with the present one.
+    pub verdict: Verdict,
+    /// Folder of the new model.
+    pub model: PathBuf,
+}
+
+impl TrainRoundArgs {
+    /// Trains and tests, or trains until `stop` is set. Prints the result as a line of JSON.
+    ///
+    /// # Errors
+    /// If there are too few recordings, or a part cannot be trained.
+    pub fn run(&self, stop: &Stop) -> Result<RunEnd> {
+        self.yield_to_others()?;
+        // The node that started this may be killed. Then the round is saved.
+        rustix::process::set_parent_process_death_signal(Some(Signal::TERM))?;
+        let _alone = lock(&self.models)?;
+        let plan = Plan::of(self)?;
+        let ended = self.train(&plan, stop);
+        if ended.is_err() {
+            // The next round takes other recordings: with these ones it would fail again.
+            let folder = plan.folder(&self.models);
+            std::fs::remove_dir_all(&folder).with_context(|| folder.display().to_string())?;
+        }
+        ended
+    }
+
+    fn train(&self, plan: &Plan, stop: &Stop) -> Result<RunEnd> {
+        let folder = plan.folder(&self.models);
+        let own = folder.display().to_string();
+        let test = self.options_of_test();
+        let present = ModelFolder::open(&self.from)?;
+        let has_encoder = self.encodes_well(&present, plan, &test)?;
+        let encoder = match has_encoder {
+            true => self.from.clone(),
+            false => own.clone(),
+        };
+        let on = |run| LatentRunArgs {
+            run,
+            encoder: encoder.clone(),
+        };
+        if !has_encoder {
+            let run = self.of("autoencoder", plan, self.autoencoder_steps, 1.0)?;
+            let fit = Some(self.fit.map_or_else(|| present.fit(), Ok)?);
+            let on = PictureRunArgs { run, fit };
+            if (TrainAutoencoderArgs { on }).run(stop)? == RunEnd::Stopped {
+                return Ok(RunEnd::Stopped);
+            }
+        }
+        let rate = if has_encoder { CONTINUED_RATE } else { 1.0 };
+        let run = self.of("transition", plan, self.transition_steps, rate)?;
+        let transition = TrainTransitionArgs {
+            on: on(run),
+            listen: ListenArgs::default(),
+        };
+        if transition.run(stop)? == RunEnd::Stopped {
+            return Ok(RunEnd::Stopped);
+        }
+        if self.idm_steps > 0 {
+            let run = self.of("idm", plan, self.idm_steps, rate)?;
+            if (TrainIdmArgs { on: on(run) }).run(stop)? == RunEnd::Stopped {
+                return Ok(RunEnd::Stopped);
+            }
+        }
+        let cache = folder.join(CACHE);
+        let verdict = Verdict::of(&own, &self.from, &plan.test, &test, &cache)?;
+        let result = RoundResult {
+            round: plan.round,
+            trained_on: plan.train_s,
+            tested_on: plan.test_s,
+            verdict,
+            model: folder.clone(),
+        };
+        let text = serde_json::to_string(&result)?;
+        write_whole(&folder.join(RESULT), &text)?;
+        // Decoded frames and latents of this round alone, and what a finished round does not need.
+        std::fs::remove_dir_all(&cache).with_context(|| cache.display().to_string())?;
+        let is_better = verdict.is_better;
+        remove(&folder, |name| {
+            name.ends_with(".checkpoint.safetensors")
+                || !is_better && name.ends_with(".safetensors")
+        })?;
+        println!("{text}");
+        Ok(RunEnd::Finished)
+    }
+
+    /// Sets priority and processors. Threads inherit them, so this comes first.
+    fn yield_to_others(&self) -> Result<()> {
+        if self.nice != 0 {
+            rustix::process::nice(self.nice).context("--nice")?;
+        }
+        if !self.processors.is_empty() {
+            let mut set = rustix::thread::CpuSet::new();
+            for processor in &self.processors {
+                ensure!(
+                    *processor < rustix::thread::CpuSet::MAX_CPU,
+                    "--processors {processor}: expected at most {}",
+                    rustix::thread::CpuSet::MAX_CPU - 1
+                );
+                set.set(*processor);
+            }
+            rustix::thread::sched_setaffinity(None, &set).context("--processors")?;
+        }
+        Ok(())
+    }
+
+    /// Whether the present model's autoencoder reconstructs the new pictures well. The decision of a resumed round stays.
+    fn encodes_well(&self, present: &ModelFolder, plan: &Plan, test: &DataOptions) -> Result<bool> {
+        let folder = plan.folder(&self.models);
+        if folder.join("autoencoder.checkpoint.safetensors").is_file() {
+            return Ok(false);
+        }
+        let has_other_fit = |fit: Fit| -> Result<bool> { Ok(present.fit()? != fit) };
+        if self.fit.map_or(Ok(false), has_other_fit)? {
+            return Ok(false);
+        }
+        let Some(trained) = present.trained() else {
+            // An encoder that this program cannot train.
+            return Ok(true);
+        };
+        let autoencoder: Autoencoder = trained.autoencoder()?;
+        let cache = folder.join(CACHE);
+        let data = Dataset::held_out(&plan.test, present.framing()?, &cache, test)?;
+        let found = evaluate(&autoencoder, &data, MEASURED)?;
+        tracing::info!("the pictures of {}: {found}", self.from);
+        Ok(found.psnr >= self.least_psnr)
+    }
+
+    /// The options of the data without a split.
+    fn options_of_test(&self) -> DataOptions {
+        DataOptions {
+            held_out: Vec::new(),
+            ..self.options.clone()
+        }
+    }
+
+    fn of(&self, part: &str, plan: &Plan, steps: u64, old_rate: f64) -> Result<RunArgs> {
+        ensure!(steps > 0, "0 steps of the {part}, expected at least 1");
+        let own = self.set.iter().filter(|setting| setting.part() == part);
+        let folder = plan.folder(&self.models);
+        let present = ModelFolder::open(&self.from)?;
+        let has_part = part != "idm" || present.weights(IDM_FILE)?.is_some();
+        Ok(RunArgs {
+            data: plan.train.clone(),
+            options: DataOptions {
+                held_out: plan.test.clone(),
+                ..self.options.clone()
+            },
+            cache: Some(folder.join(CACHE)),
+            out: folder,
+            recipe: "tiny".to_owned(),
+            set: std::iter::once(Override::new("checkpoint_seconds", CHECKPOINT_SECONDS))
+                .chain(own.map(Override::of_part))
+                .collect(),
+            steps: Some(steps),
+            share: 1.0,
+            from: has_part.then(|| self.from.clone()),
+            old_rate,
+            threads: self.threads,
+            device: Compute::default(),
+            dtype: NumberFormat::F32,
+        })
+    }
+}
+
+/// Folder of decoded frames and latents in a round's folder.
+const CACHE: &str = "cache";
+
+/// Waits until no other process trains in the folder, for example one that is saving.
+fn lock(models: &Path) -> Result<File> {
+    std::fs::create_dir_all(models).with_context(|| models.display().to_string())?;
+    let path = models.join("lock");
+    let file = File::create(&path).with_context(|| path.display().to_string())?;
+    rustix::fs::flock(&file, FlockOperation::LockExclusive)
+        .with_context(|| path.display().to_string())?;
+    Ok(file)
+}
+
+/// Removes the files in a folder whose names are `unneeded`.
+fn remove(folder: &Path, unneeded: impl Fn(&str) -> bool) -> Result<()> {
+    for entry in std::fs::read_dir(folder).with_context(|| folder.display().to_string())? {
+        let path = entry?.path();
+        if path
+            .file_name()
+            .and_then(|name| name.to_str())
+            .is_some_and(&unneeded)
+        {
+            std::fs::remove_file(&path).with_context(|| path.display().to_string())?;
+        }
+    }
+    Ok(())
+}
+
+/// Writes a file whole or not at all.
+fn write_whole(path: &Path, text: &str) -> Result<()> {
+    let part = path.with_extension("part");
+    std::fs::write(&part, text).with_context(|| part.display().to_string())?;
+    std::fs::rename(&part, path).with_context(|| path.display().to_string())
+}
+
+/// The result of a round; `None` while it is unfinished.
+///
+/// # Errors
+/// If the file is not a result.
+pub fn result_of(folder: &Path) -> Result<Option<RoundResult>> {
+    let path = folder.join(RESULT);
+    if !path.is_file() {
+        return Ok(None);
+    }
+    let text = std::fs::read_to_string(&path).with_context(|| path.display().to_string())?;
+    match serde_json::from_str(&text) {
+        Ok(result) => Ok(Some(result)),
+        Err(error) => bail!("{}: {error}", path.display()),
+    }
+}
