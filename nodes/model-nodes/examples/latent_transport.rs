@@ -14,7 +14,7 @@ use std::{
 use anyhow::{Context as _, Result, bail};
 use wm_model::LatentSpace;
 use wm_msgs::{std_msgs::Header, wm_msgs::Latent};
-use wm_ros::{Context, Environment, Node, NodeArgs, Qos, Reach, Subscription};
+use wm_ros::{Context, Environment, Middleware, Node, NodeArgs, Qos, Reach, Subscription};
 use wm_wire::latent_message::{LATENT_QOS, LatentDtype, decode_latent, encode_latent};
 
 /// After the last latent, how long a late one may take.
@@ -61,6 +61,7 @@ fn main() -> Result<()> {
     let environment = Environment {
         domain_id: 60 + (std::process::id() % 10) as u16,
         reach: Reach::Localhost,
+        middleware: Middleware::from_env()?,
     };
     println!(
         "{} bytes, {}, {} Hz, net.core.rmem_max {}",

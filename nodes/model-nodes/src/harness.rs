@@ -60,10 +60,12 @@
 //! pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Counter>();
 //! ```
 
+mod changes;
 mod follower;
 mod goals;
 mod model_node;
 
+pub use changes::WithChoice;
 pub(crate) use follower::follows;
 pub use follower::{Event, Follower, Follows, Inputs, Outcome};
 pub use goals::{GoalInputs, Goals};
@@ -87,10 +89,14 @@ wm_ros::parameters! {
         /// Whether a GPU records the launches of an Euler step and repeats them as one (CUDA graphs). Of no effect on
         /// the CPU, in the encoder and in the decoder.
         cuda_graphs: bool = false;
+        /// Whether the node changes to the model that /wm/model names, as the learner and its service use_model do. The
+        /// models are folders on this computer.
+        follow_model: bool = false;
     }
 }
 
-/// The parameters of a node that computes with the world model: its own, and `model`, `device` and `cuda_graphs`.
+/// The parameters of a node that computes with the world model: its own, and `model`, `device`, `cuda_graphs` and
+/// `follow_model`.
 pub struct WithModel<P> {
     common: Common,
     own: P,
@@ -133,18 +139,23 @@ async fn load<P: Send + Sync + 'static, M: Send + 'static>(
     load: fn(ModelFolder, &P) -> Result<M>,
 ) -> Result<M> {
     let (parameters, span) = (Arc::clone(parameters), tracing::Span::current());
-    let compute = parameters.compute()?;
     let open = move || {
         let name = &parameters.common.model;
-        let load = || {
-            let folder = ModelFolder::open(name)?.on(compute);
-            for mark in folder.unfinished()? {
-                tracing::warn!("{name}: the training of its {} is {mark}", mark.part);
-            }
-            load(folder, &parameters.own)
-        };
-        span.in_scope(load)
+        span.in_scope(|| open(&parameters, name, load))
             .with_context(|| format!("parameter model is \"{name}\""))
     };
     tokio::task::spawn_blocking(open).await?
+}
+
+/// Opens the model `name`, of which `load` loads the parts that the node needs. It blocks.
+fn open<P, M>(
+    parameters: &WithModel<P>,
+    name: &str,
+    load: fn(ModelFolder, &P) -> Result<M>,
+) -> Result<M> {
+    let folder = ModelFolder::open(name)?.on(parameters.compute()?);
+    for mark in folder.unfinished()? {
+        tracing::warn!("{name}: the training of its {} is {mark}", mark.part);
+    }
+    load(folder, &parameters.own)
 }

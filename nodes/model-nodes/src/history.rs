@@ -395,6 +395,20 @@ impl History {
         true
     }
 
+    /// Continues the history `before` in a new epoch, with its frames if their latents and actions are this history's.
+    /// Returns whether they are.
+    pub fn continue_from(&mut self, before: &Self, now: Time) -> bool {
+        let epoch = epoch_after(before.epoch, now);
+        let is_same = self.settings == before.settings
+            && self.space == before.space
+            && self.encoding == before.encoding;
+        if is_same {
+            *self = before.clone();
+        }
+        self.epoch = epoch;
+        is_same
+    }
+
     /// Forgets everything and begins a new epoch.
     pub fn reset(&mut self, now: Time) {
         self.motion.clear();

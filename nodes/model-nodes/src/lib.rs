@@ -1,4 +1,4 @@
-//! The nodes that compute: encoder, predictor, decoder, planner, evaluator and env, each `decode -> pure step -> encode`
+//! The nodes that compute: views, encoder, predictor, decoder, planner, evaluator and env, each `decode -> pure step -> encode`
 //! over `wm_ros`.
 //!
 //! A node's `step` module holds its whole behaviour and uses neither DDS nor a clock: it is tested with messages alone. Its
@@ -24,12 +24,14 @@ mod reception;
 #[cfg(test)]
 mod test_world;
 mod time_slice;
+pub mod views;
 pub mod work;
 
 use wm_ros::NodeDefinition;
 
 /// The registry. A node in this list is a command of `wm`, can run in `wm run`, and is in the help.
 pub const NODES: &[NodeDefinition<anyhow::Error>] = &[
+    views::NODE,
     encoder::NODE,
     predictor::NODE,
     decoder::NODE,

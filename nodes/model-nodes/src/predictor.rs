@@ -7,6 +7,7 @@
 //! predictions.
 
 mod ahead;
+mod calibration;
 mod error;
 mod node;
 mod plots;
@@ -17,6 +18,7 @@ mod summary;
 mod trial;
 mod trust;
 
+pub use calibration::{CalibrationSettings, Fit};
 pub use error::PredictorError;
 pub use node::NODE;
 pub use rollout::{PredictedStep, RolloutRequest, RunningRollout};

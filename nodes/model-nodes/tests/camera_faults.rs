@@ -1,11 +1,13 @@
-//! Encoder, predictor and planner before a camera that stops, repeats itself or has a wrong clock: over real DDS on
-//! loopback, in real time, with small random weights.
+//! Encoder, predictor and planner before a camera that stops, repeats itself or has a wrong clock, and the node views before
+//! two cameras: over real DDS on loopback, in real time, with small random weights.
 
 #![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
 
 #[path = "running/model.rs"]
 mod model;
 mod running;
+#[path = "camera_faults/several.rs"]
+mod several;
 
 use std::{collections::BTreeMap, time::Duration};
 

@@ -2,12 +2,15 @@
 
 #![allow(clippy::unwrap_used)]
 
-use image::{Rgb, RgbImage};
+use image::{ImageFormat, Rgb, RgbImage};
 use wm_camera::{camera_frame::CameraFrame, image_message::encode_image};
-use wm_dataset::{Dataset, Latents, testing::write_moves};
-use wm_model::{Autoencoder, AutoencoderConfig, Encoder as _, Fit};
-use wm_model_nodes::{encoder::EncoderStep, planner::GoalReader};
-use wm_msgs::{std_msgs::Header, wm_msgs::Goal};
+use wm_dataset::{
+    Data, DataOptions, Dataset, Latents,
+    testing::{Recorder, write_moves},
+};
+use wm_model::{Autoencoder, AutoencoderConfig, Encoder as _, Fit, Framing};
+use wm_model_nodes::{encoder::EncoderStep, planner::GoalReader, views::Joiner};
+use wm_msgs::{sensor_msgs::CompressedImage, std_msgs::Header, wm_msgs::Goal};
 use wm_wire::latent_message::{LatentDtype, decode_latent};
 
 /// As exact as the 16-bit numbers of a cache.
@@ -44,6 +47,49 @@ fn expect_near(found: &[f32], expected: &[f32], what: &str) {
             "{what}: {found} {expected}"
         );
     }
+}
+
+/// Pictures of two cameras, of different sizes and transports, joined live and prepared for a training.
+#[test]
+fn joined_cameras_equal_the_frames_of_training() {
+    let dir = tempfile::tempdir().unwrap();
+    let bag = dir.path().join("bag");
+    let narrow = RgbImage::from_fn(40, 60, |x, y| Rgb([x as u8 * 6, y as u8 * 4, 90]));
+    let mut recorder = Recorder::new(&bag);
+    for at in (0..800).step_by(200) {
+        recorder.picture("/front/image_raw/compressed", at, png(&wide()));
+        recorder.picture("/wrist/image_raw/compressed", at + 30, png(&narrow));
+        recorder.action(at, 0.01);
+    }
+    recorder.finish();
+    for fit in Fit::ALL {
+        let options = DataOptions {
+            cameras: vec!["/front/image_raw".into(), "/wrist/image_raw".into()],
+            validation: Some(0.0),
+            ..DataOptions::default()
+        };
+        let framing = Framing::new((32, 64), fit);
+        let cache = dir.path().join(fit.name());
+        let data = Data::open(std::slice::from_ref(&bag), framing, &cache, &options).unwrap();
+        let training = data.training;
+        assert_eq!(training.views(), 2);
+        let frames = [
+            CameraFrame::Raw(encode_image(&wide(), Header::default())),
+            CameraFrame::Compressed(CompressedImage {
+                format: "png".into(),
+                data: png(&narrow),
+                ..CompressedImage::default()
+            }),
+        ];
+        let joined = Joiner::new(training.framing()).join(&frames).unwrap();
+        assert_eq!(training.frame(1), Some(joined.as_raw().as_slice()), "{fit}");
+    }
+}
+
+fn png(picture: &RgbImage) -> Vec<u8> {
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    picture.write_to(&mut bytes, ImageFormat::Png).unwrap();
+    bytes.into_inner()
 }
 
 #[test]

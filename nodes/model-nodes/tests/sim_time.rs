@@ -13,7 +13,9 @@ use wm_msgs::{
     std_msgs::Header,
     wm_msgs::{Action, Latent, Prediction},
 };
-use wm_ros::{Context, Environment, Node, NodeArgs, Publisher, Qos, Reach, Subscription};
+use wm_ros::{
+    Context, Environment, Middleware, Node, NodeArgs, Publisher, Qos, Reach, Subscription,
+};
 use wm_wire::latent_message::{LatentDtype, encode_latent};
 use wm_zoo::ModelFolder;
 
@@ -28,6 +30,7 @@ fn node(domain_id: u16, name: &str, line: &str) -> (Context, Node) {
     let environment = Environment {
         domain_id,
         reach: Reach::Localhost,
+        middleware: Middleware::from_env().unwrap(),
     };
     let context = Context::new(&environment).unwrap();
     let args = NodeArgs::parse(line.split_whitespace()).unwrap();

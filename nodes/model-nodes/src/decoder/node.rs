@@ -216,7 +216,7 @@ impl ModelNode for Decoder {
             camera_infos,
             infos,
             fit: announced,
-        } = &mut at.endpoints;
+        } = &mut *at.endpoints;
         let fit = at.resources.fit;
         let Some(decoding) = &mut self.decoding else {
             // In `run`, because the lifecycle sets its own status after `activate`.

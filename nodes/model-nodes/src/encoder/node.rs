@@ -32,7 +32,7 @@ use crate::{
     cadence::{OPEN, PACE, SKIPPED, hertz, measured, rough},
     camera::{Admission, Camera, Source, WrongCamera},
     harness::{self, ModelNode, ModelSetup},
-    history::{Reception, epoch_after, seconds, stamp_of_frame, stamp_of_other},
+    history::{Reception, Timing, epoch_after, seconds, stamp_of_frame, stamp_of_other},
     pool::Pool,
     work::Work,
 };
@@ -63,9 +63,9 @@ wm_ros::parameters! {
         };
         /// Image transport of the camera. With both, a frame that arrives twice counts once.
         image_transport: Transports = "both";
-        /// Time from one camera frame to the next [s], as in the model's training. With context_frames, it says which
+        /// Time from one camera frame to the next [s]; 0: as in the model's training. With context_frames, it says which
         /// frames are encoded where encoding is slower than the camera.
-        frame_period: f64 = 0.2, in 1e-3..=60.0;
+        frame_period: f64 = 0.0, in 0.0..=60.0;
         /// Number of observed frames that predictions start from, one model step apart, as on the predictor.
         context_frames: usize = 2, in 1..=64;
         /// A camera counts as frozen if its picture repeats exactly for longer than this, or does not change for longer
@@ -113,6 +113,17 @@ struct Model {
     sizes: PictureSizes,
 }
 
+impl Model {
+    /// Whether its latents, its choice of frames and its actions are those of `other`.
+    fn encodes_like(&self, other: &Self) -> bool {
+        let space = |model: &Self| {
+            let step = model.step.lock().unwrap_or_else(PoisonError::into_inner);
+            step.space().clone()
+        };
+        space(self) == space(other) && self.needs == other.needs && self.actions == other.actions
+    }
+}
+
 struct Encoder {
     decoding: Decoding,
     work: Work<Job, Encoded>,
@@ -147,16 +158,15 @@ impl ModelNode for Encoder {
     type Model = Model;
 
     fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Model> {
-        let step = EncoderStep::new(folder.encoder()?, parameters.dtype);
+        let step = EncoderStep::of_model(&folder, parameters.dtype)?;
         tracing::info!("encoding to latent space {}", step.space());
         let encoding = folder.action_encoding()?;
+        // Without a transition model, nothing is predicted and the timing has no effect.
+        let timing = encoding.clone().unwrap_or_default();
+        let timing = Timing::of_camera(parameters.frame_period, &timing);
         let needs = Needs {
-            // The range keeps it positive and within a minute.
-            frame_period: Duration::from_secs_f64(parameters.frame_period),
-            // Without a transition model, nothing is predicted and the skip has no effect.
-            frame_skip: encoding
-                .as_ref()
-                .map_or(1, |encoding| encoding.frame_skip()),
+            frame_period: timing.frame_period(),
+            frame_skip: timing.frame_skip,
             context_frames: parameters.context_frames,
         };
         let estimate = measured(|| step.try_out())
@@ -226,13 +236,28 @@ impl ModelNode for Encoder {
         })
     }
 
+    fn adopt(&mut self, at: &mut ModelSetup<Self>, model: Model) -> Result<()> {
+        if model.encodes_like(&at.resources) {
+            return Ok(());
+        }
+        at.resources = model;
+        let new = Self::activate(at)?;
+        let epoch = epoch_after(self.epoch, self.clock.now());
+        *self = Self {
+            epoch,
+            begun: epoch,
+            ..new
+        };
+        Ok(())
+    }
+
     async fn run(&mut self, at: &mut ModelSetup<Self>) -> Result<()> {
         let Endpoints {
             images,
             actions,
             latents,
             states,
-        } = &mut at.endpoints;
+        } = &mut *at.endpoints;
         let mut missing = std::pin::pin!(tokio::time::sleep(MISSING));
         let mut is_looked_for = false;
         loop {

@@ -23,6 +23,15 @@ pub enum Mismatch {
         /// Size of the training's pictures.
         trained_on: PictureSize,
     },
+    /// The pictures are not those that the node views joins.
+    Views {
+        /// Size of the camera's pictures.
+        found: PictureSize,
+        /// Size of the model's pictures.
+        input: PictureSize,
+        /// Cameras side by side in the model's pictures.
+        views: usize,
+    },
     /// The size of the training's pictures is not known, and the camera's are stretched.
     Stretched {
         /// Size of the camera's pictures.
@@ -40,11 +49,21 @@ impl Mismatch {
         trained_on: Option<PictureSize>,
     ) -> Option<Self> {
         let fit = framing.fit;
+        let whole = Framing {
+            views: 1,
+            ..framing
+        };
+        if framing.views > 1 {
+            // The training's cameras may differ in size, so that no size of it is known.
+            let (input, views) = (whole.view_size().ok()?, framing.views);
+            let is_joined = found == input;
+            return (!is_joined).then_some(Self::Views {
+                found,
+                input,
+                views,
+            });
+        }
         let Some(trained_on) = trained_on else {
-            let whole = Framing {
-                views: 1,
-                ..framing
-            };
             let input = whole.view_size().ok()?;
             let is_stretched = fit.is_stretch() && !found.has_aspect_of(input);
             return is_stretched.then_some(Self::Stretched { found, input });
@@ -64,7 +83,7 @@ impl Mismatch {
 
     /// Whether the model sees things in other shapes or places than in its training.
     pub fn is_serious(&self) -> bool {
-        matches!(self, Self::Aspect { .. })
+        matches!(self, Self::Aspect { .. } | Self::Views { .. })
     }
 
     /// The remedy.
@@ -74,6 +93,9 @@ impl Mismatch {
                 "configure the camera's driver to publish {trained_on}, or train a model on this camera's recordings (wm \
                  train model)"
             ),
+            Self::Views { .. } => "join the cameras with the node views (cameras:= for wm launch), and subscribe to its \
+                 topic"
+                .to_owned(),
             Self::Stretched { input, .. } => format!(
                 "if the model was trained on pictures of another aspect, configure the camera's driver to publish that \
                  aspect; a new model for {input} crops instead"
@@ -104,6 +126,15 @@ impl fmt::Display for Mismatch {
             Self::Size { found, trained_on } => write!(
                 f,
                 "the camera's pictures have {found} pixels, the model was trained on {trained_on}: the aspect is the same"
+            ),
+            Self::Views {
+                found,
+                input,
+                views,
+            } => write!(
+                f,
+                "the camera's pictures have {found} pixels, but the model takes {views} cameras side by side, joined in \
+                 {input}"
             ),
             Self::Stretched { found, input } => write!(
                 f,
@@ -222,6 +253,22 @@ mod tests {
         );
         assert_eq!(mismatch(size(256, 256), Fit::Stretch, None), None);
         assert_eq!(mismatch(HD, Fit::Crop, None), None);
+    }
+
+    #[test]
+    fn several_cameras_come_joined() {
+        let framing = Framing {
+            views: 2,
+            ..Framing::new((128, 128), Fit::Crop)
+        };
+        for trained_on in [None, Some(VGA)] {
+            assert_eq!(Mismatch::of(size(128, 128), framing, trained_on), None);
+            let found = Mismatch::of(VGA, framing, trained_on).unwrap();
+            assert!(found.is_serious());
+            assert!(found.to_string().contains("640x480"));
+            assert!(found.to_string().contains("2 cameras side by side"));
+            assert!(found.fix().contains("views"));
+        }
     }
 
     #[test]

@@ -8,11 +8,11 @@ use wm_msgs::builtin_interfaces::Time;
 const REMEMBERED: usize = 16;
 /// A stamp this far behind means that time jumped back, and earlier frames may come again. Nearer ones were overtaken, as
 /// raw frames are by compressed ones \[ns\].
-pub(super) const JUMP_NS: i64 = 1_000_000_000;
+pub(crate) const JUMP_NS: i64 = 1_000_000_000;
 
 /// Finds a frame's second arrival by its stamp.
 #[derive(Debug, Default)]
-pub(super) struct Repeats {
+pub(crate) struct Repeats {
     seen: VecDeque<(Time, bool)>,
     /// The transport (whether the raw one) whose last frame could not be used: its frames do not hide those of the other.
     distrusted: Option<bool>,
@@ -20,7 +20,7 @@ pub(super) struct Repeats {
 
 /// The kind of an arrival.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Arrival {
+pub(crate) enum Arrival {
     /// A frame's first.
     New,
     /// The same frame by the other transport.
@@ -31,11 +31,11 @@ pub(super) enum Arrival {
 
 impl Repeats {
     /// Records that a frame of this transport could not be used.
-    pub(super) fn distrust(&mut self, is_raw: bool) {
+    pub(crate) fn distrust(&mut self, is_raw: bool) {
         self.distrusted = Some(is_raw);
     }
 
-    pub(super) fn arrive(&mut self, stamp: Time, is_raw: bool) -> Arrival {
+    pub(crate) fn arrive(&mut self, stamp: Time, is_raw: bool) -> Arrival {
         let newest = self.seen.iter().map(|(stamp, _)| *stamp).max();
         if newest.is_some_and(|newest| stamp.to_nanos() < newest.to_nanos() - JUMP_NS) {
             self.seen.clear();

@@ -4,6 +4,7 @@ use image::RgbImage;
 use thiserror::Error;
 use wm_model::{Encoder, Framing};
 use wm_msgs::{std_msgs::Header, wm_msgs::Latent};
+use wm_zoo::ModelFolder;
 
 use wm_camera::{camera_frame::CameraFrame, image_message::ImageError};
 use wm_ros::frame_trace;
@@ -38,13 +39,30 @@ pub enum EncoderError {
 /// The encoder node's computation: an image message to a latent message of the same stamp.
 pub struct EncoderStep {
     encoder: Box<dyn Encoder>,
+    framing: Framing,
     dtype: LatentDtype,
 }
 
 impl EncoderStep {
     /// A step that encodes with `encoder` and publishes numbers as `dtype`.
     pub fn new(encoder: Box<dyn Encoder>, dtype: LatentDtype) -> Self {
-        Self { encoder, dtype }
+        let framing = encoder.framing();
+        Self {
+            encoder,
+            framing,
+            dtype,
+        }
+    }
+
+    /// A step with the encoder of `model`, whose pictures show as many cameras side by side as in its training.
+    ///
+    /// # Errors
+    /// Names missing and wrong weights; or the device cannot be used or has no memory for it.
+    pub fn of_model(model: &ModelFolder, dtype: LatentDtype) -> wm_zoo::Result<Self> {
+        Ok(Self {
+            framing: model.framing()?,
+            ..Self::new(model.encoder()?, dtype)
+        })
     }
 
     /// The latent message of a frame.
@@ -65,7 +83,7 @@ impl EncoderStep {
         header: &Header,
     ) -> Result<Latent, EncoderError> {
         expect_scene(picture)?;
-        let image = self.encoder.prepare(picture)?;
+        let image = self.framing.tensor(picture)?;
         frame_trace::passed("picture resized", header.stamp);
         let values = self.encoder.values(&image)?;
         frame_trace::passed("latent computed", header.stamp);
@@ -79,7 +97,7 @@ impl EncoderStep {
     /// [`EncoderError::Small`], and those of the encoder.
     pub fn encode_values(&self, rgb: &RgbImage) -> Result<Vec<f32>, EncoderError> {
         expect_scene(rgb)?;
-        Ok(self.encoder.values(&self.encoder.prepare(rgb)?)?)
+        Ok(self.encoder.values(&self.framing.tensor(rgb)?)?)
     }
 
     /// Encodes a grey picture: a trial, which also shows how long encoding takes.
@@ -96,7 +114,7 @@ impl EncoderStep {
 
     /// How pictures are fitted to the encoder.
     pub fn framing(&self) -> Framing {
-        self.encoder.framing()
+        self.framing
     }
 
     /// The space of its latents.
@@ -106,7 +124,7 @@ impl EncoderStep {
 }
 
 /// That a picture is large enough to show a scene.
-fn expect_scene(rgb: &RgbImage) -> Result<(), EncoderError> {
+pub(crate) fn expect_scene(rgb: &RgbImage) -> Result<(), EncoderError> {
     let (width, height) = rgb.dimensions();
     match width.min(height) < LEAST_SIDE {
         true => Err(EncoderError::Small { width, height }),

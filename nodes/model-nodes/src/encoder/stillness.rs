@@ -42,7 +42,7 @@ impl fmt::Display for FreezeReason {
             Self::SameBytes { for_s } => write!(
                 f,
                 "the camera has stopped: its picture has been the same, byte for byte, for {for_s:.1} s. Start its driver \
-                 again. If it is a simulator that renders without noise, set frozen_after:=0.0 on the encoder"
+                 again. If it is a simulator that renders without noise, set frozen_after:=0.0 on this node"
             ),
             Self::ArmMotion { for_s, motion } => write!(
                 f,

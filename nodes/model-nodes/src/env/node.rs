@@ -110,7 +110,7 @@ impl ModelNode for EnvServer {
     }
 
     fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Model> {
-        let encoder = EncoderStep::new(folder.encoder()?, LatentDtype::F32);
+        let encoder = EncoderStep::of_model(&folder, LatentDtype::F32)?;
         let (predictor, decoder) = (folder.world_model()?, folder.decoder()?);
         let decoder = decoder.with_context(|| {
             format!(
@@ -216,7 +216,7 @@ impl EnvServer {
                 return Ok(());
             }
             let wake = self.wake(&at.parameters);
-            let endpoints = &mut at.endpoints;
+            let endpoints = &mut *at.endpoints;
             tokio::select! {
                 biased;
                 finished = self.work.finished() => self.finish_job(finished.context("the env's thread")?, at)?,

@@ -51,8 +51,8 @@ wm_ros::parameters! {
         context_frames: usize = 2, in 1..=64;
         /// Euler steps per predicted frame; 0: the model's own number.
         pub integration_steps: usize = 0, in 0..=1000;
-        /// Period of the policy's actions at the camera's frame rate [s], as in the model's training.
-        pub frame_period: f64 = 0.2, in 1e-3..=60.0;
+        /// Period of the policy's actions at the camera's frame rate [s]; 0: as in the model's training.
+        pub frame_period: f64 = 0.0, in 0.0..=60.0;
         /// JPEG quality of the observations.
         jpeg_quality: u8 = 95, in 1..=100;
         /// Folder for the bags of the episodes; empty: no bags.

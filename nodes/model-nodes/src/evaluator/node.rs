@@ -57,8 +57,8 @@ wm_ros::parameters! {
         context_frames: usize = 2, in 1..=64;
         /// Euler steps per predicted frame; 0: the model's own number.
         integration_steps: usize = 0, in 0..=1000;
-        /// Time from one camera frame to the next [s], as in the model's training.
-        frame_period: f64 = 0.2, in 1e-3..=60.0;
+        /// Time from one camera frame to the next [s]; 0: as in the model's training.
+        frame_period: f64 = 0.0, in 0.0..=60.0;
         /// Maximum time since the newest frame was received [s]. After that, candidates are not evaluated.
         max_age: Duration = 2.0, in 0.01..=3600.0;
         /// How overlapping action chunks are merged; weighted: 0.3 of the older and 0.7 of the newer chunk.
@@ -136,7 +136,8 @@ impl ModelNode for Evaluator {
     type Model = Model;
 
     fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Model> {
-        let (encoder, model) = (folder.encoder()?, folder.world_model()?);
+        let encoder = EncoderStep::of_model(&folder, LatentDtype::F32)?;
+        let model = folder.world_model()?;
         let (decoder, probe) = (folder.decoder()?, folder.probe()?.map(Arc::new));
         let Parameters {
             frame_period,
@@ -150,7 +151,7 @@ impl ModelNode for Evaluator {
         let evaluator =
             EvaluatorModel::new(model, parameters.integration_steps).with_probe(probe.clone());
         Ok(Model {
-            goals: GoalReader::new(EncoderStep::new(encoder, LatentDtype::F32)),
+            goals: GoalReader::new(encoder),
             evaluator: Arc::new(evaluator),
             decoder: decoder.map(|decoder| Arc::new(Mutex::new(decoder))),
             probe,
@@ -210,13 +211,24 @@ impl ModelNode for Evaluator {
             diagnostics: node.diagnostics(),
             goals: Goals::new(model.goals.clone(), &model.pool),
             evaluations,
-            // The range keeps it positive and within a minute.
-            cadence: Cadence::new(Duration::from_secs_f64(parameters.frame_period), None),
+            cadence: Cadence::new(model.history.timing().frame_period(), None),
             pictures,
             readings,
         };
         evaluator.report_probability();
         Ok(evaluator)
+    }
+
+    fn adopt(&mut self, at: &mut ModelSetup<Self>, model: Model) -> Result<()> {
+        at.resources = model;
+        let mut new = Self::activate(at)?;
+        new.step.continue_from(&self.step, at.node.now());
+        let data = self.step.task_mut().text().to_owned();
+        if !data.is_empty() {
+            new.instruction(&Text { data });
+        }
+        *self = new;
+        Ok(())
     }
 
     async fn run(&mut self, at: &mut ModelSetup<Self>) -> Result<()> {
@@ -227,7 +239,7 @@ impl ModelNode for Evaluator {
             instructions,
             assessments,
             pictures,
-        } = &mut at.endpoints;
+        } = &mut *at.endpoints;
         loop {
             // Candidates last: if messages of the same moment wait together, candidates need the others.
             tokio::select! {

@@ -152,6 +152,14 @@ impl EvaluatorStep {
         }
     }
 
+    /// Continues from the state of the model `before`, whose goal is kept if its latents and actions are this model's. The
+    /// task is read again by the new model's probe.
+    pub fn continue_from(&mut self, before: &Self, now: Time) {
+        if self.history.continue_from(&before.history, now) {
+            self.goal.clone_from(&before.goal);
+        }
+    }
+
     /// Takes a latent.
     ///
     /// # Errors

@@ -67,7 +67,7 @@ impl Task {
     }
 
     /// Its words; `None` without an instruction.
-    fn text(&self) -> &str {
+    pub(super) fn text(&self) -> &str {
         match self {
             Self::Unknown => "",
             Self::Reading(text) | Self::Refused { text, .. } => text,

@@ -113,7 +113,7 @@
 //!     }
 //!
 //!     async fn run(&mut self, at: &mut ModelSetup<Self>) -> anyhow::Result<()> {
-//!         let Endpoints { inputs, changes } = &mut at.endpoints;
+//!         let Endpoints { inputs, changes } = &mut *at.endpoints;
 //!         while let Some(event) = self.follower.next(inputs).await {
 //!             match self.follower.apply(event, &mut self.step, &mut self.complaints) {
 //!                 Some(Outcome::Latent(Some(Ok(change)))) => {

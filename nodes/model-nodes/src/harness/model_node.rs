@@ -6,7 +6,7 @@ use anyhow::Result;
 use wm_ros::{EndpointSet, Node, NodeDefinition, NodeProgram, ParameterSet, Setup};
 use wm_zoo::ModelFolder;
 
-use super::{WithModel, load};
+use super::{WithChoice, WithModel, changes::Changes, load};
 
 /// A managed node that computes with the world model: a [`NodeProgram`] with the parameters of [`WithModel`], which the
 /// frame checks, and a model, which the frame opens.
@@ -47,10 +47,23 @@ pub trait ModelNode: Sized + 'static {
     /// # Errors
     /// See [`NodeProgram::run`].
     fn run(&mut self, at: &mut ModelSetup<Self>) -> impl Future<Output = Result<()>>;
+
+    /// Changes to another model, between two `await`s of `run`. By default the node starts anew.
+    ///
+    /// # Errors
+    /// As [`Self::activate`]; it ends the node.
+    fn adopt(&mut self, at: &mut ModelSetup<Self>, model: Self::Model) -> Result<()> {
+        at.resources = model;
+        *self = Self::activate(at)?;
+        Ok(())
+    }
 }
 
 /// A [`ModelNode`] as a [`NodeProgram`].
-pub struct ModelProgram<N>(N);
+pub struct ModelProgram<N: ModelNode> {
+    node: N,
+    changes: Changes<N>,
+}
 
 /// What a [`ModelNode`] works with.
 pub type ModelSetup<N> = Setup<ModelProgram<N>>;
@@ -66,7 +79,7 @@ impl<N: ModelNode> NodeProgram for ModelProgram<N> {
     const ABOUT: &'static str = N::ABOUT;
     const IS_MANAGED: bool = true;
     type Parameters = WithModel<N::Parameters>;
-    type Endpoints = N::Endpoints;
+    type Endpoints = WithChoice<N::Endpoints>;
     type Resources = N::Model;
     type Error = anyhow::Error;
 
@@ -81,10 +94,19 @@ impl<N: ModelNode> NodeProgram for ModelProgram<N> {
     }
 
     fn activate(at: &Setup<Self>) -> Result<Self> {
-        N::activate(at).map(Self)
+        Ok(Self {
+            node: N::activate(at)?,
+            changes: Changes::of(at),
+        })
     }
 
     async fn run(&mut self, at: &mut Setup<Self>) -> Result<()> {
-        self.0.run(at).await
+        loop {
+            let model = tokio::select! {
+                ended = self.node.run(at) => return ended,
+                model = self.changes.next() => model?,
+            };
+            self.node.adopt(at, model)?;
+        }
     }
 }

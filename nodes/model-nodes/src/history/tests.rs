@@ -557,3 +557,40 @@ fn a_frame_is_too_old_to_act_on_by_when_it_was_received() {
     let text = moment.expect_fresh(later, limit).unwrap_err().to_string();
     assert!(text.contains("arrived 60.0 s ago; at most 2.0 s"), "{text}");
 }
+
+#[test]
+fn history_continues_with_another_model_of_its_latents() {
+    let mut before = history(2);
+    for index in 0..4 {
+        before.action(&action(index, 0.01), stamp(index)).unwrap();
+        let frame = latent(stamp(index), "camera", index as f32);
+        before.latent(&frame, reception()).unwrap();
+    }
+    let mut same = history(2);
+    assert!(same.continue_from(&before, stamp(4)));
+    assert!(same.epoch() > before.epoch());
+    let (continued, moment) = (same.moment().unwrap(), before.moment().unwrap());
+    assert_eq!(continued.observed.stamp_ns, moment.observed.stamp_ns);
+    assert_eq!(same.future(2).unwrap(), before.future(2).unwrap());
+    let frame = latent(stamp(4), "camera", 4.0);
+    assert!(!same.latent(&frame, reception()).unwrap().flushed);
+
+    let other_space = LatentSpace {
+        hash: "def".into(),
+        ..space()
+    };
+    let encoding = ActionEncoding::default();
+    let mut other = History::new(before.settings, other_space, encoding, Time::default());
+    assert!(!other.continue_from(&before, stamp(4)));
+    assert!(other.epoch() > before.epoch() && other.newest().is_none());
+}
+
+#[test]
+fn frame_period_of_zero_is_that_of_the_training() {
+    let encoding = ActionEncoding::default();
+    assert_eq!(Timing::of_camera(0.0, &encoding), Timing::new(PERIOD, 2));
+    assert_eq!(
+        Timing::of_camera(0.1, &encoding),
+        Timing::new(100_000_000, 2)
+    );
+}

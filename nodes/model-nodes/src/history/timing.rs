@@ -1,6 +1,11 @@
 //! How stamps are grouped into model steps.
 
+use std::time::Duration;
+
 use wm_motion::actions::ActionEncoding;
+
+/// A shorter `frame_period` stands for that of the training \[s\].
+const SHORTEST_S: f64 = 1e-3;
 
 /// How stamps are grouped into model steps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -16,10 +21,20 @@ pub struct Timing {
 }
 
 impl Timing {
-    /// Timing of a camera with `frame_period` \[s\] between frames, for a model with this encoding of actions.
+    /// Timing of a camera with `frame_period` \[s\] between frames, or 0 for that of the training, for a model with this
+    /// encoding of actions.
     pub fn of_camera(frame_period: f64, encoding: &ActionEncoding) -> Self {
-        // The parameter's descriptor keeps it within a minute.
-        Self::new((frame_period * 1e9).round() as i64, encoding.frame_skip())
+        let period_s = match frame_period < SHORTEST_S {
+            true => encoding.space().rate().recip(),
+            false => frame_period,
+        };
+        // The parameter's descriptor and the action space keep it within a minute.
+        Self::new((period_s * 1e9).round() as i64, encoding.frame_skip())
+    }
+
+    /// From one camera frame to the next.
+    pub fn frame_period(&self) -> Duration {
+        Duration::from_nanos(self.frame_period_ns.unsigned_abs())
     }
 
     /// Timing of a camera with `frame_period_ns` between frames: a quarter of that as tolerance; five of them, and at

@@ -11,6 +11,7 @@ use std::{
 use image::RgbImage;
 use serde::Serialize;
 use wm_model::{Decoder, WorldModel};
+use wm_motion::actions::ActionError;
 use wm_msgs::{
     builtin_interfaces::Duration,
     std_msgs::Header,
@@ -215,11 +216,13 @@ impl PlannerModel {
             spread(&dynamics, &objective, &space, &found.actions, &seeds)?
         };
         let encoding = &self.parts.model.encoding;
-        let actions = found
-            .actions
-            .iter()
-            .map(|action| encoding.decode_step(&space.whole(action)))
-            .collect::<Result<Vec<_>, _>>()?;
+        let period_ns = request.moment.timing.frame_period_ns;
+        let actions = found.actions.iter().map(|action| {
+            let mut values = encoding.decode_step(&space.whole(action))?;
+            encoding.space().from_nominal(&mut values, period_ns);
+            Ok::<_, ActionError>(values)
+        });
+        let actions = actions.collect::<Result<Vec<_>, _>>()?;
         let message = Plan {
             planner: choice.to_string(),
             // At most as many as a goal may have.

@@ -79,6 +79,10 @@ struct Finished {
     taken: Duration,
 }
 
+/// Why a goal is forgotten.
+const OTHER_SPACE: &str =
+    "the new model has another latent space, so the goal is forgotten; send it again";
+
 /// Most feedback messages that wait.
 const MOST_FEEDBACK: usize = 64;
 
@@ -116,7 +120,8 @@ impl ModelNode for Planner {
     }
 
     fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Model> {
-        let (encoder, model) = (folder.encoder()?, folder.world_model()?);
+        let encoder = EncoderStep::of_model(&folder, LatentDtype::F32)?;
+        let model = folder.world_model()?;
         let (frame_period, merging) = (parameters.frame_period, parameters.chunk_merging.0);
         let context_frames = parameters.context_frames.min(64);
         let history = HistoryBuilder::new(&model, frame_period, context_frames, merging);
@@ -141,7 +146,7 @@ impl ModelNode for Planner {
         let choice = planner.choice();
         tracing::info!("planning with {name} by {choice} in latent space {space} on {place}");
         Ok(Model {
-            goals: GoalReader::new(EncoderStep::new(encoder, LatentDtype::F32)).with_probe(probe),
+            goals: GoalReader::new(encoder).with_probe(probe),
             planner: Arc::new(planner),
             history,
             pool: Pool::background(Planner::NAME, parameters.nice)?,
@@ -204,6 +209,23 @@ impl ModelNode for Planner {
         })
     }
 
+    fn adopt(&mut self, at: &mut ModelSetup<Self>, model: Model) -> Result<()> {
+        at.resources = model;
+        let mut new = Self::activate(at)?;
+        let is_same = new.step.continue_from(&self.step, at.node.now());
+        if is_same {
+            new.action = self.action.take();
+        } else {
+            self.end(End::Aborted(OTHER_SPACE.to_owned()))?;
+            if self.step.has_goal() {
+                self.complaints
+                    .left_out("goal_of_other_space", &OTHER_SPACE);
+            }
+        }
+        *self = new;
+        Ok(())
+    }
+
     async fn run(&mut self, at: &mut ModelSetup<Self>) -> Result<()> {
         let Endpoints {
             inputs,
@@ -213,7 +235,7 @@ impl ModelNode for Planner {
             actions,
             outcomes,
             shapes,
-        } = &mut at.endpoints;
+        } = &mut *at.endpoints;
         loop {
             tokio::select! {
                 biased;

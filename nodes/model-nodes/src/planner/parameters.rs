@@ -112,8 +112,8 @@ wm_ros::parameters! {
         workspace_margin: f64 = 0.05, in 1e-4..=10.0;
         /// Weight of that cost.
         workspace_weight: f64 = 0.0, in 0.0..=1e6;
-        /// Time from one camera frame to the next [s], as in the model's training.
-        pub(super) frame_period: f64 = 0.2, in 1e-3..=60.0;
+        /// Time from one camera frame to the next [s]; 0: as in the model's training.
+        pub(super) frame_period: f64 = 0.0, in 0.0..=60.0;
         /// Maximum duration of a search [s]; 0: no limit.
         pub(super) deadline: Duration = 1.5, in 0.0..=3600.0;
         /// Zenoh endpoints of planner workers, such as tcp/desk.local:7447, which cost candidates too; empty: none. They

@@ -177,6 +177,7 @@ struct LastPlan {
 }
 
 /// A goal and the progress towards it.
+#[derive(Clone)]
 struct SetGoal {
     goal: Arc<Goal>,
     set_ns: i64,
@@ -184,6 +185,7 @@ struct SetGoal {
 }
 
 /// The position of the end effector.
+#[derive(Clone)]
 struct Pose {
     frame_id: String,
     /// \[m\].
@@ -227,6 +229,18 @@ impl PlannerStep {
             searches: Vec::new(),
             seed: settings.seed,
         }
+    }
+
+    /// Continues from the state of the model `before`. Returns whether its latents and actions are this model's; only then
+    /// its goal is kept.
+    pub fn continue_from(&mut self, before: &Self, now: Time) -> bool {
+        let is_same = self.history.continue_from(&before.history, now);
+        if is_same {
+            self.goal.clone_from(&before.goal);
+        }
+        self.pose.clone_from(&before.pose);
+        self.seed = before.seed;
+        is_same
     }
 
     /// Takes a latent; [`Self::request`] then decides whether to plan.
@@ -284,6 +298,11 @@ impl PlannerStep {
             waypoint: Waypoint::default(),
         });
         self.forget_plans();
+    }
+
+    /// Whether a goal is set.
+    pub fn has_goal(&self) -> bool {
+        self.goal.is_some()
     }
 
     /// The plan to make at `now`.

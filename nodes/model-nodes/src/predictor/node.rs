@@ -20,7 +20,8 @@ use wm_ros::{
 use wm_zoo::ModelFolder;
 
 use super::{
-    Doubt, LatentEffect, PredictorSettings, PredictorStep, RolloutRequest, RunningRollout,
+    CalibrationSettings, Doubt, LatentEffect, PredictorSettings, PredictorStep, RolloutRequest,
+    RunningRollout,
     ahead::Preparation,
     plots::Plots,
     summary::{Motion, Summary},
@@ -61,12 +62,23 @@ wm_ros::parameters! {
         integration_steps: Parameter<i64> = 0, in 0..=1000;
         /// Number of observed frames that a rollout starts from, one model step apart.
         context_frames: usize = 2, in 1..=64;
-        /// Time from one camera frame to the next [s], as in the model's training.
-        frame_period: f64 = 0.2, in 1e-3..=60.0;
+        /// Time from one camera frame to the next [s]; 0: as in the model's training.
+        frame_period: f64 = 0.0, in 0.0..=60.0;
         /// How overlapping action chunks are merged; weighted: 0.3 of the older and 0.7 of the newer chunk.
         chunk_merging: Merging = "latest";
         /// Seed of the sampler's noise.
         seed: i64 = 0;
+        /// Whether the predicted motion away from the last frame is scaled by the factor that fits the last scored
+        /// predictions best, for each step of a rollout.
+        calibration: bool = true;
+        /// Number of scored predictions of each step that the factor is fitted to.
+        calibration_window: usize = 50, in 1..=10_000;
+        /// Weight of a factor of 1 in the fit, in scored predictions.
+        calibration_prior: f64 = 1.0, in 0.0..=1000.0;
+        /// The least factor.
+        calibration_min: f64 = 0.0, in 0.0..=1.0;
+        /// The greatest factor.
+        calibration_max: f64 = 1.0, in 1.0..=4.0;
     }
 }
 
@@ -151,16 +163,6 @@ impl ModelNode for Predictor {
         let estimate = time_of_step(&model, parameters.context_frames, steps)
             .inspect_err(|error| tracing::warn!("trial prediction failed: {error}"))
             .ok();
-        if let Some(taken) = estimate {
-            let horizon = horizon(parameters);
-            let taken = rollout_time(taken, horizon);
-            log_pace(
-                &Cadence::new(frame_period(parameters), Some(taken)),
-                taken,
-                frame_period(parameters),
-                horizon,
-            );
-        }
         let Parameters {
             frame_period,
             context_frames,
@@ -168,6 +170,11 @@ impl ModelNode for Predictor {
             ..
         } = parameters;
         let history = HistoryBuilder::new(&model, *frame_period, *context_frames, chunk_merging.0);
+        if let Some(taken) = estimate {
+            let (horizon, gap) = (horizon(parameters), history.timing().frame_period());
+            let taken = rollout_time(taken, horizon);
+            log_pace(&Cadence::new(gap, Some(taken)), taken, gap, horizon);
+        }
         Ok(Model {
             model: Arc::new(model),
             history,
@@ -184,6 +191,7 @@ impl ModelNode for Predictor {
             // Any 64 bits are a seed.
             seed: parameters.seed as u64,
             dtype: LatentDtype::F16,
+            calibration: calibration(parameters),
         };
         let history = at.resources.history.begin(node.now());
         let step = PredictorStep::new(settings, history);
@@ -202,7 +210,7 @@ impl ModelNode for Predictor {
             .resources
             .estimate
             .map(|step| rollout_time(step, horizon));
-        let cadence = Cadence::new(frame_period(parameters), estimate);
+        let cadence = Cadence::new(at.resources.history.timing().frame_period(), estimate);
         shared
             .diagnostics
             .set_value(PACE, every_nth(cadence.nth(), "frame"));
@@ -227,6 +235,26 @@ impl ModelNode for Predictor {
             reminder: tokio::time::interval(REMINDER),
             complaints: Complaints::new(node.diagnostics()),
         })
+    }
+
+    fn adopt(&mut self, at: &mut ModelSetup<Self>, model: Model) -> Result<()> {
+        at.resources = model;
+        let mut new = Self::activate(at)?;
+        let now = at.node.now();
+        let request = {
+            let mut before = self.shared.step();
+            let request = new.shared.step().continue_from(&before, now);
+            // A rollout of the model before stops.
+            before.reset(None, now);
+            request
+        };
+        if let Some(request) = request {
+            let job = new.job(request);
+            let offered = new.work.offer_again(job);
+            new.offered(offered);
+        }
+        *self = new;
+        Ok(())
     }
 
     async fn run(&mut self, at: &mut ModelSetup<Self>) -> Result<()> {
@@ -407,12 +435,20 @@ impl Shared {
             horizon: 0,
             step_s: request.moment.timing.step_ns() as f64 / 1e9,
             ratios: BTreeMap::new(),
+            explained: None,
             // `future` has one action more than the horizon.
             motion: Motion::of(request.future.get(..request.horizon).unwrap_or(&[]), space),
             doubt: None,
             latency_s: None,
         };
-        let rollout = RunningRollout::new(&self.model, request)?.taking_over(prepared.as_ref());
+        let fits = {
+            let observed_ns = request.moment.observed.stamp_ns;
+            self.step().fits(request.horizon, observed_ns)
+        };
+        summary.explained = fits.first().and_then(|fit| fit.explained);
+        let rollout = RunningRollout::new(&self.model, request)?
+            .taking_over(prepared.as_ref())
+            .calibrated(fits.clone());
         for (index, predicted) in rollout.enumerate() {
             let mut predicted = predicted?;
             let step = predicted.prediction.step;
@@ -440,6 +476,8 @@ impl Shared {
                 self.scored(&error)?;
             }
         }
+        // After the predictions, so that they do not wait for it.
+        self.plots.calibrated(&fits)?;
         self.summarise(summary)?;
         let taken = started.elapsed();
         self.diagnostics.latency("rollout").record(taken);
@@ -458,11 +496,6 @@ impl Shared {
     }
 }
 
-fn frame_period(parameters: &Parameters) -> Duration {
-    // The range keeps it positive and within a minute.
-    Duration::from_secs_f64(parameters.frame_period)
-}
-
 fn horizon(parameters: &Parameters) -> usize {
     // The range keeps it within 1 to 64.
     parameters.horizon.get() as usize
@@ -474,6 +507,14 @@ fn integration_steps(model: &WorldModel, parameters: &Parameters) -> usize {
         // The range keeps it positive.
         steps => steps as usize,
     }
+}
+
+fn calibration(parameters: &Parameters) -> Option<CalibrationSettings> {
+    parameters.calibration.then_some(CalibrationSettings {
+        window: parameters.calibration_window,
+        prior: parameters.calibration_prior,
+        bounds: (parameters.calibration_min, parameters.calibration_max),
+    })
 }
 
 /// The time of a rollout if a predicted frame takes `step`.

@@ -7,7 +7,7 @@ use wm_msgs::{
 };
 use wm_ros::{Publisher, Qos};
 
-use super::Trust;
+use super::{Fit, Trust};
 
 /// The steps of a rollout of the default horizon, which arrive at once.
 const QOS: Qos = Qos::reliable(16);
@@ -28,7 +28,17 @@ wm_ros::endpoints! {
         latency_k4: Publisher<Float64> = "prediction_latency/k4", qos(QOS);
         /// The same, until its eighth step is.
         latency_k8: Publisher<Float64> = "prediction_latency/k8", qos(QOS);
-        /// The ratio one step ahead over the last 5 s: from 1 on, /diagnostics warns while something moves.
+        /// The calibration's factor one step ahead: by what the predicted motion is multiplied.
+        calibration_k1: Publisher<Float64> = "calibration/factor_k1", qos(QOS);
+        /// The same, four steps ahead.
+        calibration_k4: Publisher<Float64> = "calibration/factor_k4", qos(QOS);
+        /// The same, eight steps ahead.
+        calibration_k8: Publisher<Float64> = "calibration/factor_k8", qos(QOS);
+        /// Part of the squared motion of the last scored predictions, one step ahead, that they explain after calibration: 1 is
+        /// perfect, 0 the persistence baseline.
+        explained: Publisher<Float64> = "calibration/explained", qos(QOS);
+        /// The ratio one step ahead over the last 5 s, before calibration: from 1 on, /diagnostics warns while something
+        /// moves.
         trust_ratio: Publisher<Float64> = "trust/error_ratio", qos(QOS);
         /// Part of the latents' values that are far from the training's, over the last 5 s: above 0.02, /diagnostics
         /// warns.
@@ -49,6 +59,24 @@ impl Plots {
         let taken_ns = ready_ns.saturating_sub(prediction.observed_stamp.to_nanos());
         // Exact up to 104 days.
         show(plot, taken_ns as f64 / 1e9)
+    }
+
+    /// A rollout had this calibration.
+    pub(super) fn calibrated(&self, fits: &[Fit]) -> Result<()> {
+        let plots = [
+            &self.calibration_k1,
+            &self.calibration_k4,
+            &self.calibration_k8,
+        ];
+        for (plot, k) in plots.into_iter().zip([1, 4, 8]) {
+            if let Some(fit) = fits.get(k - 1) {
+                show(plot, fit.factor)?;
+            }
+        }
+        match fits.first().and_then(|fit| fit.explained) {
+            Some(explained) => show(&self.explained, explained),
+            None => Ok(()),
+        }
     }
 
     /// The prediction was compared with the real frame.

@@ -13,7 +13,7 @@ use wm_msgs::{
 };
 use wm_wire::latent_message::{LatentDtype, encode_latent};
 
-use super::PredictorError;
+use super::{Fit, PredictorError, calibration::scaled};
 use crate::history::{Frame, Moment, model_values};
 
 /// The inputs of a rollout.
@@ -38,8 +38,10 @@ pub struct RolloutRequest {
 pub struct PredictedStep {
     /// The observation that the rollout started from.
     pub observed: Frame,
-    /// The latent before it was rounded for the wire.
+    /// The latent before it was calibrated, and rounded for the wire.
     pub values: Arc<[f32]>,
+    /// The factor of its calibration; 1 without.
+    pub factor: f64,
     /// Number of values of its action beyond the model's clips.
     pub clipped: usize,
     /// The message without `ready_stamp`, which the sender fills in.
@@ -52,6 +54,7 @@ pub struct RunningRollout<'m> {
     request: RolloutRequest,
     rollout: Rollout<'m>,
     actions: Vec<Action>,
+    fits: Vec<Fit>,
     step: usize,
     has_failed: bool,
 }
@@ -71,6 +74,7 @@ impl<'m> RunningRollout<'m> {
             request,
             rollout,
             actions: Vec::new(),
+            fits: Vec::new(),
             step: 0,
             has_failed: false,
         })
@@ -85,6 +89,13 @@ impl<'m> RunningRollout<'m> {
         self
     }
 
+    /// Scales the motion of each step by the factor of its fit; see [`PredictorStep::fits`](super::PredictorStep::fits).
+    #[must_use]
+    pub fn calibrated(mut self, fits: Vec<Fit>) -> Self {
+        self.fits = fits;
+        self
+    }
+
     fn advance(
         &mut self,
         action: &StepAction,
@@ -95,11 +106,16 @@ impl<'m> RunningRollout<'m> {
         let values = self.rollout.predict(&fed, Some(&own))?.concat();
         let moment = &self.request.moment;
         self.actions.extend(moment.messages(self.step, action));
+        let factor = self.fits.get(self.step).map_or(1.0, |fit| fit.factor);
         self.step += 1;
 
         let header = moment.header_after(self.step);
+        let calibrated = match factor == 1.0 {
+            true => None,
+            false => Some(scaled(&moment.observed.values, &values, factor)),
+        };
         let mut latent = encode_latent(
-            &values,
+            calibrated.as_ref().unwrap_or(&values),
             &self.model.space,
             self.request.dtype,
             header.clone(),
@@ -124,6 +140,7 @@ impl<'m> RunningRollout<'m> {
         Ok(PredictedStep {
             observed: moment.observed.clone(),
             values: values.into(),
+            factor,
             clipped: action.model.clipped,
             prediction,
         })

@@ -2,9 +2,9 @@
 
 use std::{collections::VecDeque, sync::Arc};
 
-use wm_metrics::images::mean_squared_error;
 use wm_msgs::{builtin_interfaces::Time, std_msgs::Header, wm_msgs::PredictionError};
 
+use super::calibration::Comparison;
 use crate::history::Frame;
 
 /// Most predictions that wait for their frame, for any horizon.
@@ -19,17 +19,29 @@ pub(super) struct Pending {
     pub observed: Frame,
     /// Model steps after the observation, from 1.
     pub step: u32,
-    /// The predicted latent.
+    /// The predicted latent, before calibration.
     pub predicted: Arc<[f32]>,
+    /// The factor of its calibration.
+    pub factor: f64,
+}
+
+/// A prediction whose time has come.
+#[derive(Clone, Debug)]
+pub(super) struct Scored {
+    /// The error of what was published.
+    pub error: PredictionError,
+    /// The sums for the calibration.
+    pub comparison: Comparison,
+    /// Stamp of the frame that was seen \[ns\].
+    pub seen_ns: i64,
 }
 
 impl Pending {
-    /// The message of this prediction's error against `seen`.
-    fn score(&self, seen: &Frame) -> PredictionError {
-        // Both latents are of one space, so no error is possible; NaN would show one.
-        let error = |values: &[f32]| mean_squared_error(values, &seen.values).unwrap_or(f64::NAN);
-        let (mse, persistence_mse) = (error(&self.predicted), error(&self.observed.values));
-        PredictionError {
+    /// Compares this prediction with `seen`.
+    fn score(&self, seen: &Frame) -> Scored {
+        let comparison = Comparison::new(&self.observed.values, &self.predicted, &seen.values);
+        let (mse, persistence_mse) = (comparison.error(self.factor), comparison.persistence());
+        let error = PredictionError {
             header: Header {
                 stamp: Time::from_nanos(self.due_ns),
                 frame_id: seen.frame_id.to_string(),
@@ -39,6 +51,11 @@ impl Pending {
             mse: mse as f32,
             persistence_mse: persistence_mse as f32,
             ratio: (mse / persistence_mse) as f32,
+        };
+        Scored {
+            error,
+            comparison,
+            seen_ns: seen.stamp_ns,
         }
     }
 }
@@ -65,11 +82,7 @@ impl Scoring {
     }
 
     /// Adds a prediction; `seen` is the frame of the same time if it arrived first.
-    pub(super) fn add(
-        &mut self,
-        pending: Pending,
-        seen: Option<&Frame>,
-    ) -> Option<PredictionError> {
+    pub(super) fn add(&mut self, pending: Pending, seen: Option<&Frame>) -> Option<Scored> {
         if let Some(seen) = seen {
             return Some(pending.score(seen));
         }
@@ -85,19 +98,19 @@ impl Scoring {
         None
     }
 
-    /// Errors of all predictions of the time of `seen`, the earliest observation first. Predictions of earlier times, whose
+    /// All predictions of the time of `seen`, the earliest observation first. Predictions of earlier times, whose
     /// frame never arrived, are dropped.
-    pub(super) fn seen(&mut self, seen: &Frame, tolerance_ns: i64) -> Vec<PredictionError> {
-        let mut errors = Vec::new();
+    pub(super) fn seen(&mut self, seen: &Frame, tolerance_ns: i64) -> Vec<Scored> {
+        let mut scored = Vec::new();
         self.pending.retain(|pending| {
             let late_ns = seen.stamp_ns - pending.due_ns;
             if late_ns.abs() <= tolerance_ns {
-                errors.push(pending.score(seen));
+                scored.push(pending.score(seen));
                 return false;
             }
             late_ns < 0
         });
-        errors
+        scored
     }
 
     pub(super) fn clear(&mut self) {

@@ -9,8 +9,9 @@ use wm_msgs::{
 use wm_wire::latent_message::LatentDtype;
 
 use super::{
-    Doubt, PredictedStep, RolloutRequest, Trust,
-    scoring::{Pending, Scoring},
+    CalibrationSettings, Doubt, Fit, PredictedStep, RolloutRequest, Trust,
+    calibration::Calibration,
+    scoring::{Pending, Scored, Scoring},
 };
 use crate::{
     harness::follows,
@@ -18,7 +19,7 @@ use crate::{
 };
 
 /// Settings of a rollout.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PredictorSettings {
     /// Model steps K of a rollout.
     pub horizon: usize,
@@ -28,6 +29,8 @@ pub struct PredictorSettings {
     pub seed: u64,
     /// Type of the numbers in the messages.
     pub dtype: LatentDtype,
+    /// How predicted motion is scaled; `None`: not at all.
+    pub calibration: Option<CalibrationSettings>,
 }
 
 /// The effects of an input.
@@ -51,6 +54,7 @@ pub struct PredictorStep {
     history: History,
     scoring: Scoring,
     trust: Trust,
+    calibration: Option<Calibration>,
     /// The newest ratio of each k.
     ratios: BTreeMap<u32, f32>,
 }
@@ -71,10 +75,19 @@ impl PredictorStep {
             history,
             scoring: Scoring::default(),
             trust: Trust::default(),
+            calibration: settings.calibration.map(Calibration::new),
             ratios: BTreeMap::new(),
         };
         step.set(settings.horizon, settings.integration_steps);
         step
+    }
+
+    /// Continues from the state of the model `before`, and returns a rollout from its newest frame if its latents and
+    /// actions are this model's. Errors of its predictions are not this model's: they are forgotten.
+    pub fn continue_from(&mut self, before: &Self, now: Time) -> Option<RolloutRequest> {
+        self.settings.seed = before.settings.seed;
+        let is_same = self.history.continue_from(&before.history, now);
+        is_same.then(|| self.request().ok()).flatten()
     }
 
     /// Takes a latent.
@@ -91,14 +104,17 @@ impl PredictorStep {
             self.forget();
         }
         let tolerance_ns = self.history.timing().tolerance_ns;
-        let errors = match self.history.newest() {
+        let scored = match self.history.newest() {
             Some(seen) if !arrival.held_back => self.scoring.seen(seen, tolerance_ns),
             _ => Vec::new(),
         };
         if let Some(seen) = self.history.newest().filter(|_| !arrival.held_back) {
             self.trust.seen(seen);
         }
-        errors.iter().for_each(|error| self.scored(error));
+        let errors = scored
+            .into_iter()
+            .map(|scored| self.scored(scored))
+            .collect();
         let is_due = arrival.is_due && !arrival.held_back;
         let rollout = match is_due.then(|| self.request()) {
             // The next frames complete it: not worth a report.
@@ -151,10 +167,21 @@ impl PredictorStep {
             observed: step.observed.clone(),
             step: step.prediction.step,
             predicted: Arc::clone(&step.values),
+            factor: step.factor,
         };
-        let error = self.scoring.add(pending, self.history.near(due_ns));
-        error.iter().for_each(|error| self.scored(error));
-        error
+        let scored = self.scoring.add(pending, self.history.near(due_ns))?;
+        Some(self.scored(scored))
+    }
+
+    /// The calibration of each step of a rollout of `horizon` steps from the observation of `observed_ns`; empty without
+    /// calibration. Call it when the rollout begins: all earlier ones are then recorded, so the same messages give the
+    /// same factors.
+    pub fn fits(&self, horizon: usize, observed_ns: i64) -> Vec<Fit> {
+        let Some(calibration) = &self.calibration else {
+            return Vec::new();
+        };
+        let steps = (1..).take(horizon);
+        steps.map(|k| calibration.fit(k, observed_ns)).collect()
     }
 
     /// The context of an observation that is expected at `stamp_ns`.
@@ -184,9 +211,19 @@ impl PredictorStep {
         has_flushed
     }
 
-    fn scored(&mut self, error: &PredictionError) {
-        self.trust.scored(error);
+    fn scored(&mut self, scored: Scored) -> PredictionError {
+        let Scored {
+            error,
+            comparison,
+            seen_ns,
+        } = scored;
+        if let Some(calibration) = &mut self.calibration {
+            calibration.add(error.step, seen_ns, comparison);
+        }
+        // The model is judged, not its calibration.
+        self.trust.scored(&error, comparison.error(1.0));
         self.ratios.insert(error.step, error.ratio);
+        error
     }
 
     /// The newest error ratio of each k that is known.
@@ -198,6 +235,9 @@ impl PredictorStep {
         self.ratios.clear();
         self.scoring.clear();
         self.trust.clear();
+        if let Some(calibration) = &mut self.calibration {
+            calibration.clear();
+        }
     }
 
     /// Figures of the predictions' quality over the last seconds.

@@ -23,6 +23,8 @@ pub(super) struct Summary {
     pub step_s: f64,
     /// The last known ratio of each k.
     pub ratios: BTreeMap<u32, f32>,
+    /// Part of the squared motion that calibrated predictions one step ahead explain; `None` if not known.
+    pub explained: Option<f64>,
     /// The motion that the rollout assumes.
     pub motion: Motion,
     /// The reason not to trust the predictions.
@@ -126,6 +128,13 @@ impl fmt::Display for Summary {
             true => f.write_str("error ratio not known yet")?,
             false => write!(f, "error ratio {}", ratios.join(", "))?,
         }
+        if let Some(explained) = self.explained {
+            write!(
+                f,
+                ", explains {:.0} % of the motion",
+                100.0 * explained.max(0.0)
+            )?;
+        }
         write!(f, " | {} | ", self.motion)?;
         match &self.doubt {
             Some(doubt) => write!(f, "trust: bad, {}", doubt.in_short())?,
@@ -165,6 +174,7 @@ mod tests {
             horizon: 8,
             step_s: 0.4,
             ratios: [(1, 0.314), (3, 0.4), (4, 0.5), (8, 0.81)].into(),
+            explained: Some(0.69),
             motion: Motion::of(&steps, &ActionSpace::bridge()),
             doubt: None,
             latency_s: Some((0.048, 0.0954)),
@@ -175,7 +185,8 @@ mod tests {
     fn a_rollout_is_one_line_of_words_and_numbers() {
         assert_eq!(
             summary().to_string(),
-            "k = 1 to 8, 0.4 to 3.2 s ahead | error ratio 0.31 (k = 1), 0.50 (k = 4), 0.81 (k = 8) | the arm moves 0.100 m, \
+            "k = 1 to 8, 0.4 to 3.2 s ahead | error ratio 0.31 (k = 1), 0.50 (k = 4), 0.81 (k = 8), explains 69 % of the motion | \
+             the arm moves 0.100 m, \
              0.200 rad, gripper 1.00 | trust: good | ready 48 ms (k = 1) to 95 ms (k = 8) after the picture"
         );
     }
@@ -184,6 +195,7 @@ mod tests {
     fn unknown_figures_are_named() {
         let unknown = Summary {
             ratios: BTreeMap::new(),
+            explained: None,
             motion: Motion::of(&[step([0.0; 7])], &ActionSpace::bridge()),
             latency_s: None,
             ..summary()

@@ -56,7 +56,7 @@ impl fmt::Display for Doubt {
             ),
             Self::NoBetterThanPersistence { ratio } => write!(
                 f,
-                "the predictions are no better than the persistence baseline, the last frame repeated (squared latent \
+                "before calibration, the predictions are no better than the persistence baseline, the last frame repeated (squared latent \
                  error {ratio:.2} times as large, over the last seconds): check the model, and that the actions are \
                  those of this robot and stamped like its images"
             ),
@@ -103,13 +103,14 @@ impl Trust {
         forget(&mut self.frames, |(stamp_ns, _)| *stamp_ns);
     }
 
-    /// Records the error of a prediction; only first steps count, at which a model is best.
-    pub fn scored(&mut self, error: &PredictionError) {
+    /// Records the error of a prediction, whose mean square is `raw` before calibration; only first steps count, at which a
+    /// model is best.
+    pub fn scored(&mut self, error: &PredictionError, raw: f64) {
         if error.step != 1 {
             return;
         }
         let stamp_ns = error.header.stamp.to_nanos();
-        let squares = (error.mse.into(), error.persistence_mse.into());
+        let squares = (raw, error.persistence_mse.into());
         self.errors.push_back((stamp_ns, squares.0, squares.1));
         forget(&mut self.errors, |(stamp_ns, ..)| *stamp_ns);
     }
@@ -209,16 +210,20 @@ mod tests {
         }
     }
 
+    fn score(trust: &mut Trust, error: PredictionError) {
+        trust.scored(&error, error.mse.into());
+    }
+
     #[test]
     fn figures_are_known_after_seconds_and_cleared_with_the_history() {
         let mut trust = Trust::default();
         for index in 0..7 {
             trust.seen(&frame(index, 50));
-            trust.scored(&error(index, 0.25, 0.5));
+            score(&mut trust, error(index, 0.25, 0.5));
         }
         assert_eq!((trust.far(), trust.ratio()), (None, None));
         trust.seen(&frame(7, 50));
-        trust.scored(&error(7, 0.25, 0.5));
+        score(&mut trust, error(7, 0.25, 0.5));
         assert_eq!((trust.far(), trust.ratio()), (Some(0.5), Some(0.5)));
         trust.clear();
         assert_eq!((trust.far(), trust.ratio()), (None, None));
@@ -250,7 +255,7 @@ mod tests {
                 ..frame(index, 0)
             });
             // Nothing moves, and it is predicted well.
-            trust.scored(&error(index, 0.0, 0.0));
+            score(&mut trust, error(index, 0.0, 0.0));
             assert_eq!(trust.doubt(), Some(Doubt::Frozen));
         }
         let text = Doubt::Frozen.to_string();
@@ -263,7 +268,7 @@ mod tests {
     fn predictions_no_better_than_the_last_frame_are_reported() {
         let doubt = |mse, persistence_mse| {
             let mut trust = Trust::default();
-            (0..20).for_each(|index| trust.scored(&error(index, mse, persistence_mse)));
+            (0..20).for_each(|index| score(&mut trust, error(index, mse, persistence_mse)));
             trust.doubt()
         };
         assert_eq!(doubt(0.2, 0.5), None);
@@ -273,10 +278,11 @@ mod tests {
         assert!(doubt(f32::NAN, 0.5).is_some());
         let mut later = Trust::default();
         for index in 0..20 {
-            later.scored(&PredictionError {
+            let second = PredictionError {
                 step: 2,
                 ..error(index, 0.6, 0.5)
-            });
+            };
+            score(&mut later, second);
         }
         assert_eq!(later.doubt(), None, "only the first step is judged");
     }

@@ -3,7 +3,9 @@
 use std::{thread::JoinHandle, time::Duration};
 
 use wm_msgs::Message;
-use wm_ros::{Context, Environment, Node, NodeArgs, NodeDefinition, Reach, Subscription};
+use wm_ros::{
+    Context, Environment, Middleware, Node, NodeArgs, NodeDefinition, Reach, Subscription,
+};
 
 /// Far longer than any step of a test: it only ends a test that hangs.
 pub const PATIENCE: Duration = Duration::from_secs(60);
@@ -13,6 +15,7 @@ pub fn context(domain_id: u16) -> Context {
     Context::new(&Environment {
         domain_id,
         reach: Reach::Localhost,
+        middleware: Middleware::from_env().unwrap(),
     })
     .unwrap()
 }

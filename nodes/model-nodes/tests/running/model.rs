@@ -11,6 +11,11 @@ use wm_motion::actions::ActionEncoding;
 
 /// Writes a model of random weights: 32x32 images, 4x4 latents.
 pub fn write_model(folder: &Path) -> wm_model::LatentSpace {
+    write_model_of_views(folder, 1)
+}
+
+/// The same, with `views` cameras side by side in an image.
+pub fn write_model_of_views(folder: &Path, views: usize) -> wm_model::LatentSpace {
     let config = AutoencoderConfig {
         name: "test".into(),
         height: 32,
@@ -30,6 +35,7 @@ pub fn write_model(folder: &Path) -> wm_model::LatentSpace {
         hidden: 64,
         depth: 1,
         heads: 2,
+        views,
         ..TransitionConfig::preset("tiny", space.shape(), 2, 7).unwrap()
     };
     let mut builder = WeightsBuilder::new();

@@ -25,6 +25,7 @@ fn settings() -> PredictorSettings {
         integration_steps: 1,
         seed: 9,
         dtype: LatentDtype::F32,
+        calibration: None,
     }
 }
 
@@ -393,4 +394,76 @@ fn a_prediction_fits_a_message_that_ros_can_receive() {
     };
     // Beyond about 98 KB, Fast DDS's default receive buffer loses messages.
     assert!(wm_msgs::cdr::to_bytes(&prediction).unwrap().len() < 98_000);
+}
+
+/// The factors come from frames up to the observation, also when more have arrived meanwhile.
+#[test]
+fn motion_of_a_prediction_is_scaled_by_the_factor_of_the_last_ones() {
+    let model = world_model();
+    let calibration = CalibrationSettings {
+        window: 50,
+        prior: 0.0,
+        bounds: (0.0, 1.0),
+    };
+    let mut step = PredictorStep::new(
+        PredictorSettings {
+            calibration: Some(calibration),
+            ..settings()
+        },
+        history(),
+    );
+    for index in 0..12 {
+        let outcome = feed(&mut step, index..=index);
+        if let Some(Ok(request)) = outcome.rollout {
+            let rollout = RunningRollout::new(&model, request).unwrap();
+            for one in rollout {
+                step.predicted(&one.unwrap());
+            }
+        }
+    }
+    let outcome = feed(&mut step, 12..=12);
+    let request = outcome.rollout.unwrap().unwrap();
+    let observed_ns = request.moment.observed.stamp_ns;
+    let fits = step.fits(3, observed_ns);
+    assert_eq!(fits.len(), 3);
+    assert!(fits.iter().any(|fit| fit.factor < 1.0), "{fits:?}");
+    feed(&mut step, 13..=14);
+    assert_eq!(step.fits(3, observed_ns), fits);
+
+    let of = |fits| {
+        RunningRollout::new(&model, request.clone())
+            .unwrap()
+            .calibrated(fits)
+    };
+    let raw: Vec<_> = of(Vec::new()).map(Result::unwrap).collect();
+    let calibrated: Vec<_> = of(fits.clone()).map(Result::unwrap).collect();
+    for ((raw, calibrated), fit) in raw.iter().zip(&calibrated).zip(&fits) {
+        assert_eq!(
+            raw.values, calibrated.values,
+            "the rollout goes on from the unscaled latents"
+        );
+        let published = decode_latent(&calibrated.prediction.latent, &space()).unwrap();
+        let observed = calibrated.observed.values.iter().zip(&*raw.values);
+        for (published, (observed, raw)) in published.iter().zip(observed) {
+            let expected = f64::from(*observed) + fit.factor * f64::from(raw - observed);
+            assert!((f64::from(*published) - expected).abs() < 1e-5);
+        }
+    }
+    step.reset(None, stamp(14));
+    assert!(
+        step.fits(3, observed_ns)
+            .iter()
+            .all(|fit| fit.factor == 1.0)
+    );
+}
+
+#[test]
+fn another_model_predicts_from_the_same_frames_at_once() {
+    let mut before = predictor();
+    feed(&mut before, 0..=4);
+    let mut after = predictor();
+    let request = after.continue_from(&before, stamp(5)).unwrap();
+    assert_eq!(request.moment.observed.stamp_ns, stamp(4).to_nanos());
+    assert!(after.epoch() > before.epoch());
+    assert!(after.ratios().is_empty() && after.fits(1, i64::MAX).is_empty());
 }

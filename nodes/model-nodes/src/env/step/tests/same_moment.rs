@@ -148,6 +148,7 @@ fn predicted(world: &EnvModel, messages: &Messages) -> (Latents, Vec<Action>) {
         integration_steps: world.integration_steps(),
         seed: SEED,
         dtype: LatentDtype::F32,
+        calibration: None,
     };
     let mut step = PredictorStep::new(settings, history(world));
     for action in &messages.actions {
