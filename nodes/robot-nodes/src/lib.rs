@@ -12,6 +12,7 @@ mod displacement;
 pub mod ending;
 pub mod executor;
 pub mod keyboard;
+pub mod learner;
 mod optional;
 pub mod player;
 pub mod qos_overrides;
@@ -28,4 +29,5 @@ pub const NODES: &[NodeDefinition<anyhow::Error>] = &[
     sim_arm::NODE,
     player::NODE,
     recorder::NODE,
+    learner::NODE,
 ];

@@ -346,8 +346,8 @@ impl Executor {
     }
 
     /// Logs which node called a service of this node; returns the text.
-    fn log_call(&self, participant: [u8; 12], service: &str) -> String {
-        let node = self.node.node_of(participant);
+    fn log_call(&self, client: &[u8; 16], service: &str) -> String {
+        let node = self.node.node_of_client(client);
         let node = node.as_deref().unwrap_or(UNKNOWN_NODE);
         let text = format!("{node} called ~/{service}");
         info!("{}", self.spelled(&text));
@@ -476,18 +476,18 @@ impl Executor {
         match request {
             Request::Arm(call) if call.request.data => {
                 let armed = self.step.arm();
-                self.log_call(call.participant(), "arm (true)");
+                self.log_call(&call.client(), "arm (true)");
                 answer(call, &self.outcome(armed, "armed"));
             }
             Request::Arm(call) => {
                 self.step.disarm(Cause::Disarmed);
-                self.log_call(call.participant(), "arm (false)");
+                self.log_call(&call.client(), "arm (false)");
                 answer(call, &self.outcome(Ok(()), "disarmed"));
             }
             Request::Stop(call) => {
                 let is_first = self.step.stop(&format!("{UNKNOWN_NODE} called ~/stop"));
                 self.act(now)?;
-                let by = self.log_call(call.participant(), "stop");
+                let by = self.log_call(&call.client(), "stop");
                 if is_first {
                     self.step.name_stopper(by);
                 }
@@ -495,7 +495,7 @@ impl Executor {
             }
             Request::Reset(call) => {
                 let reset = self.step.reset();
-                self.log_call(call.participant(), "reset");
+                self.log_call(&call.client(), "reset");
                 answer(call, &self.outcome(reset, "reset: not armed"));
             }
         }

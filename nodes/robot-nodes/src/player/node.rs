@@ -30,7 +30,9 @@ use wm_msgs::{
     sensor_msgs::CompressedImage,
     wm_msgs::ActionChunk,
 };
-use wm_ros::{Node, NodeDefinition, NodeProgram, Publisher, Qos, Requests, Service, Setup};
+use wm_ros::{
+    ChosenTopics, Node, NodeDefinition, NodeProgram, Publisher, Qos, Requests, Service, Setup,
+};
 
 /// The node.
 pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition::of::<PlayerProgram>();
@@ -103,6 +105,7 @@ struct Bag {
 impl NodeProgram for PlayerProgram {
     const NAME: &'static str = "player";
     const ABOUT: &'static str = "Plays a bag's messages at their times.";
+    const CHOSEN_TOPICS: ChosenTopics = ChosenTopics::Published;
     const RUNS_ALONE: bool = true;
     type Parameters = Parameters;
     type Endpoints = Endpoints;

@@ -80,6 +80,10 @@ impl Playlist {
                 warn!("{}: {} is not played", topic.name, topic.type_name);
                 continue;
             }
+            // a bag without the definition is played under the suite's
+            if let Ok(Some(description)) = topic.schema.description(&topic.type_name) {
+                node.describe_type(&description);
+            }
             let publisher = match node.raw_publisher(&topic.name, &topic.type_name, qos) {
                 Ok(publisher) => publisher,
                 // Some bags have names that ROS does not allow.

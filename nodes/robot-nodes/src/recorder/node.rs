@@ -37,8 +37,8 @@ use wm_msgs::{
     },
 };
 use wm_ros::{
-    Call, Durability, Node, NodeDefinition, NodeProgram, Qos, RawSubscription, Reliability,
-    Requests, Service, Setup, TopicInfo, answer,
+    Call, ChosenTopics, Durability, Node, NodeDefinition, NodeProgram, Qos, RawSubscription,
+    Reliability, Requests, Service, Setup, TopicInfo, answer,
 };
 
 /// The node.
@@ -77,6 +77,7 @@ struct Recorder {
 impl NodeProgram for Recorder {
     const NAME: &'static str = "recorder";
     const ABOUT: &'static str = "Records topics into a bag, as they appear.";
+    const CHOSEN_TOPICS: ChosenTopics = ChosenTopics::Subscribed;
     const RUNS_ALONE: bool = true;
     const HAS_FIXED_ENDPOINTS: bool = false;
     type Parameters = Parameters;

@@ -5,7 +5,7 @@
 
 use std::{thread::JoinHandle, time::Duration};
 
-use wm_ros::{Context, Environment, Node, NodeArgs, NodeDefinition, Reach};
+use wm_ros::{Context, Environment, Middleware, Node, NodeArgs, NodeDefinition, Reach};
 
 /// Far longer than any step of a test: it only ends a test that hangs.
 pub const PATIENCE: Duration = Duration::from_secs(120);
@@ -15,7 +15,12 @@ pub fn context(test: u16) -> Context {
     assert!(test < 8, "the domains of another run begin there");
     let domain_id = 20 + (std::process::id() % 10) as u16 * 8 + test;
     let reach = Reach::Localhost;
-    Context::new(&Environment { domain_id, reach }).unwrap()
+    Context::new(&Environment {
+        domain_id,
+        reach,
+        middleware: Middleware::from_env().unwrap(),
+    })
+    .unwrap()
 }
 
 /// A node of the test itself.
