@@ -363,6 +363,7 @@ function drawPanels() {
   if (status) {
     const { isBag } = page;
     panels.executorPanel({ status, control: controls.control, isBag });
+    panels.learnerPanel({ status });
     panels.nodesPanel({ status, isBag });
     panels.topicsPanel({ status, isBag });
   }

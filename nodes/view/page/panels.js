@@ -76,7 +76,7 @@ export function errorPanel({ status, record, now, x, k, cursor, canTrust = true 
   say(panel.querySelector(".missing"), errors.length ? "" : missingIn(status, "error"));
   const ratio = record.ratio(cursor ?? now);
   const doubt = status?.nodes.find((node) => node.name.endsWith("predictor") && /unlike those|no better than/.test(node.message));
-  const verdict = ratio === null ? "" : ratio < 1 ? "the model beats repeating the last frame" : "no better than repeating the last frame";
+  const verdict = ratio === null ? "" : ratio < 1 ? `explains ${Math.round(100 * (1 - ratio))} % of the motion` : "no better than repeating the last frame";
   const trust = element("trust");
   say(trust, canTrust && doubt ? `not to be trusted: ${doubt.message}` : verdict);
   trust.style.color = doubt || ratio >= 1 ? colour("bad") : ratio === null ? "" : colour("good");
@@ -177,6 +177,29 @@ export function executorPanel({ status, control, isBag }) {
   element("arm").hidden = control !== "all" || executor.state !== "dry run";
   element("release").hidden = control !== "all" || executor.state !== "stopped";
   element("disarm").hidden = executor.state === "dry run" || executor.state === "stopped";
+}
+
+/** The learner's state, and the error ratios of its rounds. */
+export function learnerPanel({ status }) {
+  const { learner } = status;
+  const panel = element("learner");
+  panel.hidden = !learner;
+  if (!learner) return;
+  say(element("learner-state"), learner.detail);
+  const { rounds } = learner;
+  const last = rounds.at(-1);
+  const verdict = last && (last.accepted ? "its model is in use" : "the model before stayed");
+  say(element("learner-text"), last
+    ? `Round ${last.number}: ${last.ratio.toFixed(2)}, before ${last.before.toFixed(2)}; ${verdict}. ${Math.round(learner.recorded_s / 60)} min recorded.`
+    : `No round yet. ${Math.round(learner.recorded_s)} s recorded.`);
+  const points = (name) => rounds.map((round) => [round.at * 1000, round[name]]);
+  const highest = Math.max(1.1, ...rounds.map((round) => Math.max(round.ratio, round.before)));
+  const x = [(rounds[0]?.at ?? 0) * 1000 - 30_000, (last?.at ?? 0) * 1000 + 30_000];
+  lines(panel.querySelector(".chart"), {
+    x, y: [0, Math.min(3, highest)], now: (last?.at ?? 0) * 1000, zero: "last round", unit: "error ratio",
+    marks: [{ value: 1, colour: colour("soft"), label: "held frame" }],
+    series: [{ points: points("before"), colour: colour("real"), wide: true }, { points: points("ratio"), colour: colour("model"), bold: true }],
+  });
 }
 
 /** The rows of a table by name; kept, so that open details and the focus stay. */

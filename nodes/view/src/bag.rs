@@ -22,8 +22,8 @@ use wm_msgs::{
     tf2_msgs::TFMessage,
     visualization_msgs::MarkerArray,
     wm_msgs::{
-        Action, ActionCandidates, ActionChunk, Assessment, ExecutorStatus, Goal, Plan, Prediction,
-        PredictionError,
+        Action, ActionCandidates, ActionChunk, Assessment, ExecutorStatus, Goal, LearnerStatus,
+        Plan, Prediction, PredictionError,
     },
 };
 
@@ -154,6 +154,7 @@ impl Bag {
             }
             Topic::Assessment => state.assessment(&message.decode::<Assessment>()?, now_ns),
             Topic::Executor => state.executor(&message.decode::<ExecutorStatus>()?, now_ns),
+            Topic::Learner => state.learner(&message.decode::<LearnerStatus>()?, now_ns),
             Topic::Diagnostics => state.diagnostics(&message.decode::<DiagnosticArray>()?, now_ns),
             Topic::Log => state.log(&message.decode::<wm_ros::Log>()?, now_ns),
         }

@@ -13,7 +13,7 @@ use wm_msgs::{
     std_srvs::{Outcome, SetBool, SetBoolRequest, Trigger, TriggerRequest},
     wm_msgs::{ActionChunk, Reset, ResetRequest},
 };
-use wm_ros::{Client, Error, Node, Publisher, Qos};
+use wm_ros::{Client, Direction, Endpoint as _, EndpointSpec, Error, Node, Publisher, Qos};
 
 /// How long a node may take to reply.
 const ANSWER_LIMIT: Duration = Duration::from_secs(3);
@@ -21,6 +21,41 @@ const ANSWER_LIMIT: Duration = Duration::from_secs(3);
 const SEARCH_LIMIT: Duration = Duration::from_secs(1);
 /// Nodes with a history.
 const HISTORIES: [&str; 3] = ["predictor", "planner", "evaluator"];
+
+/// The QoS of goals: latched, so that a restarted planner gets the goal.
+const GOAL_QOS: Qos = Qos::latched(1);
+const CHUNK_QOS: Qos = Qos::reliable(10);
+
+/// The endpoints of all commands.
+pub(crate) fn specs() -> Vec<EndpointSpec> {
+    let published = Direction::Published;
+    let mut specs = vec![
+        EndpointSpec::topic::<CompressedImage>(
+            published,
+            "goal/image/compressed",
+            GOAL_QOS,
+            "A goal that is chosen on the page, with control goals or all.",
+        ),
+        EndpointSpec::topic::<ActionChunk>(
+            published,
+            "action_chunk",
+            CHUNK_QOS,
+            "A candidate that is chosen on the page, with control goals or all.",
+        ),
+    ];
+    for node in HISTORIES {
+        let name = format!("{node}/reset");
+        let text = "The page's command reset, with control goals or all.";
+        specs.extend(Client::<Reset>::specs(&name, CHUNK_QOS, text));
+    }
+    let arm = "Arms and disarms the executor, with control all.";
+    specs.extend(Client::<SetBool>::specs("executor/arm", CHUNK_QOS, arm));
+    let stop = "Stops the executor.";
+    specs.extend(Client::<Trigger>::specs("executor/stop", CHUNK_QOS, stop));
+    let reset = "Ends a stop of the executor, with control all.";
+    specs.extend(Client::<Trigger>::specs("executor/reset", CHUNK_QOS, reset));
+    specs
+}
 
 /// Publishers and clients for the permitted commands.
 pub(crate) struct Control {
@@ -162,9 +197,8 @@ impl Steering {
         let reset = |name: &'static str| Ok((name, node.client(&format!("{name}/reset"))?));
         let resets: Result<Vec<_>, Error> = HISTORIES.into_iter().map(reset).collect();
         Ok(Self {
-            // latched, so that a restarted planner gets the goal
-            goals: node.publisher("goal/image/compressed", Qos::latched(1))?,
-            chunks: node.publisher("action_chunk", Qos::reliable(10))?,
+            goals: node.publisher("goal/image/compressed", GOAL_QOS)?,
+            chunks: node.publisher("action_chunk", CHUNK_QOS)?,
             resets: resets?.into(),
         })
     }

@@ -1,6 +1,7 @@
 //! The topics that the view subscribes to.
 
 use crate::{
+    control,
     picture_subscription::{PictureSubscription, Publishers},
     shared::Shared,
     state::Topic,
@@ -15,8 +16,8 @@ use wm_msgs::{
     tf2_msgs::TFMessage,
     visualization_msgs::MarkerArray,
     wm_msgs::{
-        Action, ActionCandidates, ActionChunk, Assessment, ExecutorStatus, Goal, Plan, Prediction,
-        PredictionError,
+        Action, ActionCandidates, ActionChunk, Assessment, ExecutorStatus, Goal, LearnerStatus,
+        Plan, Prediction, PredictionError,
     },
 };
 use wm_ros::{EndpointSet, EndpointSpec, Error, Log, Node, Qos, Subscription};
@@ -80,6 +81,8 @@ wm_ros::endpoints! {
         pub candidate_pictures: PictureSubscription = "candidates/image", qos(NEWEST);
         /// What the executor does.
         pub executor: Subscription<ExecutorStatus> = "executor/status", qos(LATCHED), made(Node::subscription_to_any);
+        /// What the learner does.
+        pub learner: Subscription<LearnerStatus> = "learner/status", qos(LATCHED), made(Node::subscription_to_any);
         /// The state of the nodes.
         pub diagnostics: Subscription<DiagnosticArray> = "/diagnostics", qos(BURST);
         /// The log.
@@ -92,7 +95,9 @@ pub(crate) struct LiveInputs(pub Option<Inputs>);
 
 impl EndpointSet for LiveInputs {
     fn specs() -> Vec<EndpointSpec> {
-        Inputs::specs()
+        let mut specs = Inputs::specs();
+        specs.extend(control::specs());
+        specs
     }
 
     fn make(node: &Node) -> Result<Self, Error> {
@@ -121,6 +126,7 @@ pub(crate) fn topics(node: &Node, camera_topic: &str, is_live: bool) -> Result<V
         (Topic::CandidatePictures, "candidates/image"),
         (Topic::Assessment, "assessment"),
         (Topic::Executor, "executor/status"),
+        (Topic::Learner, "learner/status"),
         (Topic::Diagnostics, "/diagnostics"),
         (Topic::Log, "/rosout"),
     ];
@@ -175,6 +181,7 @@ mod tests {
             "goal/image",
             "goal/image/compressed",
             "executor/status",
+            "learner/status",
         ] {
             let spec = specs.iter().find(|spec| spec.name == latched).unwrap();
             let qos = spec.qos.unwrap();

@@ -30,6 +30,7 @@ mod executor;
 mod foxglove;
 mod inputs;
 mod journal;
+mod learner;
 mod listener;
 mod node;
 mod page;

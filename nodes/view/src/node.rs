@@ -29,7 +29,9 @@ use std::{
 };
 use tokio::{sync::mpsc, time::MissedTickBehavior};
 use wm_camera::camera_frame::CameraFrame;
-use wm_ros::{Node, NodeDefinition, NodeProgram, Received, Setup, complaints::Complaints};
+use wm_ros::{
+    ChosenTopics, Node, NodeDefinition, NodeProgram, Received, Setup, complaints::Complaints,
+};
 
 /// The node.
 pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition::of::<ViewProgram>();
@@ -57,6 +59,7 @@ struct Preparation {
 impl NodeProgram for ViewProgram {
     const NAME: &'static str = "view";
     const ABOUT: &'static str = "Serves a live page of what the robot sees, what the model expects, and what a plan would do.";
+    const CHOSEN_TOPICS: ChosenTopics = ChosenTopics::Subscribed;
     const RUNS_ALONE: bool = true;
     type Parameters = Parameters;
     type Endpoints = LiveInputs;
@@ -224,6 +227,7 @@ impl LiveView {
                     self.control.meet_executor()?;
                     self.update(&received, of(State::executor));
                 }
+                Some(received) = inputs.learner.recv_shared() => self.update(&received, of(State::learner)),
                 Some(received) = inputs.diagnostics.recv_shared() => self.update(&received, of(State::diagnostics)),
                 Some(received) = inputs.log.recv_shared() => self.update(&received, of(State::log)),
                 Some(command) = commands.recv() => self.run(command),

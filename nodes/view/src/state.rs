@@ -8,6 +8,7 @@ use crate::{
     event::Event,
     executor::Executor,
     journal::{Journal, Limits},
+    learner::Learner,
     picture::{Label, Picture, Source},
     rate::Rate,
     scene::Scene,
@@ -23,8 +24,8 @@ use wm_msgs::{
     std_msgs::String as Text,
     visualization_msgs::MarkerArray,
     wm_msgs::{
-        Action, ActionCandidates, ActionChunk, Assessment, ExecutorStatus, Goal, Plan, Prediction,
-        PredictionError,
+        Action, ActionCandidates, ActionChunk, Assessment, ExecutorStatus, Goal, LearnerStatus,
+        Plan, Prediction, PredictionError,
     },
 };
 use wm_ros::Log;
@@ -46,6 +47,7 @@ pub(crate) enum Topic {
     CandidatePictures,
     Assessment,
     Executor,
+    Learner,
     Diagnostics,
     Log,
 }
@@ -84,6 +86,7 @@ pub(crate) struct State {
     /// The nodes' diagnostics.
     pub nodes: Nodes,
     pub executor: Option<Executor>,
+    pub learner: Option<Learner>,
     pub scene: Scene,
     /// How the model frames the camera's pictures; stretched until the decoder publishes it.
     pub fit: Fit,
@@ -123,6 +126,7 @@ impl State {
             journal: Journal::new(limits),
             nodes: Nodes::default(),
             executor: None,
+            learner: None,
             scene: Scene::default(),
             fit: Fit::default(),
             rates: BTreeMap::new(),
@@ -310,6 +314,11 @@ impl State {
     pub(crate) fn executor(&mut self, status: &ExecutorStatus, now_ns: i64) {
         self.heard(Topic::Executor, now_ns);
         self.executor = Some(Executor::of(status, now_ns));
+    }
+
+    pub(crate) fn learner(&mut self, status: &LearnerStatus, now_ns: i64) {
+        self.heard(Topic::Learner, now_ns);
+        self.learner = Some(Learner::of(status));
     }
 
     pub(crate) fn diagnostics(&mut self, array: &DiagnosticArray, now_ns: i64) {

@@ -3,6 +3,7 @@
 use crate::{
     diagnostics::NodeJson,
     executor::Executor,
+    learner::Learner,
     state::{State, Topic},
 };
 use serde::Serialize;
@@ -56,6 +57,7 @@ struct Message<'a> {
     nodes: Vec<NodeJson<'a>>,
     executor: Option<&'a Executor>,
     executor_age_ms: Option<i64>,
+    learner: Option<&'a Learner>,
     missing: Vec<MissingInput>,
     fit: Fit,
     kept_bytes: usize,
@@ -85,6 +87,7 @@ pub(crate) fn message(state: &mut State, heard: &[InputTopic], view: &View, now_
         nodes: state.nodes.json(now_ns),
         executor,
         executor_age_ms: executor.map(|executor| executor.age_ms(now_ns)),
+        learner: state.learner.as_ref(),
         missing,
         fit: state.fit,
         kept_bytes: state.album.bytes(),

@@ -61,6 +61,8 @@ wm_ros::endpoints! {
         distances: Subscription<Float64> = "sim_arm/distance", qos(Qos::reliable(64));
         /// Whether the task is done.
         successes: Subscription<Bool> = SUCCESS_TOPIC, qos(Qos::latched(1));
+        /// The services of the other nodes.
+        setting: Setting;
     }
 }
 
@@ -92,15 +94,15 @@ impl NodeProgram for Trials {
     const RUNS_ALONE: bool = true;
     type Parameters = Parameters;
     type Endpoints = Endpoints;
-    type Resources = Setting;
+    type Resources = ();
     type Error = anyhow::Error;
 
     fn check(parameters: &Parameters) -> Result<()> {
         parameters.goal_kinds().map(drop)
     }
 
-    async fn load(node: &Node, _: &Arc<Parameters>) -> Result<Setting> {
-        Setting::new(node)
+    async fn load(_: &Node, _: &Arc<Parameters>) -> Result<()> {
+        Ok(())
     }
 
     fn activate(_: &Setup<Self>) -> Result<Self> {
@@ -144,7 +146,7 @@ fn decoded(frame: &CameraFrame) -> Option<RgbImage> {
 
 impl Trials {
     async fn tasks(&mut self, at: &mut Setup<Self>) -> Result<()> {
-        tokio::time::timeout(at.parameters.timeout, at.resources.wait())
+        tokio::time::timeout(at.parameters.timeout, at.endpoints.setting.wait())
             .await
             .context("sim_arm, planner and executor are needed, and not all of them are running")?;
         for task in at.parameters.goal_kinds()? {
@@ -226,7 +228,7 @@ impl Trials {
                 .await
                 .context("sim_arm has fallen silent")??;
         }
-        at.resources.arm(false).await?;
+        at.endpoints.setting.arm(false).await?;
         Ok(watch)
     }
 
@@ -261,9 +263,9 @@ impl Trials {
 
 /// Lays the table, waits until the planner has planned for it, and arms the executor.
 async fn begin(at: &mut Setup<Trials>, task: GoalKind, seed: u64) -> Result<()> {
-    let (setting, endpoints) = (&at.resources, &mut at.endpoints);
-    setting.arm(false).await?;
-    setting.lay(task, seed).await?;
+    let endpoints = &mut at.endpoints;
+    endpoints.setting.arm(false).await?;
+    endpoints.setting.lay(task, seed).await?;
     // The arm says so once the new table is there.
     while endpoints
         .successes
@@ -276,12 +278,12 @@ async fn begin(at: &mut Setup<Trials>, task: GoalKind, seed: u64) -> Result<()> 
     for _ in 0..FRAMES_BEFORE {
         endpoints.frames.recv().await.ok_or_else(ended)?;
     }
-    setting.plan_anew(seed).await?;
+    endpoints.setting.plan_anew(seed).await?;
     while endpoints.plans.try_recv().is_some() {}
     endpoints.plans.recv().await.ok_or_else(ended)?;
     while endpoints.distances.try_recv().is_some() {}
     while endpoints.outcomes.try_recv().is_some() {}
-    setting.arm(true).await
+    endpoints.setting.arm(true).await
 }
 
 /// Steps of the simulator that an episode may take.

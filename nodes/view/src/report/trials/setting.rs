@@ -5,31 +5,24 @@ use wm_msgs::{
     std_srvs::{SetBool, SetBoolRequest},
     wm_msgs::{Reset, ResetRequest},
 };
-use wm_ros::{Client, Node, RemoteParameters};
+use wm_ros::{Client, RemoteParameters};
 use wm_sim::GoalKind;
 
-/// The services of these nodes.
-pub(crate) struct Setting {
-    table: Client<Reset>,
-    parameters: RemoteParameters,
-    planner: Client<Reset>,
-    executor: Client<SetBool>,
+wm_ros::endpoints! {
+    /// The services of these nodes.
+    pub(crate) struct Setting {
+        /// Begins a task of the arm.
+        table: Client<Reset> = "sim_arm/reset";
+        /// Sets the arm's task.
+        parameters: RemoteParameters = "sim_arm";
+        /// Forgets the last episode.
+        planner: Client<Reset> = "planner/reset";
+        /// Arms the executor for an episode, and disarms it after.
+        executor: Client<SetBool> = "executor/arm";
+    }
 }
 
 impl Setting {
-    /// The services in the namespace of `node`.
-    ///
-    /// # Errors
-    /// They cannot be created.
-    pub(crate) fn new(node: &Node) -> Result<Self> {
-        Ok(Self {
-            table: node.client("sim_arm/reset")?,
-            parameters: RemoteParameters::new(node, "sim_arm")?,
-            planner: node.client("planner/reset")?,
-            executor: node.client("executor/arm")?,
-        })
-    }
-
     /// Waits until all services exist.
     pub(crate) async fn wait(&self) {
         self.table.wait_for_service().await;
