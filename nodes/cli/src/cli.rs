@@ -1,6 +1,9 @@
 //! The command line.
 
-use crate::{bag, completions, doctor, external, init, launch, man, model, node, report, view};
+use crate::{
+    bag, completions, doctor, external, init, keys, launch, man, model, node, report, view,
+    zenoh_router,
+};
 use clap::{CommandFactory as _, Parser, Subcommand};
 use std::path::Path;
 use std::process::ExitCode;
@@ -57,9 +60,13 @@ enum Subcommands {
     /// Carry topics and services to other machines over Zenoh (runs wm-bridge)
     #[command(disable_help_flag = true, disable_version_flag = true)]
     Bridge(external::Arguments),
+    /// Run the Zenoh router of this host, through which programs with the middleware zenoh find each other
+    ZenohRouter(zenoh_router::ZenohRouterCommand),
     /// Cost candidates for planners on other machines (runs wm-planner-worker)
     #[command(disable_help_flag = true, disable_version_flag = true)]
     PlannerWorker(external::Arguments),
+    /// Make keys, certificates and access rules for a Zenoh network with TLS
+    Keys(Box<keys::KeysCommand>),
     /// Print a completion script for bash, zsh or fish
     Completions(completions::CompletionsCommand),
     /// Write the man pages
@@ -128,7 +135,7 @@ impl Subcommands {
     fn takes_ros_args(&self) -> bool {
         match self {
             Self::Node(command) => command.takes_ros_args(),
-            Self::Bridge(_) => true,
+            Self::Bridge(_) | Self::Keys(_) => true,
             Self::Bag(command) => command.takes_ros_args(),
             Self::View(command) => command.takes_ros_args(),
             _ => false,
@@ -155,7 +162,9 @@ impl Command {
             Subcommands::Report(command) => command.run(),
             Subcommands::View(command) => command.run(self.ros_args),
             Subcommands::Bridge(own) => own.exec("wm-bridge", [], self.ros_args),
+            Subcommands::ZenohRouter(command) => command.run(),
             Subcommands::PlannerWorker(own) => own.exec("wm-planner-worker", [], Vec::new()),
+            Subcommands::Keys(command) => command.run(self.ros_args),
             Subcommands::Completions(command) => done(command.run(definition())),
             Subcommands::Man(command) => done(command.run(definition())),
             Subcommands::Node(command) => command.run(self.ros_args),

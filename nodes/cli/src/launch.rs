@@ -1,12 +1,12 @@
 //! `wm launch`.
 
-use crate::{node, output::print};
+use crate::{keys, launch_argument, node, output::print};
 use anyhow::{Context as _, Result};
 use clap::Args;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use wm_launch::{LaunchError, Plan, Process, Program, System};
+use wm_launch::{LaunchError, LaunchFile, Plan, Process, Program, System};
 use wm_model::trained_folder::EMBEDDED;
 use wm_model_nodes::{decoder, encoder};
 use wm_robot_nodes::player;
@@ -14,7 +14,7 @@ use wm_ros::{NAMESPACE, NodeArgs};
 use wm_zoo::ModelFolder;
 
 /// The nodes' topic of the camera.
-const CAMERA: &str = "/camera/image_raw";
+pub(crate) const CAMERA: &str = "/camera/image_raw";
 
 /// Starts the nodes of a launch file.
 #[derive(Args, Debug)]
@@ -22,7 +22,7 @@ pub(crate) struct LaunchCommand {
     /// Launch file in ROS 2's YAML launch format
     file: PathBuf,
     /// Launch arguments
-    #[arg(value_name = "NAME:=VALUE", value_parser = parse_argument)]
+    #[arg(value_name = "NAME:=VALUE", value_parser = launch_argument::parse)]
     arguments: Vec<(String, String)>,
     /// Show the arguments of the launch file
     #[arg(short = 's', long)]
@@ -30,13 +30,9 @@ pub(crate) struct LaunchCommand {
     /// Show the command lines that would be run
     #[arg(short = 'p', long, conflicts_with = "show_args")]
     print_description: bool,
-}
-
-fn parse_argument(text: &str) -> Result<(String, String), String> {
-    match text.split_once(":=") {
-        Some((name, value)) if !name.is_empty() => Ok((name.to_owned(), value.to_owned())),
-        _ => Err("expected name:=value".to_owned()),
-    }
+    /// Folder of `wm keys`: each process gets its session file as ZENOH_SESSION_CONFIG_URI
+    #[arg(short, long, value_name = "DIR")]
+    keys: Option<PathBuf>,
 }
 
 impl LaunchCommand {
@@ -46,13 +42,13 @@ impl LaunchCommand {
             print(wm_launch::describe_arguments(&file))?;
             return Ok(ExitCode::SUCCESS);
         }
-        let mut arguments = BTreeMap::new();
-        for (name, value) in self.arguments {
-            if let Some(first) = arguments.insert(name.clone(), value) {
-                return Err(LaunchError::RepeatedArgument { name, first }.into());
-            }
+        let mut plan = resolved(&file, self.arguments)?;
+        if let Some(folder) = &self.keys {
+            keys::assign(&mut plan, folder)?;
         }
-        let plan = Plan::resolve(&file, &arguments, &System)?;
+        if cfg!(feature = "zenoh") {
+            plan.router = wm_launch::missing_router(&plan, &System);
+        }
         if self.print_description {
             print(describe(&plan)?)?;
             return Ok(ExitCode::SUCCESS);
@@ -68,6 +64,22 @@ impl LaunchCommand {
             .context("the launch")?;
         Ok(ExitCode::from(outcome.exit_code()))
     }
+}
+
+fn resolved(file: &LaunchFile, given: Vec<(String, String)>) -> Result<Plan> {
+    let mut arguments = BTreeMap::new();
+    for (name, value) in given {
+        if let Some(first) = arguments.insert(name.clone(), value) {
+            return Err(LaunchError::RepeatedArgument { name, first }.into());
+        }
+    }
+    Ok(Plan::resolve(file, &arguments, &System)?)
+}
+
+/// The processes of a launch file with these arguments.
+#[cfg(feature = "zenoh")]
+pub(crate) fn plan_of(file: &Path, arguments: Vec<(String, String)>) -> Result<Plan> {
+    resolved(&wm_launch::read(file, &System)?, arguments)
 }
 
 /// Checks that players find their bags before anything starts. A restarted player may wait for its bag.
@@ -111,7 +123,11 @@ fn check_nodes(plan: &Plan) -> Result<()> {
 /// Nodes take a camera's topic, without `/compressed`.
 fn check_camera(node: &str, args: &NodeArgs) -> Result<()> {
     let given: Option<String> = args.given(node, NAMESPACE, "camera_topic")?;
-    for topic in given.as_deref().into_iter().chain([CAMERA]) {
+    let several: Option<Vec<String>> = args.given(node, NAMESPACE, "cameras")?;
+    // An empty text stands for an empty list.
+    let several = several.iter().flatten().map(String::as_str);
+    let several = several.filter(|topic| !topic.is_empty());
+    for topic in given.as_deref().into_iter().chain([CAMERA]).chain(several) {
         args.resolve_sibling(node, NAMESPACE, topic, "compressed")?;
     }
     Ok(())
@@ -139,7 +155,8 @@ fn check_model(node: &str, args: &NodeArgs, folder: Option<&Path>) -> Result<()>
 /// The command lines of a plan, for a shell.
 fn describe(plan: &Plan) -> Result<String> {
     let mut text = String::new();
-    for process in &plan.processes {
+    let router = plan.router.iter().map(|router| &router.process);
+    for process in router.chain(&plan.processes) {
         let program = match &process.program {
             Program::Own => std::env::current_exe()?,
             Program::Path(path) => path.clone(),
@@ -175,15 +192,5 @@ mod tests {
         assert_eq!(quote("a/b:=1"), "a/b:=1");
         assert_eq!(quote("it's"), "'it'\\''s'");
         assert_eq!(quote(""), "''");
-    }
-
-    #[test]
-    fn launch_arguments_need_a_name() {
-        assert_eq!(
-            parse_argument("a:=b:=c"),
-            Ok(("a".to_owned(), "b:=c".to_owned()))
-        );
-        assert!(parse_argument(":=b").is_err());
-        assert!(parse_argument("a=b").is_err());
     }
 }

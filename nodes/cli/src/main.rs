@@ -9,7 +9,9 @@ mod completions;
 mod doctor;
 mod external;
 mod init;
+mod keys;
 mod launch;
+mod launch_argument;
 mod man;
 mod model;
 mod node;
@@ -18,6 +20,7 @@ mod parameter_flags;
 mod parameters;
 mod report;
 mod view;
+mod zenoh_router;
 
 use std::process::ExitCode;
 

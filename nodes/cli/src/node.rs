@@ -6,7 +6,7 @@ use clap::{Arg, ArgAction, ArgMatches, Command, FromArgMatches, Subcommand, erro
 use std::process::ExitCode;
 use wm_ros::{Component, NodeArgs, NodeDefinition};
 
-type Definition = NodeDefinition<anyhow::Error>;
+pub(crate) type Definition = NodeDefinition<anyhow::Error>;
 
 /// All nodes, in the order of the help.
 pub(crate) fn definitions() -> impl Iterator<Item = &'static Definition> {
@@ -21,7 +21,7 @@ fn plain() -> impl Iterator<Item = &'static Definition> {
     definitions().filter(|definition| definition.name != wm_view::NODE.name)
 }
 
-fn definition(name: &str) -> Option<&'static Definition> {
+pub(crate) fn definition(name: &str) -> Option<&'static Definition> {
     definitions().find(|definition| definition.name == name)
 }
 
@@ -82,7 +82,7 @@ fn command(definition: &Definition) -> Command {
         .about(format!("{} (node)", definition.about.trim_end_matches('.')))
         .arg(print_params)
         .arg(arguments(
-            "Arguments of the node, for example --interface lo; parameters go after --ros-args",
+            "Arguments of the node: --interface NAME, --middleware dds|zenoh; parameters go after --ros-args",
         ))
         .after_help(definition.help())
 }
@@ -103,7 +103,7 @@ impl Subcommand for NodeCommand {
         }
         let together = Command::new(TOGETHER)
             .about("Run several nodes in one process, which exchange messages in memory")
-            .arg(arguments("Names of the nodes, and --interface").required(true))
+            .arg(arguments("Names of the nodes, --interface and --middleware").required(true))
             .after_help(format!("Nodes: {}", composable()));
         let topics = Arg::new(TOPICS)
             .long(TOPICS)
@@ -237,7 +237,8 @@ mod tests {
                 assert!(help.contains(&format!("\n  {}  ", spec.name)), "{help}");
             }
             for spec in (node.endpoints)() {
-                let is_topic = !matches!(spec.direction, Direction::Served | Direction::Performed);
+                let is_topic =
+                    matches!(spec.direction, Direction::Subscribed | Direction::Published);
                 assert_eq!(spec.qos.is_some(), is_topic);
                 assert!(
                     help.contains(&format!("  {}  {}", spec.name, spec.type_name)),

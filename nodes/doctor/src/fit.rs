@@ -41,9 +41,9 @@ pub fn gather(name: &str, pictures: &[&Picture]) -> Result<ModelFacts, DoctorErr
     let model = ModelFolder::open(name).map_err(DoctorError::of("the model"))?;
     let parts = Parts::load(&model)?;
     let trial = parts.try_out()?;
-    let framing = parts.encoder.framing();
+    let framing = model.framing().map_err(DoctorError::of("the model"))?;
     let encode = |picture: &Picture| -> wm_zoo::Result<f32> {
-        let image = parts.encoder.prepare(&picture.pixels)?;
+        let image = framing.tensor(&picture.pixels)?;
         Ok(part_far_out(&parts.encoder.values(&image)?))
     };
     let mut sum = 0.0;

@@ -2,7 +2,7 @@
 
 use crate::{DoctorError, Finding, system_file::read};
 use std::collections::{BTreeMap, BTreeSet};
-use wm_ros::{Environment, EnvironmentWarning, Interface, Reach};
+use wm_ros::{Environment, EnvironmentWarning, Interface, Middleware, Reach};
 
 const CHECK: &str = "network";
 /// The ports of RTPS: 7400 plus 250 per domain; from the tenth on, each participant of a domain has two.
@@ -18,6 +18,7 @@ pub(crate) struct Network {
     /// `ROS_DOMAIN_ID`.
     pub domain: u16,
     pub reach: Reach,
+    pub middleware: Middleware,
     pub interfaces: Vec<Interface>,
     /// Listening participants of this host, by domain.
     pub listeners: BTreeMap<u16, usize>,
@@ -30,6 +31,7 @@ impl Network {
         Ok(Self {
             domain: environment.domain_id,
             reach: environment.reach.clone(),
+            middleware: environment.middleware,
             interfaces: Interface::all()?,
             listeners: listeners_of(&read("/proc/net/udp")?),
             warnings: Environment::warnings()?,
@@ -78,6 +80,12 @@ pub(crate) fn check(network: &Network, is_silent: bool) -> Vec<Finding> {
     let domain = network.domain;
     let outer = network.outer();
     let mut findings = vec![match &network.reach {
+        Reach::Localhost | Reach::Interfaces(_) | Reach::Subnet
+            if network.middleware == Middleware::Zenoh =>
+        {
+            Finding::note(CHECK, format!("domain {domain}, over Zenoh"))
+                .because("nodes are discovered through the router of this host, and other hosts through theirs")
+        }
         Reach::Localhost => Finding::note(CHECK, format!("domain {domain}, this host only"))
             .because("nodes of other machines are not reached, which is the safe default")
             .fix(match outer.as_slice() {
@@ -111,7 +119,8 @@ pub(crate) fn check(network: &Network, is_silent: bool) -> Vec<Finding> {
         .iter()
         .filter(|(other, _)| **other != domain)
         .collect();
-    if is_silent && !others.is_empty() {
+    // The ports are those of DDS.
+    if is_silent && !others.is_empty() && network.middleware == Middleware::Dds {
         let domains: Vec<_> = others
             .iter()
             .map(|(other, count)| format!("{other} ({count})"))
@@ -122,10 +131,22 @@ pub(crate) fn check(network: &Network, is_silent: bool) -> Vec<Finding> {
                 .fix(format!("if your drivers are there: export ROS_DOMAIN_ID={}", others.first().map_or(0, |(other, _)| **other))),
         );
     } else if is_silent && network.reach != Reach::Process {
+        let (name, fix) = match network.middleware {
+            Middleware::Dds => (
+                "DDS",
+                "start the drivers in this domain (echo $ROS_DOMAIN_ID), on this host or with --interface; if they use \
+                 rmw_zenoh_cpp: export RMW_IMPLEMENTATION=rmw_zenoh_cpp",
+            ),
+            Middleware::Zenoh => (
+                "Zenoh",
+                "start the drivers in this domain (echo $ROS_DOMAIN_ID) with RMW_IMPLEMENTATION=rmw_zenoh_cpp, and a router \
+                 on each host (wm zenoh-router)",
+            ),
+        };
         findings.push(
-            Finding::warning(CHECK, format!("nobody else in domain {domain}"))
-                .because("no driver is running, or it is in another domain or out of reach")
-                .fix("start the drivers in this domain (echo $ROS_DOMAIN_ID), on this host or with --interface"),
+            Finding::warning(CHECK, format!("nobody else in domain {domain} over {name}"))
+                .because("no driver is running, or it is in another domain, uses another middleware, or is out of reach")
+                .fix(fix),
         );
     }
     findings
@@ -147,6 +168,7 @@ mod tests {
         Network {
             domain: 3,
             reach,
+            middleware: Middleware::Dds,
             interfaces,
             listeners: BTreeMap::new(),
             warnings: Vec::new(),
@@ -180,6 +202,16 @@ mod tests {
                 .contains("--interface eth0")
         );
         assert_eq!(findings.len(), 1);
+    }
+
+    /// `--interface` is about DDS.
+    #[test]
+    fn over_zenoh_the_router_is_named_instead_of_an_interface() {
+        let mut network = network(Reach::Localhost, &["eth0"]);
+        network.middleware = Middleware::Zenoh;
+        let text = format!("{:?}", check(&network, true));
+        assert!(text.contains("domain 3, over Zenoh") && text.contains("wm zenoh-router"));
+        assert!(!text.contains("--interface"), "{text}");
     }
 
     #[test]

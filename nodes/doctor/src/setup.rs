@@ -11,7 +11,11 @@ use wm_ros::logging::of_others;
 const LAUNCH: &str = include_str!("../../../launch-configs/live.launch.yaml");
 const LAUNCH_NAME: &str = "live.launch.yaml";
 /// Name and text of its parameter files, as the nodes print them.
-const CONFIGS: [(&str, &str); 8] = [
+const CONFIGS: [(&str, &str); 9] = [
+    (
+        "views",
+        include_str!("../../../launch-configs/config/views.yaml"),
+    ),
     (
         "encoder",
         include_str!("../../../launch-configs/config/encoder.yaml"),

@@ -8,9 +8,9 @@
 //! this program; `AMENT_PREFIX_PATH` contains other packages. Relative paths start at the working directory, as for
 //! `ros2 launch`; `$(dirname)` is the launch file's folder.
 //!
-//! The modules are layers, of which only the last starts processes: `substitution` and `file` read, `plan`
-//! resolves into complete command lines, `supervisor` decides when to start and stop, `console` formats lines,
-//! `runner` executes.
+//! The modules are layers, of which only the last starts processes: `substitution` and `file` read, `plan` resolves into
+//! complete command lines, `missing_router` finds the Zenoh router that they lack, `supervisor` decides when to start and
+//! stop, `console` formats lines, `runner` executes.
 //!
 //! Not here: event handlers, timers, lifecycle and composable nodes of ROS 2's launch.
 
@@ -18,12 +18,14 @@ mod console;
 mod entity;
 mod error;
 mod file;
+mod missing_router;
 mod plan;
 mod runner;
 mod substitution;
 mod supervisor;
 
 pub use error::LaunchError;
+pub use missing_router::missing_router;
 pub use plan::{Plan, Process, Program, Surroundings, System};
 pub use runner::run;
 

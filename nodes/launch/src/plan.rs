@@ -2,12 +2,14 @@
 //! nothing.
 
 mod process;
+mod router;
 mod surroundings;
 
 pub(crate) use process::Output;
 #[cfg(test)]
 pub(crate) use process::Respawn;
 pub use process::{Process, Program};
+pub use router::Router;
 pub use surroundings::{Surroundings, System};
 
 use super::{
@@ -26,6 +28,8 @@ const INCLUDE_LIMIT: usize = 8;
 pub struct Plan {
     /// In the order of the file.
     pub processes: Vec<Process>,
+    /// The Zenoh router to start first; `None` from [`Self::resolve`].
+    pub router: Option<Router>,
     /// Oddities that are not errors.
     pub warnings: Vec<String>,
 }
@@ -74,6 +78,7 @@ impl Plan {
         }
         Ok(Self {
             processes: resolver.processes,
+            router: None,
             warnings: resolver.warnings,
         })
     }

@@ -11,10 +11,12 @@ use super::{
 use rustix::process::{Pid, Signal, kill_process_group, set_parent_process_death_signal};
 use std::collections::HashMap;
 use std::io;
+use std::net::SocketAddr;
 use std::os::unix::process::ExitStatusExt as _;
 use std::process::{ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 use tokio::io::{AsyncBufReadExt as _, AsyncRead, BufReader};
+use tokio::net::TcpStream;
 use tokio::process::{Child, Command};
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::mpsc;
@@ -26,6 +28,10 @@ const LINE_LIMIT: usize = 16 * 1024;
 /// How long to wait for the last lines of an ended process. They arrive at once, unless one of its children holds its
 /// streams open.
 const LAST_LINES: Duration = Duration::from_millis(500);
+
+/// How long the other processes wait for the router; they also run without it.
+const ROUTER_START: Duration = Duration::from_secs(5);
+const ROUTER_POLL: Duration = Duration::from_millis(10);
 
 /// The most lines that wait for the screen; then the processes wait.
 const LINES_WAITING: usize = 1024;
@@ -55,8 +61,28 @@ pub async fn run(plan: Plan) -> io::Result<Outcome> {
     let mut interrupt = signal(SignalKind::interrupt())?;
     let mut terminate = signal(SignalKind::terminate())?;
     let mut hangup = signal(SignalKind::hangup())?;
-    let (mut supervisor, orders) = Supervisor::new(plan.processes);
-    launch.carry_out(&mut supervisor, orders);
+    let (services, addresses) = match plan.router {
+        Some(router) => (vec![router.process], router.addresses),
+        None => (Vec::new(), Vec::new()),
+    };
+    let processes = services.into_iter().chain(plan.processes).collect();
+    let (mut supervisor, orders) = Supervisor::new(processes);
+    let (first, others) = orders.into_iter().partition(|order| {
+        let process = match order {
+            Order::Start(index) => supervisor.process(*index),
+            _ => None,
+        };
+        process.is_some_and(|process| process.is_service)
+    });
+    launch.carry_out(&mut supervisor, first);
+    // meanwhile the router's lines wait
+    let answer = tokio::time::timeout(ROUTER_START, answer_of(&addresses)).await;
+    if answer.is_err() {
+        launch.say(&format!(
+            "the router does not answer after {ROUTER_START:?}"
+        ));
+    }
+    launch.carry_out(&mut supervisor, others);
     while supervisor.alive() > 0 {
         let event = tokio::select! {
             Some(report) = inbox.recv() => match report {
@@ -83,6 +109,16 @@ pub async fn run(plan: Plan) -> io::Result<Outcome> {
     }
     logging::flush();
     Ok(outcome)
+}
+
+/// Waits until one of the addresses accepts connections.
+async fn answer_of(addresses: &[SocketAddr]) {
+    loop {
+        if addresses.is_empty() || TcpStream::connect(addresses).await.is_ok() {
+            return;
+        }
+        tokio::time::sleep(ROUTER_POLL).await;
+    }
 }
 
 fn terminal_columns() -> Option<usize> {

@@ -2,7 +2,7 @@
 //!
 //! The runner reports [`Event`]s and executes the resulting [`Order`]s. A stop begins with SIGINT to every process. A
 //! process that still runs after its `sigterm_timeout` gets SIGTERM, and after its `sigkill_timeout` SIGKILL. A second
-//! request to stop skips the wait.
+//! request to stop skips the wait. Services, such as a router, are stopped once all other processes have ended.
 
 use super::plan::Process;
 use std::fmt;
@@ -173,6 +173,14 @@ impl Supervisor {
     }
 
     fn on_ended(&mut self, index: usize, exit: Exit) -> Vec<Order> {
+        let mut orders = self.on_exit(index, exit);
+        if !self.has_users() {
+            orders.extend(self.stop_services());
+        }
+        orders
+    }
+
+    fn on_exit(&mut self, index: usize, exit: Exit) -> Vec<Order> {
         let Some((process, state)) = self.processes.get_mut(index) else {
             return Vec::new();
         };
@@ -260,9 +268,40 @@ impl Supervisor {
 
     fn stop(&mut self) -> Vec<Order> {
         self.is_stopping = true;
-        (0..self.processes.len())
-            .flat_map(|index| self.escalate(index))
-            .collect()
+        let has_users = self.has_users();
+        let is_due = |supervisor: &Self, index: usize| {
+            let process = supervisor.process(index);
+            !(has_users && process.is_some_and(|process| process.is_service))
+        };
+        let mut orders = Vec::new();
+        for index in 0..self.processes.len() {
+            if is_due(self, index) {
+                orders.extend(self.escalate(index));
+            }
+        }
+        // the others may all have been waiting for a restart
+        if has_users && !self.has_users() {
+            orders.extend(self.stop_services());
+        }
+        orders
+    }
+
+    /// Whether processes other than services run or will be restarted.
+    fn has_users(&self) -> bool {
+        let is_user =
+            |(process, state): &(Process, State)| !process.is_service && state.step != Step::Ended;
+        self.processes.iter().any(is_user)
+    }
+
+    /// Begins to stop the services.
+    fn stop_services(&mut self) -> Vec<Order> {
+        self.is_stopping = true;
+        let is_due = |(process, state): &(Process, State)| {
+            process.is_service && matches!(state.step, Step::Waiting | Step::Running)
+        };
+        let due: Vec<bool> = self.processes.iter().map(is_due).collect();
+        let due = due.iter().enumerate().filter(|(_, is_due)| **is_due);
+        due.flat_map(|(index, _)| self.escalate(index)).collect()
     }
 
     /// Takes the next step of stopping process `index`.
@@ -325,6 +364,7 @@ mod tests {
             output: Output::Screen,
             respawn: None,
             ends_launch: false,
+            is_service: false,
             sigterm_timeout: Duration::from_secs(5),
             sigkill_timeout: Duration::from_secs(4),
         }
@@ -456,5 +496,44 @@ mod tests {
         supervisor.on_event(Event::StopRequested);
         supervisor.on_event(Event::Ended(0, Exit::Code(DATA_LOSS)));
         assert_eq!(supervisor.outcome().exit_code(), 3);
+    }
+    fn with_service() -> Supervisor {
+        let service = Process {
+            is_service: true,
+            ..process("zenoh-router")
+        };
+        Supervisor::new(vec![service, process("a-1"), process("b-2")]).0
+    }
+
+    #[test]
+    fn service_ends_after_the_others() {
+        let mut supervisor = with_service();
+        let first = [(1, StopSignal::Interrupt), (2, StopSignal::Interrupt)];
+        assert_eq!(signals(&supervisor.on_event(Event::StopRequested)), first);
+        assert_eq!(
+            signals(&supervisor.on_event(Event::Ended(1, Exit::Code(0)))),
+            []
+        );
+        let last = signals(&supervisor.on_event(Event::Ended(2, Exit::Code(0))));
+        assert_eq!(last, [(0, StopSignal::Interrupt)]);
+        supervisor.on_event(Event::Ended(0, Exit::Code(0)));
+        let outcome = supervisor.outcome().exit_code();
+        assert_eq!((supervisor.alive(), outcome), (0, 0));
+    }
+
+    #[test]
+    fn service_does_not_keep_a_finished_launch_alive() {
+        let mut supervisor = with_service();
+        supervisor.on_event(Event::Ended(1, Exit::Code(0)));
+        let last = signals(&supervisor.on_event(Event::Ended(2, Exit::Code(1))));
+        assert_eq!(last, [(0, StopSignal::Interrupt)]);
+    }
+
+    #[test]
+    fn ended_service_is_a_failure_and_the_others_continue() {
+        let mut supervisor = with_service();
+        let orders = supervisor.on_event(Event::Ended(0, Exit::Code(1)));
+        assert_eq!((signals(&orders), supervisor.alive()), (Vec::new(), 2));
+        assert_eq!(supervisor.outcome().failures.len(), 1);
     }
 }

@@ -12,7 +12,9 @@ use std::{
     time::{Duration, Instant},
 };
 use wm_msgs::std_msgs::String as Text;
-use wm_ros::{Context, Environment, Node, NodeArgs, Publisher, Reach, Role, Subscription};
+use wm_ros::{
+    Context, Environment, Middleware, Node, NodeArgs, Publisher, Reach, Role, Subscription,
+};
 
 /// Far longer than anything on one host; only ends a hanging test.
 pub const PATIENCE: Duration = Duration::from_secs(60);
@@ -131,6 +133,7 @@ impl Site {
         let context = Context::new(&Environment {
             domain_id,
             reach: Reach::Localhost,
+            middleware: Middleware::Dds,
         })
         .unwrap();
         let node = Node::new(&context, "site", "/wm", &NodeArgs::default()).unwrap();

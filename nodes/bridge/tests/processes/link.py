@@ -1,7 +1,8 @@
-"""A slow and lossy link between two network namespaces: link.py NAMESPACE NAMESPACE DELAY_MS LOSS SEED
+"""A slow and lossy link between two network namespaces: link.py NAMESPACE NAMESPACE DELAY_MS LOSS SEED [MBIT_S]
 
-Does in user space what `tc netem delay DELAY loss LOSS` does in the kernel, which many kernels come without: each
-namespace gets a device wm0 (10.99.0.1 and 10.99.0.2), and each packet arrives after the delay, or never. Prints "ready".
+Does in user space what `tc netem delay DELAY loss LOSS rate RATE` does in the kernel, which many kernels come without:
+each namespace gets a device wm0 (10.99.0.1 and 10.99.0.2), and each packet arrives after the delay, or never. With a
+rate, packets wait for those before them in their direction, at most half a second. Prints "ready".
 A number of seconds on a line of its standard input is an outage: nothing that comes within them arrives. At its end it
 prints how many packets came and how many of them were dropped.
 """
@@ -21,6 +22,8 @@ TUNSETIFF = 0x400454CA
 IFF_TUN, IFF_NO_PI = 0x0001, 0x1000
 # The most packets in transit: a link of 1 Gbit/s and 50 ms would also drop more.
 MOST_WAITING = 4096
+# A packet that would wait longer for those before it is dropped.
+LONGEST_QUEUE_S = 0.5
 
 
 def tun(namespace, address):
@@ -40,8 +43,10 @@ def tun(namespace, address):
 
 
 def main():
-    one, other, delay_ms, loss, seed = sys.argv[1:]
+    one, other, delay_ms, loss, seed, *rate = sys.argv[1:]
     delay_s, loss, chance = float(delay_ms) / 1000, float(loss), random.Random(int(seed))
+    seconds_per_byte = 8e-6 / float(rate[0]) if rate else 0.0
+    free_at = [0.0, 0.0]
     devices = [tun(one, "10.99.0.1"), tun(other, "10.99.0.2")]
     waiting, count, dropped = [], 0, 0
     back_at = 0.0
@@ -66,11 +71,14 @@ def main():
                 continue
             packet = os.read(device, 65536)
             count += 1
-            if chance.random() < loss or now < back_at or len(waiting) >= MOST_WAITING:
+            index = devices.index(device)
+            queue_s = max(0.0, free_at[index] - now)
+            is_lost = chance.random() < loss or now < back_at
+            if is_lost or len(waiting) >= MOST_WAITING or queue_s > LONGEST_QUEUE_S:
                 dropped += 1
             else:
-                to = devices[1 - devices.index(device)]
-                heapq.heappush(waiting, (now + delay_s, count, to, packet))
+                free_at[index] = now + queue_s + len(packet) * seconds_per_byte
+                heapq.heappush(waiting, (free_at[index] + delay_s, count, devices[1 - index], packet))
     print(f"{count} {dropped}", flush=True)
 
 

@@ -68,6 +68,8 @@ pub struct Process {
     pub respawn: Option<Respawn>,
     /// Whether its end ends the launch.
     pub ends_launch: bool,
+    /// Whether it serves the others: it starts first, and ends once they have ended.
+    pub is_service: bool,
     /// From SIGINT to SIGTERM.
     pub sigterm_timeout: Duration,
     /// From SIGTERM to SIGKILL.
@@ -211,6 +213,7 @@ fn with_keys(
             max_retries: keys.respawn_max_retries,
         }),
         ends_launch: keys.ends_launch,
+        is_service: false,
         sigterm_timeout: keys.sigterm_timeout_s.map_or(STOP_TIMEOUT, seconds),
         sigkill_timeout: keys.sigkill_timeout_s.map_or(STOP_TIMEOUT, seconds),
     })

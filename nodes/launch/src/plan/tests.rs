@@ -262,3 +262,43 @@ fn two_nodes_of_one_name_cause_a_warning() {
     let plan = resolve(&format!("launch:\n{node}{node}"), &[]).unwrap();
     assert_eq!(plan.warnings, ["more than one node is named /a"]);
 }
+
+/// The arguments of a process of a launch file of the repository.
+fn arguments_of(file: &str, name: &str, arguments: &[(&str, &str)]) -> Option<String> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../launch-configs");
+    let path = folder.join(file);
+    let text = std::fs::read_to_string(&path).unwrap();
+    let file = LaunchFile::parse(&path, &text).unwrap();
+    let arguments = arguments
+        .iter()
+        .map(|(name, value)| ((*name).to_owned(), (*value).to_owned()))
+        .collect();
+    let plan = Plan::resolve(&file, &arguments, &System).unwrap();
+    let mut processes = plan.processes.into_iter();
+    let process = processes.find(|process| process.arguments.first().is_some_and(|n| n == name))?;
+    Some(process.arguments.join(" "))
+}
+
+#[test]
+fn several_cameras_are_joined_for_all_nodes() {
+    let cameras = [("cameras", "[/front/image_raw, /wrist/image_raw]")];
+    for file in ["live.launch.yaml", "replay.launch.yaml"] {
+        let views = arguments_of(file, "views", &cameras).unwrap();
+        let expected = r#"-p cameras:=["/front/image_raw", "/wrist/image_raw"]"#;
+        assert!(views.contains(expected), "{views}");
+        for (node, expected) in [
+            ("encoder", "-r /camera/image_raw:=/wm/views/image_raw"),
+            ("monitor", "-p camera_topic:=\"/wm/views/image_raw\""),
+        ] {
+            let found = arguments_of(file, node, &cameras).unwrap();
+            assert!(found.contains(expected), "{found}");
+            let single = arguments_of(file, node, &[]).unwrap();
+            assert!(!single.contains("/wm/views/"), "{single}");
+        }
+        assert_eq!(arguments_of(file, "views", &[]), None);
+    }
+    // One camera's last frame is no goal for several.
+    let player = |arguments: &[_]| arguments_of("replay.launch.yaml", "player", arguments).unwrap();
+    assert!(player(&cameras).contains("-p goal:=false"));
+    assert!(player(&[]).contains("-p goal:=true"));
+}
