@@ -24,7 +24,6 @@ import math
 import os
 import pathlib
 import statistics
-import struct
 import subprocess
 import sys
 import tempfile
@@ -39,6 +38,7 @@ ROOT = pathlib.Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT / "benches"), str(ROOT / "world-model/zoo/fixtures"), str(ROOT / "learning/training/fixtures")]
 
 import steps as fixtures  # noqa: E402
+from events import step_times  # noqa: E402
 from machine import processor  # noqa: E402
 
 BINARY = ROOT / "target/release/wm-training"
@@ -330,19 +330,6 @@ class WholePictures(AutoencoderCase):
 
 
 CASES = {case.name: case for case in (TransitionCase, AutoencoderCase, WholePictures, DitS)}
-
-
-def step_times(path):
-    """Milliseconds of each step but the first, of an event file: TFRecords that begin with the wall time and the step."""
-    data, at, times = path.read_bytes(), 0, {}
-    while at < len(data):
-        (length,) = struct.unpack_from("<Q", data, at)
-        event = data[at + 12 : at + 12 + length]
-        at += 16 + length
-        if event[:1] == b"\x09" and event[9:10] == b"\x10" and event[10] < 128:
-            times.setdefault(event[10], struct.unpack_from("<d", event, 1)[0])
-    ordered = [times[step] for step in sorted(times)]
-    return [(b - a) * 1e3 for a, b in zip(ordered, ordered[1:])]
 
 
 def ours(case, bags, count):

@@ -207,10 +207,15 @@ fn node_handles_signals_before_it_joins_the_graph() {
         let mask = u64::from_str_radix(mask.expect("a mask").trim(), 16);
         mask.expect("a number") & SIGINT != 0
     };
-    let has_udp = || {
-        let table = std::fs::read_to_string(proc.join("net/udp")).expect("the process runs");
-        let inodes: Vec<&str> = table
-            .lines()
+    let has_socket = || {
+        // of DDS and of Zenoh
+        let tables = ["net/udp", "net/tcp"].map(|table| {
+            let table = std::fs::read_to_string(proc.join(table));
+            table.expect("the process runs")
+        });
+        let inodes: Vec<&str> = tables
+            .iter()
+            .flat_map(|table| table.lines())
             .filter_map(|line| line.split_whitespace().nth(9))
             .collect();
         let links = std::fs::read_dir(proc.join("fd")).expect("the process runs");
@@ -225,7 +230,7 @@ fn node_handles_signals_before_it_joins_the_graph() {
             })
     };
     let start = Instant::now();
-    while !has_udp() {
+    while !has_socket() {
         assert!(start.elapsed() < Duration::from_secs(30), "no socket");
     }
     assert!(catches(), "a signal would end it now");

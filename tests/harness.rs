@@ -13,10 +13,10 @@ use std::{
     time::{Duration, Instant},
 };
 
-pub use crate::ros2_peer::{in_domain, peers, rclpy, root};
+pub use crate::ros2_peer::{in_domain, peers, rclpy, root, ros2_env};
 use rustix::process::Pid;
 pub use rustix::process::Signal;
-use wm_ros::{Context, Environment, Node, NodeArgs, Reach};
+use wm_ros::{Context, Environment, Middleware, Node, NodeArgs, Reach};
 
 /// The binary under test.
 pub const WM: &str = env!("CARGO_BIN_EXE_wm");
@@ -62,6 +62,7 @@ pub fn join(domain_id: u16, name: &str) -> (Context, Node) {
     let environment = Environment {
         domain_id,
         reach: Reach::Localhost,
+        middleware: Middleware::from_env().expect("a middleware of this build"),
     };
     let context = Context::new(&environment).expect("a context");
     let args = NodeArgs::parse(std::iter::empty::<&str>()).expect("no arguments");

@@ -15,13 +15,23 @@ mod faults;
 mod foxglove;
 mod harness;
 mod interop;
+#[cfg(feature = "zenoh")]
+mod keys;
+mod learner;
+mod lyrical;
 mod output;
 mod packages;
 mod policy;
+mod policy_servers;
 mod replay;
 mod ros2_peer;
 mod view;
 mod view_clients;
 mod view_process;
 mod viewers;
+mod views;
 mod websocket;
+#[cfg(feature = "zenoh")]
+mod zenoh_hosts;
+#[cfg(feature = "zenoh")]
+mod zenoh_router;

@@ -13,7 +13,7 @@ use std::{
 use serde_json::{Value, json};
 
 use crate::harness::{
-    Process, Signal, WM, fresh_domain, in_domain, peers, rclpy, root, whole_suite,
+    Process, Signal, WM, fresh_domain, in_domain, peers, rclpy, root, ros2_env, whole_suite,
 };
 
 /// The nodes from the program's list.
@@ -51,7 +51,7 @@ fn colcon_build(peers: &Path, workspace: &Path, options: &str) -> PathBuf {
          --event-handlers console_direct+ --cmake-args -GNinja \"-DWM_BINARY=$3\""
     );
     let args = [workspace, &root().canonicalize().unwrap(), Path::new(WM)];
-    shell(&peers.join("ros2/ros2_env.sh"), &script, &args);
+    shell(&ros2_env(peers), &script, &args);
     workspace.join("install")
 }
 
@@ -64,14 +64,14 @@ fn look_up(peers: &Path, install: &Path) -> Value {
     let script = ". \"$1/local_setup.bash\" && python \"$2\" \"$3/msgs/package.xml\" \"$3/nodes/package.xml\"";
     let program = root().join("tests/interop/overlay.py");
     let args = [install, &program, root()];
-    let answer = shell(&peers.join("ros2/ros2_env.sh"), script, &args);
+    let answer = shell(&ros2_env(peers), script, &args);
     serde_json::from_str(&answer).expect("overlay.py prints JSON")
 }
 
 #[test]
 fn colcon_finds_two_packages() {
     let Some(peers) = peers() else { return };
-    let setup = peers.join("ros2/ros2_env.sh");
+    let setup = ros2_env(&peers);
     let script = "colcon --log-base /dev/null list --base-paths \"$1\" --names-only";
     let names = shell(&setup, script, &[root()]);
     assert_eq!(

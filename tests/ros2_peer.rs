@@ -19,13 +19,29 @@ pub fn in_domain(command: &mut Command, domain: u16) {
         .env_remove("ROS_STATIC_PEERS");
 }
 
+/// The ROS 2 distribution of the peers: `WM_TEST_ROS_DISTRO`, else Kilted.
+pub fn distribution() -> String {
+    std::env::var("WM_TEST_ROS_DISTRO").unwrap_or_else(|_| "kilted".to_owned())
+}
+
 /// The virtual environments of `tests/setup_ros2`; `None`, with a message, if it was not run.
 pub fn peers() -> Option<PathBuf> {
+    if std::env::var("RMW_IMPLEMENTATION").is_ok_and(|name| name.contains("zenoh")) {
+        eprintln!("skipped: the peers under .venv use DDS");
+        return None;
+    }
     let dir = root().join(".venv");
-    if dir.join("stamp").is_file() {
+    let ros2 = ros2(&dir);
+    if [&ros2, &dir.join("tools")]
+        .iter()
+        .all(|environment| environment.join("stamp").is_file())
+    {
         return Some(dir);
     }
-    eprintln!("skipped: no ROS 2 peer under .venv; run tests/setup_ros2 (tests/run does)");
+    eprintln!(
+        "skipped: no ROS 2 peer in {}; run tests/setup_ros2 (tests/run does)",
+        ros2.display()
+    );
     assert!(
         std::env::var_os("CI").is_none(),
         "the interoperability tests may not be skipped in CI"
@@ -33,12 +49,22 @@ pub fn peers() -> Option<PathBuf> {
     None
 }
 
+/// The real ROS 2 of [`peers`].
+fn ros2(peers: &Path) -> PathBuf {
+    peers.join(format!("ros2-{}", distribution()))
+}
+
+/// The file that a shell sources for the real ROS 2 of [`peers`].
+pub fn ros2_env(peers: &Path) -> PathBuf {
+    ros2(peers).join("ros2_env.sh")
+}
+
 /// A Python program under `tests/interop`, with the real ROS 2 of [`peers`].
 pub fn rclpy(peers: &Path, domain: u16, script: &str, args: &[&str]) -> Command {
     let mut command = Command::new("bash");
     command
         .args(["-c", ". \"$0\" && exec python \"$@\""])
-        .arg(peers.join("ros2/ros2_env.sh"))
+        .arg(ros2_env(peers))
         .arg(root().join("tests/interop").join(script))
         .args(args);
     in_domain(&mut command, domain);

@@ -10,6 +10,7 @@ than a datagram; one that is canceled; one that is rejected; and one that nobody
 import argparse
 import json
 import sys
+import time
 
 import rclpy
 from action_msgs.msg import GoalStatusArray
@@ -56,6 +57,10 @@ def main():
 
     def end(handle, heard):
         answer = wait(handle.get_result_async(), "the result")
+        # The result, another topic, may overtake the last feedback.
+        deadline = time.monotonic() + 5
+        while heard[-1:] != [answer.result.plans - 1] and time.monotonic() < deadline:
+            rclpy.spin_once(node, timeout_sec=0.1)
         return {"feedback": heard, "status": answer.status, "plans": answer.result.plans, "message": answer.result.message}
 
     counted = goal(10)

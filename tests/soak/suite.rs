@@ -17,7 +17,7 @@ use wm_msgs::{
     wm_msgs::{Reset, ResetRequest},
 };
 use wm_robot_nodes::sim_arm;
-use wm_ros::{Client, Context, Environment, Node, NodeArgs, Publisher, Qos, Reach};
+use wm_ros::{Client, Context, Environment, Middleware, Node, NodeArgs, Publisher, Qos, Reach};
 
 use crate::middle::{TRUE_ACTION, TRUE_CAMERA, TRUE_POSE};
 
@@ -36,7 +36,12 @@ pub struct Arm {
 impl Arm {
     pub fn start(domain_id: u16) -> Self {
         let reach = Reach::Localhost;
-        let context = Context::new(&Environment { domain_id, reach }).expect("a context");
+        let context = Context::new(&Environment {
+            domain_id,
+            reach,
+            middleware: Middleware::from_env().expect("a middleware of this build"),
+        })
+        .expect("a context");
         let words = format!(
             "--ros-args -p image_transport:=raw -p goal_period:=0.4 -r /camera/image_raw:={TRUE_CAMERA} \
              -r ee_pose:={TRUE_POSE} -r action:={TRUE_ACTION}"
