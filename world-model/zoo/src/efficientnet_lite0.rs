@@ -24,7 +24,10 @@ use candle_core::{DType, Tensor};
 use serde::{Deserialize, Serialize};
 
 use crate::Result;
-use crate::loader::Loader;
+use crate::cost::{Cost, FRAME_SIDE, applied, count};
+use crate::kinds::encoder::downsampled;
+use crate::kinds::{Apply, EncoderConfig, apply};
+use crate::loader::{Loader, Requested};
 use crate::vit::preprocess::Normalisation;
 use convolution::{Convolution, Sizes};
 
@@ -58,6 +61,58 @@ impl Default for EfficientNetLite0Config {
     fn default() -> Self {
         Self { block: 10 }
     }
+}
+
+impl EncoderConfig for EfficientNetLite0Config {
+    fn load(&self, loader: &Loader<'_>) -> Result<Apply> {
+        Ok(apply(
+            EfficientNetLite0::load(self, loader)?,
+            EfficientNetLite0::encode,
+        ))
+    }
+
+    fn features(&self, image: [usize; 2]) -> Result<[usize; 3]> {
+        // Blocks 8, 9 and 10 are the last stage here.
+        let (.., channels) = STAGES[STAGES.len() - 1];
+        downsampled(image, 16, channels)
+    }
+
+    fn cost(&self) -> Result<Cost> {
+        let sides = layer_sides(FRAME_SIDE);
+        let operations = |weight: &Requested| {
+            let layer = sides.iter().find(|(name, _)| weight.name.starts_with(name));
+            layer.map_or(0, |(_, side)| applied(weight, side * side))
+        };
+        let mut statistics = 0;
+        let mut cost = count(
+            |loader| {
+                let network = EfficientNetLite0::load(self, loader);
+                let requested = loader.requested();
+                let running = requested.iter().filter(|t| t.name.contains(".running_"));
+                statistics = running.map(Requested::count).sum();
+                network
+            },
+            operations,
+        )?;
+        // A BatchNorm's mean and variance are measured, not trained.
+        cost.parameters -= statistics;
+        Ok(cost)
+    }
+}
+
+/// The layers whose names begin so, and the side of the grid at which they compute, for a picture of `image` pixels a side.
+fn layer_sides(image: usize) -> Vec<(String, usize)> {
+    let mut side = image.div_ceil(2);
+    let mut layers = vec![("_conv_stem.".to_owned(), side)];
+    let strides = STAGES
+        .into_iter()
+        .flat_map(|(count, _, stride, _)| (0..count).map(move |i| if i == 0 { stride } else { 1 }));
+    for (block, stride) in strides.enumerate() {
+        layers.push((format!("_blocks.{block}._expand_conv."), side));
+        side = side.div_ceil(stride);
+        layers.push((format!("_blocks.{block}."), side));
+    }
+    layers
 }
 
 /// The network.
@@ -213,6 +268,15 @@ mod tests {
             let image = Tensor::zeros((1, 64, 48, 3), DType::F32, &Device::Cpu).unwrap();
             assert_eq!(model.encode(&image).unwrap().dims(), [1, 4, 3, 112]);
         }
+    }
+
+    #[test]
+    fn cost_is_that_of_the_layers() {
+        let config = EfficientNetLite0Config::default();
+        let cost = config.cost().unwrap();
+        // Sums over the tensors of the published checkpoint.
+        assert_eq!(cost.parameters, 700_768);
+        assert_eq!(cost.operations, 635_478_016);
     }
 
     #[test]

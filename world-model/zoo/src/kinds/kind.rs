@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use super::encoder::{EncoderConfig, EncoderParser, parser};
 use crate::checkpoint::Average;
+use crate::efficientnet_lite0::EfficientNetLite0Config;
 use crate::vae::{CosmosConfig, SdVaeConfig, VaVaeConfig};
 use crate::vit::{SiglipVisionConfig, VjepaConfig, WebDinoConfig};
 use crate::{Checkpoint, Error, Result};
@@ -61,7 +62,7 @@ kinds! {
     LinearProbe = "linear-probe";
     TemporalProbe = "temporal-probe";
     ProgressProbe = "progress-probe";
-    EfficientNetLite0 = "efficientnet-lite0";
+    EfficientNetLite0 = "efficientnet-lite0", encoder EfficientNetLite0Config;
 }
 
 impl Kind {
