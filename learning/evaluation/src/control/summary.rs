@@ -248,17 +248,25 @@ fn of_responses(section: &mut Section, windows: &[(&String, &Response)], setting
             let sentence = format!(
                 "squared latent error over that of persistence at k = {k}, predictions under {about}"
             );
-            let metric = figure_of_units(windows.len(), settings, better, &sentence, |chosen| {
-                ratio(chosen, k - 1)
-            });
-            if let Some(mut metric) = metric {
-                let each = windows
-                    .iter()
-                    .enumerate()
-                    .map(|(index, (name, _))| ((*name).clone(), ratio(&[index], k - 1)));
-                metric.samples = each.filter(|(_, ratio)| ratio.is_finite()).collect();
-                section.metric(&format!("ratio_k{k}{end}"), metric);
-            }
+            let mut add = |name: String, sentence: &str, indices: &[usize]| {
+                let metric = figure_of_units(indices.len(), settings, better, sentence, |chosen| {
+                    let of_all = chosen.iter().filter_map(|i| indices.get(*i).copied());
+                    ratio(&of_all.collect::<Vec<_>>(), k - 1)
+                });
+                if let Some(mut metric) = metric {
+                    let each = indices.iter().filter_map(|index| {
+                        let (name, _) = windows.get(*index)?;
+                        Some(((*name).clone(), ratio(&[*index], k - 1)))
+                    });
+                    metric.samples = each.filter(|(_, ratio)| ratio.is_finite()).collect();
+                    section.metric(&name, metric);
+                }
+            };
+            add(format!("ratio_k{k}{end}"), &sentence, &all);
+            let sentence =
+                format!("{sentence}, on the half of the windows that change most until k = {k}");
+            let moving = most_changed(windows, k - 1);
+            add(format!("ratio_k{k}{end}_moving"), &sentence, &moving);
         }
     }
     section.curves.push(curve);
@@ -292,9 +300,61 @@ fn of_responses(section: &mut Section, windows: &[(&String, &Response)], setting
     }
 }
 
+/// Indices, in order, of the half of the windows whose latents change most until step `k` (counted from 0).
+fn most_changed(windows: &[(&String, &Response)], k: usize) -> Vec<usize> {
+    let change = |index: &usize| {
+        let (_, found) = windows.get(*index)?;
+        found.persistence.get(k).copied()
+    };
+    let mut indices: Vec<usize> = (0..windows.len()).collect();
+    indices.sort_by(|a, b| {
+        let of = |index| change(index).unwrap_or(0.0);
+        of(b).total_cmp(&of(a))
+    });
+    indices.truncate(windows.len().div_ceil(2));
+    indices.sort_unstable();
+    indices
+}
+
 fn of_change(found: &Response, change: ActionChange) -> Option<&Vec<f64>> {
     let mut wrong = found.wrong.iter();
     wrong
         .find(|(own, _)| *own == change)
         .map(|(_, errors)| errors)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Protocol;
+
+    fn response(change: f64, error: f64) -> Response {
+        Response {
+            persistence: vec![change],
+            told: vec![error],
+            wrong: Vec::new(),
+            motion: vec![change],
+            predicted_motion: vec![change],
+        }
+    }
+
+    #[test]
+    fn still_windows_do_not_count_as_moving() {
+        let windows = [(0.0, 0.0), (4.0, 1.0), (0.1, 0.1), (6.0, 4.0), (0.2, 0.2)];
+        let windows: Vec<(String, WindowControl)> = (0..)
+            .zip(windows)
+            .map(|(index, (change, error))| {
+                let response = WindowControl::Response(response(change, error));
+                (format!("window {index}"), response)
+            })
+            .collect();
+        let section = summarise(&windows, &Settings::of(Protocol::Quick, 0));
+        let ratio = |name: &str| {
+            let metric = section.metrics.get(&format!("control.{name}"));
+            metric.map(|metric| metric.value)
+        };
+        assert_eq!(ratio("ratio_k1"), Some(5.3 / 10.3));
+        // The three windows that change most.
+        assert_eq!(ratio("ratio_k1_moving"), Some(5.2 / 10.2));
+    }
 }
