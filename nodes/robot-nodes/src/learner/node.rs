@@ -26,7 +26,7 @@ use super::{
     recording::{bags, duration_s},
     resources::{GIB, free_of, memory_of},
     superfluous,
-    training::{progress_of, result_of, rounds},
+    training::{is_tested, progress_of, result_of, rounds},
     workplace::{IN_USE, MOST_ROUNDS, Workplace},
 };
 
@@ -398,7 +398,6 @@ impl Learner {
         let own = rounds(&at.resources.training.models)?;
         let (round, folder) = own.last().cloned().unwrap_or_default();
         let progress = self.training.as_ref().and_then(|_| progress_of(&folder));
-        let is_tested = folder.join("idm.safetensors").is_file();
         let progress = progress.unwrap_or_default();
         let steps = match progress.part.as_str() {
             "autoencoder" => at.parameters.autoencoder_steps,
@@ -406,9 +405,14 @@ impl Learner {
             "idm" => at.parameters.idm_steps,
             _ => 0,
         };
+        let last = match at.parameters.idm_steps {
+            0 => "transition",
+            _ => "idm",
+        };
+        let is_tested = is_tested(&folder, &progress, last, steps);
         let (state, detail) = match (&self.pause, &self.training) {
             (Some(pause), _) => (LearnerStatus::PAUSED, format!("paused: {pause}")),
-            (None, Some(_)) if is_tested && progress.step >= steps => (
+            (None, Some(_)) if is_tested => (
                 LearnerStatus::TESTING,
                 format!("round {round}: testing the new model"),
             ),

@@ -208,15 +208,21 @@ pub(super) fn progress_of(folder: &Path) -> Option<Progress> {
     });
     let (_, part, path) = journals.max()?;
     let text = fs::read_to_string(path).ok()?;
+    // A step is numbered from 0; a validation has the number of steps before it.
     let step = |line: &str| {
         let line: serde_json::Value = serde_json::from_str(line).ok()?;
-        line.get("step")?.as_u64()
+        let step = line.get("step")?.as_u64()?;
+        Some(step + u64::from(line.get("loss").is_some()))
     };
     let step = text.lines().rev().find_map(step)?;
-    Some(Progress {
-        part,
-        step: step + 1,
-    })
+    Some(Progress { part, step })
+}
+
+/// Whether the round in a folder has trained the part `last` for all its `steps`, and so tests the new model.
+pub(super) fn is_tested(folder: &Path, progress: &Progress, last: &str, steps: u64) -> bool {
+    progress.part == last
+        && progress.step >= steps
+        && folder.join(format!("{last}.safetensors")).is_file()
 }
 
 #[cfg(test)]
@@ -246,6 +252,32 @@ mod tests {
         journal.unwrap().set_modified(later).unwrap();
         let progress = progress_of(folder.path()).unwrap();
         assert_eq!((progress.part.as_str(), progress.step), ("transition", 8));
+        fs::remove_file(folder.path().join("autoencoder.journal.jsonl")).unwrap();
+        write(
+            "transition.journal.jsonl",
+            "{\"step\":9,\"loss\":1}\n{\"step\":10,\"validation\":{}}\n",
+        );
+        assert_eq!(progress_of(folder.path()).unwrap().step, 10);
+    }
+
+    #[test]
+    fn new_model_is_tested_once_its_last_part_is_trained() {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |part: &str| {
+            let path = folder.path().join(format!("{part}.safetensors"));
+            fs::write(path, "").unwrap();
+        };
+        let tests = |part: &str, step, last: &str| {
+            let part = part.to_owned();
+            is_tested(folder.path(), &Progress { part, step }, last, 200)
+        };
+        assert!(!tests("transition", 200, "transition"), "it is being saved");
+        write("transition");
+        assert!(!tests("transition", 199, "transition"));
+        assert!(tests("transition", 200, "transition"), "without idm_steps");
+        assert!(!tests("transition", 200, "idm"));
+        write("idm");
+        assert!(tests("idm", 200, "idm"));
     }
 
     #[test]

@@ -1,8 +1,12 @@
 //! The learner's output folder.
 
-use std::{fs, path::Path, time::UNIX_EPOCH};
+use std::{
+    fs::{self, File, TryLockError},
+    path::Path,
+    time::UNIX_EPOCH,
+};
 
-use anyhow::{Context as _, Result};
+use anyhow::{Context as _, Result, bail};
 use wm_msgs::{builtin_interfaces::Time, wm_msgs::LearnerRound};
 
 use super::{
@@ -20,6 +24,9 @@ pub(super) const MOST_ROUNDS: usize = 100;
 /// File with the model in use.
 pub(super) const IN_USE: &str = "in_use.txt";
 
+/// File that the learner of a folder locks.
+const LOCK: &str = "learner.lock";
+
 /// The output folder, and what an earlier run left there.
 pub(super) struct Workplace {
     pub recording: RecordingSettings,
@@ -31,6 +38,8 @@ pub(super) struct Workplace {
     pub rounds: Vec<LearnerRound>,
     /// The model in use.
     pub model: String,
+    /// Locked as long as the file is open.
+    _lock: File,
 }
 
 impl Workplace {
@@ -42,6 +51,7 @@ impl Workplace {
         for folder in [&recordings, &models] {
             fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
         }
+        let lock = lock(&output)?;
         let space = action_space(&parameters.action_space)?;
         let recorded_s = recover_all(&recordings)?;
         let mut finished = Vec::new();
@@ -90,7 +100,22 @@ impl Workplace {
             recorded_s,
             rounds: finished,
             model,
+            _lock: lock,
         })
+    }
+}
+
+/// Reserves a learner's folder until the file is closed, also by a kill.
+fn lock(output: &Path) -> Result<File> {
+    let path = output.join(LOCK);
+    let file = File::create(&path).with_context(|| path.display().to_string())?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(TryLockError::WouldBlock) => bail!(
+            "another learner works in {}: end it, or set the parameter output to another folder",
+            output.display()
+        ),
+        Err(TryLockError::Error(error)) => Err(error).with_context(|| path.display().to_string()),
     }
 }
 
@@ -126,4 +151,20 @@ fn arguments(parameters: &Parameters, recordings: &Path, models: &Path) -> Vec<S
         .into_iter()
         .flat_map(|(name, value)| [name.to_owned(), value]);
     words.collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_learner_works_in_a_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        let first = lock(folder.path()).unwrap();
+        let text = lock(folder.path()).unwrap_err().to_string();
+        assert!(text.contains("another learner works in"), "{text}");
+        assert!(text.contains(&folder.path().display().to_string()));
+        drop(first);
+        lock(folder.path()).unwrap();
+    }
 }
