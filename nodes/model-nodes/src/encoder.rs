@@ -8,8 +8,10 @@
 
 mod choice;
 mod decoding;
+mod job;
 mod node;
 mod other_transports;
+mod parameters;
 mod picture_size;
 mod repeats;
 mod repetition;

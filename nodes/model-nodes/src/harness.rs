@@ -63,12 +63,16 @@
 mod changes;
 mod follower;
 mod goals;
+mod handover;
 mod model_node;
 
 pub use changes::WithChoice;
 pub(crate) use follower::follows;
 pub use follower::{Event, Follower, Follows, Inputs, Outcome};
+pub(crate) use goals::OTHER_SPACE;
 pub use goals::{GoalInputs, Goals};
+pub use handover::Handover;
+pub(crate) use handover::{KeptMessage, is_of};
 pub use model_node::{ModelNode, ModelProgram, ModelSetup, definition};
 
 use std::{ops::Deref, sync::Arc};
@@ -126,6 +130,11 @@ impl<P: ParameterSet> ParameterSet for WithModel<P> {
 }
 
 impl<P> WithModel<P> {
+    /// Whether the node changes to the models that `/wm/model` names.
+    pub(crate) fn follows_model(&self) -> bool {
+        self.common.follow_model
+    }
+
     /// Parses `device` and `cuda_graphs`.
     fn compute(&self) -> Result<Compute> {
         let compute: Compute = self.common.device.parse()?;

@@ -395,15 +395,26 @@ impl History {
         true
     }
 
-    /// Continues the history `before` in a new epoch, with its frames if their latents and actions are this history's.
-    /// Returns whether they are.
+    /// Continues the history `before` in a new epoch: with its actions if they are this history's, and with its frames
+    /// if their latents are too. Returns whether both are.
     pub fn continue_from(&mut self, before: &Self, now: Time) -> bool {
         let epoch = epoch_after(before.epoch, now);
-        let is_same = self.settings == before.settings
-            && self.space == before.space
-            && self.encoding == before.encoding;
-        if is_same {
-            *self = before.clone();
+        let own = self.encoding.space();
+        let has_same_actions = self.settings == before.settings
+            && own.expect_same(before.encoding.space(), "", "").is_ok();
+        let is_same = has_same_actions && self.space == before.space;
+        if has_same_actions {
+            *self = Self {
+                space: self.space.clone(),
+                encoding: self.encoding.clone(),
+                ..before.clone()
+            };
+            if !is_same {
+                // The encoder sends the last frames again, in this space, and the first one names the camera.
+                self.camera = None;
+                self.held_back.discard();
+                self.begin(now);
+            }
         }
         self.epoch = epoch;
         is_same

@@ -27,6 +27,14 @@ pub(crate) fn space() -> LatentSpace {
     }
 }
 
+/// The space of another model.
+pub(crate) fn other_space() -> LatentSpace {
+    LatentSpace {
+        hash: "0100".into(),
+        ..space()
+    }
+}
+
 /// A model of random weights.
 pub(crate) fn world_model() -> WorldModel {
     let config = TransitionConfig {
@@ -46,13 +54,18 @@ pub(crate) fn world_model() -> WorldModel {
 
 /// An empty history with a context of two frames, and two frames in a model step.
 pub(crate) fn history() -> History {
+    history_of(space())
+}
+
+/// The same, of another space.
+pub(crate) fn history_of(space: LatentSpace) -> History {
     let settings = HistorySettings {
         timing: Timing::new(PERIOD, 2),
         context_frames: 2,
         merging: ChunkMerging::Latest,
     };
     let encoding = ActionEncoding::default();
-    History::new(settings, space(), encoding, Time::default())
+    History::new(settings, space, encoding, Time::default())
 }
 
 /// Stamp of frame `index`.
@@ -69,9 +82,14 @@ pub(crate) fn values(index: i64) -> Vec<f32> {
 
 /// The latent of frame `index`.
 pub(crate) fn latent(index: i64) -> Latent {
+    latent_of(index, &space())
+}
+
+/// The same in another space.
+pub(crate) fn latent_of(index: i64, space: &LatentSpace) -> Latent {
     let header = Header {
         stamp: stamp(index),
         frame_id: "camera".into(),
     };
-    encode_latent(&values(index), &space(), LatentDtype::F32, header).unwrap()
+    encode_latent(&values(index), space, LatentDtype::F32, header).unwrap()
 }

@@ -92,6 +92,11 @@ impl<T: Send + 'static, R: Send + 'static> Work<T, R> {
         self.waiting.len()
     }
 
+    /// Takes back the jobs that wait, oldest first.
+    pub fn take_waiting(&mut self) -> VecDeque<T> {
+        std::mem::take(&mut self.waiting)
+    }
+
     /// The result of the running job, when it is there; never, while there is none. Cancel safe.
     ///
     /// # Errors

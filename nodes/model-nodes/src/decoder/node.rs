@@ -7,10 +7,10 @@ use std::{
 
 use anyhow::{Context as _, Result};
 use wm_camera::camera_info::info_topic;
-use wm_model::Fit;
+use wm_model::{Fit, LatentSpace};
 use wm_msgs::{sensor_msgs::CameraInfo, std_msgs::String as Text, wm_msgs::Prediction};
 use wm_ros::{
-    Diagnostics, Input, Level, NodeDefinition, Parameter, Publisher, Qos, Subscription,
+    Diagnostics, Input, Level, NodeDefinition, Parameter, Publisher, Qos, Received, Subscription,
     complaints::Complaints,
 };
 use wm_zoo::ModelFolder;
@@ -23,7 +23,7 @@ use super::{
 };
 use crate::{
     cadence::{PACE, SKIPPED, every_nth, measured, rough},
-    harness::{self, ModelNode, ModelSetup},
+    harness::{self, Handover, KeptMessage, ModelNode, ModelSetup, is_of},
     pool::Pool,
     work::Work,
 };
@@ -88,6 +88,8 @@ struct Model {
     fit: Fit,
     /// `None` if the model has no decoder.
     step: Option<Arc<Mutex<DecoderStep>>>,
+    /// `None` if the model has no decoder.
+    space: Option<LatentSpace>,
     /// The time of a picture in the trial; `None` if the trial failed.
     estimate: Option<Duration>,
     pool: Pool,
@@ -147,6 +149,10 @@ impl ModelNode for Decoder {
     type Endpoints = Endpoints;
     type Model = Model;
 
+    fn space(model: &Model) -> Option<&LatentSpace> {
+        model.space.as_ref()
+    }
+
     fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Model> {
         let step = folder.decoder()?.map(DecoderStep::new);
         if let Some(step) = &step
@@ -171,6 +177,7 @@ impl ModelNode for Decoder {
         let model = Model {
             name: folder.name(),
             fit: folder.fit()?,
+            space: step.as_ref().map(|step| step.space().clone()),
             step: step.map(|step| Arc::new(Mutex::new(step))),
             estimate,
             pool,
@@ -210,6 +217,7 @@ impl ModelNode for Decoder {
     }
 
     async fn run(&mut self, at: &mut ModelSetup<Self>) -> Result<()> {
+        let handover = at.endpoints.handover();
         let Endpoints {
             predictions,
             pictures,
@@ -217,7 +225,7 @@ impl ModelNode for Decoder {
             infos,
             fit: announced,
         } = &mut *at.endpoints;
-        let fit = at.resources.fit;
+        let (fit, space) = (at.resources.fit, at.resources.space.as_ref());
         let Some(decoding) = &mut self.decoding else {
             // In `run`, because the lifecycle sets its own status after `activate`.
             at.node
@@ -249,8 +257,12 @@ impl ModelNode for Decoder {
                         Err(error) => decoding.complaints.left_out("bad_prediction", &error),
                     }
                 }
-                received = predictions.recv_shared() => {
+                received = next(predictions, &handover) => {
                     let Some(received) = received else { return Ok(()) };
+                    let is_own = space.is_none_or(|space| is_of(&received.message.latent, space));
+                    if !is_own && handover.keep(KeptMessage::Prediction(received.clone())) {
+                        continue;
+                    }
                     let steps = at.parameters.steps.get();
                     decoding.pictures = pictures_of(received.message.horizon, &steps);
                     if steps.is_empty() || steps.contains(&i64::from(received.message.step)) {
@@ -266,6 +278,17 @@ impl ModelNode for Decoder {
                 () = until(due) => decoding.release(),
             }
         }
+    }
+}
+
+/// The next prediction, first those that were kept for the present model; `None` at the shutdown. Cancel safe.
+async fn next(
+    predictions: &mut Subscription<Prediction>,
+    handover: &Handover,
+) -> Option<Received<Arc<Prediction>>> {
+    match handover.prediction() {
+        Some(kept) => Some(kept),
+        None => predictions.recv_shared().await,
     }
 }
 

@@ -2,7 +2,7 @@
 
 use image::RgbImage;
 use thiserror::Error;
-use wm_model::Decoder;
+use wm_model::{Decoder, LatentSpace};
 use wm_msgs::wm_msgs::Prediction;
 
 use wm_camera::image_message::ImageError;
@@ -61,6 +61,11 @@ impl DecoderStep {
         let latent = vec![0.0; self.decoder.space().elements()];
         self.decoder.picture(&latent)?;
         Ok(())
+    }
+
+    /// The space of the latents that it decodes.
+    pub fn space(&self) -> &LatentSpace {
+        self.decoder.space()
     }
 
     /// Bytes of a raw picture's pixels.

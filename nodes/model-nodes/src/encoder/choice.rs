@@ -4,8 +4,10 @@ use std::time::{Duration, Instant};
 
 use wm_motion::motion::Pace;
 
-use crate::cadence::{Arrivals, Recent, every_nth, rough};
+use crate::cadence::{Arrivals, OPEN, Recent, every_nth, hertz, rough};
 
+/// Advice for a higher rate.
+const FASTER: &str = "for more: a smaller encoder, or a faster processor";
 /// The longest of the last runs times this must fit before more frames are taken.
 const MARGIN: f64 = 1.1;
 /// A machine that starts loads other models too: a time measured then counts only if it takes this many periods.
@@ -283,6 +285,22 @@ impl Choice {
 fn nanos(period: Duration) -> i64 {
     // 64 bits of nanoseconds hold 292 years.
     i64::try_from(period.as_nanos()).unwrap_or(i64::MAX)
+}
+
+/// Logs which frames are encoded.
+pub(super) fn log_selection(choice: &Choice, taken: Duration, needs: &Needs) {
+    let mode = choice.mode();
+    let (taken, rate, words) = (
+        rough(taken),
+        hertz(needs.frame_period),
+        mode.in_words(needs),
+    );
+    let text = format!("encoding a frame takes about {taken} here; at {rate}");
+    match mode {
+        _ if choice.is_open() => tracing::info!("{text}, {OPEN}"),
+        Mode::All => tracing::info!("{text}, {words}"),
+        Mode::Every(_) | Mode::Contexts(_) => tracing::warn!("{text}, {words}; {FASTER}"),
+    }
 }
 
 #[cfg(test)]

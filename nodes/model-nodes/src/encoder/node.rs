@@ -6,13 +6,11 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
-use image::RgbImage;
 use tokio::sync::watch;
-use wm_model::PictureSize;
+use wm_model::{Framing, LatentSpace, PictureSize};
 use wm_motion::actions::ActionSpace;
 use wm_msgs::{
     builtin_interfaces::{Duration as Span, Time},
-    std_msgs::Header,
     wm_msgs::{Action, CameraState, Latent},
 };
 use wm_ros::{
@@ -22,14 +20,17 @@ use wm_ros::{
 use wm_zoo::ModelFolder;
 
 use super::{
-    Choice, EncoderError, EncoderStep, Fate, Mismatch, Mode, Needs, Repetition, Sight, Stillness,
+    Choice, EncoderError, EncoderStep, Fate, Mismatch, Needs, Repetition, Sight, Stillness,
+    choice::log_selection,
     decoding::{DecodedFrame, Decoding, ReceivedFrame},
+    job::{Job, RecentPictures},
     other_transports,
+    parameters::Parameters,
     picture_size::{PictureSizes, SizeChange},
     repeats::{Arrival, Repeats},
 };
 use crate::{
-    cadence::{OPEN, PACE, SKIPPED, hertz, measured, rough},
+    cadence::{PACE, SKIPPED, measured},
     camera::{Admission, Camera, Source, WrongCamera},
     harness::{self, ModelNode, ModelSetup},
     history::{Reception, Timing, epoch_after, seconds, stamp_of_frame, stamp_of_other},
@@ -37,10 +38,7 @@ use crate::{
     work::Work,
 };
 use wm_camera::camera_frame::CameraFrame;
-use wm_wire::{
-    latent_message::{LATENT_QOS, LatentDtype},
-    transport::{ImageSubscription, Transports},
-};
+use wm_wire::{latent_message::LATENT_QOS, transport::ImageSubscription};
 
 /// The node.
 pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Encoder>();
@@ -49,31 +47,8 @@ pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Encoder>()
 const SILENCE: Duration = Duration::from_secs(1);
 /// Without a frame for this long after the start, the node looks for the camera on other transports.
 const MISSING: Duration = Duration::from_secs(5);
-/// Advice for a higher rate.
-const FASTER: &str = "for more: a smaller encoder, or a faster processor";
 /// Advice for a missing camera.
 const NO_CAMERA: &str = "start the camera's driver, or name its topic: camera:=TOPIC for wm launch, -r /camera/image_raw:=TOPIC for the node";
-
-wm_ros::parameters! {
-    /// The node's parameters.
-    struct Parameters {
-        /// Number type of the latents. In f16 a latent of the embedded model takes 6 KB.
-        dtype: LatentDtype = "f16", one_of {
-            "f32" => LatentDtype::F32, "f16" => LatentDtype::F16, "bf16" => LatentDtype::Bf16,
-        };
-        /// Image transport of the camera. With both, a frame that arrives twice counts once.
-        image_transport: Transports = "both";
-        /// Time from one camera frame to the next [s]; 0: as in the model's training. With context_frames, it says which
-        /// frames are encoded where encoding is slower than the camera.
-        frame_period: f64 = 0.0, in 0.0..=60.0;
-        /// Number of observed frames that predictions start from, one model step apart, as on the predictor.
-        context_frames: usize = 2, in 1..=64;
-        /// A camera counts as frozen if its picture repeats exactly for longer than this, or does not change for longer
-        /// than this after the arm has moved [s]. Then the planner publishes no plan. 0: never, for simulators that
-        /// render without noise.
-        frozen_after: Duration = 1.0, in 0.0..=3600.0;
-    }
-}
 
 wm_ros::endpoints! {
     /// Topics.
@@ -89,23 +64,14 @@ wm_ros::endpoints! {
     }
 }
 
-/// A picture to encode.
-struct Job {
-    picture: RgbImage,
-    header: Header,
-    is_raw: bool,
-    received: Instant,
-    epoch: u64,
-    change: f32,
-    is_frozen: bool,
-}
-
 /// The latent or the error of a frame, whether the frame was raw, how long encoding took, and when the frame was received.
 type Encoded = (Result<Latent, EncoderError>, bool, Duration, Instant);
 
 /// The loaded parts of the model.
 struct Model {
     step: Arc<Mutex<EncoderStep>>,
+    space: LatentSpace,
+    framing: Framing,
     /// The time of a frame in the trial; `None` if the trial failed.
     estimate: Option<Duration>,
     needs: Needs,
@@ -116,17 +82,16 @@ struct Model {
 impl Model {
     /// Whether its latents, its choice of frames and its actions are those of `other`.
     fn encodes_like(&self, other: &Self) -> bool {
-        let space = |model: &Self| {
-            let step = model.step.lock().unwrap_or_else(PoisonError::into_inner);
-            step.space().clone()
-        };
-        space(self) == space(other) && self.needs == other.needs && self.actions == other.actions
+        self.space == other.space && self.needs == other.needs && self.actions == other.actions
     }
 }
 
 struct Encoder {
     decoding: Decoding,
     work: Work<Job, Encoded>,
+    recent: RecentPictures,
+    /// Pictures that are still to be encoded again.
+    again: usize,
     /// Selects the frames to encode.
     choice: Choice,
     needs: Needs,
@@ -156,6 +121,11 @@ impl ModelNode for Encoder {
     type Parameters = Parameters;
     type Endpoints = Endpoints;
     type Model = Model;
+    const MAKES_LATENTS: bool = true;
+
+    fn space(model: &Model) -> Option<&LatentSpace> {
+        Some(&model.space)
+    }
 
     fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Model> {
         let step = EncoderStep::of_model(&folder, parameters.dtype)?;
@@ -178,6 +148,8 @@ impl ModelNode for Encoder {
         let sizes = PictureSizes::new(step.framing(), folder.trained_on()?);
         Ok(Model {
             sizes,
+            space: step.space().clone(),
+            framing: step.framing(),
             step: Arc::new(Mutex::new(step)),
             estimate,
             needs,
@@ -192,21 +164,21 @@ impl ModelNode for Encoder {
             needs,
             actions,
             sizes,
+            framing,
+            ..
         } = &at.resources;
         let step = Arc::clone(step);
+        let framing = at.parameters.follows_model().then_some(*framing);
+        let recent = RecentPictures::new(needs, framing);
+        let kept = recent.clone();
         let choice = Choice::new(*needs, *estimate);
         let work = Work::new(choice.room(), move |job: Job, _| {
             let step = step.lock().unwrap_or_else(PoisonError::into_inner);
             let started = Instant::now();
             frame_trace::passed("encoding begun", job.header.stamp);
-            let latent = step.encode_picture(&job.picture, &job.header);
-            let latent = latent.map(|latent| Latent {
-                epoch: job.epoch,
-                change: job.change,
-                frozen: job.is_frozen,
-                ..latent
-            });
-            (latent, job.is_raw, started.elapsed(), job.received)
+            let (is_raw, received) = (job.is_raw, job.received);
+            let latent = kept.encode(job, &step);
+            (latent, is_raw, started.elapsed(), received)
         })
         .on(&Pool::foreground(Self::NAME)?);
         let diagnostics = at.node.diagnostics();
@@ -218,6 +190,8 @@ impl ModelNode for Encoder {
         Ok(Self {
             decoding: Decoding::new(),
             work,
+            recent,
+            again: 0,
             choice,
             needs: *needs,
             jumps: clock.jumps(),
@@ -240,14 +214,11 @@ impl ModelNode for Encoder {
         if model.encodes_like(&at.resources) {
             return Ok(());
         }
+        let has_same_actions = model.actions == at.resources.actions;
         at.resources = model;
         let new = Self::activate(at)?;
-        let epoch = epoch_after(self.epoch, self.clock.now());
-        *self = Self {
-            epoch,
-            begun: epoch,
-            ..new
-        };
+        let before = std::mem::replace(self, new);
+        self.continue_from(before, has_same_actions, at.resources.framing);
         Ok(())
     }
 
@@ -289,11 +260,48 @@ impl ModelNode for Encoder {
 }
 
 impl Encoder {
+    /// Follows the camera of the encoder `before` in a new epoch, and encodes its last pictures again.
+    fn continue_from(&mut self, mut before: Self, has_same_actions: bool, framing: Framing) {
+        self.epoch = epoch_after(before.epoch, self.clock.now());
+        // Frames that are being decoded are of the new epoch.
+        self.begun = before.begun;
+        let mut jobs = before.recent.take(before.epoch, framing, Instant::now());
+        let waiting = before.work.take_waiting().into_iter();
+        jobs.extend(waiting.filter(|job| job.epoch == before.epoch));
+        self.again = jobs.len();
+        self.make_room();
+        for job in jobs {
+            // There is room for all.
+            let _ = self.work.submit(Job {
+                epoch: self.epoch,
+                ..job
+            });
+        }
+        self.decoding = before.decoding;
+        self.camera = before.camera;
+        self.repeats = before.repeats;
+        self.repetition = before.repetition;
+        if has_same_actions {
+            self.stillness = before.stillness;
+            self.is_frozen = before.is_frozen;
+            self.is_repeating = before.is_repeating;
+        }
+    }
+
+    /// Lets as many pictures wait as the selection of frames needs, and those that are encoded again.
+    fn make_room(&mut self) {
+        self.work.set_capacity(self.choice.room() + self.again);
+    }
+
     fn encoded(
         &mut self,
         (latent, is_raw, taken, received): Encoded,
         latents: &Publisher<Latent>,
     ) -> Result<()> {
+        if self.again > 0 {
+            self.again -= 1;
+            self.make_room();
+        }
         match latent {
             Ok(latent) => {
                 let stamp = latent.header.stamp;
@@ -536,7 +544,7 @@ impl Encoder {
         let Some(taken) = self.choice.change() else {
             return;
         };
-        self.work.set_capacity(self.choice.room());
+        self.make_room();
         log_selection(&self.choice, taken, &self.needs);
         let words = self.choice.mode().in_words(&self.needs);
         self.diagnostics.set_value(PACE, words);
@@ -568,21 +576,5 @@ impl Encoder {
         self.choice.restart();
         self.repetition.restart();
         self.stillness.restart();
-    }
-}
-
-/// Logs which frames are encoded.
-fn log_selection(choice: &Choice, taken: Duration, needs: &Needs) {
-    let mode = choice.mode();
-    let (taken, rate, words) = (
-        rough(taken),
-        hertz(needs.frame_period),
-        mode.in_words(needs),
-    );
-    let text = format!("encoding a frame takes about {taken} here; at {rate}");
-    match mode {
-        _ if choice.is_open() => tracing::info!("{text}, {OPEN}"),
-        Mode::All => tracing::info!("{text}, {words}"),
-        Mode::Every(_) | Mode::Contexts(_) => tracing::warn!("{text}, {words}; {FASTER}"),
     }
 }

@@ -91,6 +91,15 @@ impl EncoderStep {
         Ok(encode_latent(&values, space, self.dtype, header.clone())?)
     }
 
+    /// A picture as the encoder takes it.
+    ///
+    /// # Errors
+    /// [`EncoderError::Small`], or the picture does not fit the encoder.
+    pub fn framed(&self, picture: &RgbImage) -> Result<RgbImage, EncoderError> {
+        expect_scene(picture)?;
+        Ok(self.framing.apply(picture)?)
+    }
+
     /// The latent of an image, row-major, channels last.
     ///
     /// # Errors

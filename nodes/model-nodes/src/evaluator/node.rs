@@ -8,7 +8,7 @@ use std::{
 use anyhow::{Context as _, Result};
 use image::RgbImage;
 use tokio::task::JoinError;
-use wm_model::Decoder;
+use wm_model::{Decoder, LatentSpace};
 use wm_msgs::{
     builtin_interfaces::Time,
     std_msgs::{Header, String as Text},
@@ -30,7 +30,9 @@ use crate::{
     chunk_merging::Merging,
     encoder::EncoderStep,
     env::INSTRUCTION,
-    harness::{self, Follower, GoalInputs, Goals, Inputs, ModelNode, ModelSetup, Outcome},
+    harness::{
+        self, Follower, GoalInputs, Goals, Inputs, ModelNode, ModelSetup, OTHER_SPACE, Outcome,
+    },
     history::{HistoryBuilder, seconds},
     planner::GoalReader,
     pool::Pool,
@@ -135,6 +137,10 @@ impl ModelNode for Evaluator {
     type Endpoints = Endpoints;
     type Model = Model;
 
+    fn space(model: &Model) -> Option<&LatentSpace> {
+        Some(model.history.space())
+    }
+
     fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Model> {
         let encoder = EncoderStep::of_model(&folder, LatentDtype::F32)?;
         let model = folder.world_model()?;
@@ -203,13 +209,14 @@ impl ModelNode for Evaluator {
         };
         let history = model.history.begin(node.now());
         let mut evaluator = Self {
-            follower: Follower::new(node, &at.endpoints.inputs, "start the encoder"),
+            follower: Follower::new(node, &at.endpoints.inputs, "start the encoder")
+                .keeping(at.endpoints.handover()),
             step: EvaluatorStep::new(settings, history),
             clock: node.clock(),
             waiting: None,
             complaints: Complaints::new(node.diagnostics()),
             diagnostics: node.diagnostics(),
-            goals: Goals::new(model.goals.clone(), &model.pool),
+            goals: Goals::new(model.goals.clone(), &model.pool, parameters.follows_model()),
             evaluations,
             cadence: Cadence::new(model.history.timing().frame_period(), None),
             pictures,
@@ -222,7 +229,12 @@ impl ModelNode for Evaluator {
     fn adopt(&mut self, at: &mut ModelSetup<Self>, model: Model) -> Result<()> {
         at.resources = model;
         let mut new = Self::activate(at)?;
-        new.step.continue_from(&self.step, at.node.now());
+        let is_same = new.step.continue_from(&self.step, at.node.now());
+        let has_goal = self.step.has_goal();
+        if !new.goals.continue_from(&self.goals, has_goal, is_same) {
+            self.complaints
+                .left_out("goal_of_other_space", &OTHER_SPACE);
+        }
         let data = self.step.task_mut().text().to_owned();
         if !data.is_empty() {
             new.instruction(&Text { data });

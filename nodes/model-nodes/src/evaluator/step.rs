@@ -153,11 +153,13 @@ impl EvaluatorStep {
     }
 
     /// Continues from the state of the model `before`, whose goal is kept if its latents and actions are this model's. The
-    /// task is read again by the new model's probe.
-    pub fn continue_from(&mut self, before: &Self, now: Time) {
-        if self.history.continue_from(&before.history, now) {
+    /// task is read again by the new model's probe. Returns whether they are this model's.
+    pub fn continue_from(&mut self, before: &Self, now: Time) -> bool {
+        let is_same = self.history.continue_from(&before.history, now);
+        if is_same {
             self.goal.clone_from(&before.goal);
         }
+        is_same
     }
 
     /// Takes a latent.
@@ -191,6 +193,11 @@ impl EvaluatorStep {
     /// Takes a goal.
     pub fn set_goal(&mut self, goal: Goal) {
         self.goal = Some(goal);
+    }
+
+    /// Whether a goal is set.
+    pub fn has_goal(&self) -> bool {
+        self.goal.is_some()
     }
 
     /// The policy's task.

@@ -1,7 +1,8 @@
 //! The inputs of a node that follows the robot: latents, actions, chunks, resets and clock jumps.
 //!
 //! The state keeps a [`History`](crate::history::History) and implements [`Follows`]. [`Follower::next`] waits for an
-//! input. [`Follower::apply`] applies it to the state, and counts and reports faults:
+//! input. [`Follower::apply`] applies it to the state, and counts and reports faults. [`Follower::keeping`] is for nodes
+//! whose [`ModelNode::space`](super::ModelNode::space) names the space of their model.
 //!
 //! ```no_run
 //! use std::convert::Infallible;
@@ -148,6 +149,7 @@ use wm_ros::{
 };
 use wm_wire::latent_message::LATENT_QOS;
 
+use super::{Handover, KeptMessage};
 use crate::history::{Arrival, HistoryError, Reception, note};
 
 wm_ros::endpoints! {
@@ -234,6 +236,7 @@ pub enum Event {
 pub struct Follower {
     clock: Clock,
     jumps: watch::Receiver<u64>,
+    handover: Handover,
 }
 
 impl Follower {
@@ -244,11 +247,21 @@ impl Follower {
         Self {
             clock: node.clock(),
             jumps: node.clock().jumps(),
+            handover: Handover::default(),
         }
+    }
+
+    /// The same, keeping latents of another space while the node changes to a model of that space.
+    #[must_use]
+    pub fn keeping(self, handover: Handover) -> Self {
+        Self { handover, ..self }
     }
 
     /// The next input; `None` at the shutdown. Cancel safe.
     pub async fn next(&mut self, inputs: &mut Inputs) -> Option<Event> {
+        if let Some(kept) = self.handover.latent() {
+            return Some(Event::Latent(kept));
+        }
         // Actions and chunks first: if those of a moment wait together with its frame, the frame needs them.
         tokio::select! {
             biased;
@@ -276,7 +289,13 @@ impl Follower {
                         note(complaints, Ok(arrival));
                         return Some(Outcome::Latent(effect));
                     }
-                    Err(error) => note(complaints, Err(error)),
+                    Err(error) => {
+                        let is_kept = error.is_other_space()
+                            && self.handover.keep(KeptMessage::Latent(received));
+                        if !is_kept {
+                            note(complaints, Err(error));
+                        }
+                    }
                 }
             }
             Event::Action(received) => {

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use anyhow::Result;
+use wm_model::LatentSpace;
 use wm_ros::{EndpointSet, Node, NodeDefinition, NodeProgram, ParameterSet, Setup};
 use wm_zoo::ModelFolder;
 
@@ -21,6 +22,15 @@ pub trait ModelNode: Sized + 'static {
     type Endpoints: EndpointSet + 'static;
     /// The parts of the model that it needs.
     type Model: Send + 'static;
+
+    /// Whether the node makes the latents of the others. Then it changes to a model of another latent space after them.
+    const MAKES_LATENTS: bool = false;
+
+    /// The latent space of a model. A node with latents of others changes to a model of another space when the first
+    /// latent of that space arrives. By default the node changes as soon as a model is loaded.
+    fn space(_model: &Self::Model) -> Option<&LatentSpace> {
+        None
+    }
 
     /// Refuses inconsistent parameters.
     ///

@@ -38,6 +38,11 @@ impl HistoryBuilder {
         self.settings.timing
     }
 
+    /// The space of the latents.
+    pub fn space(&self) -> &LatentSpace {
+        &self.space
+    }
+
     /// An empty history that begins at `begin` by the node's clock.
     pub fn begin(&self, begin: Time) -> History {
         let (space, encoding) = (self.space.clone(), self.encoding.clone());

@@ -101,6 +101,11 @@ pub enum HistoryError {
 }
 
 impl HistoryError {
+    /// Whether it is a latent of another space.
+    pub(crate) fn is_other_space(&self) -> bool {
+        matches!(self, Self::Latent(LatentError::Space { .. }))
+    }
+
     /// One word for the drop counters.
     pub fn reason(&self) -> &'static str {
         match self {

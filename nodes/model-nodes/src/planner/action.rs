@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use wm_msgs::wm_msgs::{
-    Plan,
+    Goal as GoalMessage, Plan,
     action::{Plan as PlanAction, PlanFeedback, PlanGoal, PlanResult},
 };
 use wm_planner::Progress;
@@ -176,6 +176,11 @@ impl ActionRun {
     /// The goal's identity.
     pub fn id(&self) -> GoalId {
         self.goal.id()
+    }
+
+    /// The goal as it was received.
+    pub fn message(&self) -> &GoalMessage {
+        &self.goal.goal.goal
     }
 
     /// Publishes feedback for the client.

@@ -7,6 +7,7 @@ use std::{
 
 use anyhow::{Context as _, Result};
 use tokio::sync::mpsc;
+use wm_model::LatentSpace;
 use wm_msgs::{
     builtin_interfaces::{Duration as RosDuration, Time},
     geometry_msgs::PoseStamped,
@@ -27,7 +28,9 @@ use super::{
 use crate::{
     cadence::{Cadence, SKIPPED, rough},
     encoder::EncoderStep,
-    harness::{self, Follower, GoalInputs, Goals, Inputs, ModelNode, ModelSetup, Outcome},
+    harness::{
+        self, Follower, GoalInputs, Goals, Inputs, ModelNode, ModelSetup, OTHER_SPACE, Outcome,
+    },
     history::{FROZEN_CAMERA, HistoryBuilder, Wait, seconds},
     pool::Pool,
     work::{Stop, Work},
@@ -79,10 +82,6 @@ struct Finished {
     taken: Duration,
 }
 
-/// Why a goal is forgotten.
-const OTHER_SPACE: &str =
-    "the new model has another latent space, so the goal is forgotten; send it again";
-
 /// Most feedback messages that wait.
 const MOST_FEEDBACK: usize = 64;
 
@@ -114,6 +113,10 @@ impl ModelNode for Planner {
     type Parameters = Parameters;
     type Endpoints = Endpoints;
     type Model = Model;
+
+    fn space(model: &Model) -> Option<&LatentSpace> {
+        Some(model.history.space())
+    }
 
     fn check(parameters: &Parameters) -> Result<()> {
         parameters.workspace().map(drop)
@@ -193,9 +196,14 @@ impl ModelNode for Planner {
             move |(id, message): (GoalId, GoalMessage), _: &Stop| (id, reader.of_message(&message));
         Ok(Self {
             planner: Arc::clone(&model.planner),
-            follower: Follower::new(node, &at.endpoints.inputs, "start the encoder"),
+            follower: Follower::new(node, &at.endpoints.inputs, "start the encoder")
+                .keeping(at.endpoints.handover()),
             step: PlannerStep::new(at.parameters.settings(), history),
-            goals: Goals::new(model.goals.clone(), &model.pool),
+            goals: Goals::new(
+                model.goals.clone(),
+                &model.pool,
+                at.parameters.follows_model(),
+            ),
             read: Work::new(1, read).on(&model.pool),
             action: None,
             progress: receiver,
@@ -213,15 +221,21 @@ impl ModelNode for Planner {
         at.resources = model;
         let mut new = Self::activate(at)?;
         let is_same = new.step.continue_from(&self.step, at.node.now());
-        if is_same {
-            new.action = self.action.take();
-        } else {
-            self.end(End::Aborted(OTHER_SPACE.to_owned()))?;
-            if self.step.has_goal() {
-                self.complaints
-                    .left_out("goal_of_other_space", &OTHER_SPACE);
+        if let Some(run) = &self.action {
+            let is_wanted = !is_same || self.read.is_running();
+            if is_wanted && !is_same && !run.message().latents.is_empty() {
+                self.end(End::Aborted(OTHER_SPACE.to_owned()))?;
+            } else if is_wanted {
+                // The new model has read none yet.
+                let _ = new.read.submit((run.id(), run.message().clone()));
             }
         }
+        let has_goal = self.step.has_goal() && self.action.is_none();
+        if !new.goals.continue_from(&self.goals, has_goal, is_same) {
+            self.complaints
+                .left_out("goal_of_other_space", &OTHER_SPACE);
+        }
+        new.action = self.action.take();
         *self = new;
         Ok(())
     }

@@ -199,6 +199,8 @@ pub struct PlannerStep {
     settings: PlannerSettings,
     history: History,
     goal: Option<SetGoal>,
+    /// The goal in the latents of the previous model, until it is read again.
+    previous_goal: Option<SetGoal>,
     pose: Option<Pose>,
     /// Observation of the newest request for the goal \[ns\].
     requested_ns: Option<i64>,
@@ -223,6 +225,7 @@ impl PlannerStep {
             settings,
             history,
             goal: None,
+            previous_goal: None,
             pose: None,
             requested_ns: None,
             last: None,
@@ -232,11 +235,14 @@ impl PlannerStep {
     }
 
     /// Continues from the state of the model `before`. Returns whether its latents and actions are this model's; only then
-    /// its goal is kept.
+    /// its goal is kept. If the goal is read again by this model, the progress towards it is kept too.
     pub fn continue_from(&mut self, before: &Self, now: Time) -> bool {
         let is_same = self.history.continue_from(&before.history, now);
+        self.previous_goal.clone_from(&before.previous_goal);
         if is_same {
             self.goal.clone_from(&before.goal);
+        } else if before.goal.is_some() {
+            self.previous_goal.clone_from(&before.goal);
         }
         self.pose.clone_from(&before.pose);
         self.seed = before.seed;
@@ -292,10 +298,18 @@ impl PlannerStep {
 
     /// Takes a goal at `now`, with latents of the planner's own space. The next plan does not start from the last one.
     pub fn set_goal(&mut self, goal: Goal, now: Time) {
+        let begun = self.previous_goal.take().filter(|previous| {
+            let previous = &previous.goal;
+            (previous.stamp, previous.latents.len()) == (goal.stamp, goal.latents.len())
+        });
+        let (set_ns, waypoint) = begun.map_or_else(
+            || (now.to_nanos(), Waypoint::default()),
+            |begun| (begun.set_ns, begun.waypoint),
+        );
         self.goal = Some(SetGoal {
             goal: Arc::new(goal),
-            set_ns: now.to_nanos(),
-            waypoint: Waypoint::default(),
+            set_ns,
+            waypoint,
         });
         self.forget_plans();
     }
@@ -367,6 +381,7 @@ impl PlannerStep {
     /// Clears the goal: no plans until the next one.
     pub fn clear_goal(&mut self) {
         self.goal = None;
+        self.previous_goal = None;
         self.forget_plans();
     }
 

@@ -8,7 +8,7 @@ use std::{
 
 use anyhow::{Context as _, Result};
 use tokio::time::Interval;
-use wm_model::WorldModel;
+use wm_model::{LatentSpace, WorldModel};
 use wm_msgs::{
     std_msgs::String as Text,
     wm_msgs::{Prediction, PredictionError},
@@ -151,6 +151,10 @@ impl ModelNode for Predictor {
     type Endpoints = Endpoints;
     type Model = Model;
 
+    fn space(model: &Model) -> Option<&LatentSpace> {
+        Some(model.history.space())
+    }
+
     fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Model> {
         let model = folder.world_model()?;
         tracing::info!(
@@ -222,7 +226,7 @@ impl ModelNode for Predictor {
             }
         });
         let inputs = &at.endpoints.inputs;
-        let follower = Follower::new(node, inputs, NO_ENCODER);
+        let follower = Follower::new(node, inputs, NO_ENCODER).keeping(at.endpoints.handover());
         let actions = Input::new("actions", [inputs.actions.topic()], NO_ACTIONS);
         node.diagnostics().expect_input(actions.dispensable());
         Ok(Self {

@@ -14,15 +14,25 @@ pub fn write_model(folder: &Path) -> wm_model::LatentSpace {
     write_model_of_views(folder, 1)
 }
 
+/// The same, of other weights for each seed, and so of other latent spaces.
+#[allow(dead_code, reason = "not every test has two models")]
+pub fn write_model_of_seed(folder: &Path, seed: u64) -> wm_model::LatentSpace {
+    write(folder, 1, seed)
+}
+
 /// The same, with `views` cameras side by side in an image.
 pub fn write_model_of_views(folder: &Path, views: usize) -> wm_model::LatentSpace {
+    write(folder, views, 1)
+}
+
+fn write(folder: &Path, views: usize, seed: u64) -> wm_model::LatentSpace {
     let config = AutoencoderConfig {
         name: "test".into(),
         height: 32,
         width: 32,
         ..AutoencoderConfig::tiny()
     };
-    let autoencoder = Autoencoder::random(config, 1).unwrap();
+    let autoencoder = Autoencoder::random(config, seed).unwrap();
     autoencoder
         .save(folder.join("autoencoder.safetensors"), Precision::F32)
         .unwrap();

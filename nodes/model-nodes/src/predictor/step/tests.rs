@@ -14,7 +14,10 @@ use wm_msgs::{
 use super::*;
 use crate::{
     predictor::RunningRollout,
-    test_world::{PERIOD, START, history, latent, space, stamp, world_model},
+    test_world::{
+        PERIOD, START, history, history_of, latent, latent_of, other_space, space, stamp,
+        world_model,
+    },
 };
 use wm_ros::PublisherId;
 use wm_wire::latent_message::{LatentError, decode_latent, encode_latent};
@@ -466,4 +469,24 @@ fn another_model_predicts_from_the_same_frames_at_once() {
     assert_eq!(request.moment.observed.stamp_ns, stamp(4).to_nanos());
     assert!(after.epoch() > before.epoch());
     assert!(after.ratios().is_empty() && after.fits(1, i64::MAX).is_empty());
+}
+
+#[test]
+fn model_of_another_space_predicts_when_the_frames_are_sent_again() {
+    let mut before = predictor();
+    feed(&mut before, 0..=4);
+    let mut after = PredictorStep::new(settings(), history_of(other_space()));
+    assert!(after.continue_from(&before, stamp(5)).is_none());
+    let mut see = |index| {
+        let latent = latent_of(index, &other_space());
+        after.latent(&latent, reception(index)).unwrap().rollout
+    };
+    for index in 2..4 {
+        assert!(see(index).unwrap().is_err(), "the context is not whole");
+    }
+    let request = see(4).unwrap().unwrap();
+    assert_eq!(request.moment.observed.stamp_ns, stamp(4).to_nanos());
+    let expected = before.request().unwrap();
+    assert_eq!(request.moment.past, expected.moment.past);
+    assert_eq!(request.future, expected.future);
 }

@@ -1,6 +1,7 @@
 //! Goals of several latents, regions, words, and the box that motion is kept within.
 
 use super::*;
+use crate::test_world::{history_of, other_space};
 
 /// Values of several goals: near the observed ones, far from them, and farther.
 fn several(times: &[i64]) -> Goal {
@@ -194,4 +195,34 @@ fn words_alone_need_a_planner_that_searches() {
     let found = model(setup).plan(&request, &mut |_, _| false).unwrap();
     assert_eq!(found.message.terms, ["action"]);
     assert!(found.message.distance.is_nan());
+}
+
+#[test]
+fn goal_that_another_model_reads_again_goes_on_from_its_progress() {
+    let mut before = planner();
+    before.set_goal(several(&[]), stamp(1));
+    feed(&mut before, 0..=2);
+    let model = model(settings());
+    let request = before.request(at(2)).unwrap();
+    let found = model.plan(&request, &mut |_, _| false).unwrap();
+    let taken = Duration::from_millis(1);
+    before.planned(&request, &found, taken, at(2)).unwrap();
+    let progress = |step: &PlannerStep| {
+        let set = step.goal.as_ref().unwrap();
+        (set.set_ns, set.waypoint)
+    };
+    assert_eq!(progress(&before).1.index, 1);
+
+    let mut after = PlannerStep::new(before.settings, history_of(other_space()));
+    assert!(!after.continue_from(&before, stamp(3)));
+    assert!(!after.has_goal(), "its latents are of the other space");
+    let mut third = PlannerStep::new(before.settings, history());
+    third.continue_from(&after, stamp(4));
+    for step in [&mut after, &mut third] {
+        step.set_goal(several(&[]), stamp(5));
+        assert_eq!(progress(step), progress(&before));
+        step.set_goal(several(&[]), stamp(6));
+        let begun = (stamp(6).to_nanos(), Waypoint::default());
+        assert_eq!(progress(step), begun, "a new goal");
+    }
 }
