@@ -163,6 +163,10 @@ impl Supply for FreshWeights {
         }
         Ok(self.variable(name, shape, || self.usual(name, shape))?)
     }
+
+    fn device(&self) -> Device {
+        self.device.clone()
+    }
 }
 
 fn is_scale(name: &str, shape: &[usize]) -> bool {

@@ -56,6 +56,11 @@ pub trait Supply {
     /// # Errors
     /// If the source has no such tensor.
     fn supply(&self, name: &str, shape: &[usize]) -> Result<Tensor>;
+
+    /// Where its tensors are: networks move their inputs there.
+    fn device(&self) -> Device {
+        Device::Cpu
+    }
 }
 
 /// Weights that the training wrote, as a supply.
@@ -230,11 +235,12 @@ impl<'a> Loader<'a> {
         }
     }
 
-    /// Gives the tensors of `supply`, on the CPU, in f32. Plain operations ([`Kernels::Candle`]) propagate
+    /// Gives the tensors of `supply`, on its device, in f32. Plain operations ([`Kernels::Candle`]) propagate
     /// gradients to it. Names are those of the published checkpoints.
     pub fn supplied(supply: &'a dyn Supply, kernels: Kernels) -> Self {
         Self {
             source: Source::Supply(supply),
+            device: supply.device(),
             reads: true,
             ..Self::skeleton(kernels)
         }

@@ -122,6 +122,11 @@ impl Supply for Variables {
         };
         Ok(tensor.ok_or_else(missing)?)
     }
+
+    fn device(&self) -> Device {
+        let first = self.0.values().next();
+        first.map_or(Device::Cpu, |var| var.device().clone())
+    }
 }
 
 fn values(tensor: &Tensor) -> Result<Vec<f32>> {
