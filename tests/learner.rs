@@ -13,7 +13,7 @@ use crate::harness::{
 };
 
 /// Far longer than a round of some steps; only ends a hanging test.
-const PATIENCE: Duration = Duration::from_secs(180);
+const PATIENCE: Duration = Duration::from_secs(600);
 
 /// The learner with rounds of a few steps; `None` if the trainings are not built.
 fn learner(domain: u16, output: &Path) -> Option<Process> {
