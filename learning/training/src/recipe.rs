@@ -91,6 +91,12 @@ impl Override {
         }
     }
 
+    /// Names of the setting, with dots between them.
+    #[must_use]
+    pub fn path(&self) -> &str {
+        &self.path
+    }
+
     /// First name of the path.
     #[must_use]
     pub fn part(&self) -> &str {

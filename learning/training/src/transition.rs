@@ -14,7 +14,7 @@ mod worker;
 
 use std::path::Path;
 
-use anyhow::{Context as _, Result};
+use anyhow::{Context as _, Result, ensure};
 use candle_core::DType;
 use image::RgbImage;
 use rand_chacha::ChaCha8Rng;
@@ -36,6 +36,7 @@ use crate::{
     fresh_weights::FreshWeights,
     network_variables::{NetworkLearner, NetworkVariables},
     optimiser::ParameterValues,
+    recipe::Override,
     run::{RunEnd, Stop, Task},
     trained_weights::trained_weights_of_actions,
     workers::BatchLoss,
@@ -95,7 +96,7 @@ pub(crate) fn train_on(
             let config = recipe.config(train.space(), &encoding)?;
             (encoding, config)
         }
-        Some(from) => tuned(from, train)?,
+        Some(from) => tuned(from, train, (recipe, &run.set))?,
     };
     let old = from.map(|from| from.tensors).unwrap_or_default();
     let fresh = FreshWeights::tuning(recipe.seed, old).on(&run.compute()?)?;
@@ -302,16 +303,47 @@ impl EvaluateTransitionArgs {
 }
 
 /// Encoding and configuration of a model fine-tuned on `train`: its sizes and conventions stay.
-fn tuned(from: &TransitionTensors, train: &Latents) -> Result<(ActionEncoding, TransitionConfig)> {
+fn tuned(
+    from: &TransitionTensors,
+    train: &Latents,
+    (recipe, set): (&TransitionRecipe, &[Override]),
+) -> Result<(ActionEncoding, TransitionConfig)> {
+    // Weights do not depend on these, so they can be set; without that, they are the old model's, not the recipe's.
+    let (mut frame_skip, mut accumulation) =
+        (from.encoding.frame_skip(), from.encoding.accumulation());
+    let (own, sizes) = (&recipe.model, &from.config);
+    for setting in set {
+        let fits = match setting.path() {
+            "model.frame_skip" => {
+                frame_skip = own.frame_skip;
+                true
+            }
+            "model.accumulation" => {
+                accumulation = own.accumulation;
+                true
+            }
+            "model.hidden" => own.hidden == Some(sizes.hidden),
+            "model.depth" => own.depth == Some(sizes.depth),
+            "model.heads" => own.heads == Some(sizes.heads),
+            "model.patch" => own.patch == Some(sizes.patch),
+            "model.frames" => own.frames == sizes.max_frames,
+            _ => true,
+        };
+        ensure!(
+            fits,
+            "--set {setting}: the model of --from has another value, which its weights determine"
+        );
+    }
     let (old, actions, space) = (&from.encoding, train.action_space(), train.space());
     let null = old.action_dim() - old.space().len();
     let encoding = ActionEncoding::new(
         actions.clone(),
         actions.len() + null,
-        old.frame_skip(),
-        old.accumulation(),
+        frame_skip,
+        accumulation,
     )?;
     let config = TransitionConfig {
+        frame_skip,
         latent_height: space.height,
         latent_width: space.width,
         channels: space.channels,

@@ -11,7 +11,7 @@ use wm_ros::logging::of_others;
 const LAUNCH: &str = include_str!("../../../launch-configs/live.launch.yaml");
 const LAUNCH_NAME: &str = "live.launch.yaml";
 /// Name and text of its parameter files, as the nodes print them.
-const CONFIGS: [(&str, &str); 9] = [
+const CONFIGS: [(&str, &str); 10] = [
     (
         "views",
         include_str!("../../../launch-configs/config/views.yaml"),
@@ -35,6 +35,10 @@ const CONFIGS: [(&str, &str); 9] = [
     (
         "evaluator",
         include_str!("../../../launch-configs/config/evaluator.yaml"),
+    ),
+    (
+        "learner",
+        include_str!("../../../launch-configs/config/learner.yaml"),
     ),
     (
         "recorder",

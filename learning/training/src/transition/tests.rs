@@ -433,14 +433,18 @@ fn model_is_fine_tuned_to_other_actions() {
     let other = with_actions(dir.path(), 4, serde_json::from_str(&space).unwrap());
     let mut recipe = small("tiny", None);
     recipe.optimisation.learning_rate = 0.0;
+    recipe.model.frame_skip = 1;
     let run = RunArgs {
         from: Some(first.display().to_string()),
+        set: vec!["model.frame_skip=1".parse().unwrap()],
         ..run_in(&second)
     };
     train_on(&run, &recipe, Some(from), &other, None, &Stop::default()).unwrap();
     let tuned = ModelFolder::open(second.to_str().unwrap()).unwrap();
     let tuned = tuned.transition_tensors().unwrap();
     assert_eq!((tuned.config.action_dim, tuned.config.hidden), (1, 32));
+    let frames = (tuned.config.frame_skip, tuned.encoding.frame_skip());
+    assert_eq!(frames, (1, 1), "as set, not as in the old model");
     // Without a learning rate, fine-tuned weights stay unchanged.
     let old = Weights::open(first.join(FILE)).unwrap();
     for (name, tensor) in &tuned.tensors {
