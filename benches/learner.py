@@ -6,11 +6,16 @@ usage: benches/learner.py BAG... [--minutes 30] [--alone 3] [--camera T] [--acti
                           [--domain D] [--wm PATH] --out OUT
 
 Plays the bags one after the other, with the stamps of now, again from the first one after the last: the robot. Beside it
-runs launch-configs/live.launch.yaml, first for `--alone` minutes without the learner, then with it and `learn:=true` for
-`--minutes`. Prints Markdown: the calibrated error ratio one step ahead by minute (the sum of the squared errors over that
-of the last frame, repeated), the minutes until it is below .9 and .7 for good, each round of the learner, and the time from
-capture to received prediction without and with the learner. OUT gets both runs, figures.json and learner.svg. Needs
-`cargo build --release -p wm_training` and `cargo build --release`, and of PyPI mcap-ros2-support and matplotlib.
+runs launch-configs/live.launch.yaml, first with `learn:=true` for `--minutes`, then for `--alone` minutes with the last
+model and without the learner. Prints Markdown:
+
+- the calibrated error ratio one step ahead by minute: the sum of the squared errors over that of the last frame, repeated;
+- the minutes until it is below .9 and .7 for good;
+- each round of the learner;
+- the time from capture to received prediction, with and without the learner.
+
+OUT gets both runs, figures.json and learner.svg. Needs `cargo build --release -p wm_training` and `cargo build --release`,
+and of PyPI mcap-ros2-support and matplotlib.
 """
 
 import argparse
@@ -46,13 +51,11 @@ def play(arguments, env, stop):
                 return
 
 
-def run(arguments, env, out, minutes, learn):
+def run(arguments, env, out, minutes, settings):
     """The report of the live nodes after so many minutes."""
     out.mkdir(parents=True)
     launch = [arguments.wm, "launch", str(ROOT / "launch-configs/live.launch.yaml"), f"output:={out / 'live'}"]
-    launch += [f"camera:={arguments.camera}", f"action:={arguments.action}", f"learn:={str(learn).lower()}"]
-    if arguments.action_space:
-        launch.append(f"action_space:={arguments.action_space}")
+    launch += [f"camera:={arguments.camera}", f"action:={arguments.action}", *settings]
     with open(out / "launch.log", "w", encoding="utf-8") as log:
         nodes = subprocess.Popen(launch, env=env, stdout=log, stderr=subprocess.STDOUT)
         recorder = subprocess.Popen(
@@ -133,10 +136,15 @@ def main():
     env = dict(os.environ, ROS_DOMAIN_ID=str(arguments.domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
 
     print(f"{processor()}, {os.cpu_count()} cores, {datetime.date.today()}, {len(arguments.bags)} bags\n", flush=True)
-    reports = {"alone": run(arguments, env, arguments.out / "alone", arguments.alone, False)}
-    reports["learning"] = run(arguments, env, arguments.out / "learning", arguments.minutes, True)
-
+    settings = ["learn:=true"]
+    if arguments.action_space:
+        settings.append(f"action_space:={arguments.action_space}")
+    reports = {"learning": run(arguments, env, arguments.out / "learning", arguments.minutes, settings)}
     recorded = arguments.out / "learning/recorded"
+    *_, (_, status) = messages(recorded, "/wm/learner/status")
+    settings = [f"model:={status.model}"]
+    reports["alone"] = run(arguments, env, arguments.out / "alone", arguments.alone, settings)
+
     errors = [(time, e.mse, e.persistence_mse) for time, e in messages(recorded, "/wm/prediction_error") if e.step == 1]
     ratios = by_minute(errors)
     print("| minute | error ratio one step ahead | n |\n|---|---|---|")
@@ -146,7 +154,6 @@ def main():
     for bound in (0.9, 0.7):
         print(f"below {bound} for good since minute: {below(ratios, bound)}")
 
-    *_, (_, status) = messages(recorded, "/wm/learner/status")
     rounds = [
         {
             "round": r.round,
