@@ -7,7 +7,7 @@
 # With the host's network, and its loopback by default: DDS participants of one host find each other there, and the socket
 # filter of wm drops what comes from other machines (docs/security.md). `--network none` does for a replay.
 
-FROM rust:1.94-slim-bookworm AS build
+FROM rust:1.95-slim-bookworm AS build
 # For the C code of zstd and lz4.
 RUN apt-get update && apt-get install --yes --no-install-recommends build-essential && rm -rf /var/lib/apt/lists/*
 WORKDIR /wm

@@ -16,12 +16,14 @@ import platform
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 STREAM = ROOT / "target/release/examples/stream"
 WM = ROOT / "target/release/wm"
+DOMAIN = "33"
 MIDDLEWARES = {"DDS": "rmw_fastrtps_cpp", "Zenoh": "rmw_zenoh_cpp"}
 SHARED_MEMORY = {"ZENOH_CONFIG_OVERRIDE": "transport/shared_memory/enabled=true"}
 # two namespaces of one kernel would share memory too
@@ -55,7 +57,7 @@ BETWEEN_HOSTS = [
 
 
 def run(*words):
-    subprocess.run(words, check=True, stderr=subprocess.DEVNULL)
+    subprocess.run(words, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
 class Host:
@@ -65,19 +67,21 @@ class Host:
         self.name, self.processes = name, []
         run("ip", "netns", "add", name)
         run("ip", "-n", name, "link", "set", "lo", "up")
-        own = {"RMW_IMPLEMENTATION": MIDDLEWARES[middleware], "ROS_DOMAIN_ID": "33"}
+        own = {"RMW_IMPLEMENTATION": MIDDLEWARES[middleware], "ROS_DOMAIN_ID": DOMAIN}
         self.environment = {**os.environ, **own, **NO_SHARED_MEMORY, **(extra or {})}
         self.router = None
         self.middleware = middleware
 
-    def start_router(self, *words):
-        self.router = self.start(str(WM), "zenoh-router", *words)
+    def start_router(self, *words, keys=None):
+        self.router = self.start(str(WM), "zenoh-router", *words, keys=keys)
         time.sleep(1)
 
-    def start(self, *words):
+    def start(self, *words, keys=None):
+        """Starts a program, with this file of `wm keys`."""
+        variable = "ZENOH_ROUTER_CONFIG_URI" if "zenoh-router" in words else "ZENOH_SESSION_CONFIG_URI"
         process = subprocess.Popen(
             ["ip", "netns", "exec", self.name, *words],
-            env=self.environment,
+            env={**self.environment, **({variable: keys} if keys else {})},
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             text=True,
@@ -99,14 +103,19 @@ def result(process):
     return json.loads(lines[-1]) if lines else None
 
 
-def stream(middleware, size, rate, count, qos, extra=None):
+def stream(middleware, size, rate, count, qos, extra=None, keys=None):
+    """With a folder `keys`, every message passes the router, encrypted: the files of `wm keys`."""
+
+    def of(name):
+        return keys and f"{keys}/{name}.json5"
+
     host = Host(f"wmbench{os.getpid()}", middleware, extra)
     try:
         if middleware == "Zenoh":
-            host.start_router()
-        receiver = host.start(str(STREAM), "receive", "6", qos)
+            host.start_router(keys=of("router"))
+        receiver = host.start(str(STREAM), "receive", "6", qos, keys=of("receive"))
         time.sleep(0.5)
-        sender = host.start(str(STREAM), "send", str(size), str(rate), str(count), qos, "2")
+        sender = host.start(str(STREAM), "send", str(size), str(rate), str(count), qos, "2", keys=of("send"))
         return result(sender), result(receiver)
     finally:
         host.close()
@@ -218,6 +227,11 @@ def on_one_host(round_):
         label = f"{name}, {rate} Hz, {qos.replace('_', ' ')}"
         for middleware in MIDDLEWARES:
             row(label, middleware, round_, stream(middleware, size, rate, count, qos))
+        with tempfile.TemporaryDirectory() as folder:
+            keys = f"{folder}/keys"
+            grants = ["--node", "/send=publish:/stream", "--node", "/receive=subscribe:/stream"]
+            run(str(WM), "keys", keys, "--only", "encoder", "--domain", DOMAIN, *grants)
+            row(label, "Zenoh, wm keys", round_, stream("Zenoh", size, rate, count, qos, keys=keys))
         if size > 500_000:
             row(label, "Zenoh, shared memory", round_, stream("Zenoh", size, rate, count, qos, SHARED_MEMORY))
     for middleware in MIDDLEWARES:

@@ -2,7 +2,7 @@
 
 use crate::harness::{Process, WM, bundled_bag, root, wait_until, whole_suite, wm, wm_node};
 use std::{
-    net::TcpListener,
+    net::UdpSocket,
     os::unix::fs::PermissionsExt as _,
     path::{Path, PathBuf},
     process::{Command, Output},
@@ -40,8 +40,8 @@ fn keys(folder: &Path, args: &[&str]) -> Output {
 
 /// A port that is free now.
 fn free_port() -> u16 {
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    listener.local_addr().unwrap().port()
+    let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+    socket.local_addr().unwrap().port()
 }
 
 impl Keys {
@@ -81,7 +81,7 @@ impl Keys {
 }
 
 fn endpoint(port: u16) -> String {
-    format!("tls/127.0.0.1:{port}")
+    format!("quic/127.0.0.1:{port}")
 }
 
 /// A configuration that connects to this port only, and only once.

@@ -31,6 +31,22 @@ fn wm(arguments: &[&str]) -> Command {
     command
 }
 
+/// Its session waits a minute for an answer.
+#[test]
+fn node_that_waits_for_a_silent_router_ends_when_asked() {
+    let silent = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = silent.local_addr().unwrap();
+    let connects = format!("mode=\"client\";connect/endpoints=[\"tcp/{address}\"]");
+    let mut node = wm(&["monitor", "--middleware", "zenoh"]);
+    node.env("ZENOH_CONFIG_OVERRIDE", connects);
+    let node = Logged::start(node);
+    let _connection = silent.accept().unwrap();
+    node.signal(Signal::TERM);
+    let (code, log) = node.finish();
+    assert_eq!(code, Some(0), "{log}");
+    assert!(log.contains("while it still joined the graph"), "{log}");
+}
+
 /// A program whose stderr the test reads.
 struct Logged {
     child: Child,

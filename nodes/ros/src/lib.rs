@@ -48,6 +48,7 @@
 mod action;
 mod args;
 mod backend;
+mod blocked;
 mod clock;
 pub mod complaints;
 mod context;

@@ -1,6 +1,9 @@
 //! Runs the nodes of a process.
 
-use crate::{Context, Environment, Error, Node, NodeArgs, Shutdown, logging, shutdown::Signals};
+use crate::{
+    Context, Environment, Error, Node, NodeArgs, Shutdown, blocked::Blocked, logging,
+    shutdown::Signals,
+};
 use futures::{
     StreamExt as _,
     future::{FutureExt as _, LocalBoxFuture},
@@ -105,12 +108,15 @@ fn in_graph<'a, E: From<Error>>(
     let inside = runtime.enter();
     // before any slow step
     let signals = Signals::catch()?;
+    let blocked = Blocked::guard()?;
     let context = Context::new(&Environment::from_env(args)?)?;
     signals.ask(&context.shutdown());
     drop(inside);
     logging::panics::end_process(context.shutdown());
     let bodies = start(&context)?;
+    blocked.start_is_over();
     let result = runtime.block_on(until_late(bodies, context.shutdown()));
+    drop(blocked);
     let result = match result {
         Ok(()) => {
             let panicked = || logging::panics::first().map(Error::ThreadPanicked);

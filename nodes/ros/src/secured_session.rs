@@ -54,7 +54,7 @@ fn expect(setting: &str, is_so: bool, found: &str, expected: &'static str) -> Re
 }
 
 /// All texts in the value, at any depth: Zenoh accepts a list, or one for each mode.
-fn texts(value: Option<&Value>) -> Vec<String> {
+pub(crate) fn texts(value: Option<&Value>) -> Vec<String> {
     match value {
         Some(Value::String(text)) => vec![text.clone()],
         Some(Value::Array(values)) => values.iter().flat_map(|value| texts(Some(value))).collect(),
@@ -71,8 +71,8 @@ mod tests {
     use super::*;
 
     const SECURED: &str = r#"{
-        mode: "client", connect: { endpoints: ["tls/localhost:7447"] }, listen: { endpoints: [] },
-        transport: { link: { protocols: ["tls"], tls: { enable_mtls: true, verify_name_on_connect: true } } },
+        mode: "client", connect: { endpoints: ["quic/localhost:7447"] }, listen: { endpoints: [] },
+        transport: { link: { protocols: ["quic"], tls: { enable_mtls: true, verify_name_on_connect: true } } },
     }"#;
 
     fn checked(from: &str, to: &str) -> Result<(), String> {
@@ -86,8 +86,8 @@ mod tests {
     fn only_authenticated_connections_pass() {
         assert_eq!(checked("", ""), Ok(()));
         for (from, to, setting) in [
-            ("[\"tls\"]", "[\"tls\", \"tcp\"]", "protocols"),
-            ("protocols: [\"tls\"], ", "", "protocols"),
+            ("[\"quic\"]", "[\"quic\", \"tcp\"]", "protocols"),
+            ("protocols: [\"quic\"], ", "", "protocols"),
             ("enable_mtls: true, ", "", "enable_mtls"),
             ("enable_mtls: true", "enable_mtls: false", "enable_mtls"),
             ("connect: true", "connect: false", "verify_name_on_connect"),

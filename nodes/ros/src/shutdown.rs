@@ -71,15 +71,20 @@ impl Signals {
     }
 
     /// Connects them to the shutdown. Call it inside the same runtime.
-    pub(crate) fn ask(mut self, shutdown: &Shutdown) {
+    pub(crate) fn ask(self, shutdown: &Shutdown) {
         let shutdown = shutdown.clone();
         tokio::spawn(async move {
-            tokio::select! {
-                _ = self.interrupt.recv() => {}
-                _ = self.terminate.recv() => {}
-            }
+            self.next().await;
             shutdown.trigger();
         });
+    }
+
+    /// Waits for the first of them.
+    pub(crate) async fn next(mut self) {
+        tokio::select! {
+            _ = self.interrupt.recv() => {}
+            _ = self.terminate.recv() => {}
+        }
     }
 }
 

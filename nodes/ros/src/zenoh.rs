@@ -15,6 +15,7 @@ mod qos_text;
 mod reader;
 mod session;
 mod shared;
+mod tls;
 mod token;
 mod writer;
 

@@ -44,7 +44,7 @@ impl Network {
     fn new() -> Self {
         Self {
             files: tempfile::tempdir().unwrap(),
-            endpoint: fresh_endpoint().replace("tcp/", "tls/"),
+            endpoint: fresh_endpoint().replace("tcp/", "quic/"),
             trusted: Authority::new("the network's"),
         }
     }

@@ -111,7 +111,7 @@ pub(super) fn control(domain: u16, identities: &[Identity]) -> Result<Value> {
         let shared = rules.iter().take(2).map(|rule| rule["id"].clone());
         let ids: Vec<Value> = shared.chain(ids).collect();
         let name = &identity.name;
-        subjects.push(json!({"id": name, "cert_common_names": [name], "link_protocols": ["tls"]}));
+        subjects.push(json!({"id": name, "cert_common_names": [name], "link_protocols": ["quic"]}));
         policies.push(json!({"id": name, "rules": ids, "subjects": [name]}));
         rules.extend(own);
     }

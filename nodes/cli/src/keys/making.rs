@@ -109,8 +109,8 @@ impl KeysCommand {
     fn endpoint(&self, host: &str) -> String {
         let port = self.port;
         match host.contains(':') {
-            true => format!("tls/[{host}]:{port}"),
-            false => format!("tls/{host}:{port}"),
+            true => format!("quic/[{host}]:{port}"),
+            false => format!("quic/{host}:{port}"),
         }
     }
 

@@ -1,19 +1,41 @@
-//! The process that listens on a TCP port of this host, for errors.
+//! The process that listens on a port of this host, for errors.
 
 use std::collections::BTreeSet;
 use std::fs;
 
-/// State of a listening socket in `/proc/net/tcp`.
-const LISTEN: &str = "0A";
+/// The kernel's tables of sockets, and there the state of a socket that listens.
+struct Tables {
+    paths: [&'static str; 2],
+    state: &'static str,
+}
+
+const TCP: Tables = Tables {
+    paths: ["/proc/net/tcp", "/proc/net/tcp6"],
+    state: "0A",
+};
+/// A socket of UDP listens as long as it is not connected.
+const UDP: Tables = Tables {
+    paths: ["/proc/net/udp", "/proc/net/udp6"],
+    state: "07",
+};
+
+/// The tables for the protocol of an endpoint.
+fn tables(endpoint: &str) -> Tables {
+    match endpoint.split_once('/') {
+        Some(("quic" | "udp", _)) => UDP,
+        _ => TCP,
+    }
+}
 
 /// A port that is in use, and the processes that listen on it.
 pub(super) fn of(endpoint: &str) -> Option<String> {
     let port = port(endpoint)?;
     let mut sockets = BTreeSet::new();
-    for table in ["/proc/net/tcp", "/proc/net/tcp6"] {
+    let tables = tables(endpoint);
+    for path in tables.paths {
         // a kernel without IPv6 has no second table
-        let text = fs::read_to_string(table).unwrap_or_default();
-        sockets.extend(sockets_of(&text, port));
+        let text = fs::read_to_string(path).unwrap_or_default();
+        sockets.extend(sockets_of(&text, port, tables.state));
     }
     if sockets.is_empty() {
         return None;
@@ -33,13 +55,13 @@ fn port(endpoint: &str) -> Option<u16> {
     address.rsplit_once(':')?.1.parse().ok()
 }
 
-/// The inodes of the sockets that listen on `port`, from the text of `/proc/net/tcp`.
-fn sockets_of(text: &str, port: u16) -> Vec<String> {
+/// The inodes of the sockets of `port` in this state, from the text of a table.
+fn sockets_of(text: &str, port: u16, state: &str) -> Vec<String> {
     let of_line = |line: &str| {
         let fields: Vec<&str> = line.split_whitespace().collect();
         let (_, hexadecimal) = fields.get(1)?.rsplit_once(':')?;
         let is_port = u16::from_str_radix(hexadecimal, 16) == Ok(port);
-        let is_listening = fields.get(3) == Some(&LISTEN);
+        let is_listening = fields.get(3) == Some(&state);
         let inode = fields.get(9).filter(|_| is_port && is_listening)?;
         Some((*inode).to_owned())
     };
@@ -78,7 +100,7 @@ fn processes_with(sockets: &BTreeSet<String>) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::net::TcpListener;
+    use std::net::{TcpListener, UdpSocket};
 
     #[test]
     fn listener_is_named_by_its_process() {
@@ -90,6 +112,11 @@ mod tests {
         drop(listener);
         assert_eq!(of(&endpoint), None);
         assert_eq!(of("unixsock-stream//tmp/x"), None);
+
+        let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+        let endpoint = format!("quic/{}", socket.local_addr().unwrap());
+        let text = of(&endpoint).unwrap();
+        assert!(text.contains(&own), "{text}");
     }
 
     #[test]
@@ -99,6 +126,6 @@ mod tests {
             1: 0100007F:1D17 0100007F:C350 01 00000000:00000000 00:00000000 00000000     0        0 43 1 0 100 0\n\
             2: 0100007F:1D18 00000000:0000 0A 00000000:00000000 00:00000000 00000000     0        0 44 1 0 100 0\n\
             3: broken\n";
-        assert_eq!(sockets_of(table, 7447), ["42"]);
+        assert_eq!(sockets_of(table, 7447, TCP.state), ["42"]);
     }
 }

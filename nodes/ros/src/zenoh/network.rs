@@ -4,6 +4,7 @@
 //! listens on this host only, or not at all if it connects somewhere. It neither scouts by multicast nor connects to
 //! addresses that others announce. Settings in the configuration file take precedence.
 
+use super::tls;
 use anyhow::{Result, anyhow};
 use clap::ValueEnum;
 use serde_json::{Value, json};
@@ -59,7 +60,7 @@ pub struct NetworkArguments {
     /// Role in the Zenoh network [default: router]
     #[arg(short, long)]
     pub mode: Option<Mode>,
-    /// Connect here, for example tcp/robot.local:7447 or tls/10.0.0.7:7447 (repeatable)
+    /// Connect here, for example tcp/robot.local:7447 or quic/10.0.0.7:7447 (repeatable)
     #[arg(short = 'e', long, value_name = "ENDPOINT")]
     pub connect: Vec<String>,
     /// Let others connect here, for example tcp/0.0.0.0:7447 (repeatable) [default: tcp/127.0.0.1:7447, or none with
@@ -151,6 +152,7 @@ impl NetworkArguments {
 /// # Errors
 /// An endpoint cannot be listened on, or in client mode not be connected to.
 pub async fn open(config: zenoh::Config) -> Result<zenoh::Session> {
+    tls::warn(&config);
     let session = zenoh::open(config)
         .await
         .map_err(|error| anyhow!("cannot open the Zenoh session: {error}"))?;

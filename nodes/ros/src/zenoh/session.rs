@@ -7,6 +7,7 @@
 use super::{
     apart::{DroppedApart, apart},
     network::{LARGEST_MESSAGE, SAMPLE_QUEUES, WAITING_BATCHES},
+    tls,
 };
 use crate::Error;
 use serde_json::{Value, json};
@@ -182,6 +183,7 @@ pub(super) struct OwnSession(DroppedApart<Session>);
 
 impl OwnSession {
     pub(super) fn open(config: Config) -> Result<Self, Error> {
+        tls::warn(&config);
         let opened = apart(|| zenoh::open(config).wait())?;
         let session = opened.map_err(|error| Error::middleware("open a Zenoh session", error))?;
         Ok(Self(DroppedApart::new(session)))
