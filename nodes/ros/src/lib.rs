@@ -48,7 +48,6 @@
 mod action;
 mod args;
 mod backend;
-mod blocked;
 mod clock;
 pub mod complaints;
 mod context;
@@ -58,6 +57,7 @@ mod diagnostics;
 mod endpoints;
 mod environment;
 mod error;
+mod forced_end;
 pub mod frame_trace;
 #[doc(hidden)]
 pub mod fuzzing;

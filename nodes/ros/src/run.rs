@@ -1,8 +1,10 @@
 //! Runs the nodes of a process.
 
 use crate::{
-    Context, Environment, Error, Node, NodeArgs, Shutdown, blocked::Blocked, logging,
-    shutdown::Signals,
+    Context, Environment, Error, Node, NodeArgs, Shutdown,
+    forced_end::ForcedEnd,
+    logging,
+    shutdown::{GRACE, Signals},
 };
 use futures::{
     StreamExt as _,
@@ -12,8 +14,6 @@ use futures::{
 use std::{collections::BTreeSet, time::Duration};
 use tracing::Instrument as _;
 
-/// How long a body may take to return after SIGINT or SIGTERM, so that the process ends within 2 s.
-const GRACE: Duration = Duration::from_millis(1200);
 /// How long threads of `spawn_blocking` may take after that. Only the end of the process can stop a computation.
 const BLOCKING_GRACE: Duration = Duration::from_millis(100);
 
@@ -108,15 +108,15 @@ fn in_graph<'a, E: From<Error>>(
     let inside = runtime.enter();
     // before any slow step
     let signals = Signals::catch()?;
-    let blocked = Blocked::guard()?;
+    let forced_end = ForcedEnd::arm()?;
     let context = Context::new(&Environment::from_env(args)?)?;
     signals.ask(&context.shutdown());
     drop(inside);
     logging::panics::end_process(context.shutdown());
     let bodies = start(&context)?;
-    blocked.start_is_over();
+    forced_end.start_is_over();
     let result = runtime.block_on(until_late(bodies, context.shutdown()));
-    drop(blocked);
+    drop(forced_end);
     let result = match result {
         Ok(()) => {
             let panicked = || logging::panics::first().map(Error::ThreadPanicked);

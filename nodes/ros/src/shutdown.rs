@@ -1,11 +1,16 @@
 //! The end of a process, requested by a signal or by the program.
 
 use crate::Error;
-use std::sync::Arc;
+use std::{sync::Arc, time::Duration};
 use tokio::{
     signal::unix::{Signal, SignalKind, signal},
     sync::watch,
 };
+
+/// How long a body may take to return after SIGINT or SIGTERM, so that the process ends within 2 s.
+pub(crate) const GRACE: Duration = Duration::from_millis(1200);
+/// How long a process may take to end in order after a fault. It is then ended by force.
+pub(crate) const ORDERLY: Duration = Duration::from_secs(10);
 
 /// A handle of the shutdown: any clone can request it, and all clones receive it.
 #[derive(Clone, Debug)]

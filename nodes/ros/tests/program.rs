@@ -5,10 +5,13 @@
 mod participants;
 
 use participants::{PATIENCE, context, node};
+use rustix::process::{Pid, Signal, kill_process};
 use std::{
     collections::BTreeSet,
-    process::{Command, ExitCode},
+    io::{BufRead as _, BufReader},
+    process::{Command, ExitCode, Stdio},
     sync::Arc,
+    time::Duration,
 };
 use wm_msgs::std_srvs::{Outcome, SetBool, SetBoolRequest, Trigger, TriggerRequest};
 use wm_ros::{
@@ -231,4 +234,32 @@ fn a_lone_node_finishes_after_a_failure() {
 #[test]
 fn contradictory_parameters_end_a_node_at_once() {
     assert_eq!(lone("-1"), Some(2));
+}
+
+#[test]
+#[ignore = "started by the tests of this file"]
+fn blocking_child() {
+    let args = NodeArgs::parse(std::iter::empty::<&str>()).unwrap();
+    let body = async |_| {
+        println!("the body runs");
+        std::thread::sleep(Duration::from_secs(60));
+        Ok::<(), wm_ros::Error>(())
+    };
+    wm_ros::run("blocking", "/", &args, body).unwrap();
+}
+
+#[test]
+fn body_that_blocks_is_ended_by_force() {
+    let domain = 120 + std::process::id() % 60;
+    let mut child = Command::new(std::env::current_exe().unwrap())
+        .args(["--ignored", "--exact", "--nocapture", "blocking_child"])
+        .env("ROS_DOMAIN_ID", domain.to_string())
+        .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
+    assert!(lines.any(|line| line.unwrap().contains("the body runs")));
+    kill_process(Pid::from_child(&child), Signal::TERM).unwrap();
+    assert_eq!(child.wait().unwrap().code(), Some(1));
 }

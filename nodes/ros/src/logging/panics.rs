@@ -7,15 +7,13 @@
 //! instead.
 
 use super::outlet::STDERR;
-use crate::Shutdown;
+use crate::{Shutdown, shutdown::ORDERLY};
 use std::{
     panic::PanicHookInfo,
     sync::{Mutex, MutexGuard, Once, PoisonError, mpsc},
     time::Duration,
 };
 
-/// How long the process may take to end in order.
-const ORDERLY: Duration = Duration::from_secs(10);
 /// How long the panicking thread waits for its record to be logged; it may own a lock that logging needs.
 const LOGGED: Duration = Duration::from_millis(500);
 const EXIT_CODE: i32 = 101;

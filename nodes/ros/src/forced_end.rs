@@ -1,34 +1,31 @@
-//! The end of a process that is asked to end while one of its calls blocks.
+//! A process whose thread blocks ends after SIGINT or SIGTERM too.
 
-use crate::{Error, logging, shutdown::Signals};
+use crate::{
+    Error, logging,
+    shutdown::{GRACE, ORDERLY, Signals},
+};
 use std::{
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
     },
     thread,
-    time::Duration,
 };
 use tokio::sync::oneshot;
 
-/// How long a start may go on after SIGINT or SIGTERM: nothing can be lost yet.
-const STARTING: Duration = Duration::from_millis(1200);
-/// How long a body may block its thread after that. An orderly end takes less.
-const RUNNING: Duration = Duration::from_secs(10);
-
 /// Ends the process after SIGINT or SIGTERM even if its thread blocks in a call, such as one to a router that does not
-/// answer: the runtime serves no signals then. Drop it when the process can end by itself.
-pub(crate) struct Blocked {
+/// answer: the runtime serves no signals then. Drop it before an orderly end, which may take longer.
+pub(crate) struct ForcedEnd {
     is_running: Arc<AtomicBool>,
     _over: oneshot::Sender<()>,
 }
 
-impl Blocked {
-    /// The guard of a process that starts.
+impl ForcedEnd {
+    /// For a process that starts: after a signal it has [`GRACE`], because nothing can be lost yet.
     ///
     /// # Errors
     /// The operating system refuses a thread or the handlers.
-    pub(crate) fn guard() -> Result<Self, Error> {
+    pub(crate) fn arm() -> Result<Self, Error> {
         let is_running = Arc::new(AtomicBool::new(false));
         let (own, is_over) = oneshot::channel();
         let runtime = tokio::runtime::Builder::new_current_thread()
@@ -41,7 +38,7 @@ impl Blocked {
         };
         let shared = Arc::clone(&is_running);
         thread::Builder::new()
-            .name("blocked".to_owned())
+            .name("forced_end".to_owned())
             .spawn(move || runtime.block_on(watch(signals, &shared, is_over)))
             .map_err(|source| Error::io("start a thread", source))?;
         Ok(Self {
@@ -50,7 +47,7 @@ impl Blocked {
         })
     }
 
-    /// The start is over, and the body runs.
+    /// The body runs: after a signal it has [`ORDERLY`] as well.
     pub(crate) fn start_is_over(&self) {
         self.is_running.store(true, Ordering::Relaxed);
     }
@@ -60,13 +57,13 @@ impl Blocked {
 async fn watch(signals: Signals, is_running: &AtomicBool, is_over: oneshot::Receiver<()>) {
     let late = async {
         signals.next().await;
-        tokio::time::sleep(STARTING).await;
+        tokio::time::sleep(GRACE).await;
         if !is_running.load(Ordering::Relaxed) {
             tracing::warn!("ended by a signal while it still joined the graph");
             return 0;
         }
-        tokio::time::sleep(RUNNING).await;
-        tracing::error!("still blocked {RUNNING:?} after a signal: ended without order");
+        tokio::time::sleep(ORDERLY).await;
+        tracing::error!("still blocked {ORDERLY:?} after a signal: ended by force");
         1
     };
     let code = tokio::select! {
