@@ -231,26 +231,65 @@ fn open_all(
         let view = view(size, settings.cameras.len().max(1))?;
         let others: Vec<_> = others.iter().filter(|p| !is_prepared(p)).cloned().collect();
         let found = find_others(&bags, &others)?;
-        let none = FoundBags::default();
         let rule = options.split_rule()?;
-        let preparation = Preparation::new(found, none, settings, (view, fit), rule)?;
-        let dir = cache.join(cache_name(preparation.digest()));
-        if !is_prepared(&dir) {
-            preparation
-                .write(&dir)
-                .or_else(if_another_was_first(&dir))?;
+        let prepare = |found| {
+            let none = FoundBags::default();
+            let preparation = Preparation::new(found, none, settings.clone(), (view, fit), rule)?;
+            open_cached(preparation, cache)
+        };
+        if options.by_bag {
+            opened.extend(each_bag(found, prepare)?);
+        } else {
+            opened.push(prepare(found)?);
         }
-        let folder = Folder::open(&dir)?;
-        log_exclusions(folder.manifest(), &dir);
-        let audit = read_audit(&dir)?;
-        log_faults(audit.as_ref());
-        log_mixed_sizes(folder.manifest(), audit.as_ref());
-        opened.push(OpenFolder {
-            folder: Arc::new(folder),
-            is_given: false,
-        });
     }
     Ok(opened)
+}
+
+/// Prepares each bag for itself. A bag without a usable frame is logged and left out, as it is among others.
+fn each_bag(
+    found: FoundBags,
+    prepare: impl Fn(FoundBags) -> Result<OpenFolder, DatasetError>,
+) -> Result<Vec<OpenFolder>, DatasetError> {
+    let mut opened = Vec::new();
+    let mut unusable = Vec::new();
+    for bag in found.bags {
+        let alone = FoundBags {
+            bags: vec![bag],
+            left_out: Vec::new(),
+        };
+        match prepare(alone) {
+            Ok(folder) => opened.push(folder),
+            Err(DatasetError::Nothing(what)) => {
+                tracing::warn!("excluded: {}", what.trim_start());
+                unusable.push(what);
+            }
+            Err(error) => return Err(error),
+        }
+    }
+    if opened.is_empty() {
+        return Err(DatasetError::Nothing(unusable.join("\n")));
+    }
+    Ok(opened)
+}
+
+/// The prepared folder in the cache, written first if it is missing. What it leaves out is logged.
+fn open_cached(preparation: Preparation, cache: &Path) -> Result<OpenFolder, DatasetError> {
+    let dir = cache.join(cache_name(preparation.digest()));
+    if !is_prepared(&dir) {
+        preparation
+            .write(&dir)
+            .or_else(if_another_was_first(&dir))?;
+    }
+    let folder = Folder::open(&dir)?;
+    log_exclusions(folder.manifest(), &dir);
+    let audit = read_audit(&dir)?;
+    log_faults(audit.as_ref());
+    log_mixed_sizes(folder.manifest(), audit.as_ref());
+    Ok(OpenFolder {
+        folder: Arc::new(folder),
+        is_given: false,
+    })
 }
 
 /// The size of one of `views` pictures side by side.

@@ -247,6 +247,13 @@ impl Dataset {
         &self.layout
     }
 
+    /// Whether this entry of a cache's folder, by its name, has frames or latents of this data set.
+    #[must_use]
+    pub fn is_cached_as(&self, name: &str) -> bool {
+        let mut folders = self.folders.iter();
+        folders.any(|folder| name.contains(&short(&folder.manifest().digest)))
+    }
+
     /// Data excluded during preparation.
     pub fn left_out(&self) -> impl Iterator<Item = &LeftOut> {
         let folders = self.folders.iter();

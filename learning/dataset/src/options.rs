@@ -120,6 +120,11 @@ pub struct DataOptions {
     /// How pictures of another aspect fit the size. Training ignores it, as the size.
     #[arg(skip)]
     pub fit: Option<Fit>,
+    /// Whether the cache has a folder for each bag instead of one for all, so that trainings on other selections of bags find
+    /// it again. Prepared folders have one.
+    #[arg(skip)]
+    #[serde(skip)]
+    pub by_bag: bool,
 }
 
 /// A list, or a single value as a list of one.
@@ -227,6 +232,7 @@ impl DataOptions {
             validation_seed: self.validation_seed.or(file.validation_seed),
             size: self.size.or(file.size),
             fit: self.fit.or(file.fit),
+            by_bag: self.by_bag,
         })
     }
 

@@ -53,6 +53,49 @@ fn data_keep_their_order_and_come_from_the_cache() {
 }
 
 #[test]
+fn bags_that_are_prepared_apart_are_found_again_in_other_selections() {
+    let dir = tempfile::tempdir().unwrap();
+    let bags: Vec<_> = (0..3)
+        .map(|i| dir.path().join(format!("bag_{i}")))
+        .collect();
+    for (frames, bag) in (3..).zip(&bags) {
+        write_bag(bag, frames, &WHOLE);
+    }
+    let without_actions = Contents {
+        actions: false,
+        ..WHOLE
+    };
+    let empty = dir.path().join("bag_empty");
+    write_bag(&empty, 3, &without_actions);
+    let cache = dir.path().join("cache");
+    let options = DataOptions {
+        validation: Some(0.0),
+        by_bag: true,
+        ..DataOptions::default()
+    };
+    let open = |bags: &[std::path::PathBuf]| Data::open(bags, (16, 16), &cache, &options);
+    let caches = || -> Vec<String> {
+        let entries = std::fs::read_dir(&cache).unwrap();
+        let names = entries.map(|entry| entry.unwrap().file_name());
+        names.map(|name| name.into_string().unwrap()).collect()
+    };
+    let first = open(&[bags[0].clone(), empty.clone(), bags[1].clone()]).unwrap();
+    assert_eq!(first.training.frame_count(), 3 + 4);
+    assert_eq!(caches().len(), 2);
+    let later = open(&bags[1..]).unwrap().training;
+    assert_eq!(later.frame_count(), 4 + 5);
+    assert_eq!(caches().len(), 3);
+    assert_eq!(
+        caches()
+            .iter()
+            .filter(|name| later.is_cached_as(name))
+            .count(),
+        2
+    );
+    assert!(matches!(open(&[empty]), Err(DatasetError::Nothing(_))));
+}
+
+#[test]
 fn missing_inputs_are_named() {
     let dir = tempfile::tempdir().unwrap();
     let refusal = |name: &str, contents: &Contents| {
