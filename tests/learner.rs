@@ -29,8 +29,9 @@ fn learner(domain: u16, output: &Path) -> Option<Process> {
         "first_seconds:=9.5",
         "more_seconds:=600.0",
         "test_bags:=1",
-        "transition_steps:=40",
-        "idm_steps:=1",
+        // a tenth of them in the first round
+        "transition_steps:=400",
+        "idm_steps:=10",
         "threads:=1",
         "recipe:=[transition.checkpoint_seconds=1]",
         "min_free:=0.0",

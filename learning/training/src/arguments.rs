@@ -312,11 +312,8 @@ impl RunArgs {
     /// If the system does not report it.
     pub fn threads(&self) -> Result<usize> {
         match (self.threads, self.device.is_cpu()) {
-            (Some(threads), _) => Ok(threads),
             (None, false) => Ok(1),
-            (None, true) => Ok(std::thread::available_parallelism()
-                .context("number of threads")?
-                .get()),
+            (given, _) => threads(given),
         }
     }
 
@@ -326,6 +323,16 @@ impl RunArgs {
         let name = std::path::absolute(&self.out).ok();
         let name = name.as_deref().and_then(|path| path.file_name());
         name.map_or("model".into(), |name| name.to_string_lossy().into_owned())
+    }
+}
+
+/// The given number of threads, or one for each processor.
+pub(crate) fn threads(given: Option<usize>) -> Result<usize> {
+    match given {
+        Some(threads) => Ok(threads),
+        None => Ok(std::thread::available_parallelism()
+            .context("number of threads")?
+            .get()),
     }
 }
 

@@ -10,6 +10,7 @@ mod verdict;
 use std::{
     fs::File,
     path::{Path, PathBuf},
+    time::Instant,
 };
 
 use anyhow::{Context as _, Result, bail, ensure};
@@ -17,15 +18,15 @@ use clap::Args;
 use rustix::{fs::FlockOperation, process::Signal};
 use serde::{Deserialize, Serialize};
 use wm_dataset::{DataOptions, Dataset};
-use wm_model::{Autoencoder, Compute, Fit, NumberFormat};
+use wm_model::{Autoencoder, Compute, Fit, Framing, NumberFormat};
 use wm_zoo::{IDM_FILE, ModelFolder};
 
 use crate::{
-    arguments::{LatentRunArgs, PictureRunArgs, RunArgs},
+    arguments::{LatentRunArgs, PictureRunArgs, RunArgs, fraction},
     autoencoder::{TrainAutoencoderArgs, evaluate},
     idm::TrainIdmArgs,
     recipe::Override,
-    run::{RunEnd, Stop},
+    run::{RunEnd, Stop, checkpoint},
     transition::{ListenArgs, TrainTransitionArgs},
 };
 pub use plan::Plan;
@@ -42,6 +43,8 @@ const CHECKPOINT_SECONDS: u64 = 30;
 const MEASURED: usize = 64;
 /// Learning rate of weights that were already trained in this latent space, as a fraction of the recipe's.
 const CONTINUED_RATE: f64 = 0.5;
+/// Fraction of the transition model's steps in which the learning rate rises.
+const WARM_UP: f64 = 0.1;
 
 /// Train a new model from the present one on recordings, and test both on the newest recordings. The node learner runs this
 #[derive(Clone, Debug, Args)]
@@ -59,15 +62,19 @@ pub struct TrainRoundArgs {
     #[arg(long, value_name = "MODEL")]
     pub from: String,
     /// Train the autoencoder first if the PSNR of the present one's pictures is below this, in dB
-    #[arg(long, default_value_t = 30.0, value_name = "DB")]
+    #[arg(long, default_value_t = 25.0, value_name = "DB")]
     pub least_psnr: f64,
+    /// Duration of a round without the autoencoder's training, which each round approaches by the duration of the one
+    /// before, in seconds
+    #[arg(long, default_value_t = 240.0, value_name = "SECONDS", value_parser = fraction)]
+    pub seconds: f64,
     /// Optimiser steps of the autoencoder
-    #[arg(long, default_value_t = 500, value_name = "STEPS")]
+    #[arg(long, default_value_t = 200, value_name = "STEPS")]
     pub autoencoder_steps: u64,
-    /// Optimiser steps of the transition model
-    #[arg(long, default_value_t = 300, value_name = "STEPS")]
+    /// Most optimiser steps of the transition model in a round
+    #[arg(long, default_value_t = 1200, value_name = "STEPS")]
     pub transition_steps: u64,
-    /// Optimiser steps of the inverse dynamics model; 0: none
+    /// Most optimiser steps of the inverse dynamics model in a round; 0: none
     #[arg(long, default_value_t = 200, value_name = "STEPS")]
     pub idm_steps: u64,
     /// Most bags to train on: half of them the newest, the others drawn from all
@@ -103,6 +110,8 @@ pub struct RoundResult {
     pub trained_on: f64,
     /// Duration of the data that it was tested on \[s\].
     pub tested_on: f64,
+    /// Duration of the round, without the training of an autoencoder \[s\]; `None` for a round that was interrupted.
+    pub lasted: Option<f64>,
     /// The comparison of the new model with the present one.
     pub verdict: Verdict,
     /// Folder of the new model.
@@ -132,7 +141,7 @@ impl TrainRoundArgs {
     fn train(&self, plan: &Plan, stop: &Stop) -> Result<RunEnd> {
         let folder = plan.folder(&self.models);
         let own = folder.display().to_string();
-        let test = self.options_of_test();
+        let test = self.unsplit_options();
         let present = ModelFolder::open(&self.from)?;
         let has_encoder = self.encodes_well(&present, plan, &test)?;
         let encoder = match has_encoder {
@@ -151,8 +160,22 @@ impl TrainRoundArgs {
                 return Ok(RunEnd::Stopped);
             }
         }
+        let began = match checkpoint(&folder, "transition").is_file() {
+            true => None,
+            false => Some(Instant::now()),
+        };
         let rate = if has_encoder { CONTINUED_RATE } else { 1.0 };
-        let run = self.of("transition", plan, self.transition_steps, rate)?;
+        let mut run = self.of("transition", plan, plan.transition_steps, rate)?;
+        let warm_up = (plan.transition_steps as f64 * WARM_UP).ceil();
+        // The user's settings come last, and win.
+        run.set.splice(
+            0..0,
+            [
+                Override::new("batch", plan.clips),
+                Override::new("micro_batch", 1),
+                Override::new("optimisation.warm_up", format!("{warm_up} steps")),
+            ],
+        );
         let transition = TrainTransitionArgs {
             on: on(run),
             listen: ListenArgs::default(),
@@ -160,25 +183,29 @@ impl TrainRoundArgs {
         if transition.run(stop)? == RunEnd::Stopped {
             return Ok(RunEnd::Stopped);
         }
-        if self.idm_steps > 0 {
-            let run = self.of("idm", plan, self.idm_steps, rate)?;
+        if plan.idm_steps > 0 {
+            let run = self.of("idm", plan, plan.idm_steps, rate)?;
             if (TrainIdmArgs { on: on(run) }).run(stop)? == RunEnd::Stopped {
                 return Ok(RunEnd::Stopped);
             }
         }
-        let cache = folder.join(CACHE);
+        let cache = self.models.join(CACHE);
         let verdict = Verdict::of(&own, &self.from, &plan.test, &test, &cache)?;
         let result = RoundResult {
             round: plan.round,
             trained_on: plan.train_s,
             tested_on: plan.test_s,
+            lasted: began.map(|began| began.elapsed().as_secs_f64()),
             verdict,
             model: folder.clone(),
         };
         let text = serde_json::to_string(&result)?;
         write_whole(&folder.join(RESULT), &text)?;
-        // Decoded frames and latents of this round alone, and what a finished round does not need.
-        std::fs::remove_dir_all(&cache).with_context(|| cache.display().to_string())?;
+        let framing = ModelFolder::open(&own)?.framing()?;
+        if let Err(error) = self.trim_cache(plan, framing) {
+            tracing::warn!("the cache keeps what no round needs: {error:#}");
+        }
+        // What a finished round does not need.
         let is_better = verdict.is_better;
         remove(&folder, |name| {
             name.ends_with(".checkpoint.safetensors")
@@ -186,6 +213,27 @@ impl TrainRoundArgs {
         })?;
         println!("{text}");
         Ok(RunEnd::Finished)
+    }
+
+    /// Removes decoded frames and latents of recordings that this round did not use: later rounds use mostly the same ones.
+    fn trim_cache(&self, plan: &Plan, framing: Framing) -> Result<()> {
+        let cache = self.models.join(CACHE);
+        let options = self.unsplit_options();
+        let bags: Vec<PathBuf> = plan.train.iter().chain(&plan.test).cloned().collect();
+        let used = Dataset::held_out(&bags, framing, &cache, &options)?;
+        for entry in std::fs::read_dir(&cache).with_context(|| cache.display().to_string())? {
+            let path = entry?.path();
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            if used.is_cached_as(&name) {
+                continue;
+            }
+            let removed = match path.is_dir() {
+                true => std::fs::remove_dir_all(&path),
+                false => std::fs::remove_file(&path),
+            };
+            removed.with_context(|| path.display().to_string())?;
+        }
+        Ok(())
     }
 
     /// Sets priority and processors. Threads inherit them, so this comes first.
@@ -223,7 +271,7 @@ impl TrainRoundArgs {
             return Ok(true);
         };
         let autoencoder: Autoencoder = trained.autoencoder()?;
-        let cache = folder.join(CACHE);
+        let cache = self.models.join(CACHE);
         let data = Dataset::held_out(&plan.test, present.framing()?, &cache, test)?;
         let found = evaluate(&autoencoder, &data, MEASURED)?;
         tracing::info!("the pictures of {}: {found}", self.from);
@@ -231,9 +279,10 @@ impl TrainRoundArgs {
     }
 
     /// The options of the data without a split.
-    fn options_of_test(&self) -> DataOptions {
+    fn unsplit_options(&self) -> DataOptions {
         DataOptions {
             held_out: Vec::new(),
+            by_bag: true,
             ..self.options.clone()
         }
     }
@@ -246,11 +295,12 @@ impl TrainRoundArgs {
         let has_part = part != "idm" || present.weights(IDM_FILE)?.is_some();
         Ok(RunArgs {
             data: plan.train.clone(),
+            // The test at the end is the only validation.
             options: DataOptions {
-                held_out: plan.test.clone(),
-                ..self.options.clone()
+                validation: Some(0.0),
+                ..self.unsplit_options()
             },
-            cache: Some(folder.join(CACHE)),
+            cache: Some(self.models.join(CACHE)),
             out: folder,
             recipe: "tiny".to_owned(),
             set: std::iter::once(Override::new("checkpoint_seconds", CHECKPOINT_SECONDS))
@@ -267,7 +317,7 @@ impl TrainRoundArgs {
     }
 }
 
-/// Folder of decoded frames and latents in a round's folder.
+/// Folder of decoded frames and latents beside the rounds' folders, which share it.
 const CACHE: &str = "cache";
 
 /// Waits until no other process trains in the folder, for example one that is saving.

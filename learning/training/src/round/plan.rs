@@ -10,9 +10,18 @@ use rand::seq::SliceRandom as _;
 use serde::{Deserialize, Serialize};
 
 use super::{PLAN, TrainRoundArgs, result_of, write_whole};
-use crate::optimiser::step_rng;
+use crate::{arguments::threads, optimiser::step_rng};
 
-/// The bags of a round, fixed when it begins, so that a killed round resumes with the same ones.
+/// Most clips of a step of the transition model. So small a batch learns more in the same time than the recipe's.
+const MOST_CLIPS: usize = 4;
+/// Fraction of the most steps that the first round takes: its duration is unknown, and its model is wanted soon.
+const FIRST_SHARE: f64 = 0.1;
+/// Least fraction of the most steps: the preparation and the test of a round take their time too.
+const LEAST_SHARE: f64 = 0.02;
+/// Most by which a round has more or fewer steps than the one before: the computer's other work changes.
+const MOST_CHANGE: f64 = 3.0;
+
+/// The bags and steps of a round, fixed when it begins, so that a killed round resumes with the same ones.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Plan {
     /// Number of the round, from 1.
@@ -25,6 +34,12 @@ pub struct Plan {
     pub train_s: f64,
     /// Duration of the bags for the test \[s\].
     pub test_s: f64,
+    /// Optimiser steps of the transition model.
+    pub transition_steps: u64,
+    /// Clips of each of these steps, one for each thread.
+    pub clips: usize,
+    /// Optimiser steps of the inverse dynamics model; 0: none.
+    pub idm_steps: u64,
     /// The present model.
     pub from: String,
 }
@@ -33,13 +48,23 @@ impl Plan {
     /// The plan of the unfinished round, or of a new one.
     pub(super) fn of(arguments: &TrainRoundArgs) -> Result<Self> {
         let mut last = 0;
+        let mut share = FIRST_SHARE;
         for (round, folder) in rounds(&arguments.models)? {
             last = round;
-            if result_of(&folder)?.is_none() && folder.join(PLAN).is_file() {
-                return read(&folder);
+            let has_plan = folder.join(PLAN).is_file();
+            match result_of(&folder)? {
+                None if has_plan => return read(&folder),
+                Some(result) if has_plan => {
+                    let before = read(&folder)?.transition_steps as f64;
+                    let before = before / arguments.transition_steps as f64;
+                    share = result.lasted.map_or(before, |lasted| {
+                        next_share(before, lasted, arguments.seconds)
+                    });
+                }
+                _ => {}
             }
         }
-        let plan = Self::new(arguments, last + 1)?;
+        let plan = Self::new(arguments, last + 1, share)?;
         let folder = plan.folder(&arguments.models);
         fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
         write_whole(&folder.join(PLAN), &serde_json::to_string(&plan)?)?;
@@ -51,7 +76,7 @@ impl Plan {
         models.join(format!("round-{:04}", self.round))
     }
 
-    fn new(arguments: &TrainRoundArgs, round: u32) -> Result<Self> {
+    fn new(arguments: &TrainRoundArgs, round: u32, share: f64) -> Result<Self> {
         let mut bags = bags(&arguments.recordings)?;
         let test_bags = arguments.test_bags.max(1);
         ensure!(
@@ -64,7 +89,11 @@ impl Plan {
         let train = choose(bags, arguments.most_bags.max(1), u64::from(round));
         let seconds =
             |bags: &[PathBuf]| bags.iter().map(|bag| duration_s(bag)).sum::<Result<f64>>();
+        let steps = |most: u64| (most as f64 * share).ceil() as u64;
         Ok(Self {
+            transition_steps: steps(arguments.transition_steps),
+            idm_steps: steps(arguments.idm_steps),
+            clips: threads(arguments.threads)?.clamp(1, MOST_CLIPS),
             round,
             train_s: seconds(&train)?,
             test_s: seconds(&test)?,
@@ -86,6 +115,12 @@ fn choose(mut bags: Vec<PathBuf>, most: usize, seed: u64) -> Vec<PathBuf> {
     bags.sort();
     bags.extend(recent);
     bags
+}
+
+/// The fraction of the most steps with which a round lasts `wanted` seconds, if one with `share` lasted `lasted` seconds.
+fn next_share(share: f64, lasted: f64, wanted: f64) -> f64 {
+    let change = (wanted / lasted.max(1e-3)).clamp(1.0 / MOST_CHANGE, MOST_CHANGE);
+    (share * change).clamp(LEAST_SHARE, 1.0)
 }
 
 /// The rounds in a folder, in their order.
@@ -132,6 +167,21 @@ fn duration_s(bag: &Path) -> Result<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn rounds_approach_their_duration() {
+        // A computer that takes 2 s for each hundredth of the steps, after 20 s of preparation.
+        let lasted = |share: f64| 20.0 + 200.0 * share;
+        let mut share = FIRST_SHARE;
+        for _ in 0..20 {
+            share = next_share(share, lasted(share), 120.0);
+        }
+        assert!((lasted(share) - 120.0).abs() < 1.0, "{share}");
+        // One that is too slow for it, and one that is too fast.
+        assert_eq!(next_share(LEAST_SHARE, 1000.0, 120.0), LEAST_SHARE);
+        assert_eq!(next_share(0.5, 1.0, 120.0), 1.0);
+        assert_eq!(next_share(0.1, 1.0, 120.0), 0.1 * MOST_CHANGE);
+    }
 
     #[test]
     fn newest_bags_are_kept_and_older_ones_drawn() {

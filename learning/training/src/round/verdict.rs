@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Result;
+use anyhow::{Result, ensure};
 use serde::{Deserialize, Serialize};
 use wm_dataset::{DataOptions, Dataset, Latents};
 use wm_evaluation::{ActionChange, Windows};
@@ -13,8 +13,6 @@ use wm_zoo::ModelFolder;
 const LEVEL: f64 = 0.05;
 /// Most windows of the test.
 const MOST_WINDOWS: usize = 400;
-/// Smallest share of persistence's error, so that its logarithm is finite.
-const LEAST: f64 = 1e-6;
 
 /// The comparison of two models, one step ahead, on data that neither was trained on.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -51,15 +49,21 @@ impl Verdict {
         Self::between(&of_new, &of_present)
     }
 
-    /// Compares errors of the same windows: each with that of persistence in the same latents.
+    /// Compares errors of the same windows. Latent spaces differ, so an error counts by the sum of persistence's errors in its
+    /// own. Then the gains sum to the difference of the ratios: a window without motion, where every model is worse than the
+    /// last frame, counts as little as it does there.
     fn between(new: &[Errors], present: &[Errors]) -> Result<Self> {
-        // A window without any motion has no ratio.
-        let moving = new.iter().zip(present);
-        let moving =
-            moving.filter(|(new, present)| new.persistence > 0.0 && present.persistence > 0.0);
-        let gains: Vec<f64> = moving
-            .map(|(new, present)| present.ratio().ln() - new.ratio().ln())
+        let all = |errors: &[Errors]| errors.iter().map(|errors| errors.persistence).sum::<f64>();
+        let (of_new, of_present) = (all(new), all(present));
+        let gains: Vec<f64> = new
+            .iter()
+            .zip(present)
+            .map(|(new, present)| present.model / of_present - new.model / of_new)
             .collect();
+        ensure!(
+            gains.iter().all(|gain| gain.is_finite()),
+            "the newest recordings show no motion, or a model predicts no number"
+        );
         let test = sign_flip_test(&gains, &SignFlip::default())?;
         Ok(Self {
             ratio: ratio(new),
@@ -76,12 +80,6 @@ impl Verdict {
 struct Errors {
     model: f64,
     persistence: f64,
-}
-
-impl Errors {
-    fn ratio(&self) -> f64 {
-        (self.model / self.persistence).max(LEAST)
-    }
 }
 
 /// Of all windows together.
@@ -152,5 +150,26 @@ mod tests {
         );
         let first = Verdict::between(&present, &still(&present)).unwrap();
         assert!(first.is_better && first.ratio_before == 1.0, "{first:?}");
+    }
+
+    #[test]
+    fn windows_without_motion_count_little() {
+        // Where nothing moves, the new model errs ten times as much as the last frame; elsewhere half as much.
+        let of = |index: u32| match index % 2 {
+            0 => (1e-3, 1e-2),
+            _ => (1.0, 0.5 + 0.01 * f64::from(index % 7)),
+        };
+        let new: Vec<Errors> = (0..40)
+            .map(of)
+            .map(|(persistence, model)| Errors { model, persistence })
+            .collect();
+        let verdict = Verdict::between(&new, &still(&new)).unwrap();
+        assert!(verdict.is_better && verdict.ratio < 0.6, "{verdict:?}");
+        assert!(Verdict::between(&errors([]), &errors([])).is_err());
+        let motionless = [Errors {
+            model: 0.1,
+            persistence: 0.0,
+        }; 3];
+        assert!(Verdict::between(&motionless, &motionless).is_err());
     }
 }

@@ -26,7 +26,7 @@ use super::{
     recording::{bags, duration_s},
     resources::{GIB, free_of, memory_of},
     superfluous,
-    training::{is_tested, progress_of, result_of, rounds},
+    training::{is_tested, progress_of, result_of, rounds, steps_of},
     workplace::{IN_USE, MOST_ROUNDS, Workplace},
 };
 
@@ -399,13 +399,14 @@ impl Learner {
         let (round, folder) = own.last().cloned().unwrap_or_default();
         let progress = self.training.as_ref().and_then(|_| progress_of(&folder));
         let progress = progress.unwrap_or_default();
+        let planned = steps_of(&folder).unwrap_or_default();
         let steps = match progress.part.as_str() {
             "autoencoder" => at.parameters.autoencoder_steps,
-            "transition" => at.parameters.transition_steps,
-            "idm" => at.parameters.idm_steps,
+            "transition" => planned.transition_steps,
+            "idm" => planned.idm_steps,
             _ => 0,
         };
-        let last = match at.parameters.idm_steps {
+        let last = match planned.idm_steps {
             0 => "transition",
             _ => "idm",
         };

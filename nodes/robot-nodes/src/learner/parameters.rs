@@ -31,11 +31,16 @@ wm_ros::parameters! {
         pub most_bags: usize = 40, in 1..=100_000;
         /// Newest bags of a round that are for its test alone.
         pub test_bags: usize = 2, in 1..=1000;
+        /// Duration of a round without the autoencoder's training [s]. The first one is short; each later one is planned by the
+        /// duration of the one before.
+        pub round_seconds: f64 = 240.0, in 1.0..=86400.0;
+        /// Train the autoencoder first if the PSNR of its pictures is below this [dB].
+        pub least_psnr: f64 = 25.0, in 0.0..=100.0;
         /// Optimiser steps of the autoencoder in a round that trains it.
-        pub autoencoder_steps: u64 = 500, in 1..=1_000_000;
-        /// Optimiser steps of the transition model in a round.
-        pub transition_steps: u64 = 300, in 1..=1_000_000;
-        /// Optimiser steps of the inverse dynamics model in a round; 0: none, for models that only predict.
+        pub autoencoder_steps: u64 = 200, in 1..=1_000_000;
+        /// Most optimiser steps of the transition model in a round.
+        pub transition_steps: u64 = 1200, in 1..=1_000_000;
+        /// Most optimiser steps of the inverse dynamics model in a round; 0: none, for models that only predict.
         pub idm_steps: u64 = 200, in 0..=1_000_000;
         /// Processors of the trainings, as numbers of Linux; empty: all.
         pub processors: Vec<i64> = Vec::<i64>::new();

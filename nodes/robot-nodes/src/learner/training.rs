@@ -15,6 +15,8 @@ use wm_msgs::{builtin_interfaces::Time, wm_msgs::LearnerRound};
 
 /// The file with the result of a round, in its folder.
 pub(super) const RESULT: &str = "result.json";
+/// The file with the plan of a round, in its folder.
+const PLAN: &str = "round.json";
 /// Time for a process to save after a signal.
 const GRACE: Duration = Duration::from_secs(8);
 
@@ -74,6 +76,21 @@ pub(super) struct Verdict {
     pub p_value: f64,
     /// Whether the new model is better.
     pub is_better: bool,
+}
+
+/// The steps of a round: the part of its plan that the learner needs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+pub(super) struct RoundSteps {
+    /// Of the transition model.
+    pub transition_steps: u64,
+    /// Of the inverse dynamics model; 0: none.
+    pub idm_steps: u64,
+}
+
+/// The steps of the round in a folder; `None` before its plan is written.
+pub(super) fn steps_of(folder: &Path) -> Option<RoundSteps> {
+    let text = fs::read_to_string(folder.join(PLAN)).ok()?;
+    serde_json::from_str(&text).ok()
 }
 
 /// The progress of a round.

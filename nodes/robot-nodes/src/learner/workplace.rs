@@ -134,6 +134,8 @@ fn arguments(parameters: &Parameters, recordings: &Path, models: &Path) -> Vec<S
             parameters.transition_steps.to_string(),
         ),
         ("--idm-steps", parameters.idm_steps.to_string()),
+        ("--seconds", parameters.round_seconds.to_string()),
+        ("--least-psnr", parameters.least_psnr.to_string()),
         ("--most-bags", parameters.most_bags.to_string()),
         ("--test-bags", parameters.test_bags.to_string()),
         ("--nice", parameters.nice.to_string()),
