@@ -4,9 +4,9 @@ training costs the predictions.
 
 usage: benches/learner.py BAG... [--minutes 30] [--alone 3] [--camera T] [--action T] [--action-space FILE]
                           [--domain D] [--wm PATH] --out OUT
+       benches/learner.py --draw NAME=OUT... --out FILE.svg
 
-Plays the bags one after the other, with the stamps of now, again from the first one after the last: the robot. Beside it
-runs launch-configs/live.launch.yaml, first with `learn:=true` for `--minutes`, then for `--alone` minutes with the last
+Joins the bags to one recording and plays it in a loop, with the stamps of now: the robot. Beside it runs launch-configs/live.launch.yaml, first with `learn:=true` for `--minutes`, then for `--alone` minutes with the last
 model and without the learner. Prints Markdown:
 
 - the calibrated error ratio one step ahead by minute: the sum of the squared errors over that of the last frame, repeated;
@@ -14,24 +14,25 @@ model and without the learner. Prints Markdown:
 - each round of the learner;
 - the time from capture to received prediction, with and without the learner.
 
-OUT gets both runs, figures.json and learner.svg. Needs `cargo build --release -p wm_training` and `cargo build --release`,
+OUT gets both runs, figures.json and learner.svg: the ratio by minute as a line, and that of each round's model in its test, a
+circle if it was accepted and a cross if not. `--draw` draws several runs into one picture. Needs `cargo build --release -p wm_training` and `cargo build --release`,
 and of PyPI mcap-ros2-support and matplotlib.
 """
 
 import argparse
 import datetime
-import itertools
 import json
 import os
 import pathlib
 import signal
+import struct
 import subprocess
-import threading
 
 from machine import processor
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 RECORDED = ["/wm/prediction_error", "/wm/learner/status"]
+PAUSE_NS = 1_000_000_000  # between two bags: enough for the nodes to begin a new history
 
 
 def end(process):
@@ -40,15 +41,34 @@ def end(process):
     process.wait(timeout=120)
 
 
-def play(arguments, env, stop):
-    """Plays the bags until `stop` is set."""
-    for bag in itertools.cycle(arguments.bags):
-        command = [arguments.wm, "bag", "play", bag, "--ros-args", "-p", "restamp:=true"]
-        player = subprocess.Popen(command, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        while player.poll() is None:
-            if stop.wait(0.2):
-                end(player)
-                return
+def join(bags, topics, path):
+    """Writes the messages of these topics of all bags into one, each bag after the one before."""
+    from mcap.reader import make_reader
+    from mcap.writer import Writer
+
+    with open(path, "wb") as file:
+        writer = Writer(file)
+        writer.start("ros2")
+        channels, end = {}, None
+        for bag in bags:
+            shift = None
+            for part in sorted(pathlib.Path(bag).glob("*.mcap")):
+                with open(part, "rb") as stream:
+                    for schema, channel, message in make_reader(stream).iter_messages(topics=topics):
+                        if shift is None:
+                            shift = 0 if end is None else end + PAUSE_NS - message.log_time
+                        if channel.topic not in channels:
+                            known = writer.register_schema(schema.name, schema.encoding, schema.data)
+                            channels[channel.topic] = writer.register_channel(
+                                channel.topic, channel.message_encoding, known, channel.metadata
+                            )
+                        # All these messages begin with a header: its stamp follows the CDR encapsulation.
+                        seconds, nanoseconds = struct.unpack_from("<iI", message.data, 4)
+                        seconds, nanoseconds = divmod(seconds * 10**9 + nanoseconds + shift, 10**9)
+                        data = message.data[:4] + struct.pack("<iI", seconds, nanoseconds) + message.data[12:]
+                        end = message.log_time + shift
+                        writer.add_message(channels[channel.topic], end, data, end)
+        writer.finish()
 
 
 def run(arguments, env, out, minutes, settings):
@@ -61,17 +81,16 @@ def run(arguments, env, out, minutes, settings):
         recorder = subprocess.Popen(
             [arguments.wm, "bag", "record", "-o", str(out / "recorded"), *RECORDED], env=env, stdout=log, stderr=subprocess.STDOUT
         )
-        stop = threading.Event()
-        player = threading.Thread(target=play, args=(arguments, env, stop))
-        player.start()
+        played = [arguments.wm, "bag", "play", str(arguments.out / "robot.mcap"), "--loop"]
+        played += ["--ros-args", "-p", "restamp:=true"]
+        player = subprocess.Popen(played, env=env, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT)
         try:
             nodes.wait(timeout=60 * minutes)
             raise SystemExit(f"the nodes ended with {nodes.returncode}: see {out / 'launch.log'}")
         except subprocess.TimeoutExpired:
             pass
         finally:
-            stop.set()
-            player.join()
+            end(player)
             end(recorder)
             if nodes.poll() is None:
                 end(nodes)
@@ -87,11 +106,11 @@ def messages(folder, topic):
             yield read.log_time_ns / 1e9, read.ros_msg
 
 
-def by_minute(errors):
-    """(minute, ratio, n) of the errors one step ahead."""
+def by_minute(errors, start):
+    """(minute since `start`, ratio, n) of the errors one step ahead."""
     rows = {}
     for time, mse, persistence in errors:
-        row = rows.setdefault(int((time - errors[0][0]) // 60), [0.0, 0.0, 0])
+        row = rows.setdefault(int((time - start) // 60), [0.0, 0.0, 0])
         row[0], row[1], row[2] = row[0] + mse, row[1] + persistence, row[2] + 1
     return [(minute, mse / persistence, n) for minute, (mse, persistence, n) in sorted(rows.items()) if persistence > 0]
 
@@ -104,17 +123,20 @@ def below(ratios, bound):
     return since
 
 
-def draw(path, ratios, rounds, start):
+def draw(path, runs):
+    """Draws the figures of each run, by the name of its robot."""
     import matplotlib
 
     matplotlib.use("svg")
     from matplotlib import pyplot
 
-    figure, axes = pyplot.subplots(figsize=(7, 3), layout="constrained")
-    axes.plot([minute + 0.5 for minute, *_ in ratios], [ratio for _, ratio, _ in ratios], label="live, calibrated")
-    for accepted, mark, label in ((True, "o", "a round's model, accepted"), (False, "x", "not accepted")):
-        of_kind = [r for r in rounds if r["accepted"] == accepted]
-        axes.plot([(r["time"] - start) / 60 for r in of_kind], [r["ratio"] for r in of_kind], mark, label=label)
+    matplotlib.rcParams |= {"svg.hashsalt": "wm", "svg.fonttype": "none"}
+    figure, axes = pyplot.subplots(figsize=(7, 3.2), layout="constrained")
+    for name, run in runs.items():
+        (line,) = axes.plot([minute + 0.5 for minute, *_ in run["ratios"]], [ratio for _, ratio, _ in run["ratios"]], label=name)
+        for accepted, mark in ((True, "o"), (False, "x")):
+            of_kind = [r for r in run["rounds"] if r["accepted"] == accepted]
+            axes.plot([(r["time"] - run["start"]) / 60 for r in of_kind], [r["ratio"] for r in of_kind], mark, color=line.get_color())
     axes.axhline(1, color="grey", linewidth=0.8)
     axes.set(xlabel="minutes", ylabel="squared error one step ahead\n/ that of the last frame", ylim=(0, 1.3))
     axes.legend(frameon=False)
@@ -123,7 +145,8 @@ def draw(path, ratios, rounds, start):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("bags", nargs="+")
+    parser.add_argument("bags", nargs="*")
+    parser.add_argument("--draw", nargs="+", metavar="NAME=OUT", help="draw these earlier runs instead, into the file --out")
     parser.add_argument("--minutes", type=float, default=30)
     parser.add_argument("--alone", type=float, default=3)
     parser.add_argument("--camera", default="/camera/image_raw")
@@ -133,20 +156,28 @@ def main():
     parser.add_argument("--wm", default=str(ROOT / "target/release/wm"))
     parser.add_argument("--out", type=pathlib.Path, required=True)
     arguments = parser.parse_args()
+    if arguments.draw:
+        runs = dict(run.split("=", 1) for run in arguments.draw)
+        draw(arguments.out, {name: json.loads((pathlib.Path(out) / "figures.json").read_text()) for name, out in runs.items()})
+        return
+    if not arguments.bags:
+        parser.error("a bag is missing")
     env = dict(os.environ, ROS_DOMAIN_ID=str(arguments.domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
 
     print(f"{processor()}, {os.cpu_count()} cores, {datetime.date.today()}, {len(arguments.bags)} bags\n", flush=True)
+    arguments.out.mkdir(parents=True)
+    join(arguments.bags, [f"{arguments.camera}/compressed", arguments.action], arguments.out / "robot.mcap")
     settings = ["learn:=true"]
     if arguments.action_space:
         settings.append(f"action_space:={arguments.action_space}")
     reports = {"learning": run(arguments, env, arguments.out / "learning", arguments.minutes, settings)}
     recorded = arguments.out / "learning/recorded"
-    *_, (_, status) = messages(recorded, "/wm/learner/status")
+    (start, _), *_, (_, status) = messages(recorded, "/wm/learner/status")
     settings = [f"model:={status.model}"]
     reports["alone"] = run(arguments, env, arguments.out / "alone", arguments.alone, settings)
 
     errors = [(time, e.mse, e.persistence_mse) for time, e in messages(recorded, "/wm/prediction_error") if e.step == 1]
-    ratios = by_minute(errors)
+    ratios = by_minute(errors, start)
     print("| minute | error ratio one step ahead | n |\n|---|---|---|")
     for minute, ratio, n in ratios:
         print(f"| {minute} | {ratio:.3f} | {n} |")
@@ -168,7 +199,7 @@ def main():
     ]
     print("\n| round | ended, minute | trained on [s] | ratio | before | p | accepted |\n|---|---|---|---|---|---|---|")
     for r in rounds:
-        minute = (r["time"] - errors[0][0]) / 60
+        minute = (r["time"] - start) / 60
         print(
             f"| {r['round']} | {minute:.1f} | {r['trained_on']:.0f} | {r['ratio']:.3f} | {r['ratio_before']:.3f} "
             f"| {r['p']:.3f} | {r['accepted']} |"
@@ -180,9 +211,9 @@ def main():
             latency = report["steps"][k]["received_latency"]
             print(f"| {k + 1} | {name} | {latency['n']} | {latency['p50_ms']:.1f} | {latency['p95_ms']:.1f} | {latency['p99_ms']:.1f} |")
 
-    figures = {"ratios": ratios, "rounds": rounds, "reports": reports}
+    figures = {"start": start, "ratios": ratios, "rounds": rounds, "reports": reports}
     (arguments.out / "figures.json").write_text(json.dumps(figures, indent=1))
-    draw(arguments.out / "learner.svg", ratios, rounds, errors[0][0])
+    draw(arguments.out / "learner.svg", {"live, calibrated": figures})
 
 
 if __name__ == "__main__":
