@@ -31,7 +31,7 @@ def train(arguments, start, bags):
     """The error ratios of the model that `start` becomes by these bags, by name."""
     name, models = start.split("=", 1)
     model, encoder = models.split(",", 1)
-    out = arguments.out / f"{name}-{len(bags)}"
+    out = arguments.out / f"{name}-{len(bags)}-{arguments.steps}"
     result = out / "transition.journal.jsonl"
     if not (out / "MODEL.md").exists():
         command = [arguments.wm, "train", "transition", "--data", *map(str, bags), "--held-out", *arguments.held_out]

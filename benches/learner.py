@@ -6,8 +6,9 @@ usage: benches/learner.py BAG... [--minutes 30] [--alone 3] [--camera T] [--acti
                           [--domain D] [--wm PATH] --out OUT
        benches/learner.py --draw NAME=OUT... --out FILE.svg
 
-Joins the bags to one recording and plays it in a loop, with the stamps of now: the robot. Beside it runs launch-configs/live.launch.yaml, first with `learn:=true` for `--minutes`, then for `--alone` minutes with the last
-model and without the learner. Prints Markdown:
+Joins the bags to one recording and plays it in a loop, with the stamps of now: the robot. Beside it runs
+launch-configs/live.launch.yaml, first with `learn:=true` for `--minutes`, then for `--alone` minutes with the last model and
+without the learner. Prints Markdown:
 
 - the calibrated error ratio one step ahead by minute: the sum of the squared errors over that of the last frame, repeated;
 - the minutes until it is below .9 and .7 for good;
@@ -15,8 +16,8 @@ model and without the learner. Prints Markdown:
 - the time from capture to received prediction, with and without the learner.
 
 OUT gets both runs, figures.json and learner.svg: the ratio by minute as a line, and that of each round's model in its test, a
-circle if it was accepted and a cross if not. `--draw` draws several runs into one picture. Needs `cargo build --release -p wm_training` and `cargo build --release`,
-and of PyPI mcap-ros2-support and matplotlib.
+circle if it was accepted and a cross if not. `--draw` draws several runs into one picture. Needs
+`cargo build --release -p wm_training` and `cargo build --release`, and of PyPI mcap-ros2-support and matplotlib.
 """
 
 import argparse
@@ -166,7 +167,8 @@ def main():
 
     print(f"{processor()}, {os.cpu_count()} cores, {datetime.date.today()}, {len(arguments.bags)} bags\n", flush=True)
     arguments.out.mkdir(parents=True)
-    join(arguments.bags, [f"{arguments.camera}/compressed", arguments.action], arguments.out / "robot.mcap")
+    topics = [arguments.camera, f"{arguments.camera}/compressed", arguments.action]
+    join(arguments.bags, topics, arguments.out / "robot.mcap")
     settings = ["learn:=true"]
     if arguments.action_space:
         settings.append(f"action_space:={arguments.action_space}")

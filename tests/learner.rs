@@ -90,6 +90,7 @@ async fn learn_and_change() {
     let is_training = |status: &LearnerStatus| status.step >= 1;
     let begun = until(&mut states, is_training).await;
     assert_eq!((begun.round, begun.rounds.len()), (1, 0));
+    assert_eq!(begun.steps, 40, "a tenth of the most: {begun:?}");
     let plan = output.join("models/round-0001/round.json");
     let planned = fs::read_to_string(&plan).expect("a plan");
     first.signal(Signal::KILL);

@@ -251,6 +251,9 @@ fn each_bag(
     found: FoundBags,
     prepare: impl Fn(FoundBags) -> Result<OpenFolder, DatasetError>,
 ) -> Result<Vec<OpenFolder>, DatasetError> {
+    for left in &found.left_out {
+        tracing::warn!("excluded: {left}");
+    }
     let mut opened = Vec::new();
     let mut unusable = Vec::new();
     for bag in found.bags {
@@ -273,7 +276,7 @@ fn each_bag(
     Ok(opened)
 }
 
-/// The prepared folder in the cache, written first if it is missing. What it leaves out is logged.
+/// Opens the prepared folder in the cache, and writes it first if it is missing. Logs what the folder leaves out.
 fn open_cached(preparation: Preparation, cache: &Path) -> Result<OpenFolder, DatasetError> {
     let dir = cache.join(cache_name(preparation.digest()));
     if !is_prepared(&dir) {

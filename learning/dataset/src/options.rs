@@ -121,7 +121,7 @@ pub struct DataOptions {
     #[arg(skip)]
     pub fit: Option<Fit>,
     /// Whether the cache has a folder for each bag instead of one for all, so that trainings on other selections of bags find
-    /// it again. Prepared folders have one.
+    /// it again.
     #[arg(skip)]
     #[serde(skip)]
     pub by_bag: bool,

@@ -53,7 +53,7 @@ fn data_keep_their_order_and_come_from_the_cache() {
 }
 
 #[test]
-fn bags_that_are_prepared_apart_are_found_again_in_other_selections() {
+fn each_bag_is_prepared_once_for_all_selections() {
     let dir = tempfile::tempdir().unwrap();
     let bags: Vec<_> = (0..3)
         .map(|i| dir.path().join(format!("bag_{i}")))

@@ -165,17 +165,7 @@ impl TrainRoundArgs {
             false => Some(Instant::now()),
         };
         let rate = if has_encoder { CONTINUED_RATE } else { 1.0 };
-        let mut run = self.of("transition", plan, plan.transition_steps, rate)?;
-        let warm_up = (plan.transition_steps as f64 * WARM_UP).ceil();
-        // The user's settings come last, and win.
-        run.set.splice(
-            0..0,
-            [
-                Override::new("batch", plan.clips),
-                Override::new("micro_batch", 1),
-                Override::new("optimisation.warm_up", format!("{warm_up} steps")),
-            ],
-        );
+        let run = self.of("transition", plan, plan.transition_steps, rate)?;
         let transition = TrainTransitionArgs {
             on: on(run),
             listen: ListenArgs::default(),
@@ -289,7 +279,18 @@ impl TrainRoundArgs {
 
     fn of(&self, part: &str, plan: &Plan, steps: u64, old_rate: f64) -> Result<RunArgs> {
         ensure!(steps > 0, "0 steps of the {part}, expected at least 1");
+        let mut set = vec![Override::new("checkpoint_seconds", CHECKPOINT_SECONDS)];
+        if part == "transition" {
+            let warm_up = (steps as f64 * WARM_UP).ceil();
+            set.extend([
+                Override::new("batch", plan.clips),
+                Override::new("micro_batch", 1),
+                Override::new("optimisation.warm_up", format!("{warm_up} steps")),
+            ]);
+        }
+        // The user's settings come last, and win.
         let own = self.set.iter().filter(|setting| setting.part() == part);
+        set.extend(own.map(Override::of_part));
         let folder = plan.folder(&self.models);
         let present = ModelFolder::open(&self.from)?;
         let has_part = part != "idm" || present.weights(IDM_FILE)?.is_some();
@@ -303,9 +304,7 @@ impl TrainRoundArgs {
             cache: Some(self.models.join(CACHE)),
             out: folder,
             recipe: "tiny".to_owned(),
-            set: std::iter::once(Override::new("checkpoint_seconds", CHECKPOINT_SECONDS))
-                .chain(own.map(Override::of_part))
-                .collect(),
+            set,
             steps: Some(steps),
             share: 1.0,
             from: has_part.then(|| self.from.clone()),
