@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 
 use crate::{
     harness::{Process, Signal, bundled_bag, fresh_domain, resident, root, whole_suite, wm},
-    view_process::{PATIENCE, View, body, free_port, player},
+    view_process::{PATIENCE, View, body, player},
     websocket::{Message, Socket, catch_up, frame_of, open_at, read_beside},
 };
 
@@ -145,11 +145,7 @@ fn wait_for_subscription(page: &mut Socket, topic: &str, is_so: bool) {
 #[test]
 fn viewers_receive_topics_only_while_subscribed() {
     let domain = fresh_domain();
-    let view = View::start(
-        domain,
-        free_port(),
-        &["--foxglove-exclude-regex", "^/task/"],
-    );
+    let view = View::start(domain, &["--foxglove-exclude-regex", "^/task/"]);
     // Both subprotocols, at the bare address and the page's path. Without topics, the list of channels is sent too.
     for (path, protocol) in [("/", NEWER), ("/", OLDER), ("/socket", NEWER)] {
         let (status, socket) = open_at(view.port, path, &[protocol]);
@@ -237,7 +233,7 @@ fn viewers_receive_topics_only_while_subscribed() {
 #[test]
 fn rates_are_limited_and_topics_can_be_disabled() {
     let domain = fresh_domain();
-    let view = View::start(domain, free_port(), &["--foxglove-rates", "^/camera/=2"]);
+    let view = View::start(domain, &["--foxglove-rates", "^/camera/=2"]);
     let _player = player(domain, "2");
     let mut viewer = Viewer::open(view.port);
     viewer.subscribe(CAMERA, 1);
@@ -249,14 +245,14 @@ fn rates_are_limited_and_topics_can_be_disabled() {
     // 10 Hz for four seconds, of which every fifth frame of the camera
     assert!((4..=16).contains(&counts[1]), "{counts:?}");
 
-    let none = View::start(domain, free_port(), &["--foxglove-regex", ""]);
+    let none = View::start(domain, &["--foxglove-regex", ""]);
     assert_eq!(open_at(none.port, "/", &[NEWER]).0, 400);
 }
 
 #[test]
 fn view_of_a_bag_refuses_live_topics() {
     let bag = bundled_bag();
-    let view = View::start(fresh_domain(), free_port(), &[&bag.to_string_lossy()]);
+    let view = View::start(fresh_domain(), &[&bag.to_string_lossy()]);
     let mut viewer = Viewer::open(view.port);
     let (level, message) = viewer.status();
     assert!(level == 0 && message.contains(".mcap"), "{message}");
@@ -279,7 +275,7 @@ fn foreign_pages_and_hostile_viewers_are_refused() {
         "--foxglove-origins",
         listed,
     ];
-    let view = View::start(domain, free_port(), &args);
+    let view = View::start(domain, &args);
     let port = view.port;
     let with_token = "/?token=0123456789abcdef";
     let both = (
@@ -313,7 +309,7 @@ fn foreign_pages_and_hostile_viewers_are_refused() {
         );
     }
     // by default no website may connect, including Foxglove's
-    let plain = View::start(domain, free_port(), &[]);
+    let plain = View::start(domain, &[]);
     for origin in [listed, "https://lichtblick.example", "null"] {
         let status = open_at(plain.port, "/", &[NEWER, ("Origin", origin)]).0;
         assert_eq!(status, 403, "{origin}");
@@ -376,7 +372,7 @@ fn foreign_pages_and_hostile_viewers_are_refused() {
 #[test]
 fn stalled_viewer_costs_little_and_slows_no_other() {
     let domain = fresh_domain();
-    let view = View::start(domain, free_port(), &[]);
+    let view = View::start(domain, &[]);
     // 750 KB/s: within seconds more than the kernel buffers for a client that does not read
     let _player = player(domain, "10");
     let viewer = || {
@@ -429,7 +425,7 @@ fn library(url: &str, protocol: &str, topics: &[&str]) -> Option<Value> {
 fn foxgloves_client_decodes_predictions() {
     let _whole = whole_suite();
     let domain = fresh_domain();
-    let view = View::start(domain, free_port(), &[]);
+    let view = View::start(domain, &[]);
     let _player = player(domain, "0.5");
     let _nodes = Process::start(wm(domain, &["run", "encoder", "predictor", "decoder"]));
     let url = format!("ws://127.0.0.1:{}", view.port);

@@ -1,12 +1,12 @@
 //! Starts and stops real processes of the suite, each test in its own ROS domain on loopback.
 
 use std::{
-    io::Read as _,
+    io::{BufRead as _, BufReader},
     os::unix::process::CommandExt as _,
     path::{Path, PathBuf},
-    process::{Child, Command, ExitStatus, Stdio},
+    process::{Child, ChildStdout, Command, ExitStatus, Stdio},
     sync::{
-        Mutex, MutexGuard, PoisonError,
+        Arc, Mutex, MutexGuard, PoisonError,
         atomic::{AtomicU16, Ordering},
     },
     thread::JoinHandle,
@@ -132,12 +132,38 @@ pub fn children(parent: Pid) -> Vec<(Pid, Vec<String>)> {
     ids.split_whitespace().filter_map(child).collect()
 }
 
+/// What a process has written to its stdout. Read continuously: a process with a full pipe blocks.
+struct Stdout {
+    text: Arc<Mutex<String>>,
+    reader: JoinHandle<()>,
+}
+
+impl Stdout {
+    fn new(pipe: ChildStdout) -> Self {
+        let text = Arc::new(Mutex::new(String::new()));
+        let shared = Arc::clone(&text);
+        let reader = std::thread::spawn(move || {
+            let mut pipe = BufReader::new(pipe);
+            let mut line = Vec::new();
+            while matches!(pipe.read_until(b'\n', &mut line), Ok(1..)) {
+                let line = std::mem::take(&mut line);
+                let mut text = shared.lock().unwrap_or_else(PoisonError::into_inner);
+                text.push_str(&String::from_utf8_lossy(&line));
+            }
+        });
+        Self { text, reader }
+    }
+
+    fn text(&self) -> MutexGuard<'_, String> {
+        self.text.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
 /// A process that is ended by its pid when this is dropped.
 pub struct Process {
     child: Child,
     name: String,
-    /// reads stdout continuously: a process with a full pipe blocks
-    stdout: Option<JoinHandle<String>>,
+    stdout: Option<Stdout>,
 }
 
 impl Process {
@@ -145,13 +171,8 @@ impl Process {
     pub fn start(mut command: Command) -> Self {
         command.stdout(Stdio::piped());
         let mut process = Self::start_with_output(command);
-        let mut stdout = process.child.stdout.take().expect("stdout is piped");
-        let reader = std::thread::spawn(move || {
-            let mut text = String::new();
-            let _ = stdout.read_to_string(&mut text);
-            text
-        });
-        process.stdout = Some(reader);
+        let stdout = process.child.stdout.take().expect("stdout is piped");
+        process.stdout = Some(Stdout::new(stdout));
         process
     }
 
@@ -180,6 +201,23 @@ impl Process {
             .unwrap_or_else(|error| panic!("could not send {signal:?} to {}: {error}", self.name));
     }
 
+    /// What follows `text` in the first line of stdout that has it. Waits for it, at most `limit`.
+    pub fn printed(&self, text: &str, limit: Duration) -> String {
+        let stdout = self.stdout.as_ref().expect("stdout is read");
+        let begun = Instant::now();
+        loop {
+            let has_ended = stdout.reader.is_finished();
+            let rest = |line: &str| Some(line.split_once(text)?.1.to_owned());
+            if let Some(rest) = stdout.text().lines().find_map(rest) {
+                return rest;
+            }
+            let name = &self.name;
+            assert!(!has_ended, "{name} ended before it printed {text:?}");
+            assert!(begun.elapsed() < limit, "{name} did not print {text:?}");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+
     /// Waits at most `limit` for the end of the process; returns its exit status and stdout.
     pub fn finish(mut self, limit: Duration) -> (ExitStatus, String) {
         let start = Instant::now();
@@ -195,7 +233,10 @@ impl Process {
             std::thread::sleep(Duration::from_millis(20));
         };
         let stdout = match self.stdout.take() {
-            Some(reader) => reader.join().expect("the reader does not panic"),
+            Some(Stdout { text, reader }) => {
+                reader.join().expect("the reader does not panic");
+                std::mem::take(&mut *text.lock().unwrap_or_else(PoisonError::into_inner))
+            }
             None => String::new(),
         };
         (status, stdout)

@@ -3,7 +3,7 @@
 // each test has its own runtime, in which nothing else takes the lock
 #![allow(clippy::await_holding_lock)]
 
-use std::{path::Path, process::Command, time::Duration};
+use std::{net::TcpListener, path::Path, process::Command, time::Duration};
 
 use wm_msgs::{
     builtin_interfaces::Time,
@@ -14,10 +14,7 @@ use wm_msgs::{
 };
 use wm_ros::{Context, Node, Publisher, Qos, Subscription};
 
-use crate::{
-    harness::{Process, Signal, fresh_domain, in_domain, join, peers, root, ros2_env},
-    view_process::free_port,
-};
+use crate::harness::{Process, Signal, fresh_domain, in_domain, join, peers, root, ros2_env};
 
 /// Far longer than needed; only ends a hanging test.
 const PATIENCE: Duration = Duration::from_secs(90);
@@ -27,6 +24,12 @@ const HEIGHT: u32 = 48;
 /// Bytes at the end of each row of the picture that are no pixels.
 const PADDING: u32 = 8;
 const INSTRUCTION: &str = "lift the cup";
+
+/// A port that is free now, for a server that does not choose one itself.
+fn free_port() -> u16 {
+    let listener = TcpListener::bind(("127.0.0.1", 0)).expect("a port");
+    listener.local_addr().expect("an address").port()
+}
 
 /// A program of `examples`, with the real ROS 2 and the packages of the environment `packages`.
 fn example(peers: &Path, packages: &str, domain: u16, script: &str, args: &[&str]) -> Command {

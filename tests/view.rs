@@ -16,8 +16,8 @@ use wm_ros::Qos;
 
 use crate::{
     browser::Browser,
-    harness::{Process, Signal, bundled_bag, fresh_domain, join, wait_until, whole_suite, wm},
-    view_process::{PATIENCE, View, free_port, player},
+    harness::{Process, Signal, bundled_bag, fresh_domain, join, whole_suite, wm},
+    view_process::{PATIENCE, View, page_port, player},
     websocket::Socket,
 };
 
@@ -60,12 +60,9 @@ fn text(browser: &mut Browser, selector: &str) -> String {
 #[test]
 fn page_shows_the_main_job_live() {
     let _alone = whole_suite();
-    let (domain, port) = (fresh_domain(), free_port());
+    let domain = fresh_domain();
     let out = tempfile::tempdir().expect("a temporary directory");
-    let (output, view_port) = (
-        format!("output:={}", out.path().display()),
-        format!("view_port:={port}"),
-    );
+    let output = format!("output:={}", out.path().display());
     let file = "launch-configs/replay.launch.yaml";
     let args = [
         "launch",
@@ -74,13 +71,11 @@ fn page_shows_the_main_job_live() {
         "loop:=true",
         "rate:=0.5",
         "view:=true",
-        &view_port,
+        "view_port:=0",
     ];
     let launch = Process::start(wm(domain, &args));
-    wait_until("the page is served", PATIENCE, || {
-        std::net::TcpStream::connect(("127.0.0.1", port)).is_ok()
-    });
-    let Some(mut browser) = Browser::open(&format!("http://127.0.0.1:{port}/")) else {
+    let url = format!("http://127.0.0.1:{}/", page_port(&launch));
+    let Some(mut browser) = Browser::open(&url) else {
         launch.signal(Signal::INT);
         return;
     };
@@ -202,8 +197,9 @@ fn page_shows_the_main_job_live() {
 
 #[test]
 fn page_names_missing_data_and_reconnects_to_its_node() {
-    let (domain, port) = (fresh_domain(), free_port());
-    let view = View::start(domain, port, &[]);
+    let domain = fresh_domain();
+    let view = View::start(domain, &[]);
+    let port = view.port;
     let Some(mut browser) = Browser::open(&view.url()) else {
         return;
     };
@@ -253,7 +249,7 @@ fn page_names_missing_data_and_reconnects_to_its_node() {
     let (status, _) = view.process.finish(PATIENCE);
     assert!(status.success(), "{status}");
     browser.wait_for("document.body.dataset.state === 'connecting'", PATIENCE);
-    let _again = View::start(domain, port, &[]);
+    let _again = View::start_at(domain, port, &[]);
     browser.evaluate("wmView.page.latencies.length = 0");
     browser.wait_for(
         "document.body.dataset.state === 'live' && wmView.page.latencies.length > 3",
@@ -264,7 +260,7 @@ fn page_names_missing_data_and_reconnects_to_its_node() {
 #[test]
 fn permitted_page_sets_a_shown_frame_as_goal() {
     let domain = fresh_domain();
-    let view = View::start(domain, free_port(), &["--control", "goals"]);
+    let view = View::start(domain, &["--control", "goals"]);
     let _player = player(domain, "1");
     let Some(mut browser) = Browser::open(&view.url()) else {
         return;
@@ -321,7 +317,7 @@ fn permitted_page_sets_a_shown_frame_as_goal() {
 #[test]
 fn permitted_page_chooses_a_candidate() {
     let domain = fresh_domain();
-    let view = View::start(domain, free_port(), &["--control", "goals"]);
+    let view = View::start(domain, &["--control", "goals"]);
     let Some(mut browser) = Browser::open(&view.url()) else {
         return;
     };
@@ -390,8 +386,8 @@ fn executor_state(socket: &mut Socket, is_so: impl Fn(&str) -> bool) -> (String,
 fn every_page_stops_the_executor_but_only_permitted_ones_arm() {
     let domain = fresh_domain();
     let _executor = Process::start(wm(domain, &["executor"]));
-    let looking = View::start(domain, free_port(), &[]);
-    let arming = View::start(domain, free_port(), &["--control", "all"]);
+    let looking = View::start(domain, &[]);
+    let arming = View::start(domain, &["--control", "all"]);
     let (mut looker, mut armer) = (looking.open(), arming.open());
     let ask = |socket: &mut Socket, command: &str| {
         socket.send(&format!("{{\"number\":1,\"command\":{command}}}"));
@@ -452,7 +448,7 @@ fn every_page_stops_the_executor_but_only_permitted_ones_arm() {
 #[test]
 fn bag_is_shown_in_the_same_page() {
     let bag = bundled_bag();
-    let view = View::start(fresh_domain(), free_port(), &[&bag.to_string_lossy()]);
+    let view = View::start(fresh_domain(), &[&bag.to_string_lossy()]);
     let Some(mut browser) = Browser::open(&view.url()) else {
         return;
     };

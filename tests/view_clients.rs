@@ -7,14 +7,14 @@ use serde_json::{Value, json};
 use crate::{
     browser::Browser,
     harness::{Process, Signal, fresh_domain, resident, wait_until, wm},
-    view_process::{PATIENCE, View, body, free_port, player},
+    view_process::{PATIENCE, View, body, page_port, player},
     websocket::{Socket, catch_up, frame_of, open, read_beside},
 };
 
 #[test]
 fn stalled_client_costs_nothing_and_slows_no_other() {
     let domain = fresh_domain();
-    let view = View::start(domain, free_port(), &[]);
+    let view = View::start(domain, &[]);
     // 750 KB/s: within seconds more than the kernel buffers for a client that does not read
     let _player = player(domain, "10");
     let mut others: Vec<Socket> = (0..10).map(|_| view.open()).collect();
@@ -43,7 +43,7 @@ fn hostile_clients_are_refused_and_do_no_harm() {
         "--max-clients",
         "3",
     ];
-    let view = View::start(domain, free_port(), &args);
+    let view = View::start(domain, &args);
     let _player = player(domain, "1");
     let port = view.port;
     let own = format!("http://127.0.0.1:{port}");
@@ -159,13 +159,9 @@ fn hostile_clients_are_refused_and_do_no_harm() {
 
 #[test]
 fn page_beyond_loopback_needs_the_printed_token() {
-    let port = free_port();
-    let port_text = port.to_string();
-    let args = ["view", "--port", &port_text, "--address", "0.0.0.0"];
+    let args = ["view", "--port", "0", "--address", "0.0.0.0"];
     let process = Process::start(wm(fresh_domain(), &args));
-    wait_until("the page is served", PATIENCE, || {
-        std::net::TcpStream::connect(("127.0.0.1", port)).is_ok()
-    });
+    let port = page_port(&process);
     assert_eq!(body(port, "/access", &[]).0, 401);
     let url = format!("http://127.0.0.1:{port}/");
     let found = Browser::open(&url).map(|mut browser| {
@@ -187,7 +183,6 @@ fn page_beyond_loopback_needs_the_printed_token() {
     std::fs::write(&file, &token).expect("the folder is writable");
     let view = View::start(
         fresh_domain(),
-        port,
         &[
             "--address",
             "0.0.0.0",

@@ -1,20 +1,14 @@
 //! A running `wm view` for clients, and its camera.
 
-use std::{io::Read as _, net::TcpListener, time::Duration};
+use std::{io::Read as _, time::Duration};
 
 use crate::{
-    harness::{Process, bundled_bag, wait_until, wm},
+    harness::{Process, bundled_bag, wm},
     websocket::{Socket, open, request},
 };
 
 /// Far longer than needed; only ends a hanging test.
 pub const PATIENCE: Duration = Duration::from_secs(120);
-
-/// A free port.
-pub fn free_port() -> u16 {
-    let listener = TcpListener::bind(("127.0.0.1", 0)).expect("a port");
-    listener.local_addr().expect("an address").port()
-}
 
 /// A running view with its page.
 pub struct View {
@@ -23,13 +17,16 @@ pub struct View {
 }
 
 impl View {
-    pub fn start(domain: u16, port: u16, args: &[&str]) -> Self {
-        let port_text = port.to_string();
-        let all = [&["view", "--port", &port_text], args].concat();
-        let process = Process::start(wm(domain, &all));
-        wait_until("the page is served", PATIENCE, || {
-            std::net::TcpStream::connect(("127.0.0.1", port)).is_ok()
-        });
+    /// A view on a port that the system chooses.
+    pub fn start(domain: u16, args: &[&str]) -> Self {
+        Self::start_at(domain, 0, args)
+    }
+
+    /// A view on `port`, once it serves its page.
+    pub fn start_at(domain: u16, port: u16, args: &[&str]) -> Self {
+        let port = port.to_string();
+        let process = Process::start(wm(domain, &[&["view", "--port", &port], args].concat()));
+        let port = page_port(&process);
         Self { port, process }
     }
 
@@ -41,6 +38,14 @@ impl View {
         let (status, socket) = open(self.port, &[]);
         socket.unwrap_or_else(|| panic!("the socket is refused with {status}"))
     }
+}
+
+/// The port of the page that `process`, a view or the launch of one, serves.
+pub fn page_port(process: &Process) -> u16 {
+    let url = process.printed("the page is at http://", PATIENCE);
+    let (host, _) = url.split_once('/').unwrap_or_else(|| panic!("{url}"));
+    let port = host.rsplit(':').next().and_then(|port| port.parse().ok());
+    port.unwrap_or_else(|| panic!("no port: {url}"))
 }
 
 /// A camera: the bundled bag in a loop with current stamps, at a multiple of its 5 Hz.

@@ -2,7 +2,11 @@
 
 use crate::{NODE, ViewError, parameters::PORT};
 use anyhow::Result;
-use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener};
+use socket2::{Domain, Socket, Type};
+use std::{
+    io,
+    net::{IpAddr, Ipv4Addr, SocketAddr},
+};
 use wm_ros::{NAMESPACE, NodeArgs};
 
 /// Checks that the view's port is free: a launch would otherwise restart it in vain.
@@ -23,13 +27,22 @@ pub fn check(args: &NodeArgs) -> Result<()> {
         return Ok(());
     };
     let address = SocketAddr::new(ip, port);
-    TcpListener::bind(address).map_err(|reason| ViewError::Listen { address, reason })?;
+    bind(address).map_err(|reason| ViewError::Listen { address, reason })?;
     Ok(())
+}
+
+/// Binds a socket, for a moment. It does not listen: a browser that is waiting for the page would connect to it.
+fn bind(address: SocketAddr) -> io::Result<()> {
+    let socket = Socket::new(Domain::for_address(address), Type::STREAM, None)?;
+    // like the server's: connections of the run before do not keep the port
+    socket.set_reuse_address(true)?;
+    socket.bind(&address.into())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::net::TcpListener;
 
     #[test]
     fn error_names_a_taken_port() {
