@@ -1,6 +1,11 @@
 //! The learner's ROS interface.
 
-use std::{fs, path::PathBuf, sync::Arc, time::Duration};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    sync::Arc,
+    time::Duration,
+};
 
 use anyhow::{Context as _, Result};
 use tokio::{
@@ -26,7 +31,7 @@ use super::{
     recording::{bags, duration_s},
     resources::{GIB, free_of, memory_of},
     superfluous,
-    training::{is_tested, progress_of, result_of, rounds, steps_of},
+    training::{delete_old_models, is_tested, progress_of, result_of, rounds, steps_of},
     workplace::{IN_USE, MOST_ROUNDS, Workplace},
 };
 
@@ -325,6 +330,8 @@ impl Learner {
             if is_better {
                 self.model = result.model.display().to_string();
                 self.hand_over(at, &format!("better in round {number}"))?;
+                let (models, most) = (&at.resources.training.models, at.parameters.most_models);
+                delete_old_models(models, most, Path::new(&self.model))?;
             }
         }
         Ok(())

@@ -215,6 +215,33 @@ pub(super) fn result_of(folder: &Path) -> Result<Option<RoundResult>> {
     Ok(Some(result))
 }
 
+/// Deletes the weights of accepted models, except the newest `most` and the model `in_use`. What the rounds measured stays.
+///
+/// # Errors
+/// A folder cannot be read, or a file not be deleted.
+pub(super) fn delete_old_models(models: &Path, most: usize, in_use: &Path) -> Result<()> {
+    let mut better = Vec::new();
+    for (_, folder) in rounds(models)? {
+        let result = result_of(&folder)?;
+        if result.is_some_and(|result| result.verdict.is_better) {
+            better.push(folder);
+        }
+    }
+    let old = better.len().saturating_sub(most);
+    for folder in better.into_iter().take(old) {
+        if folder == in_use {
+            continue;
+        }
+        for entry in fs::read_dir(&folder).with_context(|| folder.display().to_string())? {
+            let path = entry?.path();
+            if path.extension().is_some_and(|it| it == "safetensors") {
+                fs::remove_file(&path).with_context(|| path.display().to_string())?;
+            }
+        }
+    }
+    Ok(())
+}
+
 /// The progress of the round in a folder at its last checkpoint, by the journal that was written last.
 pub(super) fn progress_of(folder: &Path) -> Option<Progress> {
     let journals = fs::read_dir(folder).ok()?.flatten();
@@ -295,6 +322,41 @@ mod tests {
         assert!(!tests("transition", 200, "idm"));
         write("idm");
         assert!(tests("idm", 200, "idm"));
+    }
+
+    #[test]
+    fn weights_of_old_models_are_deleted_except_those_in_use() {
+        let models = tempfile::tempdir().unwrap();
+        let weights = |round: u32| {
+            let folder = models.path().join(format!("round-{round:04}"));
+            folder.join("transition.safetensors")
+        };
+        for round in 1..=6 {
+            let folder = models.path().join(format!("round-{round:04}"));
+            fs::create_dir(&folder).unwrap();
+            fs::write(weights(round), "").unwrap();
+            // The fourth was no better.
+            let text = format!(
+                r#"{{"round":{round},"trained_on":120.0,"tested_on":30.0,"model":"m","verdict":{{"ratio":0.7,
+                    "ratio_before":0.9,"p_value":0.01,"windows":99,"is_better":{}}}}}"#,
+                round != 4
+            );
+            fs::write(folder.join(RESULT), text).unwrap();
+        }
+        // One that is being trained.
+        fs::create_dir(models.path().join("round-0007")).unwrap();
+        fs::write(weights(7), "").unwrap();
+        let in_use = models.path().join("round-0001");
+        for _ in 0..2 {
+            delete_old_models(models.path(), 2, &in_use).unwrap();
+            let kept: Vec<u32> = (1..=7).filter(|round| weights(*round).is_file()).collect();
+            assert_eq!(kept, [1, 4, 5, 6, 7]);
+        }
+        assert!(
+            result_of(&models.path().join("round-0002"))
+                .unwrap()
+                .is_some()
+        );
     }
 
     #[test]
