@@ -1,18 +1,14 @@
-use std::{collections::BTreeSet, sync::Arc};
+use std::sync::Arc;
 
 use wm_bag::{BagError, BagMessage};
 use wm_motion::{
     actions::{ActionError, ActionSpace},
+    joints::{JointActions, JointSample},
     motion::{Interval, Motion, MotionSettings},
 };
 use wm_msgs::{Message as _, sensor_msgs::JointState, wm_msgs::Action};
 
 use super::unusable_bag::UnusableBag;
-
-/// Greatest age of a joint's value against the first joint's, if joints arrive in several messages \[ns\].
-const OLDEST_NS: u64 = 1_000_000_000;
-/// Most joint names in an error.
-const MOST_NAMES: usize = 100;
 
 /// The actions of a recording, by their stamps.
 #[derive(Debug, Default)]
@@ -26,36 +22,14 @@ pub(super) struct ActionLog {
     implausible: Vec<i64>,
     /// Description of the first one.
     first_implausible: Option<String>,
-    /// The joints of the last message; their motion lasts until the next one.
-    joints: Option<(i64, Joints)>,
-    /// Time between joint messages \[ns\].
-    joint_period_ns: i64,
-    /// The last joint value of each dimension: an arm and its gripper may publish on one topic.
-    latest: Vec<Option<Joint>>,
-    /// Joint names, for an error.
-    names: BTreeSet<String>,
-}
-
-/// One joint.
-#[derive(Clone, Copy, Debug)]
-struct Joint {
-    at_ns: i64,
-    position: f32,
-    velocity: f32,
-}
-
-/// The joints of all dimensions of the action space.
-#[derive(Debug)]
-struct Joints {
-    positions: Vec<f32>,
-    velocities: Vec<f32>,
+    /// Of a topic of joint states.
+    joints: Option<JointActions>,
 }
 
 impl ActionLog {
     pub fn new(space: &ActionSpace) -> Self {
         Self {
             width: space.len(),
-            latest: vec![None; space.len()],
             ..Self::default()
         }
     }
@@ -90,72 +64,21 @@ impl ActionLog {
         }
         let state: JointState = message.decode().map_err(undecodable)?;
         let at_ns = at_ns(state.header.stamp.to_nanos());
-        let Some(joints) = self.merged(&state, at_ns, space) else {
-            return Ok(());
-        };
-        if let Some((before_ns, before)) = self.joints.take() {
-            // Late messages are ignored.
-            if at_ns <= before_ns {
-                self.joints = Some((before_ns, before));
-                return Ok(());
-            }
-            self.joint_period_ns = at_ns - before_ns;
-            let values = before.until(&joints, self.joint_period_ns, space);
-            self.insert(before_ns, &values, space)
+        let joints = self
+            .joints
+            .get_or_insert_with(|| JointActions::new(space.clone()));
+        let taken = joints.take(JointSample {
+            at_ns,
+            names: &state.name,
+            positions: &state.position,
+            velocities: &state.velocity,
+        });
+        // A late message has no action of its own.
+        if let Ok(Some(action)) = taken {
+            self.insert(action.stamp_ns, &action.values, space)
                 .map_err(UnusableBag::Differs)?;
         }
-        self.joints = Some((at_ns, joints));
         Ok(())
-    }
-
-    /// Merges the joints of a message. Returns all joints if the message has the first one and none is too old, so that
-    /// one of several publishers sets the times.
-    fn merged(&mut self, state: &JointState, at_ns: i64, space: &ActionSpace) -> Option<Joints> {
-        if self.names.len() < MOST_NAMES {
-            self.names
-                .extend(state.name.iter().take(MOST_NAMES).cloned());
-        }
-        let mut has_first = false;
-        for (which, dimension) in space.dimensions().iter().enumerate() {
-            let Some(index) = state.name.iter().position(|name| *name == dimension.name) else {
-                continue;
-            };
-            has_first |= which == 0;
-            // Actions are f32. `check` rejects the NaN of an absent list.
-            let value = |values: &[f64]| values.get(index).map_or(f32::NAN, |value| *value as f32);
-            let joint = Joint {
-                at_ns,
-                position: value(&state.position),
-                velocity: value(&state.velocity),
-            };
-            let latest = self.latest.get_mut(which)?;
-            if latest.is_none_or(|latest| latest.at_ns <= at_ns) {
-                *latest = Some(joint);
-            }
-        }
-        if !has_first {
-            return None;
-        }
-        let is_fresh = |joint: &Joint| joint.at_ns.abs_diff(at_ns) <= OLDEST_NS;
-        let joints = self.latest.iter().map(|joint| joint.filter(is_fresh));
-        let joints: Vec<Joint> = joints.collect::<Option<_>>()?;
-        Some(Joints {
-            positions: joints.iter().map(|joint| joint.position).collect(),
-            velocities: joints.iter().map(|joint| joint.velocity).collect(),
-        })
-    }
-
-    /// Names the first dimension without a joint.
-    fn check_names(&self, space: &ActionSpace) -> Result<(), String> {
-        let mut joints = self.latest.iter().zip(space.dimensions());
-        match joints.find(|(latest, _)| latest.is_none()) {
-            Some((_, dimension)) if !self.names.is_empty() => Err(format!(
-                "expected the joints of {space}; found no {:?} among {:?}",
-                dimension.name,
-                Vec::from_iter(&self.names)
-            )),
-            _ => Ok(()),
-        }
     }
 
     fn insert(&mut self, at_ns: i64, values: &[f32], space: &ActionSpace) -> Result<(), String> {
@@ -179,18 +102,13 @@ impl ActionLog {
     /// # Errors
     /// A dimension without a joint of its name.
     pub fn sort(&mut self, space: &ActionSpace) -> Result<(), String> {
-        self.check_names(space)?;
-        if let Some((at_ns, last)) = self.joints.take() {
-            let mut values = last.until(&last, self.joint_period_ns, space);
-            // The last motion continues.
-            let before = self.stamps.len().checked_sub(1);
-            if let Some(before) = before.and_then(|index| self.row(index)) {
-                let dimensions = values.iter_mut().zip(before).zip(space.dimensions());
-                for ((value, before), _) in dimensions.filter(|(_, d)| d.kind.is_motion()) {
-                    *value = *before;
-                }
+        if let Some(mut joints) = self.joints.take() {
+            if let Some(missing) = joints.missing() {
+                return Err(missing.to_string());
             }
-            self.insert(at_ns, &values, space)?;
+            if let Some(last) = joints.finish() {
+                self.insert(last.stamp_ns, &last.values, space)?;
+            }
         }
         if !self.stamps.is_sorted() {
             let mut order: Vec<usize> = (0..self.stamps.len()).collect();
@@ -274,35 +192,6 @@ impl ActionLog {
         self.implausible
             .get(first)
             .is_some_and(|at_ns| *at_ns <= to_ns)
-    }
-}
-
-impl Joints {
-    /// The action between this message and the next, `span_ns` later: the change of delta joints, from positions or
-    /// else from the velocity; the velocity of velocity joints, or else from the change of the position; the position
-    /// of all others.
-    fn until(&self, next: &Self, span_ns: i64, space: &ActionSpace) -> Vec<f32> {
-        let seconds = span_ns as f32 / 1e9;
-        let here = self.positions.iter().zip(&self.velocities);
-        let rows = here.zip(&next.positions).zip(space.dimensions());
-        let value = |(((position, velocity), next), dimension): (
-            ((&f32, &f32), &f32),
-            &wm_motion::actions::Dimension,
-        )| {
-            if dimension.kind.is_velocity() {
-                match velocity.is_nan() {
-                    true => (next - position) / seconds,
-                    false => *velocity,
-                }
-            } else if !dimension.kind.is_delta() {
-                *position
-            } else if position.is_nan() {
-                velocity * seconds
-            } else {
-                next - position
-            }
-        };
-        rows.map(value).collect()
     }
 }
 

@@ -408,6 +408,12 @@ impl Recording {
     }
 }
 
+/// Whether `topic` has joints.
+pub(super) fn has_joints(reader: &BagReader, topic: &str) -> bool {
+    let topic = reader.topic(topic);
+    topic.is_some_and(|topic| *topic.type_name == *JointState::ros_name())
+}
+
 /// Topics with the arm's state, except the action topic.
 fn state_topics(reader: &BagReader, action_topic: &str) -> Vec<&'static str> {
     let has = |name: &&str| {

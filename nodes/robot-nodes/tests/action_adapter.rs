@@ -8,7 +8,9 @@ use std::collections::BTreeMap;
 
 use running::{node, refusal, with_nodes};
 use wm_msgs::{
+    builtin_interfaces::Time,
     geometry_msgs::{PoseStamped, TwistStamped},
+    sensor_msgs::JointState,
     std_msgs::Float64,
     wm_msgs::Action,
 };
@@ -87,6 +89,57 @@ async fn compared(here: &Context) {
     }
 }
 
+/// The joints come from two publishers, as of an arm and a hand; the stamps are those of the measurement.
+#[tokio::test(flavor = "current_thread")]
+async fn its_actions_are_what_the_joints_did() {
+    let folder = tempfile::tempdir().unwrap();
+    let space = folder.path().join("space.json");
+    let text = r#"{"name": "arm", "rate": 5.0, "dimensions": [
+        {"name": "elbow", "unit": "rad", "kind": "joint_delta", "offset": 0.0, "scale": 1.0, "clip": 1.5},
+        {"name": "thumb", "unit": "rad", "kind": "joint_position", "offset": 0.0, "scale": 1.0, "clip": 1.5}]}"#;
+    std::fs::write(&space, text).unwrap();
+    let adapter = format!("-p source:=joints -p action_space:={}", space.display());
+    let nodes: [(_, &str); 1] = [(&action_adapter::NODE, &adapter)];
+    with_nodes(3, &nodes, moved).await;
+}
+
+async fn moved(here: &Context) {
+    let node = node(here, "observer", "");
+    let depth = Qos::reliable(100);
+    let mut actions: Subscription<Action> = node.subscription("action", depth).unwrap();
+    let arm: Publisher<JointState> = node.publisher("joint_states", depth).unwrap();
+    let hand: Publisher<JointState> = node.publisher("joint_states", depth).unwrap();
+    arm.wait_for_subscribers(1).await;
+    hand.wait_for_subscribers(1).await;
+    actions.wait_for_publishers(1).await;
+    let state = |step: i64, name: &str, position: f64| {
+        let mut state = JointState {
+            name: vec![name.into()],
+            position: vec![position],
+            ..JointState::default()
+        };
+        state.header.stamp = Time::from_nanos(1_700_000_000_000_000_000 + step * 100_000_000);
+        state
+    };
+    hand.publish(&state(0, "thumb", 0.5)).unwrap();
+    let mut step = 0;
+    let mut ticks = tokio::time::interval(std::time::Duration::from_millis(20));
+    let mut seen = 0;
+    while seen < 5 {
+        tokio::select! {
+            _ = ticks.tick() => {
+                arm.publish(&state(step, "elbow", 0.125 * step as f64)).unwrap();
+                hand.publish(&state(step, "thumb", 0.5)).unwrap();
+                step += 1;
+            }
+            action = actions.recv() => {
+                assert_eq!(action.unwrap().message.values, [0.25, 0.5]);
+                seen += 1;
+            }
+        }
+    }
+}
+
 #[test]
 fn parameters_that_contradict_each_other_are_named() {
     for (parameters, named) in [
@@ -97,6 +150,10 @@ fn parameters_that_contradict_each_other_are_named() {
             "two places",
         ),
         ("-p action_space:=/nowhere.json", "/nowhere.json"),
+        (
+            "-p source:=joints",
+            "expected deltas, velocities or positions of joints",
+        ),
     ] {
         let error = refusal(2, &action_adapter::NODE, parameters);
         assert!(error.contains(named), "{error}");

@@ -6,6 +6,7 @@
 //! | [`motion::Motion`] | executed actions and announced chunks -> the motion in an interval, at any action rate |
 //! | [`actions::ActionEncoding`] | the motion of one model step <-> the vector that conditions the transition model |
 //! | [`motion::Pace`] | the frames of a fast camera that are one model interval apart |
+//! | [`joints::JointActions`] | states of joints -> actions |
 //! | [`actions::ActionSurvey`] | the ranges of recorded actions, checked against their kinds and units |
 //!
 //! ```
@@ -30,4 +31,5 @@
 //! and actions.
 
 pub mod actions;
+pub mod joints;
 pub mod motion;

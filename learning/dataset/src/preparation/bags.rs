@@ -11,7 +11,7 @@ use crate::{
     DatasetError, Settings,
     cutting::{Draft, Omission, cut},
     manifest::{LeftOut, Source},
-    recording::{BrokenPictures, Recording},
+    recording::{BrokenPictures, Recording, has_joints},
     unusable_bag::UnusableBag,
 };
 
@@ -227,7 +227,9 @@ fn refused(bag: &Path, what: impl ToString) -> DatasetError {
 fn open(source: &Source, settings: &Settings) -> Result<(BagReader, Option<ActionSpace>), String> {
     let reader = BagReader::open(&source.bag).map_err(|error| error.to_string())?;
     let note = reader.note(ActionSpace::NOTE);
-    if note.is_none() && settings.action_space.is_some() {
+    // A bag declares the space of its wm_msgs/Action. What to read from joints is for the user to say.
+    let is_free = note.is_none() || has_joints(&reader, &settings.action_topic);
+    if is_free && settings.action_space.is_some() {
         return Ok((reader, None));
     }
     let space = ActionSpace::of_note(note).map_err(|error| error.to_string())?;

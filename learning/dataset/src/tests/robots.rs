@@ -265,6 +265,37 @@ fn velocities_move_joints_without_positions() {
     }
 }
 
+/// Actions in the bag are targets; the user asks for the motion of its joints.
+#[test]
+fn joints_are_read_as_asked_whatever_the_bag_declares() {
+    let dir = tempfile::tempdir().unwrap();
+    let dimension = |kind| Dimension {
+        kind,
+        ..two_joints().dimensions()[0].clone()
+    };
+    let elbow = |kind| ActionSpace::new("elbow".into(), 5.0, vec![dimension(kind)]).unwrap();
+    let bag = dir.path().join("run");
+    let mut recorder = Recorder::with_space(&bag, &elbow(Kind::JointPosition));
+    for frame in 0..8 {
+        let ms = frame * 200;
+        recorder.frame(CAMERA, ms, 1);
+        recorder.values(ms, vec![1.0]);
+        recorder.joints(ms, &["elbow"], vec![0.1 * frame as f64], Vec::new());
+    }
+    recorder.finish();
+    let space = dir.path().join("space.json");
+    std::fs::write(&space, elbow(Kind::JointDelta).to_note().unwrap()).unwrap();
+    let options = DataOptions {
+        action_topic: Some("/joint_states".into()),
+        action_space: Some(space),
+        ..DataOptions::default()
+    };
+    let outcome = Outcome::of(&bag, options).unwrap();
+    for action in &outcome.episodes()[0].actions {
+        assert!((action[0] - 0.1).abs() < 1e-5, "{action:?}");
+    }
+}
+
 #[test]
 fn action_space_of_another_robot_is_rejected() {
     let dir = tempfile::tempdir().unwrap();

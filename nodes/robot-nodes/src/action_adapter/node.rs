@@ -37,8 +37,7 @@ struct Adapter {
 
 impl NodeProgram for Adapter {
     const NAME: &'static str = "action_adapter";
-    const ABOUT: &'static str =
-        "Makes actions of velocities, poses or transforms, for arms that do not publish them.";
+    const ABOUT: &'static str = "Makes actions of velocities, poses, transforms or joints, for arms that do not publish them.";
     type Parameters = Parameters;
     type Endpoints = Endpoints;
     type Resources = Settings;
@@ -104,7 +103,10 @@ impl NodeProgram for Adapter {
                     let is_silent = self.step.tick(clock.now().to_nanos());
                     self.publish()?;
                     if is_silent && !self.is_lost {
-                        self.complaints.waiting("motion", true, &"motions of the arm");
+                        match self.step.missing_joint() {
+                            Some(missing) => self.complaints.waiting("motion", true, &missing),
+                            None => self.complaints.waiting("motion", true, &"motions of the arm"),
+                        }
                     }
                 }
             }

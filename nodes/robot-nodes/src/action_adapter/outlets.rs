@@ -41,9 +41,9 @@ wm_ros::endpoints! {
         /// How far the gripper is open, 0 closed to 1 open, with gripper topic.
         pub(super) openings: Option<Subscription<Float64>> = "gripper", qos(Qos::best_effort(100)),
             if(|node| is_chosen(node, "gripper", "topic"));
-        /// Where the joints are, with gripper joint.
+        /// Where the joints are, with source joints or gripper joint.
         pub(super) joints: Option<Subscription<JointState>> = "joint_states", qos(Qos::best_effort(100)),
-            if(|node| is_chosen(node, "gripper", "joint"));
+            if(|node| Ok(is_chosen(node, "source", "joints")? || is_chosen(node, "gripper", "joint")?));
     }
 }
 

@@ -4,7 +4,7 @@ use std::{path::PathBuf, time::Duration};
 
 use anyhow::{Result, ensure};
 
-use super::{GripperSource, MotionSource, Settings, Speeds};
+use super::{GripperSource, JointSpace, MotionSource, Motions, Settings, Speeds};
 use crate::{executor::Layout, space::action_space};
 
 /// Closed and open have to be further apart \[rad or m\].
@@ -13,10 +13,11 @@ const LEAST_TRAVEL: f64 = 1e-6;
 wm_ros::parameters! {
     /// The node's parameters.
     pub(super) struct Parameters {
-        /// Where motions come from: velocities (twist), poses (ee_pose), or the transform from base_frame to tool_frame
-        /// (tf).
-        source: &'static str = "pose", one_of { "twist" => "twist", "pose" => "pose", "tf" => "tf" };
-        /// Action space of the actions: a YAML or JSON file; empty: that of Bridge V2.
+        /// Where motions come from: velocities (twist), poses (ee_pose), the transform from base_frame to tool_frame (tf),
+        /// or the joints that the action space names (joints).
+        source: &'static str = "pose",
+            one_of { "twist" => "twist", "pose" => "pose", "tf" => "tf", "joints" => "joints" };
+        /// Action space of the actions: a YAML or JSON file; empty: that of Bridge V2, which has no joints.
         action_space: PathBuf = "";
         /// Frame that twists and poses must have, and that actions get; empty: any. With source tf: the robot's base.
         pub(super) base_frame: String = "";
@@ -24,7 +25,7 @@ wm_ros::parameters! {
         tool_frame: String = "";
         /// Time from one action to the next [s].
         frame_period: Duration = 0.2, in 0.005..=10.0;
-        /// Longest time from one pose or transform to the next [s]: across a longer one there is no action. A twist holds
+        /// Longest time from one pose, transform or state of joints to the next [s]: across a longer one there is no action. A twist holds
         /// for so long.
         timeout: Duration = 0.5, in 0.01..=60.0;
         /// Greatest speed of the end effector [m/s]. A pose further from the last one than the arm can go is dropped, until
@@ -32,8 +33,8 @@ wm_ros::parameters! {
         max_linear_speed: f64 = 2.0, in 1e-3..=100.0;
         /// Greatest speed of its turns [rad/s], likewise.
         max_angular_speed: f64 = 4.0, in 1e-3..=100.0;
-        /// Where the gripper's opening comes from: the topic gripper, a joint of joint_states, or nowhere, and it counts
-        /// as open.
+        /// Where the gripper's opening comes from: the topic gripper, a joint of joint_states, or nowhere. It then counts as
+        /// open; with source joints, it is the position of the joint with its name in the action space.
         gripper: &'static str = "none", one_of { "none" => "none", "topic" => "topic", "joint" => "joint" };
         /// With gripper joint: the joint's name.
         gripper_joint: String = "";
@@ -55,7 +56,19 @@ impl Parameters {
             "joint" => self.joint()?,
             _ => GripperSource::Open,
         };
+        Ok(Settings {
+            motions: self.motions(gripper != GripperSource::Open)?,
+            base_frame: self.base_frame.clone(),
+            period: self.frame_period,
+            timeout: self.timeout,
+            gripper,
+        })
+    }
+
+    fn motions(&self, has_gripper: bool) -> Result<Motions> {
+        let space = action_space(&self.action_space)?;
         let source = match self.source {
+            "joints" => return Ok(Motions::Joints(JointSpace::new(space, has_gripper)?)),
             "twist" => MotionSource::Twist,
             "tf" => {
                 let (base, tool) = (&self.base_frame, &self.tool_frame);
@@ -70,17 +83,13 @@ impl Parameters {
             }
             _ => MotionSource::Pose,
         };
-        Ok(Settings {
-            layout: Layout::new(action_space(&self.action_space)?)?,
-            base_frame: self.base_frame.clone(),
-            period: self.frame_period,
-            timeout: self.timeout,
+        Ok(Motions::EndEffector {
+            source,
+            layout: Layout::new(space)?,
             speeds: Speeds {
                 linear: self.max_linear_speed,
                 angular: self.max_angular_speed,
             },
-            source,
-            gripper,
         })
     }
 

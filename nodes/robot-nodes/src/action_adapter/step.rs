@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use nalgebra::Isometry3;
+use wm_motion::joints::MissingJoint;
 use wm_msgs::{
     geometry_msgs::{PoseStamped, TwistStamped},
     sensor_msgs::JointState,
@@ -11,12 +12,28 @@ use wm_msgs::{
 use wm_wire::frames::{Frames, LookupError, bare, pose};
 
 use super::{
-    GripperSource, Problem, Speeds, gripper::Gripper, period::Period, poses::Poses,
-    stamp::stamp_of, twists::Twists,
+    GripperSource, JointSpace, Problem, Speeds, gripper::Gripper, joints::Joints, period::Period,
+    poses::Poses, stamp::stamp_of, twists::Twists,
 };
 use crate::executor::{Layout, Velocity};
 
-/// The source of motions.
+/// What moves, and how that is known.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Motions {
+    /// An end effector.
+    EndEffector {
+        /// The source of its motions.
+        source: MotionSource,
+        /// The layout of motions in actions.
+        layout: Layout,
+        /// The greatest speeds of the arm: faster poses and twists are dropped.
+        speeds: Speeds,
+    },
+    /// Joints, by their states.
+    Joints(JointSpace),
+}
+
+/// The source of an end effector's motions.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum MotionSource {
     /// Velocities.
@@ -35,18 +52,14 @@ pub enum MotionSource {
 /// Settings of the adapter.
 #[derive(Clone, Debug)]
 pub struct Settings {
-    /// The layout of motions in actions.
-    pub layout: Layout,
+    /// What moves.
+    pub motions: Motions,
     /// The frame that velocities and poses must have; empty: any.
     pub base_frame: String,
     /// Duration of an action; above zero.
     pub period: Duration,
-    /// Longest time from one pose to the next; a velocity holds for so long.
+    /// Longest time from one pose or state of joints to the next; a velocity holds for so long.
     pub timeout: Duration,
-    /// The greatest speeds of the arm: faster poses and twists are dropped.
-    pub speeds: Speeds,
-    /// The source of motions.
-    pub source: MotionSource,
     /// Where the gripper's opening comes from.
     pub gripper: GripperSource,
 }
@@ -70,9 +83,20 @@ fn finite(what: &'static str, values: &[f64]) -> Result<(), Problem> {
     }
 }
 
-/// The state of each source of motions.
+/// The state of what moves.
 #[derive(Clone, Debug)]
 enum Course {
+    EndEffector {
+        path: Path,
+        layout: Layout,
+        speeds: Speeds,
+    },
+    Joints(Joints),
+}
+
+/// The state of each source of an end effector's motions.
+#[derive(Clone, Debug)]
+enum Path {
     Twists(Twists),
     Poses(Poses),
     Frames {
@@ -83,13 +107,33 @@ enum Course {
     },
 }
 
+impl Course {
+    fn path(&mut self) -> Option<&mut Path> {
+        match self {
+            Self::EndEffector { path, .. } => Some(path),
+            Self::Joints(_) => None,
+        }
+    }
+}
+
+impl Path {
+    fn clear(&mut self) {
+        match self {
+            Self::Twists(twists) => twists.clear(),
+            Self::Poses(poses) => poses.clear(),
+            Self::Frames { frames, poses, .. } => {
+                frames.clear();
+                poses.clear();
+            }
+        }
+    }
+}
+
 /// The adapter's state: an arm's messages in, actions out.
 pub struct AdapterStep {
-    layout: Layout,
     base_frame: String,
     period: Duration,
     timeout_ns: i64,
-    speeds: Speeds,
     course: Course,
     gripper: Gripper,
     done: Vec<Result<Done, Problem>>,
@@ -101,23 +145,36 @@ impl AdapterStep {
         // 64 bits of nanoseconds hold 292 years.
         let nanos = |duration: Duration| i64::try_from(duration.as_nanos()).unwrap_or(i64::MAX);
         let (period_ns, timeout_ns) = (nanos(settings.period).max(1), nanos(settings.timeout));
-        let poses = |what| Poses::new(what, period_ns, timeout_ns, settings.speeds);
+        let course = match settings.motions {
+            Motions::Joints(space) => Course::Joints(Joints::new(space, period_ns, timeout_ns)),
+            Motions::EndEffector {
+                source,
+                layout,
+                speeds,
+            } => {
+                let poses = |what| Poses::new(what, period_ns, timeout_ns, speeds);
+                let path = match source {
+                    MotionSource::Twist => Path::Twists(Twists::new(period_ns, timeout_ns)),
+                    MotionSource::Pose => Path::Poses(poses("ee_pose")),
+                    MotionSource::Frames { base, tool } => Path::Frames {
+                        frames: Frames::default(),
+                        base: bare(&base).to_owned(),
+                        tool: bare(&tool).to_owned(),
+                        poses: poses("tf"),
+                    },
+                };
+                Course::EndEffector {
+                    path,
+                    layout,
+                    speeds,
+                }
+            }
+        };
         Self {
-            course: match settings.source {
-                MotionSource::Twist => Course::Twists(Twists::new(period_ns, timeout_ns)),
-                MotionSource::Pose => Course::Poses(poses("ee_pose")),
-                MotionSource::Frames { base, tool } => Course::Frames {
-                    frames: Frames::default(),
-                    base: bare(&base).to_owned(),
-                    tool: bare(&tool).to_owned(),
-                    poses: poses("tf"),
-                },
-            },
-            layout: settings.layout,
+            course,
             base_frame: settings.base_frame,
             period: settings.period,
             timeout_ns,
-            speeds: settings.speeds,
             gripper: Gripper::new(settings.gripper),
             done: Vec::new(),
         }
@@ -143,10 +200,15 @@ impl AdapterStep {
         };
         finite(what, &velocity.linear)?;
         finite(what, &velocity.angular)?;
-        self.speeds.check_velocity(velocity)?;
-        let Course::Twists(twists) = &mut self.course else {
+        let Course::EndEffector {
+            path: Path::Twists(twists),
+            speeds,
+            ..
+        } = &mut self.course
+        else {
             return Ok(());
         };
+        speeds.check_velocity(velocity)?;
         let over = twists.take(stamp_ns, velocity)?;
         self.end(&over);
         Ok(())
@@ -161,7 +223,7 @@ impl AdapterStep {
         self.expect_frame(what, &pose.header.frame_id)?;
         let stamp_ns = stamp_of(what, pose.header.stamp, received_ns)?;
         let pose = pose::of_pose(&pose.pose).map_err(|error| Problem::of_pose(what, error))?;
-        let Course::Poses(poses) = &mut self.course else {
+        let Some(Path::Poses(poses)) = self.course.path() else {
             return Ok(());
         };
         let over = poses.take(stamp_ns, pose)?;
@@ -171,7 +233,7 @@ impl AdapterStep {
 
     /// Takes transforms. Returns the problems of some; the others count.
     pub fn transforms(&mut self, message: &TFMessage, is_static: bool) -> Vec<Problem> {
-        let Course::Frames { frames, .. } = &mut self.course else {
+        let Some(Path::Frames { frames, .. }) = self.course.path() else {
             return Vec::new();
         };
         let taken = message.transforms.iter().map(|one| {
@@ -190,12 +252,12 @@ impl AdapterStep {
     /// # Errors
     /// [`LookupError`] names the missing transforms.
     pub fn follow(&mut self) -> Result<Option<(i64, Isometry3<f64>)>, LookupError> {
-        let Course::Frames {
+        let Some(Path::Frames {
             frames,
             base,
             tool,
             poses,
-        } = &mut self.course
+        }) = self.course.path()
         else {
             return Ok(None);
         };
@@ -225,29 +287,48 @@ impl AdapterStep {
         self.gripper.take(received_ns, opening).map(drop)
     }
 
-    /// Takes positions of joints; returns the opening of the gripper if it depends on one of them.
+    /// Takes states of joints; returns the opening of the gripper if it depends on one of them.
     ///
     /// # Errors
-    /// [`Problem`]: it is left out.
+    /// [`Problem`]: the gripper's joint is left out. Problems of the arm's joints are among the actions.
     pub fn joints(
         &mut self,
         joints: &JointState,
         received_ns: i64,
     ) -> Result<Option<f64>, Problem> {
-        self.gripper.joints(joints, received_ns)
+        // First, for the periods that end with this message.
+        let opening = self.gripper.joints(joints, received_ns);
+        if let Course::Joints(course) = &mut self.course {
+            match course.take(joints, received_ns, &self.gripper) {
+                Ok(done) => self.done.extend(done),
+                Err(problem) => self.done.push(Err(problem)),
+            }
+        }
+        opening
+    }
+
+    /// The joint that has not arrived, once others have.
+    pub fn missing_joint(&self) -> Option<MissingJoint> {
+        match &self.course {
+            Course::Joints(joints) => joints.missing(),
+            Course::EndEffector { .. } => None,
+        }
     }
 
     /// Advances time without a message: an arm without commands stands still. Returns whether the source is silent.
     pub fn tick(&mut self, now_ns: i64) -> bool {
         let last_ns = match &mut self.course {
-            Course::Twists(twists) => {
-                // Until then an older one may still come.
-                let over = twists.advance(now_ns.saturating_sub(self.timeout_ns));
-                let last_ns = twists.last_ns();
-                self.end(&over);
-                last_ns
-            }
-            Course::Poses(poses) | Course::Frames { poses, .. } => poses.newest_ns(),
+            Course::Joints(joints) => joints.newest_ns(),
+            Course::EndEffector { path, .. } => match path {
+                Path::Twists(twists) => {
+                    // Until then an older one may still come.
+                    let over = twists.advance(now_ns.saturating_sub(self.timeout_ns));
+                    let last_ns = twists.last_ns();
+                    self.end(&over);
+                    last_ns
+                }
+                Path::Poses(poses) | Path::Frames { poses, .. } => poses.newest_ns(),
+            },
         };
         last_ns.is_none_or(|last_ns| now_ns.saturating_sub(last_ns) > self.timeout_ns)
     }
@@ -255,12 +336,8 @@ impl AdapterStep {
     /// Drops earlier messages, because the clock was set.
     pub fn forget(&mut self) {
         match &mut self.course {
-            Course::Twists(twists) => twists.clear(),
-            Course::Poses(poses) => poses.clear(),
-            Course::Frames { frames, poses, .. } => {
-                frames.clear();
-                poses.clear();
-            }
+            Course::Joints(joints) => joints.clear(),
+            Course::EndEffector { path, .. } => path.clear(),
         }
         self.gripper.clear();
     }
@@ -278,16 +355,18 @@ impl AdapterStep {
     }
 
     fn end(&mut self, periods: &[Period]) {
-        for period in periods {
-            let done = self.action(period);
-            self.done.push(done);
-        }
+        let Course::EndEffector { layout, .. } = &self.course else {
+            return;
+        };
+        let done = periods.iter().map(|period| self.action(layout, period));
+        let done: Vec<_> = done.collect();
+        self.done.extend(done);
     }
 
-    fn action(&self, period: &Period) -> Result<Done, Problem> {
+    fn action(&self, layout: &Layout, period: &Period) -> Result<Done, Problem> {
         // 64 bits of nanoseconds hold 292 years.
         let period_ns = i64::try_from(self.period.as_nanos()).unwrap_or(i64::MAX);
-        let gripper = match self.layout.has_gripper() {
+        let gripper = match layout.has_gripper() {
             true => {
                 let opening = self.gripper.at(period.start_ns.saturating_add(period_ns));
                 Some(opening.ok_or(Problem::NoGripper)?)
@@ -296,8 +375,8 @@ impl AdapterStep {
         };
         let seconds = self.period.as_secs_f64();
         let velocity = period.displacement.velocity(seconds);
-        let values = self.layout.action(velocity.into(), gripper, seconds, &[]);
-        self.layout.space().check(&values)?;
+        let values = layout.action(velocity.into(), gripper, seconds, &[]);
+        layout.space().check(&values)?;
         Ok(Done {
             stamp_ns: period.start_ns,
             values,

@@ -1,5 +1,6 @@
 //! Properties of the adapter.
 
+mod joints;
 mod leaps;
 
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
@@ -20,16 +21,23 @@ const MS: i64 = 1_000_000;
 const START: i64 = 1_700_000_000_000_000_000;
 
 fn settings(source: MotionSource) -> Settings {
-    Settings {
+    let motions = Motions::EndEffector {
+        source,
         layout: Layout::new(ActionSpace::bridge()).unwrap(),
-        base_frame: "base_link".into(),
-        period: Duration::from_millis(200),
-        timeout: Duration::from_millis(500),
         speeds: Speeds {
             linear: 2.0,
             angular: 4.0,
         },
-        source,
+    };
+    settings_of(motions)
+}
+
+fn settings_of(motions: Motions) -> Settings {
+    Settings {
+        motions,
+        base_frame: "base_link".into(),
+        period: Duration::from_millis(200),
+        timeout: Duration::from_millis(500),
         gripper: GripperSource::Open,
     }
 }
