@@ -25,8 +25,8 @@ wm_ros::parameters! {
         tool_frame: String = "";
         /// Time from one action to the next [s].
         frame_period: Duration = 0.2, in 0.005..=10.0;
-        /// Longest time from one pose, transform or state of joints to the next [s]: across a longer one there is no action. A twist holds
-        /// for so long.
+        /// Longest time from one pose, transform or state of joints to the next [s]: across a longer one there is no
+        /// action. A twist holds for so long.
         timeout: Duration = 0.5, in 0.01..=60.0;
         /// Greatest speed of the end effector [m/s]. A pose further from the last one than the arm can go is dropped, until
         /// several in a row stay there: the actions then begin anew. A faster twist is dropped.
