@@ -34,7 +34,8 @@ def train(arguments, start, bags):
     out = arguments.out / f"{name}-{len(bags)}-{arguments.steps}"
     result = out / "transition.journal.jsonl"
     if not (out / "MODEL.md").exists():
-        command = [arguments.wm, "train", "transition", "--data", *map(str, bags), "--held-out", *arguments.held_out]
+        command = [arguments.wm, "train", "transition"]
+        command += [f"--data={bag}" for bag in bags] + [f"--held-out={bag}" for bag in arguments.held_out]
         command += ["--encoder", encoder, "--out", str(out), "--cache", str(arguments.out / "cache")]
         command += ["--steps", str(arguments.steps), "--set", "batch=2", "--set", "optimisation.learning_rate=1e-3"]
         command += ["--from", model, "--old-rate", "1"] if model else ["--set", f"model.frame_skip={arguments.frame_skip}"]
