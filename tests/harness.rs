@@ -132,7 +132,7 @@ pub fn children(parent: Pid) -> Vec<(Pid, Vec<String>)> {
     ids.split_whitespace().filter_map(child).collect()
 }
 
-/// What a process has written to its stdout. Read continuously: a process with a full pipe blocks.
+/// Output of a process. A thread reads it continuously, because a process with a full pipe blocks.
 struct Stdout {
     text: Arc<Mutex<String>>,
     reader: JoinHandle<()>,
@@ -201,7 +201,7 @@ impl Process {
             .unwrap_or_else(|error| panic!("could not send {signal:?} to {}: {error}", self.name));
     }
 
-    /// What follows `text` in the first line of stdout that has it. Waits for it, at most `limit`.
+    /// Waits at most `limit` for a line of stdout that contains `text`; returns the rest of that line.
     pub fn printed(&self, text: &str, limit: Duration) -> String {
         let stdout = self.stdout.as_ref().expect("stdout is read");
         let begun = Instant::now();

@@ -8,7 +8,7 @@
 //! Promises, each with a test:
 //! - The actions of consecutive periods add up to the whole motion, whatever the rate and the phase of the messages.
 //! - Only stamps count: late messages give the same actions.
-//! - Actions of joints are those that `wm dataset` reads from a recording of the same topic.
+//! - So do those of joints, which move evenly from one message to the next.
 //! - For a period without data, nothing is published; such periods are counted.
 //! - Values that are not finite, invalid rotations, other frames, and poses that the arm cannot reach in the time are dropped
 //!   by name; earlier messages still count.

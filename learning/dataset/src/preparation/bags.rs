@@ -227,7 +227,7 @@ fn refused(bag: &Path, what: impl ToString) -> DatasetError {
 fn open(source: &Source, settings: &Settings) -> Result<(BagReader, Option<ActionSpace>), String> {
     let reader = BagReader::open(&source.bag).map_err(|error| error.to_string())?;
     let note = reader.note(ActionSpace::NOTE);
-    // A bag declares the space of its wm_msgs/Action. What to read from joints is for the user to say.
+    // The declared space is that of wm_msgs/Action. For joints, the user chooses the values.
     let is_free = note.is_none() || has_joints(&reader, &settings.action_topic);
     if is_free && settings.action_space.is_some() {
         return Ok((reader, None));

@@ -1,11 +1,6 @@
 //! The learner's ROS interface.
 
-use std::{
-    fs,
-    path::{Path, PathBuf},
-    sync::Arc,
-    time::Duration,
-};
+use std::{fs, path::PathBuf, sync::Arc, time::Duration};
 
 use anyhow::{Context as _, Result};
 use tokio::{
@@ -331,7 +326,10 @@ impl Learner {
                 self.model = result.model.display().to_string();
                 self.hand_over(at, &format!("better in round {number}"))?;
                 let (models, most) = (&at.resources.training.models, at.parameters.most_models);
-                delete_old_models(models, most, Path::new(&self.model))?;
+                // The model in use is the newest of them.
+                if let Err(error) = delete_old_models(models, most) {
+                    tracing::warn!("older models than the newest {most} are kept: {error:#}");
+                }
             }
         }
         Ok(())

@@ -50,8 +50,7 @@ wm_ros::parameters! {
         pub nice: i32 = 19, in 0..=19;
         /// Most disk space of the recordings [GiB]. Then older bags are deleted, in equal shares of the whole time.
         pub max_disk: f64 = 4.0, in 0.01..=100_000.0;
-        /// Models of rounds to keep, the newest that were better than the one before. The weights of older ones are deleted,
-        /// but never those in use.
+        /// Models to keep: the newest that were better than the one before them. The weights of older ones are deleted.
         pub most_models: usize = 20, in 1..=100_000;
         /// Least free disk space [GiB]. Below it, nothing is recorded or trained.
         pub min_free: f64 = 2.0, in 0.0..=100_000.0;

@@ -215,11 +215,11 @@ pub(super) fn result_of(folder: &Path) -> Result<Option<RoundResult>> {
     Ok(Some(result))
 }
 
-/// Deletes the weights of accepted models, except the newest `most` and the model `in_use`. What the rounds measured stays.
+/// Deletes the weights of accepted models, except the newest `most`. What the rounds measured stays.
 ///
 /// # Errors
 /// A folder cannot be read, or a file not be deleted.
-pub(super) fn delete_old_models(models: &Path, most: usize, in_use: &Path) -> Result<()> {
+pub(super) fn delete_old_models(models: &Path, most: usize) -> Result<()> {
     let mut better = Vec::new();
     for (_, folder) in rounds(models)? {
         let result = result_of(&folder)?;
@@ -229,13 +229,14 @@ pub(super) fn delete_old_models(models: &Path, most: usize, in_use: &Path) -> Re
     }
     let old = better.len().saturating_sub(most);
     for folder in better.into_iter().take(old) {
-        if folder == in_use {
-            continue;
-        }
         for entry in fs::read_dir(&folder).with_context(|| folder.display().to_string())? {
             let path = entry?.path();
             if path.extension().is_some_and(|it| it == "safetensors") {
                 fs::remove_file(&path).with_context(|| path.display().to_string())?;
+                tracing::info!(
+                    "deleted {}: the newest {most} models are kept",
+                    path.display()
+                );
             }
         }
     }
@@ -325,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn weights_of_old_models_are_deleted_except_those_in_use() {
+    fn weights_of_old_models_are_deleted() {
         let models = tempfile::tempdir().unwrap();
         let weights = |round: u32| {
             let folder = models.path().join(format!("round-{round:04}"));
@@ -346,11 +347,10 @@ mod tests {
         // One that is being trained.
         fs::create_dir(models.path().join("round-0007")).unwrap();
         fs::write(weights(7), "").unwrap();
-        let in_use = models.path().join("round-0001");
         for _ in 0..2 {
-            delete_old_models(models.path(), 2, &in_use).unwrap();
+            delete_old_models(models.path(), 2).unwrap();
             let kept: Vec<u32> = (1..=7).filter(|round| weights(*round).is_file()).collect();
-            assert_eq!(kept, [1, 4, 5, 6, 7]);
+            assert_eq!(kept, [4, 5, 6, 7]);
         }
         assert!(
             result_of(&models.path().join("round-0002"))
