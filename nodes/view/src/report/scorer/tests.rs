@@ -162,9 +162,10 @@ fn skipped_rollout_gets_no_pictures_of_the_next() {
 }
 
 #[test]
-fn picture_later_than_a_model_step_is_only_counted() {
+fn late_picture_of_an_unknown_prediction_is_only_counted() {
     let mut scorer = Scorer::default();
     scorer.frame(0, grey(100));
+    scorer.prediction(&prediction(-STEP_NS, 2, 1), 9_000_000 - STEP_NS);
     scorer.prediction(&prediction(0, 1, 1), 10_000_000);
     scorer.picture(STEP_NS, grey(100), 11_000_000 + STEP_NS);
     scorer.frame(STEP_NS, grey(100));
