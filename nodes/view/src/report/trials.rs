@@ -8,6 +8,7 @@ mod node;
 mod setting;
 mod shots;
 mod strip;
+mod task;
 mod watch;
 
 pub use node::NODE;

@@ -13,10 +13,10 @@ use wm_msgs::{
     wm_msgs::Plan,
 };
 use wm_ros::{Node, NodeDefinition, NodeProgram, Qos, Setup, Subscription};
-use wm_sim::{Environment, GoalKind, SUCCESS_TOPIC, Variety};
+use wm_sim::SUCCESS_TOPIC;
 use wm_wire::transport::{ImageSubscription, Transports};
 
-use super::{EpisodeWatch, Shots, files, setting::Setting, strip::strip};
+use super::{EpisodeWatch, Shots, files, setting::Setting, strip::strip, task::Task};
 
 /// The node.
 pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition::of::<Trials>();
@@ -27,7 +27,7 @@ const FRAMES_BEFORE: usize = 3;
 wm_ros::parameters! {
     /// The node's parameters.
     struct Parameters {
-        /// The tasks, in their order: reach, push or pick-place.
+        /// The tasks, in their order: reach, push or pick-place; with longest_time any that the arm knows.
         tasks: Vec<String> = vec!["reach".to_owned()];
         /// Episodes of each task.
         episodes: usize = 1, in 1..=100_000;
@@ -37,6 +37,9 @@ wm_ros::parameters! {
         patience: f64 = 5.0, in 0.1..=1000.0;
         /// Time that every episode is given at least [s].
         least_time: f64 = 4.0, in 0.2..=3600.0;
+        /// Longest time of an episode [s], in place of patience and least_time; 0: they hold. Needed for tasks that the
+        /// simulator of this suite does not have.
+        longest_time: f64 = 0.0, in 0.0..=3600.0;
         /// For how long a node or a message is waited for [s].
         timeout: Duration = 60.0, in 1.0..=3600.0;
         /// Folder for the findings, relative to the working directory.
@@ -98,7 +101,7 @@ impl NodeProgram for Trials {
     type Error = anyhow::Error;
 
     fn check(parameters: &Parameters) -> Result<()> {
-        parameters.goal_kinds().map(drop)
+        parameters.tasks().map(drop)
     }
 
     async fn load(_: &Node, _: &Arc<Parameters>) -> Result<()> {
@@ -120,15 +123,13 @@ impl NodeProgram for Trials {
 
 impl Parameters {
     /// The tasks.
-    fn goal_kinds(&self) -> Result<Vec<GoalKind>> {
+    fn tasks(&self) -> Result<Vec<Task>> {
         ensure!(
             !self.tasks.is_empty(),
             "parameter tasks is empty: expected reach, push or pick-place"
         );
-        let tasks = self.tasks.iter();
-        tasks
-            .map(|name| name.parse::<GoalKind>().context("parameter tasks"))
-            .collect()
+        let parse = |name: &String| Task::new(name, self.longest_time).context("parameter tasks");
+        self.tasks.iter().map(parse).collect()
     }
 }
 
@@ -149,14 +150,14 @@ impl Trials {
         tokio::time::timeout(at.parameters.timeout, at.endpoints.setting.wait())
             .await
             .context("sim_arm, planner and executor are needed, and not all of them are running")?;
-        for task in at.parameters.goal_kinds()? {
-            self.task(at, task).await?;
+        for task in at.parameters.tasks()? {
+            self.task(at, &task).await?;
         }
         Ok(())
     }
 
     /// All episodes of a task, and what came of them.
-    async fn task(&mut self, at: &mut Setup<Self>, task: GoalKind) -> Result<()> {
+    async fn task(&mut self, at: &mut Setup<Self>, task: &Task) -> Result<()> {
         let (first, count) = (at.parameters.seed, at.parameters.episodes);
         let (mut episodes, mut plans): (Vec<Episode>, Vec<PlanTime>) = (Vec::new(), Vec::new());
         let (mut planner, mut shown) = (None, Shots::default());
@@ -210,12 +211,13 @@ impl Trials {
     async fn episode(
         &mut self,
         at: &mut Setup<Self>,
-        task: GoalKind,
+        task: &Task,
         seed: u64,
     ) -> Result<EpisodeWatch> {
         let timeout = at.parameters.timeout;
         let (patience, least_s) = (at.parameters.patience, at.parameters.least_time);
-        let most = tokio::task::spawn_blocking(move || most_steps(task, seed, patience, least_s));
+        let own = task.clone();
+        let most = tokio::task::spawn_blocking(move || own.most_steps(seed, patience, least_s));
         let most = most.await??;
         tokio::time::timeout(timeout, begin(at, task, seed))
             .await
@@ -262,10 +264,10 @@ impl Trials {
 }
 
 /// Lays the table, waits until the planner has planned for it, and arms the executor.
-async fn begin(at: &mut Setup<Trials>, task: GoalKind, seed: u64) -> Result<()> {
+async fn begin(at: &mut Setup<Trials>, task: &Task, seed: u64) -> Result<()> {
     let endpoints = &mut at.endpoints;
     endpoints.setting.arm(false).await?;
-    endpoints.setting.lay(task, seed).await?;
+    endpoints.setting.lay(task.name(), seed).await?;
     // The arm says so once the new table is there.
     while endpoints
         .successes
@@ -284,12 +286,4 @@ async fn begin(at: &mut Setup<Trials>, task: GoalKind, seed: u64) -> Result<()> 
     while endpoints.distances.try_recv().is_some() {}
     while endpoints.outcomes.try_recv().is_some() {}
     endpoints.setting.arm(true).await
-}
-
-/// Steps of the simulator that an episode may take.
-fn most_steps(task: GoalKind, seed: u64, patience: f64, least_s: f64) -> Result<usize> {
-    let environment = Environment::new(task, seed, &Variety::default())?;
-    // An episode has a few dozen steps.
-    let of_oracle = environment.solution().len() as f64 * patience;
-    Ok(of_oracle.max(least_s / wm_sim::STEP_S).ceil() as usize)
 }

@@ -6,7 +6,6 @@ use wm_msgs::{
     wm_msgs::{Reset, ResetRequest},
 };
 use wm_ros::{Client, RemoteParameters};
-use wm_sim::GoalKind;
 
 wm_ros::endpoints! {
     /// The services of these nodes.
@@ -35,9 +34,8 @@ impl Setting {
     ///
     /// # Errors
     /// The task is unknown, or a node does not reply.
-    pub(crate) async fn lay(&self, task: GoalKind, seed: u64) -> Result<()> {
-        let name = task.name().to_owned();
-        if let Err(reason) = self.parameters.set("task", name).await? {
+    pub(crate) async fn lay(&self, task: &str, seed: u64) -> Result<()> {
+        if let Err(reason) = self.parameters.set("task", task.to_owned()).await? {
             bail!("sim_arm does not take the task {task}: {reason}");
         }
         reset(&self.table, "sim_arm", seed).await
