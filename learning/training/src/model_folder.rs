@@ -34,6 +34,19 @@ pub fn carry_encoder(encoder: &str, out: &Path) -> Result<()> {
         }
     } else if let Some(trained) = trained {
         copy_autoencoder(trained, out)?;
+        folder::describe_autoencoder(out)?;
+        if let TrainedFolder::Folder {
+            autoencoder: AutoencoderFiles::Taef2 { size, .. },
+            ..
+        } = trained
+        {
+            // its weights do not say for which size of pictures it is used
+            let mut description = read_description(&out.join(folder::FILE))?;
+            if let Some(parts) = description.as_object_mut() {
+                parts.insert("image".to_owned(), json!([size.0, size.1]));
+            }
+            write_description(out, &description)?;
+        }
     } else {
         let mut description = description_of(Path::new(encoder))?;
         if let Some(parts) = description.as_object_mut() {
@@ -80,13 +93,15 @@ fn copy_autoencoder(trained: &TrainedFolder, out: &Path) -> Result<()> {
 /// # Errors
 /// If it cannot be read.
 pub fn description_of(folder: &Path) -> Result<Value> {
-    let path = folder.join(folder::FILE);
-    let text = std::fs::read_to_string(&path).with_context(|| path.display().to_string())?;
-    let mut description =
-        serde_json::from_str(&text).with_context(|| path.display().to_string())?;
+    let mut description = read_description(&folder.join(folder::FILE))?;
     let folder = std::path::absolute(folder).with_context(|| folder.display().to_string())?;
     place(&mut description, &folder);
     Ok(description)
+}
+
+fn read_description(path: &Path) -> Result<Value> {
+    let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+    serde_json::from_str(&text).with_context(|| path.display().to_string())
 }
 
 /// Keys of a description whose strings are names of files.
@@ -132,7 +147,7 @@ fn is_same(a: &Path, b: &Path) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use wm_model::trained_folder::EMBEDDED;
+    use wm_model::{AutoencoderConfig, trained_folder::EMBEDDED};
 
     use super::*;
 
@@ -162,5 +177,32 @@ mod tests {
         assert!(read(&copy) == read(&other));
         let space = |name: &Path| ModelFolder::open(name.to_str().unwrap()).unwrap().space();
         assert_eq!(space(&copy).unwrap(), space(&other).unwrap());
+    }
+    #[test]
+    fn taef2_keeps_its_size_of_pictures() {
+        let dir = tempfile::tempdir().unwrap();
+        let (source, out) = (dir.path().join("taef2"), dir.path().join("mine"));
+        std::fs::create_dir(&source).unwrap();
+        let random = Autoencoder::random(AutoencoderConfig::taef2(64, 64), 1).unwrap();
+        let whole = dir.path().join("whole.safetensors");
+        random.save(&whole, Precision::F16).unwrap();
+        let tensors = candle_core::safetensors::load(&whole, &candle_core::Device::Cpu).unwrap();
+        let halves = Autoencoder::TAEF2_FILES;
+        for (file, half) in halves.into_iter().zip(["encoder.", "decoder."]) {
+            let of_half = tensors.iter().filter_map(|(name, tensor)| {
+                Some((name.strip_prefix(half)?.to_owned(), tensor.clone()))
+            });
+            let of_half: std::collections::HashMap<_, _> = of_half.collect();
+            candle_core::safetensors::save(&of_half, source.join(file)).unwrap();
+        }
+        folder::describe_autoencoder(&source).unwrap();
+        let mut description = read_description(&source.join(folder::FILE)).unwrap();
+        description["image"] = json!([64, 64]);
+        write_description(&source, &description).unwrap();
+        let space = |name: &Path| ModelFolder::open(name.to_str().unwrap()).unwrap().space();
+        for _ in 0..2 {
+            carry_encoder(source.to_str().unwrap(), &out).unwrap();
+            assert_eq!(space(&out).unwrap(), space(&source).unwrap());
+        }
     }
 }

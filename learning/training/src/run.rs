@@ -204,6 +204,7 @@ pub fn train(task: &mut dyn Task, settings: &RunSettings, stop: &Stop) -> Result
         let done = run.optimiser.steps_taken();
         let is_last = done == settings.steps;
         if is_last || done.is_multiple_of(settings.validate_every.max(1)) {
+            progress.validating(&line);
             run.save()?;
             let line = run.validate(is_last)?;
             progress.say(&line);

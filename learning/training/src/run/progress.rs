@@ -43,6 +43,11 @@ impl Progress {
         }
     }
 
+    /// Shows that the model is validated after the step of `line`.
+    pub(super) fn validating(&self, line: &str) {
+        self.told.message(format!("{line}, validating"));
+    }
+
     /// Prints a separate line.
     pub(super) fn say(&self, line: &str) {
         self.told.suspend(|| println!("{line}"));

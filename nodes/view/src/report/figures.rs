@@ -68,8 +68,8 @@ impl Report {
             (None, None) => return None,
         };
         Some(format!(
-            "The predictions are no better than the persistence baseline, which repeats the last frame ({why}): the model \
-             may not be trained on such pictures, or the actions may not be this robot's."
+            "The predictions are no better than the persistence baseline, which repeats the last frame ({why}): the \
+             training may have been too short or of other pictures, or the actions may not be this robot's."
         ))
     }
 
