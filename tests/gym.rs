@@ -1,4 +1,4 @@
-//! `examples/gym`: an environment of gymnasium as a camera and an arm.
+//! `examples/gym`: an environment of gymnasium as a camera and an arm, and the imagined one with its interface.
 
 // each test has its own runtime, in which nothing else takes the lock
 #![allow(clippy::await_holding_lock)]
@@ -13,7 +13,9 @@ use wm_msgs::{
 };
 use wm_ros::Qos;
 
-use crate::harness::{Process, Signal, fresh_domain, in_domain, join, peers, root, ros2_env};
+use crate::harness::{
+    Process, Signal, bundled_bag, fresh_domain, in_domain, join, peers, root, ros2_env, wm_node,
+};
 
 /// Far longer than needed; only ends a hanging test.
 const PATIENCE: Duration = Duration::from_secs(90);
@@ -41,6 +43,25 @@ fn commands_and_worlds_pass_their_own_tests() {
     let Some(peers) = peers() else { return };
     let tests = example(&peers, fresh_domain(), "test_gym_node.py", &[]);
     let (status, _) = Process::start(tests).finish(PATIENCE);
+    assert!(status.success(), "{status}");
+}
+
+#[test]
+fn gymnasium_accepts_the_imagined_environment() {
+    let Some(peers) = peers() else { return };
+    let domain = fresh_domain();
+    let bag = bundled_bag().display().to_string();
+    let out = tempfile::tempdir().expect("a temporary directory");
+    let [episodes, starts] = [
+        format!("output:={}", out.path().display()),
+        format!("start_root:={}", root().display()),
+    ];
+    let env = Process::start(wm_node(domain, "env", &[&episodes, &starts]));
+    let tests = example(&peers, domain, "test_imagined.py", &[&bag]);
+    let (status, _) = Process::start(tests).finish(PATIENCE);
+    assert!(status.success(), "{status}");
+    env.signal(Signal::INT);
+    let (status, _) = env.finish(PATIENCE);
     assert!(status.success(), "{status}");
 }
 

@@ -36,6 +36,7 @@ from worlds import STEP_S, Any, State, WorldError, open_world
 
 STEP_NS = round(STEP_S * 1e9)
 AFTER = 3  # frames of an episode after its task is done
+PAUSE = 3  # steps without frames between two episodes, so that `wm dataset` cuts there
 RANDOM_SPEED = 0.15  # standard deviation of random motions [m/s]
 KEPT = 0.8  # share of a random motion that the next one keeps
 
@@ -211,7 +212,8 @@ class GymNode(Node):
         if goal is not None:
             self.goals.publish(self.image(goal))
         self.instructions.publish(String(data=self.world.instruction))
-        self.successes.publish(Bool(data=False))
+        if not self.arguments.drive:
+            self.successes.publish(Bool(data=False))
         self.get_logger().info(f"{self.name} with seed {seed}: {self.world.instruction}")
 
     def stamp(self, header, now_ns=None):
@@ -267,7 +269,7 @@ class GymNode(Node):
                 state = self.world.raw_step(raw)
         self.tell(before, state, raw)
         self.show(state)
-        if state.is_done != before.is_done:
+        if state.is_done != before.is_done and not self.arguments.drive:
             self.successes.publish(Bool(data=state.is_done))
             if state.is_done:
                 self.get_logger().info("the task is done")
@@ -313,9 +315,9 @@ class GymNode(Node):
                 self.step()
                 left = min(left - 1, AFTER) if self.last.is_done else left - 1
             done += self.last.is_done
-            self.wait()  # a pause between two episodes: the picture before a reset and the one after are of other worlds
-            self.wait()
-            self.wait()
+            self.successes.publish(Bool(data=self.last.is_done))  # once, as the outcome of the episode
+            for _ in range(PAUSE):
+                self.wait()
         self.get_logger().info(f"the task was done in {done} of {self.arguments.episodes} episodes")
 
     def report(self):

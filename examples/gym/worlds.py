@@ -35,7 +35,7 @@ def hand_space(name, largest, with_gripper):
     """The action space of a tool that translates, at most `largest` [m] along an axis in a step."""
     dimensions = [dimension(axis, "m", "translation_delta", 1.0 / largest) for axis in ("dx", "dy", "dz")]
     if with_gripper:
-        dimensions.append(dimension("gripper", "1", "gripper_continuous", 2.0, 1.0) | {"offset": 0.5})
+        dimensions.append(dimension("gripper", "1", "gripper_continuous", 1.0, 1.0))
     return {"name": name, "rate": 1.0 / STEP_S, "dimensions": dimensions}
 
 
@@ -73,8 +73,7 @@ class MetaWorld:
             raise WorldError(f"expected a task of Meta-World ({', '.join(sorted(ALL_V3_ENVIRONMENTS))}), found {task!r}")
         self.task, self.make, self.policy = task, ALL_V3_ENVIRONMENTS[task], ENV_POLICY_MAP[task]
         self.instruction = task.removesuffix("-v3").replace("-", " ")
-        self.environment, self.twin = self._environment(), self._environment()
-        self.expert, self.observation = self.policy(), None
+        self.environment, self.expert = self._environment(), self.policy()
         self.space = hand_space("metaworld", self.SUBSTEPS * self.LARGEST, with_gripper=True)
 
     def _environment(self):
@@ -87,29 +86,43 @@ class MetaWorld:
         environment.max_path_length = 1 << 40  # the node ends the episodes
         return environment
 
-    def _begin(self, environment, seed):
+    def _begin(self, seed):
         import mujoco
 
+        environment = self.environment
         mujoco.mj_resetData(environment.model, environment.data)  # nothing of the last episode is left
         environment.seed(seed)
-        return environment.reset()[0]
+        self.observation, self.info, self.commanded = environment.reset()[0], {}, 1.0
+
+    def _advance(self, action):
+        action = np.clip(action, -1.0, 1.0).astype(np.float32)
+        self.observation, _, _, _, self.info = self.environment.step(action)
+
+    def _solve(self, seed):
+        """The picture of the task once the expert has done it; None if it fails."""
+        self._begin(seed)
+        for _ in range(500):
+            self._advance(self.expert.get_action(self.observation))
+            if self.info["success"]:
+                return self._picture()
+        return None
+
+    def _picture(self):
+        # of several environments, only the newest one's context of OpenGL is current
+        self.environment.mujoco_renderer._get_viewer("rgb_array").make_context_current()
+        return square(self.environment.render()[::-1])  # the camera is upside down
 
     def reset(self, seed):
         """Begins the task with objects and goal by `seed`."""
-        self.observation = self._begin(self.environment, seed)
-        self.seed, self.info, self.commanded = seed, {}, 1.0
+        self.goal = self._solve(seed)
+        self._begin(seed)
         return self.state()
 
     def state(self):
-        picture = square(self.environment.render()[::-1])  # Meta-World's camera is upside down
         opening = float(np.clip(self.observation[3], 0.0, 1.0))
         is_done = bool(self.info.get("success", 0.0))
         distance = float(self.info.get("obj_to_target", "nan"))
-        return State(picture, is_done, self.observation[:3].copy(), opening, self.commanded, distance)
-
-    def _advance(self, environment, action):
-        observation, _, _, _, info = environment.step(np.clip(action, -1.0, 1.0).astype(np.float32))
-        return observation, info
+        return State(self._picture(), is_done, self.observation[:3].copy(), opening, self.commanded, distance)
 
     def _motion(self, velocity):
         return finite(velocity, 3) * STEP_S / self.SUBSTEPS / self.LARGEST
@@ -119,7 +132,7 @@ class MetaWorld:
         self.commanded = float(np.clip(finite([opening], 1)[0], 0.0, 1.0))
         action = np.append(self._motion(velocity), 1.0 - 2.0 * self.commanded)
         for _ in range(self.SUBSTEPS):
-            self.observation, self.info = self._advance(self.environment, action)
+            self._advance(action)
         return self.state()
 
     def expert_step(self, disturbance):
@@ -129,22 +142,15 @@ class MetaWorld:
             action = np.clip(self.expert.get_action(self.observation), -1.0, 1.0)
             self.commanded = float(1.0 - action[3]) / 2.0
             action[:3] += disturbance
-            self.observation, self.info = self._advance(self.environment, action)
+            self._advance(action)
         return self.state()
 
     def goal_picture(self):
-        """The picture of the done task: what the expert reaches from this seed; None if it fails."""
-        environment, expert = self.twin, self.policy()
-        observation = self._begin(environment, self.seed)
-        for _ in range(500):
-            observation, info = self._advance(environment, expert.get_action(observation))
-            if info["success"]:
-                return square(environment.render()[::-1])
-        return None
+        """What the expert reaches from this seed; None if it fails."""
+        return self.goal
 
     def close(self):
         self.environment.close()
-        self.twin.close()
 
 
 class PushT:
