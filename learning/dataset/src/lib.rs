@@ -83,6 +83,7 @@ pub struct Episode {
 #[derive(Debug)]
 pub struct Dataset {
     digest: String,
+    recordings_digest: String,
     framing: Framing,
     space: ActionSpace,
     layout: Layout,
@@ -103,7 +104,7 @@ impl Dataset {
         let (views, size) = (first.folder.views(), manifest.size);
         let own = manifest.action_space.clone();
         let requested = options.space()?;
-        let mut hash = Sha256::new();
+        let (mut hash, mut of_recordings) = (Sha256::new(), Sha256::new());
         let mut layout = Layout::default();
         for (number, opened) in folders.iter().enumerate() {
             let folder = &opened.folder;
@@ -126,15 +127,18 @@ impl Dataset {
                 )));
             }
             hash.update(&b.digest);
+            of_recordings.update(b.recordings_digest());
             for (index, episode) in folder.all_episodes().iter().enumerate() {
                 if is_in(number, index) {
                     hash.update(index.to_le_bytes());
+                    of_recordings.update(index.to_le_bytes());
                     layout.push(number, episode);
                 }
             }
         }
         Ok(Self {
             digest: fingerprint::hex(hash),
+            recordings_digest: fingerprint::hex(of_recordings),
             framing: Framing {
                 size: (size.height, size.width * views),
                 views,
@@ -160,6 +164,13 @@ impl Dataset {
     #[must_use]
     pub fn digest(&self) -> &str {
         &self.digest
+    }
+
+    /// Hex SHA-256 of its episodes in the bags: the same for every size and fit of the frames, so that models of different
+    /// encoders compare.
+    #[must_use]
+    pub fn recordings_digest(&self) -> &str {
+        &self.recordings_digest
     }
 
     /// Space of its actions.

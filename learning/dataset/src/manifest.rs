@@ -5,10 +5,11 @@ use std::{
 };
 
 use serde::{Deserialize, Serialize};
+use sha2::{Digest as _, Sha256};
 use wm_model::Fit;
 use wm_motion::actions::ActionSpace;
 
-use super::{Settings, Size, SourceSize, SplitRule};
+use super::{Settings, Size, SourceSize, SplitRule, fingerprint::hex};
 
 /// Increases when older code cannot read new folders, or the same bags give other frames or actions.
 pub(super) const VERSION: u32 = 4;
@@ -45,6 +46,19 @@ pub struct Manifest {
     pub episodes: Vec<ManifestEpisode>,
     /// Excluded data, with reasons.
     pub left_out: Vec<LeftOut>,
+}
+
+impl Manifest {
+    /// Hex SHA-256 of bags and settings, without the size and the fit of the frames.
+    pub(super) fn recordings_digest(&self) -> String {
+        let mut hash = Sha256::new();
+        // Settings are numbers, lists and texts: JSON cannot fail.
+        hash.update(serde_json::to_vec(&self.settings).unwrap_or_default());
+        for source in &self.sources {
+            hash.update(&source.digest);
+        }
+        hex(hash)
+    }
 }
 
 /// A bag.

@@ -172,7 +172,7 @@ impl Plan<'_> {
                 hash: world.hash.clone(),
                 space: world.space.name.clone(),
                 data: data.iter().map(|path| path.display().to_string()).collect(),
-                data_digest: dataset.digest().to_owned(),
+                data_digest: dataset.recordings_digest().to_owned(),
                 episodes: dataset.episodes().len(),
                 left_out: dataset.left_out().map(ToString::to_string).collect(),
                 seed: self.settings.seed,

@@ -185,6 +185,28 @@ fn held_out_bags_are_validation_of_a_prepared_folder() {
 }
 
 #[test]
+fn digest_of_recordings_is_that_of_bags_and_settings() {
+    let dir = tempfile::tempdir().unwrap();
+    let bags = bags(dir.path(), 2);
+    let cache = dir.path().join("cache");
+    let open = |framing: Framing, options: &DataOptions| {
+        let data = Data::open(&[bags.clone()], framing, &cache, options).unwrap();
+        let digest = data.training.digest().to_owned();
+        (data.training.recordings_digest().to_owned(), digest)
+    };
+    let options = DataOptions::default();
+    let small = open(Framing::from((8, 8)), &options);
+    let large = open(Framing::from((16, 16)), &options);
+    assert_eq!(small.0, large.0);
+    assert_ne!(small.1, large.1);
+    let shifted = DataOptions {
+        shift_actions: Some(1),
+        ..DataOptions::default()
+    };
+    assert_ne!(open(Framing::from((8, 8)), &shifted).0, small.0);
+}
+
+#[test]
 fn prepared_pictures_shrink_and_never_grow() {
     let dir = tempfile::tempdir().unwrap();
     let bags = bags(dir.path(), 2);
