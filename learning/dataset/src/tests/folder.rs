@@ -190,7 +190,7 @@ fn digest_of_recordings_is_that_of_bags_and_settings() {
     let bags = bags(dir.path(), 2);
     let cache = dir.path().join("cache");
     let open = |framing: Framing, options: &DataOptions| {
-        let data = Data::open(&[bags.clone()], framing, &cache, options).unwrap();
+        let data = Data::open(from_ref(&bags), framing, &cache, options).unwrap();
         let digest = data.training.digest().to_owned();
         (data.training.recordings_digest().to_owned(), digest)
     };
