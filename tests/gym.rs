@@ -14,34 +14,25 @@ use wm_msgs::{
 use wm_ros::Qos;
 
 use crate::harness::{
-    Process, Signal, bundled_bag, fresh_domain, in_domain, join, peers, root, ros2_env, wm_node,
+    Process, Signal, bundled_bag, example, fresh_domain, join, peers, root, wm_node,
 };
 
 /// Far longer than needed; only ends a hanging test.
 const PATIENCE: Duration = Duration::from_secs(90);
 
-/// A program of `examples/gym`, with the real ROS 2 and gymnasium.
-fn example(peers: &Path, domain: u16, script: &str, args: &[&str]) -> Command {
-    let mut command = Command::new("bash");
-    command
-        .args([
-            "-c",
-            ". \"$0\" && export PYTHONPATH=\"$1:$PYTHONPATH\" && shift && exec python \"$@\"",
-        ])
-        .arg(ros2_env(peers))
-        .arg(peers.join("gymnasium/lib/python3.11/site-packages"))
-        .arg(root().join("examples/gym").join(script))
-        .args(args)
-        // pygame draws without a screen
-        .env("SDL_VIDEODRIVER", "dummy");
-    in_domain(&mut command, domain);
+/// A program of `examples/gym`, with gymnasium.
+fn gym(peers: &Path, domain: u16, script: &str, args: &[&str]) -> Command {
+    let script = format!("gym/{script}");
+    let mut command = example(peers, "gymnasium", domain, &script, args);
+    // pygame draws without a screen
+    command.env("SDL_VIDEODRIVER", "dummy");
     command
 }
 
 #[test]
 fn commands_and_worlds_pass_their_own_tests() {
     let Some(peers) = peers() else { return };
-    let tests = example(&peers, fresh_domain(), "test_gym_node.py", &[]);
+    let tests = gym(&peers, fresh_domain(), "test_gym_node.py", &[]);
     let (status, _) = Process::start(tests).finish(PATIENCE);
     assert!(status.success(), "{status}");
 }
@@ -57,7 +48,7 @@ fn gymnasium_accepts_the_imagined_environment() {
         format!("start_root:={}", root().display()),
     ];
     let env = Process::start(wm_node(domain, "env", &[&episodes, &starts]));
-    let tests = example(&peers, domain, "test_imagined.py", &[&bag]);
+    let tests = gym(&peers, domain, "test_imagined.py", &[&bag]);
     let (status, _) = Process::start(tests).finish(PATIENCE);
     assert!(status.success(), "{status}");
     env.signal(Signal::INT);
@@ -69,7 +60,7 @@ fn gymnasium_accepts_the_imagined_environment() {
 async fn environment_is_a_camera_and_an_arm() {
     let Some(peers) = peers() else { return };
     let domain = fresh_domain();
-    let program = example(&peers, domain, "gym_node.py", &["gym:Pendulum-v1"]);
+    let program = gym(&peers, domain, "gym_node.py", &["gym:Pendulum-v1"]);
     let program = Process::start(program);
     let (_context, node) = join(domain, "robot");
     let mut pictures = node

@@ -89,6 +89,22 @@ pub fn whole_suite() -> MutexGuard<'static, ()> {
     ONE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
+/// A program of `examples`, with the real ROS 2 and the packages of the environment `packages`.
+pub fn example(peers: &Path, packages: &str, domain: u16, script: &str, args: &[&str]) -> Command {
+    let mut command = Command::new("bash");
+    command
+        .args([
+            "-c",
+            ". \"$0\" && export PYTHONPATH=\"$1:$PYTHONPATH\" && shift && exec python \"$@\"",
+        ])
+        .arg(ros2_env(peers))
+        .arg(peers.join(packages).join("lib/python3.11/site-packages"))
+        .arg(root().join("examples").join(script))
+        .args(args);
+    in_domain(&mut command, domain);
+    command
+}
+
 /// A Python program under `tests/interop`, with the other libraries of [`peers`].
 pub fn tool(peers: &Path, domain: u16, script: &str, args: &[&str]) -> Command {
     let mut command = Command::new(peers.join("tools/bin/python"));

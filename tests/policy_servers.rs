@@ -14,7 +14,7 @@ use wm_msgs::{
 };
 use wm_ros::{Context, Node, Publisher, Qos, Subscription};
 
-use crate::harness::{Process, Signal, fresh_domain, in_domain, join, peers, root, ros2_env};
+use crate::harness::{Process, Signal, example, fresh_domain, join, peers, root};
 
 /// Far longer than needed; only ends a hanging test.
 const PATIENCE: Duration = Duration::from_secs(90);
@@ -29,22 +29,6 @@ const INSTRUCTION: &str = "lift the cup";
 fn free_port() -> u16 {
     let listener = TcpListener::bind(("127.0.0.1", 0)).expect("a port");
     listener.local_addr().expect("an address").port()
-}
-
-/// A program of `examples`, with the real ROS 2 and the packages of the environment `packages`.
-fn example(peers: &Path, packages: &str, domain: u16, script: &str, args: &[&str]) -> Command {
-    let mut command = Command::new("bash");
-    command
-        .args([
-            "-c",
-            ". \"$0\" && export PYTHONPATH=\"$1:$PYTHONPATH\" && shift && exec python \"$@\"",
-        ])
-        .arg(ros2_env(peers))
-        .arg(peers.join(packages).join("lib/python3.11/site-packages"))
-        .arg(root().join("examples").join(script))
-        .args(args);
-    in_domain(&mut command, domain);
-    command
 }
 
 /// A server under `tests/interop`, with the packages of the environment `packages`. It may write to `folder`.
