@@ -94,7 +94,7 @@ async fn environment_is_a_camera_and_an_arm() {
         assert_eq!(instruction.data, "Pendulum-v1");
         assert!(!successes.recv().await.unwrap().message.data);
 
-        // an action that was commanded is told with the stamp of the picture before it
+        // a commanded action is published with the stamp of the picture before it
         let first = pictures.recv().await.unwrap().message;
         assert_eq!((first.height, first.width, first.step), (128, 128, 384));
         assert_eq!(first.data.len(), 128 * 384);
@@ -102,17 +102,17 @@ async fn environment_is_a_camera_and_an_arm() {
             values: vec![1.5],
             ..Action::default()
         };
-        let told = loop {
+        let published = loop {
             commands.publish(&torque).unwrap();
-            let told = tokio::time::timeout(Duration::from_millis(100), actions.recv());
-            if let Ok(told) = told.await {
-                break told.unwrap().message;
+            let next = tokio::time::timeout(Duration::from_millis(100), actions.recv());
+            if let Ok(action) = next.await {
+                break action.unwrap().message;
             }
         };
-        assert_eq!(told.values, [1.5]);
+        assert_eq!(published.values, [1.5]);
         let is_next = loop {
             let picture = pictures.recv().await.unwrap().message;
-            let age = picture.header.stamp.to_nanos() - told.header.stamp.to_nanos();
+            let age = picture.header.stamp.to_nanos() - published.header.stamp.to_nanos();
             if age > 0 {
                 break age % 200_000_000 == 0;
             }

@@ -32,7 +32,7 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from wm_msgs.msg import Action
 from wm_msgs.srv import Reset
-from worlds import STEP_S, Any, State, WorldError, open_world
+from worlds import STEP_S, RawWorld, State, WorldError, open_world
 
 STEP_NS = round(STEP_S * 1e9)
 AFTER = 3  # frames of an episode after its task is done
@@ -42,20 +42,25 @@ KEPT = 0.8  # share of a random motion that the next one keeps
 
 
 class Commands:
-    """What the arm was asked to do, by the time of arrival [ns]; a command holds for `timeout_s`."""
+    """The commands of the arm, by the time of arrival [ns].
+
+    A velocity holds for `timeout_s`. The motions of actions that arrive within a step add up, and are done once. Of raw
+    actions the newest is done, once.
+    """
 
     def __init__(self, timeout_s, frame):
         self.timeout_ns, self.frame = round(timeout_s * 1e9), frame
         self.forget()
 
     def forget(self):
-        self.velocity, self.raw, self.since_ns, self.opening = np.zeros(3), None, None, 1.0
+        self.velocity, self.since_ns, self.opening = np.zeros(3), None, 1.0
+        self.motion, self.raw = np.zeros(3), None
 
     def _take(self, velocity, now_ns):
         velocity = np.asarray(velocity, dtype=np.float64)
         if not np.isfinite(velocity).all():
             raise WorldError(f"not_finite: expected finite values, found {velocity.tolist()}")
-        self.velocity, self.raw, self.since_ns = velocity, None, now_ns
+        self.velocity, self.since_ns = velocity, now_ns
 
     def _expect_frame(self, frame):
         if self.frame and frame and frame != self.frame:
@@ -71,8 +76,8 @@ class Commands:
             raise WorldError(f"wrong_length: expected vx, vy, vz, wx, wy, wz, found {len(message.data)} values")
         self._take(message.data[:3], now_ns)
 
-    def action(self, message, now_ns, space):
-        """An action of the world's action space: its motion is done within a step."""
+    def action(self, message, space):
+        """An action of the world's action space."""
         self._expect_frame(message.header.frame_id)
         names = [value["name"] for value in space["dimensions"]]
         values = np.asarray(message.values, dtype=np.float64)
@@ -81,29 +86,31 @@ class Commands:
         if not np.isfinite(values).all():
             raise WorldError(f"not_finite: expected finite values, found {values.tolist()}")
         if names[:3] == ["dx", "dy", "dz"]:
-            self._take(values[:3] / STEP_S, now_ns)
+            self.motion = self.motion + values[:3]
             if "gripper" in names:
-                self.opening = float(values[names.index("gripper")])
+                self.opening = min(max(float(values[names.index("gripper")]), 0.0), 1.0)
         else:
-            self.raw, self.since_ns = values, now_ns
+            self.raw = values
 
     def gripper(self, message):
         if not math.isfinite(message.data):
             raise WorldError(f"not_finite: expected an opening from 0 to 1, found {message.data}")
         self.opening = min(max(message.data, 0.0), 1.0)
 
-    def now(self, now_ns):
+    def take_step(self, now_ns):
         """The velocity [m/s], the opening and the raw action (None: no motion) of the step that ends now."""
-        if self.since_ns is None or now_ns - self.since_ns > self.timeout_ns:
-            return np.zeros(3), self.opening, None
-        return self.velocity, self.opening, self.raw
+        holds = self.since_ns is not None and now_ns - self.since_ns <= self.timeout_ns
+        velocity = (self.velocity if holds else np.zeros(3)) + self.motion / STEP_S
+        raw = self.raw
+        self.motion, self.raw = np.zeros(3), None
+        return velocity, self.opening, raw
 
 
 class Drive:
     """Chooses the motions of an episode: the expert's, random ones, or both."""
 
-    def __init__(self, kind, episodes):
-        self.kind, self.episodes = kind, episodes
+    def __init__(self, kind):
+        self.kind = kind
 
     def begin(self, episode, seed):
         self.random, self.velocity, self.opening = np.random.default_rng(seed), np.zeros(3), 1.0
@@ -114,13 +121,27 @@ class Drive:
     def step(self, world):
         fresh = self.random.normal(0.0, RANDOM_SPEED, 3)
         self.velocity = KEPT * self.velocity + math.sqrt(1.0 - KEPT**2) * fresh
-        if isinstance(world, Any):
+        if isinstance(world, RawWorld):
+            if self.kind != "random":
+                raise WorldError(f"a world of the kind gym has no expert: use --drive random, not {self.kind}")
             return world.raw_step(self.random.uniform(world.low, world.high))
         if self.is_random:
             if self.random.random() < 0.1:
                 self.opening = float(self.random.integers(2))
             return world.step(self.velocity, self.opening)
         return world.expert_step(self.noise * self.velocity)
+
+
+def write_space(path, space):
+    """Writes the action space to a new file. Raises `WorldError` if the file has another one."""
+    text = json.dumps(space, indent=1)
+    try:
+        with open(path, "x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError as error:
+        with open(path, encoding="utf-8") as file:
+            if file.read() != text:
+                raise WorldError(f"{path} exists, with other contents: name another file") from error
 
 
 class GymNode(Node):
@@ -137,8 +158,8 @@ class GymNode(Node):
         if self.factor < 0.0 or (self.factor == 0.0 and not arguments.drive):
             raise WorldError(f"expected a real_time_factor above 0 (0 only with --drive), found {self.factor}")
         self.worlds = {arguments.world: open_world(arguments.world)}
-        self.name, self.last, self.last_action = arguments.world, None, None
-        self.commands, self.drive = Commands(timeout_s, self.frame), Drive(arguments.drive, arguments.episodes)
+        self.name, self.last, self.shown_ns = arguments.world, None, None
+        self.commands, self.drive = Commands(timeout_s, self.frame), Drive(arguments.drive)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
         self.pictures = self.create_publisher(Image, "/camera/image_raw", 10)
@@ -154,16 +175,15 @@ class GymNode(Node):
         commands = self.commands
         self.create_subscription(TwistStamped, "command/twist", self.taking(commands.twist), newest)
         self.create_subscription(Float64MultiArray, "command/velocity", self.taking(commands.velocities), newest)
-        take_action = self.taking(lambda message, now_ns: commands.action(message, now_ns, self.world.space))
+        take_action = self.taking(lambda message, _: commands.action(message, self.world.space))
         self.create_subscription(Action, "command/action", take_action, 100)
         self.create_subscription(Float64, "command/gripper", self.taking(lambda message, _: commands.gripper(message)), 10)
         self.create_service(Reset, "~/reset", self.answer)
         self.add_on_set_parameters_callback(self.check)
-        self.begun_ns = self.now_ns = self.get_clock().now().nanoseconds
+        self.now_ns = self.get_clock().now().nanoseconds
         self.create_timer(1.0, self.report)
         if arguments.space:
-            with open(arguments.space, "w", encoding="utf-8") as file:
-                json.dump(self.world.space, file, indent=1)
+            write_space(arguments.space, self.world.space)
 
     @property
     def world(self):
@@ -182,22 +202,24 @@ class GymNode(Node):
 
         return callback
 
+    def world_of(self, task):
+        return f"{self.kind}:{task}" if task else self.kind
+
     def check(self, parameters):
         for parameter in parameters:
-            if parameter.name == "task" and self.kind != "pusht":
-                name = f"{self.kind}:{parameter.value}"
+            if parameter.name == "task":
+                name = self.world_of(parameter.value)
                 try:
-                    self.worlds.setdefault(name, None) or self.worlds.update({name: open_world(name)})
+                    if name not in self.worlds:
+                        self.worlds[name] = open_world(name)
                 except Exception as error:  # gymnasium raises errors of many kinds
-                    self.worlds.pop(name, None)
                     return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
     def answer(self, request, response):
         seed = self.get_parameter("seed").value if request.keep_seed else request.seed
         try:
-            task = self.get_parameter("task").value
-            self.name = f"{self.kind}:{task}" if task else self.kind
+            self.name = self.world_of(self.get_parameter("task").value)
             self.begin(int(seed))
             response.success, response.message = True, self.world.instruction
         except (WorldError, ValueError) as refused:
@@ -207,7 +229,7 @@ class GymNode(Node):
     def begin(self, seed):
         """Begins the task anew, and announces it."""
         self.commands.forget()
-        self.last, self.last_action = self.world.reset(seed), None
+        self.last, self.shown_ns = self.world.reset(seed), None
         goal = self.world.goal_picture()
         if goal is not None:
             self.goals.publish(self.image(goal))
@@ -216,22 +238,23 @@ class GymNode(Node):
             self.successes.publish(Bool(data=False))
         self.get_logger().info(f"{self.name} with seed {seed}: {self.world.instruction}")
 
-    def stamp(self, header, now_ns=None):
-        header.stamp = Time(nanoseconds=self.now_ns if now_ns is None else now_ns).to_msg()
+    def stamp(self, header, at_ns):
+        header.stamp = Time(nanoseconds=at_ns).to_msg()
         header.frame_id = self.frame
 
     def image(self, pixels):
         image = Image(height=pixels.shape[0], width=pixels.shape[1], encoding="rgb8", step=3 * pixels.shape[1])
-        self.stamp(image.header)
+        self.stamp(image.header, self.now_ns)
         image.header.frame_id = "camera"
         image.data = pixels.tobytes()
         return image
 
     def show(self, state: State):
+        self.shown_ns = self.now_ns
         self.pictures.publish(self.image(state.picture))
         if state.position is not None:
             pose = PoseStamped()
-            self.stamp(pose.header)
+            self.stamp(pose.header, self.now_ns)
             place = pose.pose.position
             place.x, place.y, place.z = map(float, state.position)
             pose.pose.orientation.w = 1.0
@@ -241,8 +264,13 @@ class GymNode(Node):
         if math.isfinite(state.distance):
             self.distances.publish(Float64(data=state.distance))
 
-    def tell(self, before, state, raw):
-        """Publishes the action from the last picture to this one, with the stamp of the last picture."""
+    def publish_action(self, before, state, raw):
+        """Publishes the action from the last picture to this one, with the stamp of the last picture.
+
+        After a reset there is none: no picture shows where the action began.
+        """
+        if self.shown_ns is None:
+            return
         if before.position is None:
             values = raw
         else:
@@ -250,7 +278,7 @@ class GymNode(Node):
             values += [state.commanded] if state.opening is not None else []
         if values is not None:
             action = Action(values=np.asarray(values, dtype=np.float32))
-            self.stamp(action.header, self.now_ns - STEP_NS)
+            self.stamp(action.header, self.shown_ns)
             self.actions.publish(action)
 
     def step(self):
@@ -260,14 +288,14 @@ class GymNode(Node):
         if self.arguments.drive:
             state = self.drive.step(self.world)
         else:
-            velocity, opening, raw = self.commands.now(self.now_ns)
-            if not isinstance(self.world, Any):
+            velocity, opening, raw = self.commands.take_step(self.now_ns)
+            if not isinstance(self.world, RawWorld):
                 state = self.world.step(velocity, opening)
             elif raw is None:
                 state = self.world.state()
             else:
                 state = self.world.raw_step(raw)
-        self.tell(before, state, raw)
+        self.publish_action(before, state, raw)
         self.show(state)
         if state.is_done != before.is_done and not self.arguments.drive:
             self.successes.publish(Bool(data=state.is_done))

@@ -84,9 +84,9 @@ class ImaginedEnv(gymnasium.Env):
         return self.picture
 
     def _end(self):
-        if self.episode is not None:
-            self._call(self.steps, EnvStep.Request(episode_id=self.episode, close=True))
-            self.episode = None
+        episode, self.episode = self.episode, None
+        if episode is not None:
+            self._call(self.steps, EnvStep.Request(episode_id=episode, close=True))
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
@@ -108,7 +108,7 @@ class ImaginedEnv(gymnasium.Env):
 
     def step(self, action):
         if self.episode is None:
-            raise RuntimeError("expected a reset before the first step, and after an episode was truncated")
+            raise RuntimeError("expected a reset before the first step")
         values = np.asarray(action, dtype=np.float32)
         if values.shape != self.action_space.shape or not np.isfinite(values).all():
             raise ValueError(f"expected {self.action_space.shape[0]} finite values, found {values.tolist()}")

@@ -5,13 +5,14 @@ ROS 2 is sourced, and gymnasium with pygame installed.
 
 import json
 import os
+import tempfile
 import unittest
 
 os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
 
 import numpy as np
 from geometry_msgs.msg import TwistStamped
-from gym_node import STEP_S, Commands, Drive
+from gym_node import STEP_S, Commands, Drive, write_space
 from std_msgs.msg import Float64, Float64MultiArray
 from wm_msgs.msg import Action
 from worlds import SIZE, WorldError, hand_space, open_world, square
@@ -31,14 +32,22 @@ class TestCommands(unittest.TestCase):
 
     def test_a_command_holds_until_its_timeout(self):
         self.commands.twist(twist(0.2), 0)
-        np.testing.assert_array_equal(self.commands.now(500_000_000)[0], [0.2, 0.0, 0.0])
-        np.testing.assert_array_equal(self.commands.now(500_000_001)[0], np.zeros(3))
+        np.testing.assert_array_equal(self.commands.take_step(500_000_000)[0], [0.2, 0.0, 0.0])
+        np.testing.assert_array_equal(self.commands.take_step(500_000_001)[0], np.zeros(3))
 
-    def test_an_action_moves_within_a_step(self):
-        self.commands.action(Action(values=[0.01, 0.0, -0.02, 0.25]), 0, SPACE)
-        velocity, opening, _ = self.commands.now(1)
-        np.testing.assert_allclose(velocity * STEP_S, [0.01, 0.0, -0.02], rtol=1e-6)
+    def test_the_motions_of_a_step_add_up_and_are_done_once(self):
+        for _ in range(2):
+            self.commands.action(Action(values=[0.01, 0.0, -0.02, 0.25]), SPACE)
+        velocity, opening, _ = self.commands.take_step(1)
+        np.testing.assert_allclose(velocity * STEP_S, [0.02, 0.0, -0.04], rtol=1e-6)
         self.assertEqual(opening, 0.25)
+        np.testing.assert_array_equal(self.commands.take_step(2)[0], np.zeros(3))
+
+    def test_a_raw_action_is_done_once(self):
+        space = {"dimensions": [{"name": "action_0"}]}
+        self.commands.action(Action(values=[1.5]), space)
+        self.assertEqual(self.commands.take_step(1)[2], [1.5])
+        self.assertIsNone(self.commands.take_step(2)[2])
 
     def test_bad_commands_change_nothing(self):
         self.commands.twist(twist(0.1), 0)
@@ -46,14 +55,14 @@ class TestCommands(unittest.TestCase):
             ("wrong_frame", lambda: self.commands.twist(twist(0.3, "camera"), 1)),
             ("not_finite", lambda: self.commands.twist(twist(float("nan")), 1)),
             ("wrong_length", lambda: self.commands.velocities(Float64MultiArray(data=[0.1] * 5), 1)),
-            ("wrong_length", lambda: self.commands.action(Action(values=[0.0] * 7), 1, SPACE)),
-            ("not_finite", lambda: self.commands.action(Action(values=[0.0, 0.0, 0.0, float("inf")]), 1, SPACE)),
+            ("wrong_length", lambda: self.commands.action(Action(values=[0.0] * 7), SPACE)),
+            ("not_finite", lambda: self.commands.action(Action(values=[0.0, 0.0, 0.0, float("inf")]), SPACE)),
             ("not_finite", lambda: self.commands.gripper(Float64(data=float("nan")))),
         ]
         for reason, command in bad:
             with self.assertRaisesRegex(WorldError, f"^{reason}: "):
                 command()
-        velocity, opening, _ = self.commands.now(2)
+        velocity, opening, _ = self.commands.take_step(2)
         np.testing.assert_array_equal(velocity, [0.1, 0.0, 0.0])
         self.assertEqual(opening, 1.0)
 
@@ -87,13 +96,25 @@ class TestWorlds(unittest.TestCase):
 
 class TestDrive(unittest.TestCase):
     def test_mixed_episodes_are_of_growing_disorder(self):
-        drive, noises, are_random = Drive("mixed", 10), [], []
+        drive, noises, are_random = Drive("mixed"), [], []
         for episode in range(10):
             drive.begin(episode, seed=episode)
             noises.append(drive.noise)
             are_random.append(drive.is_random)
         self.assertEqual(noises, sorted(noises))
         self.assertEqual((noises[0], sum(are_random)), (0.0, 2))
+
+
+class TestSpace(unittest.TestCase):
+    def test_a_file_with_other_contents_is_kept(self):
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.path.join(folder, "space.json")
+            for _ in range(2):
+                write_space(path, SPACE)
+            with self.assertRaisesRegex(WorldError, "exists"):
+                write_space(path, {})
+            with open(path, encoding="utf-8") as file:
+                self.assertEqual(json.load(file), SPACE)
 
 
 if __name__ == "__main__":

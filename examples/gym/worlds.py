@@ -1,7 +1,7 @@
 """Environments of gymnasium as worlds with an arm: positions in m, velocities in m/s, openings of the gripper from 0 to 1.
 
 A world computes without ROS. `MetaWorld` has an arm, goal pictures and an expert; `PushT` is a pusher in a plane, with goal
-pictures. `Any` takes and gives the raw actions of any environment whose action space is a Box; it has neither.
+pictures. `RawWorld` takes and gives the raw actions of any environment whose action space is a Box; it has neither.
 """
 
 from dataclasses import dataclass
@@ -204,7 +204,7 @@ class PushT:
         self.environment.close()
 
 
-class Any:
+class RawWorld:
     """Any environment whose action space is a Box of up to 32 values and whose pictures are rgb_array."""
 
     MOST_VALUES = 32
@@ -216,6 +216,8 @@ class Any:
             raise WorldError(f"{name}: expected an action space that is a Box of one axis, found {box}")
         if box.shape[0] > self.MOST_VALUES or not box.is_bounded():
             raise WorldError(f"{name}: expected at most {self.MOST_VALUES} bounded values of an action, found {box}")
+        if (box.low >= box.high).any():
+            raise WorldError(f"{name}: expected low bounds below the high ones, found {box}")
         self.low, self.high = box.low.astype(np.float64), box.high.astype(np.float64)
         self.instruction = name
         scales = (2.0 / (self.high - self.low)).tolist()
@@ -226,7 +228,7 @@ class Any:
 
     def reset(self, seed):
         self.environment.reset(seed=seed)
-        self.seed, self.is_over, self.is_done = seed, False, False
+        self.is_over, self.is_done = False, False
         return self.state()
 
     def state(self):
@@ -258,5 +260,5 @@ def open_world(name):
         case "pusht" if not rest:
             return PushT()
         case "gym" if rest:
-            return Any(rest)
+            return RawWorld(rest)
     raise WorldError(f"expected metaworld:TASK, pusht or gym:ENVIRONMENT, found {name!r}")
