@@ -3,6 +3,7 @@
 
 use crate::{Error, Qos, names::TypeName, payload::Payload};
 use futures::future::BoxFuture;
+use std::time::Instant;
 use tokio::sync::watch;
 
 /// Identity of a reader or writer in the whole graph.
@@ -66,6 +67,8 @@ pub(crate) struct Sample {
     pub(crate) payload: Payload,
     pub(crate) writer: EndpointId,
     pub(crate) sequence: i64,
+    /// When the middleware received it, which is before the sink is called.
+    pub(crate) arrived: Instant,
     /// The request that it belongs to.
     pub(crate) request: Option<RequestId>,
 }

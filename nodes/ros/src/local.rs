@@ -12,6 +12,7 @@ use crate::{
 use std::{
     collections::{BTreeMap, VecDeque},
     sync::{Arc, Mutex},
+    time::Instant,
 };
 
 /// Samples that wait for a reader's task.
@@ -119,6 +120,7 @@ impl Local {
             payload: payload.clone(),
             writer,
             sequence,
+            arrived: Instant::now(),
             request: Some(request),
         };
         for reader in readers.values().filter(|reader| connects(from, reader)) {

@@ -489,7 +489,7 @@ impl Node {
         };
         let reader = backend.reader(node, &endpoint, sink)?;
         let further = [
-            latched.then(|| (PublisherKind::Latching, intake.sink_of_latched())),
+            latched.then(|| (PublisherKind::Latching, intake.sink_of_latched(backend))),
             best_effort.then(|| {
                 (
                     PublisherKind::BestEffort,

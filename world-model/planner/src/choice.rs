@@ -44,6 +44,41 @@ pub struct PlannerSettings {
     pub idm: InverseSettings,
 }
 
+impl PlannerSettings {
+    /// Settings with which `choice` plans about once a second or faster on two cores: few candidates near the actions of
+    /// an inverse dynamics model, more and wider ones without it.
+    pub fn quick(choice: PlannerChoice) -> Self {
+        let (population, iterations, elites, initial_std, std) = match choice.needs_idm() {
+            true => (12, 1, 4, 0.08, 0.05),
+            false => (40, 3, 8, 0.25, 0.25),
+        };
+        Self {
+            cem: CemSettings {
+                population,
+                iterations,
+                elites,
+                initial_std,
+                try_proposals: true,
+                ..CemSettings::default()
+            },
+            icem: IcemSettings {
+                population,
+                iterations,
+                elites,
+                initial_std,
+                ..IcemSettings::default()
+            },
+            mppi: MppiSettings {
+                population,
+                iterations,
+                std,
+                ..MppiSettings::default()
+            },
+            idm: InverseSettings::default(),
+        }
+    }
+}
+
 impl PlannerChoice {
     /// All planners.
     pub const ALL: [Self; 7] = [

@@ -33,7 +33,7 @@ pub struct ClosedLoopArgs {
     /// Seed of the first episode; each later one adds 1. The bundled model was not trained on the default
     #[arg(long, default_value_t = 5_000_000)]
     pub seed: u64,
-    /// Model steps of a plan
+    /// Model steps of a plan; default: 4 of idm, 1 of a search
     #[arg(long)]
     pub horizon: Option<usize>,
     /// Goal pictures given to the planner
@@ -63,7 +63,7 @@ pub struct ClosedLoopArgs {
 
 impl ClosedLoopArgs {
     pub(super) fn settings(&self) -> Result<ClosedLoopSettings> {
-        let mut settings = ClosedLoopSettings::of(self.task);
+        let mut settings = ClosedLoopSettings::of(self.task, self.planner);
         if let Some(path) = &self.settings {
             let name = || path.display().to_string();
             let text = std::fs::read_to_string(path).with_context(name)?;

@@ -3,9 +3,10 @@
 use anyhow::{Result, ensure};
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
-use wm_planner::PlannerSettings;
+use wm_planner::{PlannerChoice, PlannerSettings};
 use wm_sim::GoalKind;
 
+use super::controller::Controller;
 use crate::settings::changed;
 
 /// Pictures of the solution given to a planner.
@@ -54,11 +55,19 @@ pub struct ClosedLoopSettings {
 }
 
 impl ClosedLoopSettings {
-    /// Defaults for a task. To move an object, the gripper is searched, and the planner gets subgoals, since the last
-    /// picture alone does not show the path.
-    pub fn of(task: GoalKind) -> Self {
+    /// Defaults for a task and a controller. To move an object, the gripper is searched, and the planner gets subgoals,
+    /// since the last picture alone does not show the path. A search plans one model step, with [`PlannerSettings::quick`].
+    pub fn of(task: GoalKind, controller: Controller) -> Self {
         let moves_object = task != GoalKind::Reach;
+        let default = Self::default();
+        let (horizon, planner) = match controller {
+            Controller::Planner(PlannerChoice::Idm) => (4, default.planner),
+            Controller::Planner(search) => (1, PlannerSettings::quick(search)),
+            _ => (default.horizon, default.planner),
+        };
         Self {
+            horizon,
+            planner,
             goals: if moves_object {
                 Goals::Subgoals
             } else {

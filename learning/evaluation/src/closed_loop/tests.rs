@@ -116,9 +116,41 @@ fn findings_count_successes_and_slow_plans() {
     assert!(interval[0].as_f64().unwrap() < 0.5 && interval[1].as_f64().unwrap() > 0.8);
 }
 
+fn of_planner(name: &str) -> ClosedLoopSettings {
+    ClosedLoopSettings::of(GoalKind::Push, name.parse().unwrap())
+}
+
+/// Otherwise an episode takes minutes.
+#[test]
+fn every_search_costs_few_candidates_by_default() {
+    for choice in PlannerChoice::ALL {
+        let settings = of_planner(choice.name());
+        settings.validate().unwrap();
+        let planner = &settings.planner;
+        let candidates = match choice {
+            PlannerChoice::Idm => continue,
+            PlannerChoice::Cem | PlannerChoice::IdmCem => {
+                planner.cem.population * planner.cem.iterations
+            }
+            PlannerChoice::Icem | PlannerChoice::IdmIcem => {
+                planner.icem.population * planner.icem.iterations
+            }
+            PlannerChoice::Mppi | PlannerChoice::IdmMppi => {
+                planner.mppi.population * planner.mppi.iterations
+            }
+        };
+        let most = if choice.needs_idm() { 12 } else { 120 };
+        assert!(
+            settings.horizon == 1 && candidates <= most,
+            "{choice}: {candidates}"
+        );
+    }
+    assert_eq!(of_planner("idm").horizon, 4);
+}
+
 #[test]
 fn settings_are_changed_and_rejected_by_name() {
-    let settings = ClosedLoopSettings::of(GoalKind::Push);
+    let settings = of_planner("idm+icem");
     assert_eq!((settings.goals, settings.gripper), (Goals::Subgoals, true));
     let changed = settings.with("planner: {icem: {population: 7}}").unwrap();
     assert_eq!(changed.planner.icem.population, 7);

@@ -5,7 +5,8 @@ use crate::{
     payload::Payload,
 };
 use bytes::Bytes;
-use rustdds::{SequenceNumber, no_key::DeserializedCacheChange};
+use rustdds::{SequenceNumber, Timestamp, no_key::DeserializedCacheChange};
+use std::time::{Duration, Instant};
 
 /// The sample of a change; `is_server`: a request.
 pub(super) fn into_sample(change: DeserializedCacheChange<Bytes>, is_server: bool) -> Sample {
@@ -30,7 +31,17 @@ pub(super) fn into_sample(change: DeserializedCacheChange<Bytes>, is_server: boo
     Sample {
         writer,
         sequence,
+        arrived: arrival(change.receive_instant),
         request,
         payload: Payload::Cdr(change.into_value()),
     }
+}
+
+/// The monotonic time of an arrival that rustdds stamps by the wall clock. A wall clock that was set back in between
+/// gives the present time.
+fn arrival(received: Timestamp) -> Instant {
+    let now = Instant::now();
+    let age = Timestamp::now().duration_since(received).to_nanoseconds();
+    let age = u64::try_from(age).map_or(Duration::ZERO, Duration::from_nanos);
+    now.checked_sub(age).unwrap_or(now)
 }

@@ -25,6 +25,16 @@ impl KnownPublishers {
         }
     }
 
+    /// Of an empty graph.
+    #[cfg(test)]
+    pub(super) fn of_nothing(has: fn(&DiscoveredEndpoint) -> bool) -> Self {
+        Self {
+            backend: Weak::<crate::dds::Dds>::new(),
+            has,
+            known: BTreeMap::new(),
+        }
+    }
+
     /// Whether a publisher has the property; `None` for an undiscovered one, which is looked up again at its next
     /// sample.
     pub(super) fn get(&mut self, publisher: &EndpointId) -> Option<bool> {

@@ -14,7 +14,10 @@ use crate::{
     mailbox::Mailbox,
     payload::Payload,
 };
-use std::{sync::Arc, time::Duration};
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
 use tokio::task::AbortHandle;
 use zenoh::{
     Wait as _,
@@ -209,6 +212,7 @@ fn sample_of(attachment: Option<&ZBytes>, payload: &ZBytes) -> Result<Sample, St
         payload: Payload::Cdr(payload.to_bytes().into_owned().into()),
         writer: attachment.sender,
         sequence: attachment.sequence,
+        arrived: Instant::now(),
         request: None,
     })
 }

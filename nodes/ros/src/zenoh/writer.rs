@@ -22,7 +22,7 @@ use std::{
         Arc, Mutex, Weak,
         atomic::{AtomicBool, AtomicI64, Ordering},
     },
-    time::Duration,
+    time::{Duration, Instant},
 };
 use zenoh::{
     Wait as _,
@@ -395,6 +395,7 @@ fn answer(reply: &Reply, client: EndpointId) -> Result<Sample, String> {
         payload: Payload::Cdr(sample.payload().to_bytes().into_owned().into()),
         writer: attachment.sender,
         sequence: attachment.sequence,
+        arrived: Instant::now(),
         request: Some(RequestId {
             client,
             sequence: attachment.sequence,

@@ -153,6 +153,7 @@ impl Shared {
                     payload: Payload::Cdr(bytes.clone()),
                     writer,
                     sequence: of.id.number,
+                    arrived: Instant::now(),
                     request: None,
                 });
             }
