@@ -40,8 +40,9 @@ pub(super) fn into_sample(change: DeserializedCacheChange<Bytes>, is_server: boo
 /// The monotonic time of an arrival that rustdds stamps by the wall clock. A wall clock that was set back in between
 /// gives the present time.
 fn arrival(received: Timestamp) -> Instant {
-    let now = Instant::now();
+    // in this order a pause in between makes the arrival later, not earlier
     let age = Timestamp::now().duration_since(received).to_nanoseconds();
+    let now = Instant::now();
     let age = u64::try_from(age).map_or(Duration::ZERO, Duration::from_nanos);
     now.checked_sub(age).unwrap_or(now)
 }
