@@ -302,7 +302,10 @@ fn insert_bounded<T>(of: &mut BTreeMap<EndpointId, T>, publisher: EndpointId, va
 impl GatedEndpoint for Intake {
     fn opened(&self, backend: &dyn Backend) {
         let is_any_latched = !self.incoming().latched.is_empty();
-        let seen = is_any_latched.then(|| backend.seen()).unwrap_or_default();
+        let seen = match is_any_latched {
+            true => backend.seen(),
+            false => Vec::new(),
+        };
         self.opened_with(&seen);
     }
 
