@@ -45,7 +45,7 @@ pub struct PlannerSettings {
 }
 
 impl PlannerSettings {
-    /// Settings with which `choice` plans about once a second or faster on two cores: few candidates near the actions of
+    /// Settings with which `choice` plans in about a second or less on two cores: few candidates near the actions of
     /// an inverse dynamics model, more and wider ones without it.
     pub fn quick(choice: PlannerChoice) -> Self {
         let (population, iterations, elites, initial_std, std) = match choice.needs_idm() {

@@ -37,7 +37,7 @@ pub(crate) struct Intake {
     gate: Option<Gate>,
 }
 
-/// What decides whether a sample is queued.
+/// The state that decides whether a sample is queued.
 struct Incoming {
     gaps: Gaps<EndpointId>,
     /// Whether the node is active.
@@ -301,12 +301,7 @@ fn insert_bounded<T>(of: &mut BTreeMap<EndpointId, T>, publisher: EndpointId, va
 
 impl GatedEndpoint for Intake {
     fn opened(&self, backend: &dyn Backend) {
-        let is_any_latched = !self.incoming().latched.is_empty();
-        let seen = match is_any_latched {
-            true => backend.seen(),
-            false => Vec::new(),
-        };
-        self.opened_with(&seen);
+        self.opened_with(|| backend.seen());
     }
 
     fn closed(&self) {
@@ -317,11 +312,14 @@ impl GatedEndpoint for Intake {
 }
 
 impl Intake {
-    /// `seen`: the endpoints in the graph.
-    fn opened_with(&self, seen: &[DiscoveredEndpoint]) {
+    /// `seen`: the endpoints in the graph, which are asked for under the lock: with an earlier answer, the publisher of a
+    /// sample that arrived since would seem to be gone.
+    fn opened_with(&self, seen: impl FnOnce() -> Vec<DiscoveredEndpoint>) {
         let mut incoming = self.incoming();
         self.mailbox.clear();
-        incoming.forget_departed(seen);
+        if !incoming.latched.is_empty() {
+            incoming.forget_departed(&seen());
+        }
         for latched in incoming.latched.values() {
             self.mailbox.push(latched.received.clone());
         }
@@ -383,7 +381,7 @@ mod tests {
         let mut sink = intake.sink();
         sink(sample(1, Vec::new()));
         let late = sample(2, Vec::new());
-        intake.opened_with(&[]);
+        intake.opened_with(Vec::new);
         sink(late);
         sink(sample(3, vec![3]));
         let queued = intake.mailbox.try_pop().unwrap();
@@ -406,7 +404,7 @@ mod tests {
                 new(goal());
             }
             let late = goal();
-            intake.opened_with(&[]);
+            intake.opened_with(Vec::new);
             new(late);
             latched(goal());
             new(goal());
