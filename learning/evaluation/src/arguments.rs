@@ -12,6 +12,7 @@ use wm_dataset::HeldOutArgs;
 use wm_metrics::findings::Suite;
 use wm_zoo::ModelFolder;
 
+use crate::control::SearchedDimensions;
 use crate::{
     OutputArgs, Perception, PerceptionArgs, PolicyArgs, Protocol, ReaderArgs, Settings, Shard,
     Subject, merge::of_files, open_model, policy::Setup, run,
@@ -45,6 +46,10 @@ pub struct SuiteArgs {
     /// Most windows for suites that measure windows; searches (control) take by far the longest
     #[arg(long)]
     pub windows: Option<usize>,
+    /// Dimensions of the actions that searches recover (control): all, as in the paper, effective (those with an effect on
+    /// predictions), translations, or names such as dx,dy [default: effective]
+    #[arg(long, value_name = "DIMENSIONS")]
+    pub search_dims: Option<SearchedDimensions>,
     /// Most predicted steps of a decoded rollout
     #[arg(long)]
     pub steps: Option<usize>,
@@ -198,6 +203,9 @@ impl SuiteArgs {
             settings.control.response_windows = windows;
             settings.latents.windows = windows;
             settings.robustness.windows = windows;
+        }
+        if let Some(searched) = &self.search_dims {
+            settings.control.searched = searched.clone();
         }
         if let Some(steps) = self.steps {
             settings.fidelity.steps = steps;

@@ -3,6 +3,7 @@
 
 mod recovered;
 mod response;
+mod searched;
 mod summary;
 
 use anyhow::Result;
@@ -10,6 +11,8 @@ use serde::{Deserialize, Serialize};
 
 pub use recovered::{RecoveredActions, Start};
 pub use response::Response;
+use searched::Searched;
+pub use searched::SearchedDimensions;
 pub use summary::summarise;
 
 use crate::{Settings, Subject, Windows};
@@ -28,7 +31,8 @@ pub struct Control<'a> {
     subject: &'a Subject,
     settings: &'a Settings,
     /// With the number of steps searched in them.
-    searched: Vec<(usize, Windows)>,
+    searches: Vec<(usize, Windows)>,
+    searched: Searched,
     responses: Windows,
 }
 
@@ -41,20 +45,27 @@ impl<'a> Control<'a> {
         let own = &settings.control;
         let windows =
             |horizon, most| Windows::new(&subject.latents, &subject.world.encoding, horizon, most);
-        let searched = own.searches.iter();
-        let searched = searched.map(|search| Ok((search.k, windows(search.k, search.windows)?)));
+        let searches = own.searches.iter();
+        let searches = searches.map(|search| Ok((search.k, windows(search.k, search.windows)?)));
+        let searches: Vec<(usize, Windows)> = searches.collect::<Result<_>>()?;
+        let responses = windows(own.response_steps, own.response_windows)?;
+        let searched = match searches.is_empty() {
+            true => Searched::nothing(),
+            false => Searched::of(subject, settings, &responses)?,
+        };
         Ok(Self {
             subject,
             settings,
-            searched: searched.collect::<Result<_>>()?,
-            responses: windows(own.response_steps, own.response_windows)?,
+            searches,
+            searched,
+            responses,
         })
     }
 
     /// Names of the units; searches come first.
     #[must_use]
     pub fn names(&self) -> Vec<String> {
-        let searched = self.searched.iter();
+        let searched = self.searches.iter();
         let searched = searched
             .flat_map(|(k, own)| (0..own.len()).map(move |unit| format!("k={k} window {unit}")));
         let responses = (0..self.responses.len()).map(|unit| format!("window {unit}"));
@@ -67,10 +78,15 @@ impl<'a> Control<'a> {
     /// If model and data do not fit.
     pub fn measure(&self, mut unit: usize) -> Result<WindowControl> {
         let (subject, settings) = (self.subject, self.settings);
-        for (k, windows) in &self.searched {
+        for (k, windows) in &self.searches {
             match unit.checked_sub(windows.len()) {
                 None => {
-                    let found = recovered::measure(subject, settings, windows, (unit, *k));
+                    let found = recovered::measure(
+                        subject,
+                        (settings, &self.searched),
+                        windows,
+                        (unit, *k),
+                    );
                     return found.map(WindowControl::Recovered);
                 }
                 Some(rest) => unit = rest,

@@ -5,6 +5,7 @@ use clap::ValueEnum;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use serde_json::Value;
 
+use crate::control::SearchedDimensions;
 use crate::policy::{PolicyInputs, PolicySettings};
 
 /// Extent of a measurement.
@@ -59,6 +60,11 @@ pub struct FidelitySettings {
 pub struct ControlSettings {
     /// The searches.
     pub searches: Vec<SearchSettings>,
+    /// Searched dimensions: all (the paper's), effective, translations, or names.
+    pub searched: SearchedDimensions,
+    /// Least effect of an effective dimension: squared change of the predicted latent under a change by the dimension's
+    /// standard deviation in the data, over that from the last observed latent.
+    pub least_effect: f64,
     /// Candidates per iteration.
     pub population: usize,
     /// Iterations of a search.
@@ -162,6 +168,8 @@ impl Settings {
                         windows: choose(4, 100),
                     },
                 ],
+                searched: SearchedDimensions::default(),
+                least_effect: 0.01,
                 population: 400,
                 iterations: 5,
                 elites: 50,

@@ -8,6 +8,7 @@ use wm_bag::Shard;
 use wm_program::progress::Progress;
 
 use crate::dataset::generate_bags;
+use crate::environment::GoalKind;
 use crate::episode_options::EpisodeOptions;
 
 /// Make Bridge-style bags of a simulated arm on a tabletop, one bag per episode.
@@ -30,6 +31,19 @@ pub struct SimArgs {
     /// halfway. If it is not 0, every episode has one task
     #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
     pub failures: f64,
+    /// Demonstrate the tasks of `wm eval control --task` (reach, push, pick-place), one after another, by the simulator's
+    /// own controller instead of an operator
+    #[arg(
+        long,
+        value_name = "TASK",
+        value_delimiter = ',',
+        conflicts_with = "failures"
+    )]
+    pub goals: Vec<GoalKind>,
+    /// Largest share of the demonstrated actions that are disturbed, 0 to 1; each episode draws its own. They show the way
+    /// back
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0, requires = "goals")]
+    pub disturbance: f64,
     /// Make every Nth episode, from the Ith (counted from 0): run the command on several machines, each with a
     /// different I
     #[arg(long, value_name = "I/N", default_value = "0/1")]
@@ -52,6 +66,8 @@ impl SimArgs {
             frames: self.frames,
             masks: self.masks,
             failures: self.failures,
+            goals: self.goals.clone(),
+            disturbance: self.disturbance,
             ..EpisodeOptions::default()
         };
         let succeeded = AtomicU64::new(0);

@@ -4,15 +4,18 @@ use rand::seq::IndexedRandom;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use crate::environment::Demonstration;
 use crate::episode_options::EpisodeOptions;
 use crate::render::Camera;
 use crate::teleop::{Assignment, Failure, Operator};
-use crate::world::World;
+use crate::world::{EndEffectorAction, World};
 
 /// Share of the demonstrations that are free motion.
 const EXPLORATION_SHARE: f64 = 0.2;
 /// Limit of attempts until an episode ends as planned.
 const ATTEMPTS: u64 = 12;
+/// Random stream of demonstrations by the oracle; operators use the first ones.
+const ORACLE_STREAM: u64 = 32;
 
 /// The result of an operator's actions on a world, without pictures.
 #[derive(Default)]
@@ -36,6 +39,11 @@ impl Attempt {
             rng.set_stream(stream);
             rng
         };
+        if !options.goals.is_empty() {
+            let (goals, disturbance) = (options.goals.clone(), options.disturbance);
+            let oracle = Demonstration::new(goals, disturbance, viewer, rng(ORACLE_STREAM));
+            return Self::demonstrate(oracle, world, options.frames);
+        }
         let mut chance = rng(1);
         let fails = chance.random_bool(options.failures.clamp(0.0, 1.0));
         let explores = chance.random_bool(EXPLORATION_SHARE);
@@ -64,13 +72,9 @@ impl Attempt {
     }
 
     fn make(mut operator: Operator, mut world: World, frames: usize) -> Self {
-        let mut steps = Vec::with_capacity(frames);
-        for index in 0..frames {
-            let command = operator.command(&world, frames - index);
-            let before = world.clone();
-            let action = world.step(&command).values();
-            steps.push((before, action));
-        }
+        let steps = record(&mut world, frames, |world, left| {
+            operator.command(world, left)
+        });
         let (instruction, success) = operator.conclude(&world);
         Self {
             steps,
@@ -79,6 +83,33 @@ impl Attempt {
             failure: None,
         }
     }
+
+    fn demonstrate(mut oracle: Demonstration, mut world: World, frames: usize) -> Self {
+        let steps = record(&mut world, frames, |world, _| oracle.command(world));
+        let (instruction, success) = oracle.conclude(&world);
+        Self {
+            steps,
+            instruction,
+            success,
+            failure: None,
+        }
+    }
+}
+
+/// Executes `frames` commands, each for the world and the number of frames left.
+fn record(
+    world: &mut World,
+    frames: usize,
+    mut command: impl FnMut(&World, usize) -> EndEffectorAction,
+) -> Vec<(World, [f32; 7])> {
+    let mut steps = Vec::with_capacity(frames);
+    for index in 0..frames {
+        let command = command(world, frames - index);
+        let before = world.clone();
+        let action = world.step(&command).values();
+        steps.push((before, action));
+    }
+    steps
 }
 
 #[cfg(test)]

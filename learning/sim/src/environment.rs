@@ -5,11 +5,13 @@
 //! objects, and if the camera sees the object to move, before and after.
 
 mod choice;
+mod demonstration;
 mod goal;
 mod oracle;
 mod sight;
 mod solution;
 
+pub(crate) use demonstration::Demonstration;
 pub use goal::{Goal, GoalKind, REACH_TOLERANCE_M, Target};
 
 use image::RgbImage;

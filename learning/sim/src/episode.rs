@@ -61,7 +61,7 @@ impl Episode {
     ///
     /// # Errors
     /// [`Error::Frames`] if the number of frames is outside `FRAMES`, [`Error::Share`] if the share of
-    /// failures is outside 0 to 1.
+    /// failures or of disturbed actions is outside 0 to 1.
     pub fn generate(seed: u64, options: &EpisodeOptions) -> Result<Self, Error> {
         if !FRAMES.contains(&options.frames) {
             return Err(Error::Frames {
@@ -69,10 +69,13 @@ impl Episode {
                 possible: FRAMES,
             });
         }
-        if !(0.0..=1.0).contains(&options.failures) {
-            return Err(Error::Share {
-                share: options.failures,
-            });
+        for (of, share) in [
+            ("failures", options.failures),
+            ("disturbed actions", options.disturbance),
+        ] {
+            if !(0.0..=1.0).contains(&share) {
+                return Err(Error::Share { of, share });
+            }
         }
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let surroundings = room::draw_surroundings(&options.variety, &mut rng);

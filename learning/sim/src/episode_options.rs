@@ -1,9 +1,10 @@
 //! Options of an episode.
 
+use crate::environment::GoalKind;
 use crate::variety::Variety;
 
 /// Options of an [`Episode`](crate::Episode).
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct EpisodeOptions {
     /// Number of frames, at 5 Hz.
     pub frames: usize,
@@ -11,6 +12,11 @@ pub struct EpisodeOptions {
     pub masks: bool,
     /// Share of failed episodes, 0 to 1. If it is not 0, every episode has one task.
     pub failures: f64,
+    /// Kinds of goals that the [`Environment`](crate::Environment)'s oracle attains, one after another, instead of an
+    /// operator's tasks; empty for the operator.
+    pub goals: Vec<GoalKind>,
+    /// Largest share of the oracle's actions that are disturbed, 0 to 1; each episode draws its own.
+    pub disturbance: f64,
     /// Variation between episodes.
     pub variety: Variety,
 }
@@ -21,6 +27,8 @@ impl Default for EpisodeOptions {
             frames: 50,
             masks: false,
             failures: 0.0,
+            goals: Vec::new(),
+            disturbance: 0.0,
             variety: Variety::default(),
         }
     }

@@ -10,8 +10,8 @@ pub enum Error {
         frames: usize,
         possible: std::ops::RangeInclusive<usize>,
     },
-    #[error("expected a share of failures from 0 to 1, got {share}")]
-    Share { share: f64 },
+    #[error("expected a share of {of} from 0 to 1, got {share}")]
+    Share { of: &'static str, share: f64 },
     #[error(
         "{episodes} episodes from seed {first_seed} on run past the largest seed, {}",
         u64::MAX

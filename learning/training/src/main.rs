@@ -16,6 +16,7 @@ use wm_sim::SimArgs;
 use wm_training::{
     adapter::TrainAdapterArgs,
     autoencoder::{EvaluateAutoencoderArgs, TrainAutoencoderArgs},
+    distance::TrainDistanceArgs,
     distill::TrainDistillArgs,
     encoder::TrainEncoderArgs,
     idm::{EvaluateIdmArgs, TrainIdmArgs},
@@ -25,6 +26,7 @@ use wm_training::{
     round::TrainRoundArgs,
     run::{RunEnd, Stop},
     stopped,
+    subgoals::TrainSubgoalsArgs,
     transition::{EvaluateTransitionArgs, TrainTransitionArgs, TrainWorkerArgs},
 };
 
@@ -81,6 +83,10 @@ enum TrainCommand {
     Idm(TrainIdmArgs),
     /// Train the success probe on the latents of a frozen encoder
     Probe(TrainProbeArgs),
+    /// Train the model of subgoals, which proposes latents between the present one and a goal
+    Subgoals(TrainSubgoalsArgs),
+    /// Train the distance between latents, in model steps
+    Distance(TrainDistanceArgs),
     /// Train a new model from the present one on recordings, and test both on the newest: a round of the node learner
     Round(TrainRoundArgs),
 }
@@ -151,6 +157,12 @@ impl TrainCommand {
             Self::Distill(arguments) => (arguments.run(&stop)?, Some((arguments.run, "distill"))),
             Self::Idm(arguments) => (arguments.run(&stop)?, Some((arguments.on.run, "idm"))),
             Self::Probe(arguments) => (arguments.run(&stop)?, Some((arguments.on.run, "probe"))),
+            Self::Subgoals(arguments) => {
+                (arguments.run(&stop)?, Some((arguments.on.run, "subgoals")))
+            }
+            Self::Distance(arguments) => {
+                (arguments.run(&stop)?, Some((arguments.on.run, "distance")))
+            }
         };
         match (ended, of) {
             (RunEnd::Finished, Some((run, _))) => model_card::write(&run),

@@ -37,9 +37,10 @@ const PICTURES: u32 = 6;
 /// Messages that wait to be read.
 const DEPTH: usize = 64;
 /// The suite's own pictures, which do not come from a camera.
-const OWN_PICTURES: [&str; 4] = [
+const OWN_PICTURES: [&str; 5] = [
     "predicted/image",
     "plan/image",
+    "plan/subgoals/image",
     "goal/image",
     "candidates/image",
 ];

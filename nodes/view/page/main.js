@@ -20,7 +20,7 @@ const MOST_LATENCIES = 600;
 
 const record = new Record();
 const screens = Object.fromEntries(
-  ["camera", "predicted", "difference", "goal", "outcome", "candidate-pictures"].map((id) => [id, new Screen(element(id))]),
+  ["camera", "predicted", "difference", "goal", "outcome", "subgoals", "candidate-pictures"].map((id) => [id, new Screen(element(id))]),
 );
 const page = {
   /** The selected frame; null: the newest, live. */
@@ -241,6 +241,9 @@ function drawPictures() {
   const [goal, outcome] = [record.before("goals", isLive ? Infinity : frame.t), record.before("outcomes", isLive ? Infinity : frame.t + AN_HOUR)];
   if (goal) show("goal", goal);
   if (outcome) show("outcome", outcome);
+  const subgoals = record.before("subgoals", isLive ? Infinity : frame.t);
+  element("subgoals").hidden = !subgoals;
+  if (subgoals) show("subgoals", subgoals);
   const candidates = record.before("candidatePictures", isLive ? Infinity : frame.t);
   if (candidates) show("candidate-pictures", candidates);
 }

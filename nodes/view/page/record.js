@@ -29,9 +29,9 @@ function last(items, t) {
 /** The id of a picture. */
 export const key = (label) => `${label.source}/${label.stamp}/${label.observed}/${label.k}`;
 
-const SERIES = ["frames", "predicted", "errors", "plans", "ways", "actions", "chunks", "candidates", "assessments", "goals", "outcomes",
+const SERIES = ["frames", "predicted", "errors", "plans", "ways", "actions", "chunks", "candidates", "assessments", "goals", "outcomes", "subgoals",
   "candidatePictures", "latencies", "log"];
-const OF_SOURCE = { camera: "frames", predicted: "predicted", plan: "outcomes", candidates: "candidatePictures", goal: "goals" };
+const OF_SOURCE = { camera: "frames", predicted: "predicted", plan: "outcomes", candidates: "candidatePictures", goal: "goals", subgoals: "subgoals" };
 const OF_KIND = { error: "errors", plan: "plans", way: "ways", action: "actions", chunk: "chunks", candidates: "candidates",
   assessment: "assessments" };
 
@@ -80,7 +80,7 @@ export class Record {
     for (const name of SERIES) {
       const items = this[name];
       // A goal is valid until the next one.
-      const keep = name === "goals" || name === "plans" || name === "ways" || name === "outcomes" ? 1 : 0;
+      const keep = name === "goals" || name === "plans" || name === "ways" || name === "outcomes" || name === "subgoals" ? 1 : 0;
       let old = 0;
       while (old < items.length - keep && items[old].t < from) old++;
       if (old > 0) items.splice(0, old);

@@ -1,7 +1,7 @@
 // The connection to the node: one WebSocket, reopened when it closes.
 
 const PROTOCOL = "wm.view.v1";
-const SOURCES = ["camera", "predicted", "plan", "candidates", "goal"];
+const SOURCES = ["camera", "predicted", "plan", "candidates", "goal", "subgoals"];
 const TYPES = ["image/jpeg", "image/png"];
 const HEADER = 28;
 const FIRST_WAIT = 250;

@@ -136,6 +136,7 @@ impl Bag {
             Topic::Camera => self.picture_in(state, Source::Camera, message, now_ns)?,
             Topic::Pictures => self.picture_in(state, Source::Predicted, message, now_ns)?,
             Topic::Outcome => self.picture_in(state, Source::Plan, message, now_ns)?,
+            Topic::Subgoals => self.picture_in(state, Source::Subgoals, message, now_ns)?,
             Topic::CandidatePictures => {
                 self.picture_in(state, Source::Candidates, message, now_ns)?;
             }

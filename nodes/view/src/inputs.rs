@@ -73,6 +73,8 @@ wm_ros::endpoints! {
         pub markers: Subscription<MarkerArray> = "markers", qos(BURST);
         /// What the camera would see after a plan.
         pub outcomes: PictureSubscription = "plan/image", qos(NEWEST);
+        /// The subgoals of a plan side by side.
+        pub subgoals: PictureSubscription = "plan/subgoals/image", qos(NEWEST);
         /// A policy's candidates.
         pub candidates: Subscription<ActionCandidates> = "action_candidates", qos(NEWEST);
         /// What they would do.
@@ -122,6 +124,7 @@ pub(crate) fn topics(node: &Node, camera_topic: &str, is_live: bool) -> Result<V
         (Topic::Plan, "plan"),
         (Topic::Markers, "markers"),
         (Topic::Outcome, "plan/image"),
+        (Topic::Subgoals, "plan/subgoals/image"),
         (Topic::Candidates, "action_candidates"),
         (Topic::CandidatePictures, "candidates/image"),
         (Topic::Assessment, "assessment"),
@@ -148,6 +151,7 @@ impl Inputs {
             (Topic::Camera, &mut self.camera),
             (Topic::Pictures, &mut self.pictures),
             (Topic::Outcome, &mut self.outcomes),
+            (Topic::Subgoals, &mut self.subgoals),
             (Topic::CandidatePictures, &mut self.candidate_pictures),
             (Topic::Goal, &mut self.goal_pictures),
         ];

@@ -200,6 +200,7 @@ impl LiveView {
                     self.picture(Source::Predicted, received);
                 }
                 Some(received) = inputs.outcomes.recv() => self.picture(Source::Plan, received),
+                Some(received) = inputs.subgoals.recv() => self.picture(Source::Subgoals, received),
                 Some(received) = inputs.candidate_pictures.recv() => self.picture(Source::Candidates, received),
                 Some(received) = inputs.goal_pictures.recv() => self.picture(Source::Goal, received),
                 Some(converted) = self.conversions.next() => {

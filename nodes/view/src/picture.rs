@@ -22,15 +22,18 @@ pub(crate) enum Source {
     Candidates = 3,
     /// The planner's goal.
     Goal = 4,
+    /// The subgoals of a plan side by side, nearest first.
+    Subgoals = 5,
 }
 
 impl Source {
-    pub(crate) const ALL: [Self; 5] = [
+    pub(crate) const ALL: [Self; 6] = [
         Self::Camera,
         Self::Predicted,
         Self::Plan,
         Self::Candidates,
         Self::Goal,
+        Self::Subgoals,
     ];
 
     /// In addresses and events.
@@ -41,6 +44,7 @@ impl Source {
             Self::Plan => "plan",
             Self::Candidates => "candidates",
             Self::Goal => "goal",
+            Self::Subgoals => "subgoals",
         }
     }
 
@@ -239,7 +243,7 @@ pub(crate) mod tests {
     proptest! {
         #[test]
         fn header_identifies_the_picture(
-            index in 0usize..5, step: u8, stamp_ns: i64, observed_ns: i64, received_ns: i64,
+            index in 0usize..6, step: u8, stamp_ns: i64, observed_ns: i64, received_ns: i64,
         ) {
             let label = Label { source: Source::ALL[index], step, stamp_ns, observed_ns };
             let frame = jpeg(0, 10);

@@ -43,6 +43,7 @@ pub(crate) enum Topic {
     Plan,
     Markers,
     Outcome,
+    Subgoals,
     Candidates,
     CandidatePictures,
     Assessment,
@@ -61,6 +62,7 @@ impl Topic {
             Source::Plan => Self::Outcome,
             Source::Candidates => Self::CandidatePictures,
             Source::Goal => Self::Goal,
+            Source::Subgoals => Self::Subgoals,
         }
     }
 }
@@ -177,7 +179,7 @@ impl State {
                 self.last_frame_ns = Some(stamp_ns);
                 Ok(Some(Label::of(source, stamp_ns)))
             }
-            Source::Plan | Source::Candidates | Source::Goal => {
+            Source::Plan | Source::Candidates | Source::Goal | Source::Subgoals => {
                 Ok(Some(Label::of(source, stamp_ns)))
             }
         }

@@ -21,6 +21,10 @@ pub const TRANSITION_FILE: &str = "transition.safetensors";
 pub const IDM_FILE: &str = "idm.safetensors";
 /// The file of the success probe in a folder.
 pub const PROBE_FILE: &str = "probe.safetensors";
+/// The file of the model of subgoals in a folder.
+pub const SUBGOALS_FILE: &str = "subgoals.safetensors";
+/// The file of the learnt distance in a folder.
+pub const DISTANCE_FILE: &str = "distance.safetensors";
 
 /// Metadata key of the [`PictureSize`] (JSON) of the camera's pictures that a network was trained on.
 pub const TRAINED_ON_KEY: &str = "trained_on";

@@ -28,6 +28,10 @@ pub enum PlannerChoice {
     IdmIcem,
     /// MPPI, from the actions of an inverse dynamics model.
     IdmMppi,
+    /// The actions of an inverse dynamics model along subgoals.
+    SubgoalsIdm,
+    /// iCEM along subgoals, from the actions of an inverse dynamics model.
+    SubgoalsIcem,
 }
 
 /// Settings of all planners; each uses its own.
@@ -81,7 +85,7 @@ impl PlannerSettings {
 
 impl PlannerChoice {
     /// All planners.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 9] = [
         Self::Cem,
         Self::Icem,
         Self::Mppi,
@@ -89,6 +93,8 @@ impl PlannerChoice {
         Self::IdmCem,
         Self::IdmIcem,
         Self::IdmMppi,
+        Self::SubgoalsIdm,
+        Self::SubgoalsIcem,
     ];
 
     /// Name, as in parameters.
@@ -101,24 +107,29 @@ impl PlannerChoice {
             Self::IdmCem => "idm+cem",
             Self::IdmIcem => "idm+icem",
             Self::IdmMppi => "idm+mppi",
+            Self::SubgoalsIdm => "subgoals+idm",
+            Self::SubgoalsIcem => "subgoals+icem",
         }
     }
 
     /// Whether it needs an inverse dynamics model.
     pub fn needs_idm(self) -> bool {
-        matches!(
-            self,
-            Self::Idm | Self::IdmCem | Self::IdmIcem | Self::IdmMppi
-        )
+        !matches!(self, Self::Cem | Self::Icem | Self::Mppi)
     }
 
-    /// The search without an inverse dynamics model, for goals that are not latents; `None` for the planner that does
-    /// not search.
+    /// Whether its goals are subgoals on the way to the given one, which a model of subgoals proposes: see
+    /// [`Subgoals`](crate::Subgoals).
+    pub fn needs_subgoals(self) -> bool {
+        matches!(self, Self::SubgoalsIdm | Self::SubgoalsIcem)
+    }
+
+    /// The search without an inverse dynamics model, for goals that are not latents; `None` for planners that do not
+    /// search.
     pub fn unseeded(self) -> Option<Self> {
         match self {
-            Self::Idm => None,
+            Self::Idm | Self::SubgoalsIdm => None,
             Self::Cem | Self::IdmCem => Some(Self::Cem),
-            Self::Icem | Self::IdmIcem => Some(Self::Icem),
+            Self::Icem | Self::IdmIcem | Self::SubgoalsIcem => Some(Self::Icem),
             Self::Mppi | Self::IdmMppi => Some(Self::Mppi),
         }
     }
@@ -142,9 +153,11 @@ impl PlannerChoice {
             InversePlanner::new(Arc::clone(idm), settings.idm.clone(), goals.to_vec())
         };
         let search: Box<dyn Planner> = match self {
-            Self::Idm => return Ok(Box::new(inverse()?)),
+            Self::Idm | Self::SubgoalsIdm => return Ok(Box::new(inverse()?)),
             Self::Cem | Self::IdmCem => Box::new(Cem::new(settings.cem.clone())?),
-            Self::Icem | Self::IdmIcem => Box::new(Icem::new(settings.icem.clone())?),
+            Self::Icem | Self::IdmIcem | Self::SubgoalsIcem => {
+                Box::new(Icem::new(settings.icem.clone())?)
+            }
             Self::Mppi | Self::IdmMppi => Box::new(Mppi::new(settings.mppi.clone())?),
         };
         if self.needs_idm() {

@@ -2,8 +2,9 @@
 
 use candle_core::Tensor;
 use wm_model::LatentSpace;
+use wm_zoo::distance::TrainedDistance;
 
-use crate::PlanError;
+use crate::{PlanError, objective::steps_to_goal};
 
 /// Latents (h, w, C) to reach, in their order.
 #[derive(Clone, Debug, Default)]
@@ -57,6 +58,27 @@ impl Goals {
             (Some(goal), Some(observed)) => latent_distance(observed, goal),
             _ => Ok(f32::NAN),
         }
+    }
+
+    /// Model steps to the last of these from the only one of `other`, by a learnt distance (its median); NaN if there is
+    /// none.
+    ///
+    /// # Errors
+    /// If shapes do not fit.
+    pub fn steps_from(&self, other: &Self, learnt: &TrainedDistance) -> Result<f32, PlanError> {
+        match (self.0.last(), other.0.last()) {
+            (Some(goal), Some(observed)) => {
+                let steps = steps_to_goal(learnt, &observed.unsqueeze(0)?, goal)?;
+                Ok(steps.first().copied().unwrap_or(f32::NAN))
+            }
+            _ => Ok(f32::NAN),
+        }
+    }
+}
+
+impl From<Vec<Tensor>> for Goals {
+    fn from(latents: Vec<Tensor>) -> Self {
+        Self(latents)
     }
 }
 

@@ -29,6 +29,7 @@ mod search;
 mod seeded;
 mod space;
 mod spread;
+mod subgoals;
 mod transition_dynamics;
 mod waypoint;
 mod weights;
@@ -50,8 +51,8 @@ pub use icem::{Icem, IcemSettings};
 pub use inverse::{InversePlanner, InverseSettings, Path};
 pub use mppi::{Mppi, MppiSettings};
 pub use objective::{
-    ActionSize, Costs, GoalDistance, Objective, PortableTerm, Smoothness, Success, Target, Term,
-    WorkspaceMargin,
+    ActionSize, Costs, GoalDistance, Objective, PortableTerm, Smoothness, StepsToGoal, Success,
+    Target, Term, WorkspaceMargin,
 };
 pub use planned::PlannedActions;
 pub use planner::Planner;
@@ -59,6 +60,7 @@ pub use problem::{Problem, Progress, Watch};
 pub use seeded::SeededSearch;
 pub use space::{Coordinate, Range, SearchSpace};
 pub use spread::spread;
+pub use subgoals::Subgoals;
 pub use transition_dynamics::TransitionDynamics;
 pub use waypoint::{Arrival, Waypoint, goals_by_time};
 pub use weights::Weights;

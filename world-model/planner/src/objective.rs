@@ -4,6 +4,7 @@ mod action_size;
 mod goal_distance;
 mod portable_term;
 mod smoothness;
+mod steps_to_goal;
 mod success;
 mod workspace_margin;
 
@@ -15,6 +16,8 @@ pub use action_size::ActionSize;
 pub use goal_distance::{GoalDistance, Target};
 pub use portable_term::PortableTerm;
 pub use smoothness::Smoothness;
+pub use steps_to_goal::StepsToGoal;
+pub(crate) use steps_to_goal::steps_to_goal;
 pub use success::Success;
 pub use workspace_margin::WorkspaceMargin;
 

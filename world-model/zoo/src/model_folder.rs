@@ -5,8 +5,8 @@ use std::path::Path;
 
 use candle_core::Tensor;
 use wm_model::trained_folder::{
-    EMBEDDED, IDM_FILE, PROBE_FILE, TRANSITION_FILE, TrainedFolder, transition_trained_on,
-    weights_in,
+    DISTANCE_FILE, EMBEDDED, IDM_FILE, PROBE_FILE, SUBGOALS_FILE, TRANSITION_FILE, TrainedFolder,
+    transition_trained_on, weights_in,
 };
 use wm_model::transition::{
     ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition, TransitionConfig,
@@ -17,8 +17,10 @@ use wm_model::{
 };
 use wm_motion::actions::ActionEncoding;
 
+use crate::distance::TrainedDistance;
 use crate::folder::{DescribedFolder, NativeDecoder, REQUIRED_FROM, open_own};
 use crate::idm::TrainedIdm;
+use crate::subgoals::TrainedSubgoals;
 use crate::success_probe::SuccessClassifier;
 use crate::{Error, Result, Unfinished};
 
@@ -363,6 +365,34 @@ impl ModelFolder {
         let idm = TrainedIdm::from_weights(weights)?;
         idm.space().require(&self.space_of_training(idm.space())?)?;
         Ok(Some(idm))
+    }
+
+    /// Loads the model of subgoals; `None` if the model has none.
+    ///
+    /// # Errors
+    /// If its file is invalid, or it was trained on another latent space.
+    pub fn subgoals(&self) -> Result<Option<TrainedSubgoals>> {
+        let Some(weights) = self.weights(SUBGOALS_FILE)? else {
+            return Ok(None);
+        };
+        let subgoals = TrainedSubgoals::from_weights(weights)?;
+        let own = self.space_of_training(subgoals.space())?;
+        subgoals.space().require(&own)?;
+        Ok(Some(subgoals))
+    }
+
+    /// Loads the learnt distance; `None` if the model has none.
+    ///
+    /// # Errors
+    /// If its file is invalid, or it was trained on another latent space.
+    pub fn distance(&self) -> Result<Option<TrainedDistance>> {
+        let Some(weights) = self.weights(DISTANCE_FILE)? else {
+            return Ok(None);
+        };
+        let distance = TrainedDistance::from_weights(weights)?;
+        let own = self.space_of_training(distance.space())?;
+        distance.space().require(&own)?;
+        Ok(Some(distance))
     }
 
     /// A file of a training in the folder, as [`IDM_FILE`]; `None` if it does not exist.

@@ -1,6 +1,6 @@
 //! Acts step by step.
 
-use std::time::Instant;
+use std::{sync::Arc, time::Instant};
 
 use anyhow::{Context as _, Result};
 use candle_core::Tensor;
@@ -11,9 +11,10 @@ use std::num::NonZeroUsize;
 use wm_metrics::findings::PlanTime;
 use wm_planner::{
     Arrival, Coordinate, Dynamics, PlannedActions, PlannerChoice, Problem, Range, SearchSpace,
-    TransitionDynamics, Waypoint, Weights, one_per_step,
+    StepsToGoal, Subgoals, TransitionDynamics, Waypoint, Weights, one_per_step,
 };
 use wm_sim::{EndEffectorAction, Environment};
+use wm_zoo::subgoals::SubgoalSampling;
 
 use super::{
     controller::Controller,
@@ -195,6 +196,11 @@ impl PlannerState<'_> {
     ) -> Result<PlannedActions> {
         let observed = self.seen.last().context("expected an observation")?.clone();
         let goals = self.goals_from(&observed, settings)?;
+        let last = goals.last().context("expected a goal")?.clone();
+        let goals = match self.choice.needs_subgoals() {
+            true => self.along_subgoals(&observed, &goals, settings)?,
+            false => goals,
+        };
         let planner = self
             .choice
             .build(&settings.planner, self.model.idm.as_ref(), &goals)?;
@@ -205,7 +211,14 @@ impl PlannerState<'_> {
             action: settings.action,
             smoothness: settings.smoothness,
         };
-        let objective = weights.objective(&one_per_step(&goals, settings.horizon), None)?;
+        let mut objective = weights.objective(&one_per_step(&goals, settings.horizon), None)?;
+        if settings.steps_to_goal > 0.0 {
+            let distance = self.model.distance.as_ref().context(
+                "steps_to_goal needs a learnt distance; train one with wm train distance",
+            )?;
+            let steps = StepsToGoal::new(Arc::clone(distance), last);
+            objective = objective.and(settings.steps_to_goal, steps);
+        }
         let (mut simulator, mut transition);
         let dynamics: &mut dyn Dynamics = if self.is_perfect {
             simulator = Simulator {
@@ -247,6 +260,31 @@ impl PlannerState<'_> {
         })?;
         self.seed = self.seed.wrapping_add(1);
         Ok(found)
+    }
+
+    /// Latents on the way to the next of `goals`, one per step of a plan.
+    fn along_subgoals(
+        &self,
+        observed: &Tensor,
+        goals: &[Tensor],
+        settings: &ClosedLoopSettings,
+    ) -> Result<Vec<Tensor>> {
+        let model = self.model.subgoals.as_ref().with_context(|| {
+            format!(
+                "the planner {} needs a model of subgoals; train one with wm train subgoals",
+                self.choice
+            )
+        })?;
+        let goal = goals.first().context("expected a goal")?;
+        let sampling = match settings.subgoal_steps {
+            1 => SubgoalSampling::Expected,
+            steps => SubgoalSampling::Sampled {
+                seed: self.seed,
+                steps,
+            },
+        };
+        let subgoals = Subgoals::propose(model, (observed, goal), sampling)?;
+        Ok(subgoals.goals(settings.horizon).latents().to_vec())
     }
 
     /// The remaining latents to reach, in order.

@@ -15,10 +15,10 @@ use super::{
 /// Measure the success rate of a planner on the simulated arm
 #[derive(Clone, Debug, Args)]
 pub struct ClosedLoopArgs {
-    /// Task of the arm: reach, push or pick-place
+    /// Task of the arm: reach, push or pick-place; with --live, any task of the launch file's world
     #[arg(long)]
-    pub task: GoalKind,
-    /// Controller: cem, icem, mppi, idm, idm+cem, idm+icem, idm+mppi, oracle, hold or random
+    pub task: String,
+    /// Controller: cem, icem, mppi, idm, idm+cem, idm+icem, idm+mppi, subgoals+idm, subgoals+icem, oracle, hold or random
     #[arg(long, default_value = "idm+icem")]
     pub planner: Controller,
     /// Model: tiny, or a model's folder
@@ -59,11 +59,14 @@ pub struct ClosedLoopArgs {
         default_value = "launch-configs/arm.launch.yaml"
     )]
     pub launch: PathBuf,
+    /// Argument for the launch file of --live (repeatable)
+    #[arg(long, value_name = "NAME:=VALUE", requires = "live")]
+    pub launch_argument: Vec<String>,
 }
 
 impl ClosedLoopArgs {
-    pub(super) fn settings(&self) -> Result<ClosedLoopSettings> {
-        let mut settings = ClosedLoopSettings::of(self.task, self.planner);
+    pub(super) fn settings(&self, task: GoalKind) -> Result<ClosedLoopSettings> {
+        let mut settings = ClosedLoopSettings::of(task, self.planner);
         if let Some(path) = &self.settings {
             let name = || path.display().to_string();
             let text = std::fs::read_to_string(path).with_context(name)?;

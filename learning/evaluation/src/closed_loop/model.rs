@@ -8,15 +8,17 @@ use image::RgbImage;
 use wm_model::{Encoder, WorldModel};
 use wm_motion::actions::ActionSpace;
 use wm_sim::EndEffectorAction;
-use wm_zoo::{ModelFolder, idm::TrainedIdm};
+use wm_zoo::{ModelFolder, distance::TrainedDistance, idm::TrainedIdm, subgoals::TrainedSubgoals};
 
 use nalgebra::Vector3;
 
-/// Encoder, transition model and inverse dynamics model.
+/// Encoder, transition model, and the networks that planners use besides.
 pub struct Model {
     encoder: Box<dyn Encoder>,
     pub world: WorldModel,
     pub idm: Option<Arc<TrainedIdm>>,
+    pub subgoals: Option<TrainedSubgoals>,
+    pub distance: Option<Arc<TrainedDistance>>,
 }
 
 impl Model {
@@ -29,6 +31,8 @@ impl Model {
             encoder,
             world,
             idm: folder.idm()?.map(Arc::new),
+            subgoals: folder.subgoals()?,
+            distance: folder.distance()?.map(Arc::new),
         })
     }
 

@@ -10,6 +10,7 @@ use super::{
     trial::{Setup, run},
 };
 use crate::open_model;
+use wm_sim::GoalKind;
 
 impl ClosedLoopArgs {
     /// Runs the episodes, prints and writes the findings.
@@ -28,11 +29,12 @@ impl ClosedLoopArgs {
         if self.live {
             return live::run(self);
         }
-        let settings = self.settings()?;
+        let task: GoalKind = self.task.parse()?;
+        let settings = self.settings(task)?;
         let model = Model::load(&open_model(&self.model)?)?;
         let frames_per_step = model.frames_per_step();
         let setup = Setup {
-            task: self.task,
+            task,
             controller: self.planner,
             is_perfect: self.perfect_model,
             model: Some(&model),
@@ -46,7 +48,7 @@ impl ClosedLoopArgs {
         };
         let trials = seeds.run("acting in", |seed| run(&setup, seed))?;
         let about = RunInfo {
-            task: self.task.to_string(),
+            task: task.to_string(),
             planner: self.planner.to_string(),
             perfect_model: self.perfect_model,
             model: model.world.name.clone(),

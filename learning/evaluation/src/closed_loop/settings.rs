@@ -50,25 +50,32 @@ pub struct ClosedLoopSettings {
     pub action: f32,
     /// Weight of the change from one action to the next.
     pub smoothness: f32,
+    /// Weight of the model steps that remain from the plan's end to the goal, by the model's learnt distance.
+    pub steps_to_goal: f32,
+    /// Euler steps with which subgoals are sampled; 1 for the expected ones.
+    pub subgoal_steps: usize,
     /// Settings of the planners.
     pub planner: PlannerSettings,
 }
 
 impl ClosedLoopSettings {
     /// Defaults for a task and a controller. To move an object, the gripper is searched, and the planner gets subgoals,
-    /// since the last picture alone does not show the path. A search plans one model step, with [`PlannerSettings::quick`].
+    /// since the last picture alone does not show the path, unless it makes subgoals itself. A search plans one model step, with [`PlannerSettings::quick`].
     pub fn of(task: GoalKind, controller: Controller) -> Self {
         let moves_object = task != GoalKind::Reach;
+        let shows_way =
+            matches!(controller, Controller::Planner(choice) if choice.needs_subgoals());
         let default = Self::default();
         let (horizon, planner) = match controller {
             Controller::Planner(PlannerChoice::Idm) => (4, default.planner),
+            Controller::Planner(PlannerChoice::SubgoalsIdm) => (1, default.planner),
             Controller::Planner(search) => (1, PlannerSettings::quick(search)),
             _ => (default.horizon, default.planner),
         };
         Self {
             horizon,
             planner,
-            goals: if moves_object {
+            goals: if moves_object && !shows_way {
                 Goals::Subgoals
             } else {
                 Goals::Final
@@ -105,6 +112,12 @@ impl ClosedLoopSettings {
             self.patience
         );
         ensure!(self.batch > 0, "batch must be at least 1");
+        ensure!(
+            self.steps_to_goal.is_finite() && self.steps_to_goal >= 0.0,
+            "steps_to_goal must be finite and at least 0, not {}",
+            self.steps_to_goal
+        );
+        ensure!(self.subgoal_steps > 0, "subgoal_steps must be at least 1");
         Ok(())
     }
 }
@@ -125,6 +138,8 @@ impl Default for ClosedLoopSettings {
             all_steps: 0.5,
             action: 0.0,
             smoothness: 0.0,
+            steps_to_goal: 0.0,
+            subgoal_steps: 1,
             planner: PlannerSettings::default(),
         }
     }

@@ -128,11 +128,11 @@ fn every_search_costs_few_candidates_by_default() {
         settings.validate().unwrap();
         let planner = &settings.planner;
         let candidates = match choice {
-            PlannerChoice::Idm => continue,
+            PlannerChoice::Idm | PlannerChoice::SubgoalsIdm => continue,
             PlannerChoice::Cem | PlannerChoice::IdmCem => {
                 planner.cem.population * planner.cem.iterations
             }
-            PlannerChoice::Icem | PlannerChoice::IdmIcem => {
+            PlannerChoice::Icem | PlannerChoice::IdmIcem | PlannerChoice::SubgoalsIcem => {
                 planner.icem.population * planner.icem.iterations
             }
             PlannerChoice::Mppi | PlannerChoice::IdmMppi => {

@@ -36,6 +36,9 @@ pub fn summarise(windows: &[(String, WindowControl)], settings: &Settings) -> Se
         );
         return section;
     }
+    if let Some((_, found)) = searches.first() {
+        section.notes.push(searched_note(found, settings));
+    }
     section.notes.push(
         "The search of the paper starts at the true actions with a deviation of a quarter of the range, so even a model \
                      that ignores actions keeps some of the truth. For comparison: the same search from zero, and the errors of a \
@@ -43,6 +46,24 @@ pub fn summarise(windows: &[(String, WindowControl)], settings: &Settings) -> Se
             .into(),
     );
     section
+}
+
+/// What is searched, and why.
+fn searched_note(found: &RecoveredActions, settings: &Settings) -> String {
+    let searched = found.dimensions.join(", ");
+    if found.effects.is_empty() {
+        return format!("Searched dimensions: {searched}. The others keep their true values.");
+    }
+    let effects = found.effects.iter();
+    let effects: Vec<String> = effects
+        .map(|(name, effect)| format!("{name} {effect:.3}"))
+        .collect();
+    format!(
+        "Searched dimensions: {searched}, whose effect on predictions is at least {}; the others keep their true values. \
+         Effects: {}. The paper searches all: --search-dims all.",
+        settings.control.least_effect,
+        effects.join(", ")
+    )
 }
 
 fn of_horizon(
@@ -62,14 +83,19 @@ fn of_horizon(
     let mut add = |name: &str, about: &str, figure: &dyn Fn(&RecoveredActions) -> Option<f64>| {
         // Random guess and no motion depend only on the data, and costs on the latent space: they do not rank models.
         let better = match name {
-            "error" | "error_from_zero" | "error_idm" => Better::Lower,
+            "error" | "error_translations" | "error_from_zero" | "error_idm" => Better::Lower,
             _ => Better::Neither,
         };
         match mean_over_units(&values(figure), settings, better, about) {
             Some(metric) => section.metric(&format!("cem_k{k}_{name}"), metric),
             None => section.absent(
                 &format!("cem_k{k}_{name}"),
-                format!("no inverse dynamics model of {k} steps; give its file with --idm"),
+                match name {
+                    "error_translations" => "no translation is searched".to_owned(),
+                    _ => {
+                        format!("no inverse dynamics model of {k} steps; give its file with --idm")
+                    }
+                },
             ),
         }
     };
@@ -83,6 +109,17 @@ fn of_horizon(
         "error",
         "CEM error: distance to the true actions, search from the truth (the paper's)",
         &of_search(Start::Truth, |s| s.error),
+    );
+    add(
+        "error_translations",
+        "the same, over the translations",
+        &|of| {
+            let search = of
+                .searches
+                .iter()
+                .find(|search| search.start == Start::Truth)?;
+            search.translation_error
+        },
     );
     add(
         "error_from_zero",

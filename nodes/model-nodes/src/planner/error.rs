@@ -2,7 +2,8 @@
 
 use thiserror::Error;
 use wm_motion::actions::ActionError;
-use wm_planner::PlanError;
+use wm_planner::{PlanError, PlannerChoice};
+use wm_wire::latent_message::LatentError;
 
 /// Why there is no plan.
 #[derive(Debug, Error)]
@@ -23,9 +24,25 @@ pub enum PlannerError {
     },
     /// The goal has no latent, which the inverse dynamics model needs.
     #[error(
-        "the goal is words alone, which planner \"idm\" cannot plan for; expected icem, cem or mppi, alone or after idm"
+        "the goal is words alone, for which only planners that search can plan; expected icem, cem or mppi, alone or after idm"
     )]
     NoLatent,
+    /// The planner needs a model of subgoals.
+    #[error(
+        "planner {planner} needs a model of subgoals; train one with wm train subgoals, or choose another planner"
+    )]
+    NoSubgoals {
+        /// The planner.
+        planner: PlannerChoice,
+    },
+    /// The cost needs a learnt distance.
+    #[error(
+        "steps_weight is above 0, but the model has no learnt distance; train one with wm train distance"
+    )]
+    NoDistance,
+    /// A proposed subgoal that no message can hold.
+    #[error("the subgoals: {0}")]
+    Subgoals(#[from] LatentError),
     /// The settings have no JSON form.
     #[error("the plan's settings: {0}")]
     Settings(#[from] serde_json::Error),
@@ -42,8 +59,13 @@ impl PlannerError {
     pub fn reason(&self) -> &'static str {
         match self {
             Self::Action(_) => "malformed_action",
-            Self::Plan(_) | Self::Searched { .. } | Self::NoLatent | Self::Settings(_) => "no_plan",
-            Self::Model(_) => "model",
+            Self::Plan(_)
+            | Self::Searched { .. }
+            | Self::NoLatent
+            | Self::NoSubgoals { .. }
+            | Self::NoDistance
+            | Self::Settings(_) => "no_plan",
+            Self::Model(_) | Self::Subgoals(_) => "model",
         }
     }
 }

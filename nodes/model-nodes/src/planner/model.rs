@@ -1,5 +1,6 @@
 //! From a plan request to a plan.
 
+mod course;
 mod limits;
 
 use std::{
@@ -18,14 +19,18 @@ use wm_msgs::{
     wm_msgs::{Action, Plan},
 };
 use wm_planner::{
-    Coordinate, Dynamics as _, Goals, Objective, PlannedActions, PlannerChoice, PlannerSettings,
-    Problem, Progress, SearchSpace, Success, TransitionDynamics, Waypoint, WorkerCounts,
-    WorkerPool, WorkspaceMargin, goals_by_time, spread,
+    Coordinate, Goals, Objective, PlannedActions, PlannerChoice, PlannerSettings, Problem,
+    Progress, SearchSpace, StepsToGoal, Success, TransitionDynamics, Waypoint, WorkerCounts,
+    WorkerPool, WorkspaceMargin, spread,
 };
-use wm_zoo::{idm::TrainedIdm, success_probe::SuccessClassifier};
+use wm_zoo::{
+    distance::TrainedDistance, idm::TrainedIdm, subgoals::TrainedSubgoals,
+    success_probe::SuccessClassifier,
+};
 
 use super::{PlanRequest, PlannerError, PlannerSetup};
 use crate::history::model_values;
+use course::Course;
 
 /// What plans are made with.
 #[derive(Clone)]
@@ -34,6 +39,10 @@ pub struct PlannerParts {
     pub model: WorldModel,
     /// For planners that begin from what it tells.
     pub idm: Option<Arc<TrainedIdm>>,
+    /// For planners along subgoals.
+    pub subgoals: Option<Arc<TrainedSubgoals>>,
+    /// For the model steps that remain to a goal.
+    pub distance: Option<Arc<TrainedDistance>>,
     /// For goals with words.
     pub probe: Option<Arc<SuccessClassifier>>,
     /// For pictures of what plans lead to.
@@ -65,6 +74,8 @@ pub struct Planned {
     pub message: Plan,
     /// What the camera would see after its last action, where that was asked for.
     pub outcome: Option<RgbImage>,
+    /// The subgoals side by side, nearest first, where that was asked for and there are any.
+    pub subgoals: Option<RgbImage>,
 }
 
 impl fmt::Debug for PlannerModel {
@@ -92,14 +103,6 @@ struct SettingsText<'a> {
     model_hash: &'a str,
 }
 
-/// The latents that a plan is to be at, one a model step, and where along the goal's latents that begins.
-struct Course {
-    goals: Goals,
-    waypoint: Waypoint,
-    /// Of the observation to the goal's last latent.
-    distance: f32,
-}
-
 impl PlannerModel {
     /// A planner. A gripper that is searched is open or closed, nothing between.
     ///
@@ -117,6 +120,12 @@ impl PlannerModel {
         let nowhere = vec![0.0; model.space.elements()];
         let nowhere = Goals::of_values(&model.space, &[&nowhere])?;
         choice.build(&setup.settings, parts.idm.as_ref(), nowhere.latents())?;
+        if choice.needs_subgoals() && parts.subgoals.is_none() {
+            return Err(PlannerError::NoSubgoals { planner: choice });
+        }
+        if setup.steps_to_goal > 0.0 && parts.distance.is_none() {
+            return Err(PlannerError::NoDistance);
+        }
         SearchSpace::new(vec![0.0; model.encoding.action_dim()], coordinates.clone())?;
         let integration_steps = setup
             .integration_steps
@@ -172,7 +181,7 @@ impl PlannerModel {
         let mut dynamics = self.dynamics(request)?;
         let course = self.course(request, &dynamics)?;
         let space = self.space(request)?;
-        let objective = self.objective(request, &course.goals)?;
+        let objective = self.objective(request, &course)?;
         let choice = match course.goals.is_empty() {
             // Words alone: there is no latent to ask the inverse dynamics model about.
             true => self.choice.unseeded().ok_or(PlannerError::NoLatent)?,
@@ -207,6 +216,10 @@ impl PlannerModel {
             true => self.picture(&problem.outcome(&found.actions)?)?,
             false => None,
         };
+        let subgoal_pictures = match request.shows_subgoals {
+            true => self.subgoal_pictures(&course)?,
+            false => None,
+        };
         // Other seeds than those of the plans to come.
         let seeds = (1..=self.setup.spread_seeds as u64).map(|index| !request.seed ^ index);
         let seeds: Vec<u64> = seeds.collect();
@@ -223,11 +236,16 @@ impl PlannerModel {
             Ok::<_, ActionError>(values)
         });
         let actions = actions.collect::<Result<Vec<_>, _>>()?;
+        let space = &self.parts.model.space;
+        let (subgoals, subgoal_steps) = course.subgoal_messages(space, request)?;
         let message = Plan {
             planner: choice.to_string(),
             // At most as many as a goal may have.
             goal_index: course.waypoint.index as u32,
             distance: course.distance,
+            steps_to_goal: course.steps_to_goal,
+            subgoals,
+            subgoal_steps,
             terms: terms.iter().map(|&term| term.to_owned()).collect(),
             spread_costs,
             ..self.message(request, &found, actions)
@@ -237,6 +255,7 @@ impl PlannerModel {
             waypoint: course.waypoint,
             message,
             outcome,
+            subgoals: subgoal_pictures,
         })
     }
 
@@ -270,55 +289,15 @@ impl PlannerModel {
         Ok(space)
     }
 
-    /// The latents to reach from where `dynamics` begins.
-    fn course(
-        &self,
-        request: &PlanRequest,
-        dynamics: &TransitionDynamics<'_>,
-    ) -> Result<Course, PlannerError> {
-        let space = &self.parts.model.space;
-        let goal = &request.goal;
-        let values: Vec<&[f32]> = goal.latents.iter().map(|latent| &**latent).collect();
-        let latents = Goals::of_values(space, &values)?;
-        if latents.is_empty() {
-            return Ok(Course {
-                goals: latents,
-                waypoint: request.waypoint,
-                distance: f32::NAN,
-            });
-        }
-        let observed = Goals::of_values(space, &[&request.moment.observed.values])?;
-        let distance = latents.distance(&observed)?;
-        let horizon = self.setup.horizon;
-        let (goals, waypoint) = if goal.times_ns.is_empty() {
-            let waypoint = request.waypoint.advance(
-                request.passed_steps,
-                latents.latents(),
-                &dynamics.start()?,
-                self.setup.arrival,
-            )?;
-            (latents.one_per_step(waypoint.index, horizon), waypoint)
-        } else {
-            let begin_ns = request.begin_ns().saturating_sub(request.goal_set_ns);
-            let step_ns = request.moment.timing.step_ns();
-            let indices = goals_by_time(&goal.times_ns, begin_ns, step_ns, horizon);
-            let waypoint = Waypoint {
-                // The first goal, if no step of the horizon has one.
-                index: indices.first().copied().unwrap_or_default(),
-                steps: 0.0,
-            };
-            (latents.at(&indices), waypoint)
-        };
-        Ok(Course {
-            goals,
-            waypoint,
-            distance,
-        })
-    }
-
-    fn objective(&self, request: &PlanRequest, goals: &Goals) -> Result<Objective, PlannerError> {
+    fn objective(&self, request: &PlanRequest, course: &Course) -> Result<Objective, PlannerError> {
         let (weights, mask) = (&self.setup.weights, request.goal.mask.as_deref());
-        let mut objective = weights.objective(goals.latents(), mask)?;
+        let mut objective = weights.objective(course.goals.latents(), mask)?;
+        if let (Some(distance), Some(goal)) =
+            (&self.parts.distance, course.latents.latents().last())
+        {
+            let steps = StepsToGoal::new(Arc::clone(distance), goal.clone());
+            objective = objective.and(self.setup.steps_to_goal, steps);
+        }
         if let (Some(probe), Some(instruction)) = (&self.parts.probe, &request.goal.instruction) {
             let observed = self.parts.model.space.stack(&request.moment.context())?;
             let success = Success::new(Arc::clone(probe), (**instruction).clone(), observed);
@@ -412,11 +391,11 @@ fn used(
         used.insert("idm", serde_json::to_value(&settings.idm)?);
     }
     match choice {
-        PlannerChoice::Idm => None,
+        PlannerChoice::Idm | PlannerChoice::SubgoalsIdm => None,
         PlannerChoice::Cem | PlannerChoice::IdmCem => {
             used.insert("cem", serde_json::to_value(&settings.cem)?)
         }
-        PlannerChoice::Icem | PlannerChoice::IdmIcem => {
+        PlannerChoice::Icem | PlannerChoice::IdmIcem | PlannerChoice::SubgoalsIcem => {
             used.insert("icem", serde_json::to_value(&settings.icem)?)
         }
         PlannerChoice::Mppi | PlannerChoice::IdmMppi => {

@@ -61,6 +61,8 @@ wm_ros::endpoints! {
         actions: ActionServer<PlanAction> = "~/plan";
         /// What the camera would see after the last of them, stamped with that time. Made while somebody subscribes.
         outcomes: ImagePublisher = "plan/image", qos(Qos::reliable(4));
+        /// The subgoals of a plan side by side, nearest first. Made while somebody subscribes.
+        subgoals: ImagePublisher = "plan/subgoals/image", qos(Qos::reliable(4));
         /// The way of the end effector (ns plan), where ee_pose is heard. Made while somebody subscribes.
         shapes: Publisher<MarkerArray> = "markers", qos(Qos::reliable(4));
     }
@@ -79,6 +81,7 @@ struct Finished {
     request: PlanRequest,
     planned: Result<Planned, PlannerError>,
     pictures: Option<Pictures>,
+    subgoals: Option<Pictures>,
     taken: Duration,
 }
 
@@ -139,6 +142,8 @@ impl ModelNode for Planner {
         let parts = PlannerParts {
             model,
             idm: folder.idm()?.map(Arc::new),
+            subgoals: folder.subgoals()?.map(Arc::new),
+            distance: folder.distance()?.map(Arc::new),
             probe: probe.clone(),
             decoder: folder
                 .decoder()?
@@ -176,14 +181,19 @@ impl ModelNode for Planner {
                 stop.is_asked() || is_late()
             });
             let taken = started.elapsed();
-            let pictures = planned
-                .as_ref()
-                .ok()
-                .and_then(|planned| pictures(planned, transports));
+            let planned_pictures = |of: fn(&Planned, Transports) -> Option<Pictures>| {
+                let planned = planned.as_ref().ok();
+                planned.and_then(|planned| of(planned, transports))
+            };
+            let (pictures, subgoals) = (
+                planned_pictures(outcome_pictures),
+                planned_pictures(subgoal_pictures),
+            );
             Finished {
                 request,
                 planned,
                 pictures,
+                subgoals,
                 taken,
             }
         })
@@ -248,15 +258,17 @@ impl ModelNode for Planner {
             plans,
             actions,
             outcomes,
+            subgoals,
             shapes,
         } = &mut *at.endpoints;
+        let shown = Shown { outcomes, subgoals };
         loop {
             tokio::select! {
                 biased;
                 finished = self.searches.finished() => {
                     self.is_searching = false;
-                    self.planned(finished.context("the planner's thread")?, plans, outcomes, shapes)?;
-                    self.plan(outcomes);
+                    self.planned(finished.context("the planner's thread")?, plans, &shown, shapes)?;
+                    self.plan(&shown);
                 }
                 end = ActionRun::over(self.action.as_ref()) => self.end(end)?,
                 Some(progress) = self.progress.recv() => {
@@ -272,7 +284,7 @@ impl ModelNode for Planner {
                         match goal {
                             Ok(goal) => {
                                 self.step.set_goal(goal, at.node.now());
-                                self.plan(outcomes);
+                                self.plan(&shown);
                             }
                             Err(error) => self.end(End::Aborted(format!("goal: {error}")))?,
                         }
@@ -282,7 +294,7 @@ impl ModelNode for Planner {
                     let Some(goal) = goal? else { return Ok(()) };
                     self.end(End::Aborted("a newer goal came on a topic".to_owned()))?;
                     self.step.set_goal(goal, at.node.now());
-                    self.plan(outcomes);
+                    self.plan(&shown);
                 }
                 Some(pose) = poses.recv() => {
                     if !self.step.pose(&pose.message, pose.at) {
@@ -293,7 +305,7 @@ impl ModelNode for Planner {
                     let Some(event) = event else { return Ok(()) };
                     let outcome = self.follower.apply(event, &mut self.step, &mut self.complaints);
                     if let Some(Outcome::Latent(())) = outcome {
-                        self.plan(outcomes);
+                        self.plan(&shown);
                     }
                 }
             }
@@ -301,8 +313,22 @@ impl ModelNode for Planner {
     }
 }
 
+/// Where a plan's pictures go.
+struct Shown<'a> {
+    outcomes: &'a ImagePublisher,
+    subgoals: &'a ImagePublisher,
+}
+
+/// The pictures of the subgoals, if there are any.
+fn subgoal_pictures(planned: &Planned, transports: Transports) -> Option<Pictures> {
+    let picture = planned.subgoals.as_ref()?;
+    let header = planned.message.header.clone();
+    // As in `outcome_pictures`.
+    Pictures::encode(picture, header, transports, JPEG_QUALITY).ok()
+}
+
 /// The predicted pictures at the end of a plan, if it has an outcome.
-fn pictures(planned: &Planned, transports: Transports) -> Option<Pictures> {
+fn outcome_pictures(planned: &Planned, transports: Transports) -> Option<Pictures> {
     let outcome = planned.outcome.as_ref()?;
     let message = &planned.message;
     let mut header = message.header.clone();
@@ -320,7 +346,7 @@ fn pictures(planned: &Planned, transports: Transports) -> Option<Pictures> {
 
 impl Planner {
     /// Starts a search if one is due, or reports what it waits for.
-    fn plan(&mut self, outcomes: &ImagePublisher) {
+    fn plan(&mut self, shown: &Shown<'_>) {
         if self.is_searching {
             // The next search starts at the end of this one, from the newest frame.
             self.is_behind |= !self.period.is_zero() && self.step.is_due();
@@ -328,7 +354,8 @@ impl Planner {
         }
         match self.step.request(Instant::now()) {
             Ok(mut request) => {
-                request.is_shown = outcomes.subscribers() > 0;
+                request.is_shown = shown.outcomes.subscribers() > 0;
+                request.shows_subgoals = shown.subgoals.subscribers() > 0;
                 request.is_followed = self.action.is_some();
                 self.complaints.working("planning");
                 self.count_missed_plans(&request);
@@ -408,13 +435,14 @@ impl Planner {
         &mut self,
         finished: Finished,
         plans: &Publisher<Plan>,
-        outcomes: &ImagePublisher,
+        shown: &Shown<'_>,
         shapes: &Publisher<MarkerArray>,
     ) -> Result<()> {
         let Finished {
             request,
             planned,
             pictures,
+            subgoals,
             taken,
         } = finished;
         let planned = match planned {
@@ -448,7 +476,10 @@ impl Planner {
             plans.publish(&plan)?;
         }
         if let Some(pictures) = pictures {
-            outcomes.publish(&pictures)?;
+            shown.outcomes.publish(&pictures)?;
+        }
+        if let Some(subgoals) = subgoals {
+            shown.subgoals.publish(&subgoals)?;
         }
         if let Some(begin) = request.position.filter(|_| shapes.subscribers() > 0)
             && let Some(made) = markers(&plan, begin, self.step.action_space())

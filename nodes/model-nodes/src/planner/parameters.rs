@@ -27,7 +27,7 @@ wm_ros::parameters! {
         /// Image transport of the goal image and of the picture of what a plan leads to.
         pub(super) image_transport: Transports = "both";
         /// The planner: cem, icem, mppi, idm (what the inverse dynamics model tells), or one of the first three from what
-        /// that tells, as idm+icem. auto: idm+icem if the model has an inverse dynamics model, else icem.
+        /// that tells, as idm+icem. subgoals+idm and subgoals+icem do so along subgoals, which the model proposes. auto: idm+icem if the model has an inverse dynamics model, else icem.
         planner: Named = "auto", one_of {
             "auto" => Named(None),
             "cem" => Named(Some(PlannerChoice::Cem)),
@@ -37,6 +37,8 @@ wm_ros::parameters! {
             "idm+cem" => Named(Some(PlannerChoice::IdmCem)),
             "idm+icem" => Named(Some(PlannerChoice::IdmIcem)),
             "idm+mppi" => Named(Some(PlannerChoice::IdmMppi)),
+            "subgoals+idm" => Named(Some(PlannerChoice::SubgoalsIdm)),
+            "subgoals+icem" => Named(Some(PlannerChoice::SubgoalsIcem)),
         };
         /// Candidates per iteration; in icem of the first one, with fewer in each later one.
         population: usize = 16, in 2..=MANY;
@@ -72,6 +74,10 @@ wm_ros::parameters! {
         smoothness_weight: f64 = 0.0, in 0.0..=1e6;
         /// Weight of the improbability of success, by the model's success probe, for goals with an instruction.
         success_weight: f64 = 0.0, in 0.0..=1e6;
+        /// Weight of the model steps that remain from the plan's end to the goal, by the model's learnt distance.
+        steps_weight: f64 = 0.0, in 0.0..=1e6;
+        /// Euler steps with which subgoals are sampled by the plan's seed; 1: the expected subgoals.
+        subgoal_steps: usize = 1, in 1..=100;
         /// Of several goals, one is reached when its distance is below this share of that to the next one.
         goal_arrival: f64 = 0.3, in 0.0..=1.0;
         /// Of several goals, for how long one is tried before the next one is [s].
@@ -172,6 +178,8 @@ impl Parameters {
                 smoothness: self.smoothness_weight as f32,
             },
             success: self.success_weight as f32,
+            steps_to_goal: self.steps_weight as f32,
+            subgoal_steps: self.subgoal_steps,
             spread_seeds: self.spread_seeds,
             arrival: Arrival {
                 share: self.goal_arrival as f32,

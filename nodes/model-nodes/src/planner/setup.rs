@@ -21,6 +21,10 @@ pub struct PlannerSetup {
     pub weights: Weights,
     /// Weight of the improbability of success, for goals with words.
     pub success: f32,
+    /// Weight of the model steps that remain from the plan's end to the goal, by the model's learnt distance.
+    pub steps_to_goal: f32,
+    /// Euler steps with which subgoals are sampled; 1 for the expected ones.
+    pub subgoal_steps: usize,
     /// Seeds that the plan's cost is predicted under besides its own, for its spread.
     pub spread_seeds: usize,
     /// When one of several goals gives way to the next.

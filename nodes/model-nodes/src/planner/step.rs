@@ -79,6 +79,8 @@ pub struct PlanRequest {
     pub seed: u64,
     /// Whether to make a picture of the plan's result.
     pub is_shown: bool,
+    /// Whether to make pictures of the subgoals.
+    pub shows_subgoals: bool,
     /// Whether to report the progress of the search.
     pub is_followed: bool,
 }
@@ -360,6 +362,7 @@ impl PlannerStep {
             start: None,
             seed: self.seed,
             is_shown: false,
+            shows_subgoals: false,
             is_followed: false,
         };
         request.start = self.last.as_ref().and_then(|last| {

@@ -13,5 +13,5 @@ mod watch;
 
 pub use node::NODE;
 
-use shots::Shots;
+use shots::{Imagined, Shots};
 use watch::EpisodeWatch;

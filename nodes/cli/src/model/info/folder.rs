@@ -4,7 +4,7 @@ use anyhow::Result;
 use serde_json::{Value, json};
 use std::fmt;
 use wm_model::LatentSpace;
-use wm_zoo::{Error, IDM_FILE, ModelFolder, PROBE_FILE, Unfinished};
+use wm_zoo::{DISTANCE_FILE, Error, IDM_FILE, ModelFolder, PROBE_FILE, SUBGOALS_FILE, Unfinished};
 
 /// A model; reads only the encoder's weights.
 pub(super) struct Folder {
@@ -48,6 +48,20 @@ impl Folder {
                     there(
                         has(IDM_FILE)?,
                         "the planners idm and idm+... do not work with it",
+                    ),
+                ),
+                (
+                    "subgoals",
+                    there(
+                        has(SUBGOALS_FILE)?,
+                        "the planners subgoals+... do not work with it",
+                    ),
+                ),
+                (
+                    "distance",
+                    there(
+                        has(DISTANCE_FILE)?,
+                        "plans do not tell the model steps to their goal",
                     ),
                 ),
                 (

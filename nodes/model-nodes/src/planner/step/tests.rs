@@ -40,6 +40,8 @@ fn searching(setup: PlannerSetup, searched: &[&str]) -> Result<PlannerModel, Pla
     let parts = PlannerParts {
         model: world_model(),
         idm: None,
+        subgoals: None,
+        distance: None,
         probe: None,
         decoder: None,
         workers: None,
@@ -72,6 +74,8 @@ fn settings() -> PlannerSetup {
         batch: 64,
         weights: Weights::default(),
         success: 0.0,
+        steps_to_goal: 0.0,
+        subgoal_steps: 1,
         spread_seeds: 0,
         arrival: Arrival::default(),
         integration_steps: Some(1),

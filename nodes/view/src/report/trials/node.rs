@@ -58,6 +58,8 @@ wm_ros::endpoints! {
         goals: ImageSubscription = "goal/image", made(ImageSubscription::catching_up);
         /// What it would see after the plan.
         outcomes: ImageSubscription = "plan/image", qos(Qos::best_effort(8));
+        /// Its subgoals.
+        subgoals: ImageSubscription = "plan/subgoals/image", qos(Qos::best_effort(8));
         /// Plans.
         plans: Subscription<Plan> = "plan", qos(Qos::reliable(64));
         /// What is missing to the goal [m].
@@ -254,6 +256,11 @@ impl Trials {
                     watch.outcome(picture);
                 }
             }
+            Some(subgoals) = endpoints.subgoals.recv() => {
+                if let Some(picture) = decoded(&subgoals.message) {
+                    watch.subgoals(picture);
+                }
+            }
             frame = endpoints.frames.recv() => {
                 let frame = frame.ok_or_else(ended)?.message;
                 watch.frame(frame.header().stamp.to_nanos(), || decoded(&frame));
@@ -285,5 +292,6 @@ async fn begin(at: &mut Setup<Trials>, task: &Task, seed: u64) -> Result<()> {
     endpoints.plans.recv().await.ok_or_else(ended)?;
     while endpoints.distances.try_recv().is_some() {}
     while endpoints.outcomes.try_recv().is_some() {}
+    while endpoints.subgoals.try_recv().is_some() {}
     endpoints.setting.arm(true).await
 }

@@ -7,15 +7,24 @@ use image::RgbImage;
 /// The most shots: then every second one is removed, and the sampling rate halved.
 const MOST: usize = 32;
 
-/// A camera picture and the imagined outcome.
+/// Pictures of the newest plan; none before the first one.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Imagined {
+    /// Its outcome.
+    pub outcome: Option<Arc<RgbImage>>,
+    /// Its subgoals side by side, nearest first; none if the planner makes none.
+    pub subgoals: Option<Arc<RgbImage>>,
+}
+
+/// A camera picture and what was imagined then.
 #[derive(Clone, Debug)]
 pub(crate) struct Shot {
     /// Since the episode's first shot \[s\].
     pub time_s: f64,
     /// The camera's picture.
     pub seen: RgbImage,
-    /// The imagined outcome of the newest plan; none before the first plan.
-    pub imagined: Option<Arc<RgbImage>>,
+    /// The pictures of the newest plan.
+    pub imagined: Imagined,
 }
 
 /// Shots of an episode, evenly over its duration.
@@ -45,7 +54,7 @@ impl Shots {
         &mut self,
         stamp_ns: i64,
         seen: impl FnOnce() -> Option<RgbImage>,
-        imagined: Option<&Arc<RgbImage>>,
+        imagined: &Imagined,
     ) {
         let is_due = self.frames.is_multiple_of(self.stride);
         self.frames += 1;
@@ -57,7 +66,7 @@ impl Shots {
         self.shots.push(Shot {
             time_s: stamp_ns.saturating_sub(first_ns) as f64 / 1e9,
             seen,
-            imagined: imagined.cloned(),
+            imagined: imagined.clone(),
         });
         if self.shots.len() == MOST {
             let mut index = 0;
@@ -90,7 +99,8 @@ mod tests {
         let mut shots = Shots::default();
         let mut most = 0;
         for frame in 0..1000_i64 {
-            shots.take(frame * 1_000_000_000, || Some(RgbImage::new(1, 1)), None);
+            let seen = || Some(RgbImage::new(1, 1));
+            shots.take(frame * 1_000_000_000, seen, &Imagined::default());
             most = most.max(shots.shots.len());
         }
         assert!(most < MOST);

@@ -7,7 +7,7 @@ use wm_metrics::findings::{Episode, PlanTime};
 use wm_msgs::wm_msgs::Plan;
 use wm_sim::FRAME_PERIOD_NS;
 
-use super::Shots;
+use super::{Imagined, Shots};
 
 /// An episode since the executor was armed.
 #[derive(Clone, Debug)]
@@ -21,7 +21,7 @@ pub(crate) struct EpisodeWatch {
     plans: Vec<PlanTime>,
     /// Of the newest plan: the planner's name and the duration of a step \[ns\].
     planner: Option<(String, i64)>,
-    imagined: Option<Arc<RgbImage>>,
+    imagined: Imagined,
     shots: Shots,
 }
 
@@ -36,7 +36,7 @@ impl EpisodeWatch {
             distance_m: f64::NAN,
             plans: Vec::new(),
             planner: None,
-            imagined: None,
+            imagined: Imagined::default(),
             shots: Shots::default(),
         }
     }
@@ -73,12 +73,17 @@ impl EpisodeWatch {
 
     /// Takes a picture of the newest plan's outcome.
     pub(crate) fn outcome(&mut self, picture: RgbImage) {
-        self.imagined = Some(Arc::new(picture));
+        self.imagined.outcome = Some(Arc::new(picture));
+    }
+
+    /// Takes the newest plan's subgoals side by side.
+    pub(crate) fn subgoals(&mut self, picture: RgbImage) {
+        self.imagined.subgoals = Some(Arc::new(picture));
     }
 
     /// Takes a camera frame. `seen` decodes it if it is kept.
     pub(crate) fn frame(&mut self, stamp_ns: i64, seen: impl FnOnce() -> Option<RgbImage>) {
-        self.shots.take(stamp_ns, seen, self.imagined.as_ref());
+        self.shots.take(stamp_ns, seen, &self.imagined);
     }
 
     /// The planner's name after the first plan, and the duration of a model step \[ms\].

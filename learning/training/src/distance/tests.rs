@@ -1,0 +1,92 @@
+use candle_core::Device;
+
+use super::{arguments::train_on, *};
+use crate::{
+    arguments::tests::run_in,
+    recipe::{Span, tests::bundled},
+    run::{Stop, tests::expect_same_bytes_after_pause},
+    transition::tests::moving,
+};
+
+/// A small recipe for the episodes of [`moving`], with one camera frame per model step.
+fn small(steps: u64) -> DistanceRecipe {
+    let settings = [
+        "batch=16",
+        "micro_batch=8",
+        "longest=10",
+        "model.width=8",
+        "model.hidden=16",
+        "optimisation.ema_decay=0.9",
+    ];
+    let recipe: DistanceRecipe = bundled("tiny", &settings);
+    DistanceRecipe {
+        length: Span::Steps(steps),
+        ..recipe
+    }
+}
+
+fn train(out: &Path, recipe: &DistanceRecipe, latents: (&Latents, Option<&Latents>)) -> Result<()> {
+    train_on(&run_in(out), recipe, 1, latents, &Stop::default()).map(drop)
+}
+
+#[test]
+fn far_goals_are_farther_than_near_ones() {
+    let dir = tempfile::tempdir().unwrap();
+    let (data, held_out) = (moving(dir.path(), 200, 1), moving(dir.path(), 30, 2));
+    train(dir.path(), &small(400), (&data, Some(&held_out))).unwrap();
+    let weights = Weights::open(dir.path().join(FILE)).unwrap();
+    let model = TrainedDistance::from_weights(weights).unwrap();
+    assert_eq!(model.space(), data.space());
+    let ways = HindsightSource::new(&held_out, 1, 10).unwrap();
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let (mut near, mut far) = (0.0, 0.0);
+    for _ in 0..200 {
+        let way = ways.draw(&mut rng);
+        let near_goal = ways.on_the_way(way, 1);
+        let rows = [vec![way.present, near_goal], vec![way.present, way.goal]];
+        let found = model.steps(&ways.tensor(&rows).unwrap()).unwrap();
+        for quantiles in &found {
+            assert!(quantiles.is_sorted(), "{quantiles:?}");
+        }
+        near += found[0][1];
+        far += found[1][1];
+    }
+    assert!(1.3 * near < far, "{near} and {far}");
+}
+
+#[test]
+fn paused_training_gives_the_same_bytes() {
+    let dir = tempfile::tempdir().unwrap();
+    let latents = moving(dir.path(), 4, 1);
+    let train = |out: &Path, steps| {
+        let mut recipe = small(steps);
+        recipe.optimisation.final_rate = 1.0;
+        train(out, &recipe, (&latents, None)).unwrap();
+    };
+    let files = [FILE, "distance.checkpoint.safetensors"];
+    expect_same_bytes_after_pause(&dir.path().join("paused"), &files, [2, 4], train);
+}
+
+#[test]
+fn unusable_shares_are_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let latents = moving(dir.path(), 2, 1);
+    let recipe = DistanceRecipe {
+        others: 0.8,
+        same: 0.3,
+        ..small(1)
+    };
+    let error = train(dir.path(), &recipe, (&latents, None)).unwrap_err();
+    assert!(error.to_string().contains("others is 0.8"), "{error}");
+}
+
+/// By hand: each error, weighted by the quantile above the truth and by its complement below.
+#[test]
+fn pinball_loss_weighs_both_sides() {
+    let on = &Device::Cpu;
+    let found = Tensor::new(&[[1.0_f32, 1.0], [4.0, 4.0]], on).unwrap();
+    let truth = Tensor::new(&[[3.0_f32], [2.0]], on).unwrap();
+    let loss = pinball(&found, &truth, &[0.1, 0.5]).unwrap();
+    let expected = (0.1 * 2.0 + 0.5 * 2.0 + 0.9 * 2.0 + 0.5 * 2.0) / 4.0;
+    assert!((loss.to_scalar::<f32>().unwrap() - expected).abs() < 1e-6);
+}
