@@ -1,7 +1,8 @@
 //! Training of the model of subgoals: what comes between the present latent and a goal, at growing distances.
 //!
-//! Goals are later frames of the same episode. Of each batch, a part learns the expected subgoals (mean squared error), the
-//! rest flow matching from noise. Errors of each distance count relative to those of persistence.
+//! Flow matching by the transition model's objective, on clips of the goal, the present frame and the subgoals. Goals
+//! are later frames of the same episode. The weights start from those of the encoder's transition model where they fit:
+//! it knows already how the robot and objects look in latents.
 
 mod arguments;
 mod recipe;
@@ -9,25 +10,29 @@ mod recipe;
 use std::path::Path;
 
 use anyhow::{Context as _, Result, ensure};
-use candle_core::Tensor;
-use rand::{Rng as _, SeedableRng as _};
+use candle_core::{Device, Tensor};
+use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 use wm_dataset::Latents;
 use wm_evaluation::Figure;
-use wm_model::Weights;
+use wm_model::{
+    Weights,
+    transition::{CONFIG_KEY, Transition, TransitionConfig, WeightGradients},
+};
 use wm_zoo::{
     SUBGOALS_FILE as FILE,
-    subgoals::{SUBGOALS_KEY, SubgoalNetwork, SubgoalSampling, TrainedSubgoals},
+    subgoals::{SUBGOALS_KEY, SubgoalConfig, SubgoalSampling, TrainedSubgoals, condition},
 };
 
 use crate::{
     arguments::RunArgs,
+    fresh_weights::FreshWeights,
     hindsight::{Hindsight, HindsightSource},
     network_variables::{NetworkLearner, NetworkVariables},
     optimiser::ParameterValues,
     run::Task,
     trained_weights::trained_weights,
-    transition::normals,
+    transition::{Batch, Objective, trainable},
     workers::BatchLoss,
 };
 pub use arguments::TrainSubgoalsArgs;
@@ -35,130 +40,82 @@ pub(crate) use arguments::frame_skip;
 pub use recipe::{SubgoalModelRecipe, SubgoalRecipe};
 
 /// Ways of evaluations during the training, and at its end.
-const QUICK_WAYS: usize = 64;
-const ALL_WAYS: usize = 500;
-/// Ways from which the error of persistence is estimated.
-const PERSISTENCE_WAYS: usize = 256;
+const QUICK_WAYS: usize = 48;
+const ALL_WAYS: usize = 400;
 /// Seed of these ways.
 const VALIDATION_SEED: u64 = 7;
-/// Noise level at which the weight of an error stops rising to that of a velocity's, 1 / tau^2.
-const SOFTENING: f64 = 0.4;
 
 /// A model of subgoals in training.
 struct SubgoalTask<'a> {
-    recipe: &'a SubgoalRecipe,
+    config: TransitionConfig,
+    subgoals: SubgoalConfig,
+    objective: Objective,
     train: &'a Latents,
     ways: HindsightSource<'a>,
     held_out: Option<HindsightSource<'a>>,
-    /// Weight of each distance, (1, K, 1, 1, 1): the inverse error of persistence.
-    weights: Tensor,
     variables: NetworkVariables,
-    model: SubgoalNetwork,
+    model: Transition,
     /// The model written last.
     written: Option<TrainedSubgoals>,
 }
 
 impl<'a> SubgoalTask<'a> {
     fn new(
-        recipe: &'a SubgoalRecipe,
-        frame_skip: usize,
+        recipe: &SubgoalRecipe,
+        (frame_skip, fresh): (usize, FreshWeights),
         (train, held_out): (&'a Latents, Option<&'a Latents>),
         run: &RunArgs,
     ) -> Result<Self> {
-        crate::recipe::check_batch(recipe.batch, recipe.micro_batch)?;
-        ensure!(
-            (0.0..=1.0).contains(&recipe.expected),
-            "expected is {}, which must be a share of the samples",
-            recipe.expected
-        );
-        let config = recipe.config(train.space(), frame_skip);
-        let fresh = run.fresh_weights(FILE, recipe.seed)?;
-        let model = SubgoalNetwork::load(&config, &fresh.loader())?;
-        let farthest = config.distances.last().copied().unwrap_or_default();
+        let subgoals = SubgoalConfig {
+            distances: recipe.distances.clone(),
+        };
+        subgoals.validate()?;
+        let farthest = recipe.distances.last().copied().unwrap_or_default();
         ensure!(
             recipe.longest >= farthest,
             "longest is {}, but the farthest subgoal is {farthest} model steps away",
             recipe.longest
         );
+        let config = recipe.config(train, &subgoals, frame_skip)?;
+        let model = trainable(&config, &fresh, recipe.seed)?;
         let ways = |latents| HindsightSource::new(latents, frame_skip, recipe.longest);
-        let mut task = Self {
+        Ok(Self {
+            objective: recipe.objective(&config)?,
             ways: ways(train)?.on(&run.device()?),
             held_out: held_out
                 .map(|latents| ways(latents).context("the held-out bags"))
                 .transpose()?,
-            recipe,
+            config,
+            subgoals,
             train,
-            weights: Tensor::ones((1, 1, 1, 1, 1), candle_core::DType::F32, &run.device()?)?,
-            variables: NetworkVariables::fresh(fresh, recipe, run)?,
+            // Weights of the transition model have to change as much as the new ones.
+            variables: NetworkVariables::new(fresh.into_variables().0, recipe, run)?,
             model,
             written: None,
-        };
-        task.weights = task.persistence()?.recip()?;
-        Ok(task)
+        })
     }
 
-    /// Mean squared change from the present frame to each subgoal, (1, K, 1, 1, 1).
-    fn persistence(&self) -> Result<Tensor> {
-        let mut rng = ChaCha8Rng::seed_from_u64(self.recipe.seed);
-        let ways: Vec<_> = (0..PERSISTENCE_WAYS)
-            .map(|_| self.ways.draw(&mut rng))
-            .collect();
-        let frames = self.tensor(&self.ways, &ways)?;
-        let subgoals = frames.narrow(1, 2, self.distances().len())?;
-        let change = subgoals.broadcast_sub(&frames.narrow(1, 1, 1)?)?.sqr()?;
-        let means = change.mean_keepdim((0, 2, 3, 4))?;
-        // A still data set has no change.
-        Ok((means + 1e-6)?)
+    /// Goal, present frame and subgoals.
+    fn frames(&self, ways: &HindsightSource<'_>, way: Hindsight) -> Vec<usize> {
+        let subgoals = self.subgoals.distances.iter();
+        let subgoals = subgoals.map(|steps| ways.on_the_way(way, *steps));
+        [way.goal, way.present]
+            .into_iter()
+            .chain(subgoals)
+            .collect()
     }
 
-    fn distances(&self) -> &[usize] {
-        &self.model.config().distances
-    }
-
-    /// Goal, present frame and subgoals, (B, 2 + K, h, w, C).
-    fn tensor(&self, source: &HindsightSource<'_>, ways: &[Hindsight]) -> Result<Tensor> {
-        let rows = ways.iter().map(|way| {
-            let subgoals = self.distances().iter();
-            let subgoals = subgoals.map(|steps| source.on_the_way(*way, *steps));
-            [way.goal, way.present]
-                .into_iter()
-                .chain(subgoals)
-                .collect()
-        });
-        source.tensor(&rows.collect::<Vec<_>>())
-    }
-
-    fn loss(&self, rng: &mut ChaCha8Rng) -> Result<Tensor> {
-        let samples = self.recipe.micro_batch;
-        let ways: Vec<_> = (0..samples).map(|_| self.ways.draw(rng)).collect();
-        let frames = self.tensor(&self.ways, &ways)?;
-        let device = frames.device();
-        let given = frames.narrow(1, 0, 2)?;
-        let noise = normals(given.dims(), device, rng)?;
-        let given = (given + (noise * self.recipe.latent_noise)?)?;
-        let truth = frames.narrow(1, 2, self.distances().len())?.contiguous()?;
-        // Noise level, share of noise and weight of each sample.
-        let drawn = (0..samples).map(|_| {
-            let tau: f64 = rng.random();
-            match rng.random_bool(self.recipe.expected) {
-                true => (1.0, 0.0, 1.0),
-                false => (tau, tau, 1.0 / (tau * tau + SOFTENING * SOFTENING)),
-            }
-        });
-        let drawn: Vec<(f64, f64, f64)> = drawn.collect();
-        let column = |of: fn(&(f64, f64, f64)) -> f64| -> Result<Tensor> {
-            let values: Vec<f32> = drawn.iter().map(|each| of(each) as f32).collect();
-            Ok(Tensor::from_vec(values, (samples, 1, 1, 1, 1), device)?)
-        };
-        let (tau, share, weight) = (column(|d| d.0)?, column(|d| d.1)?, column(|d| d.2)?);
-        let clean = truth.broadcast_mul(&(1.0 - &tau)?)?;
-        let noise = normals(truth.dims(), device, rng)?;
-        let noised = (clean + noise.broadcast_mul(&share)?)?;
-        let way = (&given.get_on_dim(1, 1)?, &given.get_on_dim(1, 0)?);
-        let found = self.model.forward(way, (&noised, &tau.flatten_all()?))?;
-        let error = (found - truth)?.sqr()?;
-        let error = error.broadcast_mul(&self.weights)?.broadcast_mul(&weight)?;
-        Ok(error.mean_all()?)
+    /// Conditions (B, n, 1) that lead from each frame to the next.
+    fn conditions(&self, samples: usize, device: &Device) -> Result<Tensor> {
+        let distances = self.subgoals.distances.iter();
+        let values = std::iter::once(0.0)
+            .chain(distances.map(|distance| condition(*distance)))
+            // From the last frame, to none.
+            .chain([0.0]);
+        let values: Vec<f32> = values.collect();
+        let row = Tensor::new(values.as_slice(), device)?;
+        let frames = self.subgoals.frames();
+        Ok(row.reshape((1, frames, 1))?.repeat((samples, 1, 1))?)
     }
 }
 
@@ -168,7 +125,18 @@ impl NetworkLearner for SubgoalTask<'_> {
     }
 
     fn batch_loss(&self, _step: u64, rng: &mut ChaCha8Rng) -> Result<BatchLoss> {
-        Ok(BatchLoss::from(self.loss(rng)?))
+        let samples = self.objective.micro_batch;
+        let rows = (0..samples).map(|_| self.frames(&self.ways, self.ways.draw(rng)));
+        let latents = self.ways.tensor(&rows.collect::<Vec<_>>())?;
+        let conditions = self.conditions(samples, latents.device())?;
+        let gradients = WeightGradients::default();
+        let model = self.model.collecting(&gradients);
+        let batch = Batch::of(&self.objective, &model, (&latents, &conditions), rng)?;
+        let loss = batch.loss_after(&model, false, self.objective.recipe.history)?;
+        Ok(BatchLoss {
+            gradients,
+            ..BatchLoss::from(loss)
+        })
     }
 }
 
@@ -187,8 +155,10 @@ impl Task for SubgoalTask<'_> {
         folder: &Path,
     ) -> Result<()> {
         let path = folder.join(FILE);
-        let (config, space) = ((SUBGOALS_KEY, self.model.config()), self.train.space());
-        trained_weights(averaged, config, Some(space))?.write(&path)?;
+        let (config, space) = ((CONFIG_KEY, &self.config), self.train.space());
+        let mut weights = trained_weights(averaged, config, Some(space))?;
+        weights.metadata(SUBGOALS_KEY, serde_json::to_string(&self.subgoals)?);
+        weights.write(&path)?;
         // From exactly the written file.
         self.written = Some(TrainedSubgoals::from_weights(Weights::open(&path)?)?);
         Ok(())
@@ -201,11 +171,11 @@ impl Task for SubgoalTask<'_> {
         };
         let count = if thorough { ALL_WAYS } else { QUICK_WAYS };
         let mut rng = ChaCha8Rng::seed_from_u64(VALIDATION_SEED);
-        let mut errors = vec![(0.0, 0.0); self.distances().len()];
+        let distances = &self.subgoals.distances;
+        let mut errors = vec![(0.0, 0.0); distances.len()];
         for _ in 0..count {
-            let frames = self
-                .tensor(held_out, &[held_out.draw(&mut rng)])?
-                .squeeze(0)?;
+            let way = held_out.draw(&mut rng);
+            let frames = held_out.tensor(&[self.frames(held_out, way)])?.squeeze(0)?;
             let (goal, present) = (frames.get(0)?, frames.get(1)?);
             let found = model.propose(&present, &goal, SubgoalSampling::Expected)?;
             for (index, (found, errors)) in found.iter().zip(&mut errors).enumerate() {
@@ -214,7 +184,7 @@ impl Task for SubgoalTask<'_> {
                 errors.1 += squared_error(&present, &truth)?;
             }
         }
-        let figures = self.distances().iter().zip(errors);
+        let figures = distances.iter().zip(errors);
         Ok(figures
             .map(|(distance, (own, persistence))| {
                 Figure::new(format!("ratio_k{distance}"), own / persistence)

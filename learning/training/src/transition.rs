@@ -357,7 +357,11 @@ fn tuned(
 }
 
 /// A model whose tensors are variables.
-fn trainable(config: &TransitionConfig, fresh: &FreshWeights, seed: u64) -> Result<Transition> {
+pub(crate) fn trainable(
+    config: &TransitionConfig,
+    fresh: &FreshWeights,
+    seed: u64,
+) -> Result<Transition> {
     let model = Transition::build(config.clone(), &mut |parameter| {
         let (name, shape) = (&parameter.name, &parameter.shape);
         let initial = || parameter.initial(seed).map_err(candle_core::Error::wrap);

@@ -1,45 +1,38 @@
 //! Subgoals: latents between the present one and a goal, at growing distances.
 //!
-//! A small convolutional network proposes all of them at once. It learns with hindsight goals: later frames of the same
-//! episode. A subgoal farther away than the goal is the goal. With zeros in the place of noise, it gives the expected
-//! subgoals; from noise, in several Euler steps of flow matching, a sample.
-
-mod network;
+//! The network is the transition model's, over the frames goal, present, and the subgoals from the nearest to the
+//! farthest. In place of an action, each subgoal has its distance from the present frame. It learns with hindsight goals:
+//! later frames of the same episode. A subgoal farther away than the goal is the goal.
 
 use candle_core::{DType, Device, Tensor};
-use rand::SeedableRng as _;
-use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution as _, StandardNormal};
 use serde::{Deserialize, Serialize};
-use wm_model::{Kernels, LatentSpace, Weights, transition::LATENT_SPACE_KEY};
+use wm_model::{
+    LatentSpace, Weights,
+    sampler::{Rollout, Sampler},
+    transition::{LATENT_SPACE_KEY, LoadedTransition, Transition, TransitionConfig},
+};
 
-use crate::loader::OfWeights;
+use crate::Result;
 use crate::sizes::shape_error;
-use crate::{Loader, Result};
-pub use network::SubgoalNetwork;
 
 /// Metadata key of the [`SubgoalConfig`] (JSON).
 pub const SUBGOALS_KEY: &str = "subgoals";
 
+/// Frames before the first subgoal: the goal and the present one.
+pub const GIVEN_FRAMES: usize = 2;
+/// Values of a subgoal's condition.
+pub const CONDITION_VALUES: usize = 1;
 /// Subgoals at most.
 const MOST: usize = 16;
+/// Seed of the noise from which the expected subgoals are computed.
+const EXPECTED_SEED: u64 = 0;
 
-/// Sizes of the network, and what the subgoals are.
+/// What subgoals are.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SubgoalConfig {
-    /// Channels of the latents.
-    pub features: usize,
-    /// Rows and columns of the latents.
-    pub grid: [usize; 2],
-    /// Channels at full size; twice as many at half and at a quarter of it.
-    pub width: usize,
-    /// Width of the layer that joins all places.
-    pub hidden: usize,
     /// Distances of the subgoals from the present frame, in model steps, increasing.
     pub distances: Vec<usize>,
-    /// Camera frames per model step.
-    pub frame_skip: usize,
 }
 
 impl SubgoalConfig {
@@ -59,28 +52,39 @@ impl SubgoalConfig {
         );
         Err(wm_model::Error::config("subgoals.distances", reason).into())
     }
+
+    /// Frames of the network.
+    pub fn frames(&self) -> usize {
+        GIVEN_FRAMES + self.distances.len()
+    }
+}
+
+/// The condition of a subgoal `distance` model steps away.
+pub fn condition(distance: usize) -> f32 {
+    (1.0 + distance as f32).log2() / 4.0
 }
 
 /// How subgoals are drawn.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SubgoalSampling {
-    /// The expected subgoals: the same for the same inputs.
+    /// The expected subgoals, in one step of the sampler: the same for the same inputs.
     #[default]
     Expected,
     /// A sample of those possible.
     Sampled {
         /// Seed of its noise.
         seed: u64,
-        /// Euler steps.
+        /// Euler steps of the sampler.
         steps: usize,
     },
 }
 
 /// A trained model of subgoals, written by `wm train subgoals`.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct TrainedSubgoals {
-    network: SubgoalNetwork,
+    network: LoadedTransition,
+    config: SubgoalConfig,
     space: LatentSpace,
 }
 
@@ -91,16 +95,37 @@ impl TrainedSubgoals {
     /// If a tensor or an entry of the metadata is missing, misshapen or unexpected.
     pub fn from_weights(weights: Weights) -> Result<Self> {
         let config: SubgoalConfig = weights.json(SUBGOALS_KEY)?;
-        let loader = OfWeights(&weights);
-        let network = SubgoalNetwork::load(&config, &Loader::supplied(&loader, Kernels::Cpu))?;
+        config.validate()?;
         let space: LatentSpace = weights.json(LATENT_SPACE_KEY)?;
-        weights.finish()?;
-        Ok(Self { network, space })
+        Self::of(Transition::from_weights(weights)?, config, space)
+    }
+
+    /// A model with seeded random weights, for tests and timing.
+    ///
+    /// # Errors
+    /// If the configurations do not fit together.
+    pub fn random(
+        network: TransitionConfig,
+        config: SubgoalConfig,
+        space: LatentSpace,
+        seed: u64,
+    ) -> Result<Self> {
+        config.validate()?;
+        Self::of(Transition::random(network, seed)?, config, space)
+    }
+
+    fn of(network: Transition, config: SubgoalConfig, space: LatentSpace) -> Result<Self> {
+        check(network.config(), &config, &space)?;
+        Ok(Self {
+            network: network.pack()?,
+            config,
+            space,
+        })
     }
 
     /// Distances of the subgoals, in model steps.
     pub fn distances(&self) -> &[usize] {
-        &self.network.config().distances
+        &self.config.distances
     }
 
     /// The space of the latents.
@@ -116,105 +141,105 @@ impl TrainedSubgoals {
     /// The subgoals (h, w, C) on the way from `present` to `goal`, both (h, w, C), normalised, nearest first.
     ///
     /// # Errors
-    /// If a latent has another shape.
+    /// If a latent has another shape, or a value is not finite.
     pub fn propose(
         &self,
         present: &Tensor,
         goal: &Tensor,
         sampling: SubgoalSampling,
     ) -> Result<Vec<Tensor>> {
-        sample(&self.network, present, goal, sampling)
+        let (height, width, channels) = self.space.shape();
+        for (what, latent) in [("the present latent", present), ("the goal", goal)] {
+            if latent.dims() != [height, width, channels] {
+                let expected = format!("({height}, {width}, {channels})");
+                return Err(shape_error(what, expected, latent));
+            }
+        }
+        let (seed, steps) = match sampling {
+            SubgoalSampling::Expected => (EXPECTED_SEED, 1),
+            SubgoalSampling::Sampled { seed, steps } => (seed, steps),
+        };
+        let sampler = Sampler {
+            steps,
+            ..self.network.config().sampler.clone()
+        };
+        let context = Tensor::stack(&[goal, present], 0)?.unsqueeze(0)?;
+        let between = Tensor::zeros((1, CONDITION_VALUES), DType::F32, &Device::Cpu)?;
+        let mut rollout = Rollout::new(&self.network, &sampler, &context, Some(&between), seed)?;
+        let distances = self.config.distances.iter();
+        distances
+            .map(|distance| {
+                let condition = Tensor::new(&[[condition(*distance)]], &Device::Cpu)?;
+                Ok(rollout.next(&condition)?.squeeze(0)?)
+            })
+            .collect()
     }
 }
 
-/// The subgoals that `network` gives.
-fn sample(
-    network: &SubgoalNetwork,
-    present: &Tensor,
-    goal: &Tensor,
-    sampling: SubgoalSampling,
-) -> Result<Vec<Tensor>> {
-    let config = network.config();
-    let ([h, w], c, k) = (config.grid, config.features, config.distances.len());
-    for (what, latent) in [("the present latent", present), ("the goal", goal)] {
-        if latent.dims() != [h, w, c] {
-            return Err(shape_error(what, format!("({h}, {w}, {c})"), latent));
-        }
-    }
-    let way = (&present.unsqueeze(0)?, &goal.unsqueeze(0)?);
-    let clean = |x: &Tensor, tau: f32| {
-        let tau = Tensor::new(&[tau], &Device::Cpu)?;
-        network.forward(way, (x, &tau))
+fn check(network: &TransitionConfig, config: &SubgoalConfig, space: &LatentSpace) -> Result<()> {
+    let own = (
+        network.latent_height,
+        network.latent_width,
+        network.channels,
+    );
+    let reason = if own != space.shape() {
+        format!(
+            "the network takes latents of {own:?}, the space has {:?}",
+            space.shape()
+        )
+    } else if network.action_dim != CONDITION_VALUES {
+        format!(
+            "the network takes conditions of {} values, expected {CONDITION_VALUES}",
+            network.action_dim
+        )
+    } else if network.max_frames < config.frames() {
+        format!(
+            "{} subgoals need {} frames, the network takes {}",
+            config.distances.len(),
+            config.frames(),
+            network.max_frames
+        )
+    } else {
+        return Ok(());
     };
-    let shape = (1, k, h, w, c);
-    let subgoals = match sampling {
-        SubgoalSampling::Expected => clean(&Tensor::zeros(shape, DType::F32, &Device::Cpu)?, 1.0)?,
-        SubgoalSampling::Sampled { seed, steps } => {
-            let mut rng = ChaCha8Rng::seed_from_u64(seed);
-            let noise = (0..k * h * w * c).map(|_| StandardNormal.sample(&mut rng));
-            let noise: Vec<f32> = noise.collect();
-            let mut x = Tensor::from_vec(noise, shape, &Device::Cpu)?;
-            let steps = steps.max(1);
-            for step in (1..=steps).rev() {
-                // The clean frames' share of the rest of the way grows to 1 in the last step.
-                let found = clean(&x, step as f32 / steps as f32)?;
-                x = (&x + ((found - &x)? / step as f64)?)?;
-            }
-            x
-        }
-    };
-    (0..k)
-        .map(|index| Ok(subgoals.get(0)?.get(index)?))
-        .collect()
+    Err(wm_model::Error::config("subgoals", reason).into())
 }
 
 #[cfg(test)]
 mod tests {
-    use std::cell::Cell;
-
     use super::*;
-    use crate::Supply;
 
-    /// Weights that differ everywhere.
-    #[derive(Default)]
-    struct Waves(Cell<usize>);
-
-    impl Supply for Waves {
-        fn supply(&self, _: &str, shape: &[usize]) -> Result<Tensor> {
-            let first = self.0.replace(self.0.get() + 7);
-            let values =
-                (0..shape.iter().product()).map(|i: usize| ((i + first) as f32).sin() * 0.1);
-            Ok(Tensor::from_vec(
-                values.collect::<Vec<_>>(),
-                shape,
-                &Device::Cpu,
-            )?)
-        }
-
-        fn device(&self) -> Device {
-            Device::Cpu
+    fn space() -> LatentSpace {
+        LatentSpace {
+            name: "small".to_owned(),
+            hash: String::new(),
+            height: 4,
+            width: 4,
+            channels: 4,
         }
     }
 
-    fn config(grid: [usize; 2], distances: &[usize]) -> SubgoalConfig {
-        SubgoalConfig {
-            features: 4,
-            grid,
-            width: 8,
-            hidden: 16,
+    fn network(distances: usize) -> TransitionConfig {
+        let preset = TransitionConfig::preset("tiny", (4, 4, 4), 2, CONDITION_VALUES).unwrap();
+        TransitionConfig {
+            hidden: 32,
+            depth: 2,
+            heads: 2,
+            max_frames: GIVEN_FRAMES + distances,
+            ..preset
+        }
+    }
+
+    fn of(network: TransitionConfig, distances: &[usize]) -> Result<TrainedSubgoals> {
+        let config = SubgoalConfig {
             distances: distances.to_vec(),
-            frame_skip: 2,
-        }
+        };
+        TrainedSubgoals::random(network, config, space(), 3)
     }
 
-    fn network(config: &SubgoalConfig, kernels: Kernels) -> Result<SubgoalNetwork> {
-        SubgoalNetwork::load(config, &Loader::supplied(&Waves::default(), kernels))
-    }
-
-    fn waves(grid: [usize; 2], pitch: f32) -> Tensor {
-        let [h, w] = grid;
-        let values: Vec<f32> = (0..h * w * 4).map(|i| (i as f32 * pitch).sin()).collect();
-        Tensor::from_vec(values, (h, w, 4), &Device::Cpu).unwrap()
+    fn waves(pitch: f32) -> Tensor {
+        let values: Vec<f32> = (0..64).map(|i| (i as f32 * pitch).sin()).collect();
+        Tensor::from_vec(values, (4, 4, 4), &Device::Cpu).unwrap()
     }
 
     fn values(latents: &[Tensor]) -> Vec<Vec<f32>> {
@@ -225,52 +250,38 @@ mod tests {
 
     #[test]
     fn subgoals_depend_on_present_goal_and_seed_alone() {
-        // An odd grid too.
-        for grid in [[8, 8], [5, 6]] {
-            let model = network(&config(grid, &[1, 2, 4]), Kernels::Cpu).unwrap();
-            let (present, goal) = (waves(grid, 0.3), waves(grid, 0.7));
-            let propose = |sampling| values(&sample(&model, &present, &goal, sampling).unwrap());
-            let expected = propose(SubgoalSampling::Expected);
-            assert_eq!(expected.len(), 3);
-            assert_eq!(expected[0].len(), present.elem_count());
-            let sampled = |seed| propose(SubgoalSampling::Sampled { seed, steps: 3 });
-            assert_eq!(sampled(1), sampled(1));
-            assert_ne!(sampled(1), sampled(2));
-            for other in [waves(grid, 0.5), present.clone()] {
-                let found = sample(&model, &present, &other, SubgoalSampling::Expected);
-                assert_ne!(values(&found.unwrap()), expected);
-            }
+        let model = of(network(3), &[1, 2, 4]).unwrap();
+        let (present, goal) = (waves(0.3), waves(0.7));
+        let propose = |sampling| values(&model.propose(&present, &goal, sampling).unwrap());
+        for sampling in [
+            SubgoalSampling::Expected,
+            SubgoalSampling::Sampled { seed: 5, steps: 2 },
+        ] {
+            let all = propose(sampling);
+            assert_eq!(all.len(), 3);
+            assert_eq!(propose(sampling), all);
+            assert!(all.iter().flatten().all(|value| value.is_finite()));
         }
-    }
-
-    #[test]
-    fn kernels_and_candle_agree() {
-        let grid = [8, 8];
-        let of = |kernels| {
-            let model = network(&config(grid, &[1, 3]), kernels).unwrap();
-            let (present, goal) = (waves(grid, 0.3), waves(grid, 0.7));
-            let found = sample(&model, &present, &goal, SubgoalSampling::Expected);
-            values(&found.unwrap()).concat()
-        };
-        for (a, b) in of(Kernels::Cpu).into_iter().zip(of(Kernels::Candle)) {
-            assert!((a - b).abs() < 1e-4 * (1.0 + b.abs()), "{a} {b}");
-        }
+        let other = model.propose(&present, &waves(0.5), SubgoalSampling::Expected);
+        assert_ne!(values(&other.unwrap()), propose(SubgoalSampling::Expected));
     }
 
     #[test]
     fn what_does_not_fit_is_named() {
-        for distances in [&[][..], &[2, 1], &[0, 1]] {
-            let error = network(&config([8, 8], distances), Kernels::Candle);
-            let error = error.unwrap_err().to_string();
-            assert!(error.contains("distances"), "{error}");
-        }
-        let model = network(&config([8, 8], &[1]), Kernels::Candle).unwrap();
-        let (present, goal) = (waves([8, 8], 0.3), waves([8, 6], 0.7));
-        let error = sample(&model, &present, &goal, SubgoalSampling::Expected);
-        let error = error.unwrap_err().to_string();
-        assert!(
-            error.contains("the goal") && error.contains("(8, 8, 4)"),
-            "{error}"
-        );
+        let refused = |found: Result<TrainedSubgoals>| found.unwrap_err().to_string();
+        let error = refused(of(network(1), &[1, 2]));
+        assert!(error.contains("2 subgoals need 4 frames"), "{error}");
+        let error = refused(of(network(2), &[2, 1]));
+        assert!(error.contains("[2, 1]"), "{error}");
+        let wide = TransitionConfig::preset("tiny", (4, 4, 8), 2, CONDITION_VALUES).unwrap();
+        let error = refused(of(wide, &[1]));
+        assert!(error.contains("(4, 4, 8)"), "{error}");
+        let steered = TransitionConfig::preset("tiny", (4, 4, 4), 2, 7).unwrap();
+        let error = refused(of(steered, &[1]));
+        assert!(error.contains("7 values"), "{error}");
+        let model = of(network(1), &[1]).unwrap();
+        let nan = (waves(0.3) * f64::NAN).unwrap();
+        let error = model.propose(&nan, &waves(0.2), SubgoalSampling::Expected);
+        assert!(error.unwrap_err().to_string().contains("finite"));
     }
 }

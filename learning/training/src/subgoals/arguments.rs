@@ -1,12 +1,13 @@
-use anyhow::{Context as _, Result};
+use anyhow::{Result, bail};
 use clap::Args;
 use serde_json::json;
 use wm_dataset::Latents;
-use wm_zoo::ModelFolder;
+use wm_zoo::{ModelFolder, SUBGOALS_FILE};
 
 use super::{SubgoalRecipe, SubgoalTask};
 use crate::{
     arguments::{LatentRunArgs, RunArgs},
+    fresh_weights::FreshWeights,
     run::{RunEnd, Stop},
 };
 
@@ -29,30 +30,29 @@ impl TrainSubgoalsArgs {
         let recipe: SubgoalRecipe = run.load_recipe([])?;
         let (folder, on) = self.on.open()?;
         let frame_skip = frame_skip(recipe.frame_skip, &folder)?;
-        train_on(
-            run,
-            &recipe,
-            frame_skip,
-            (&on.train, on.held_out.as_ref()),
-            stop,
-        )
+        let fresh = match &run.from {
+            Some(_) => run.fresh_weights(SUBGOALS_FILE, recipe.seed)?,
+            None => from_transition(&folder, recipe.seed)?.on(&run.compute_f32()?)?,
+        };
+        let latents = (&on.train, on.held_out.as_ref());
+        train_on(run, &recipe, (frame_skip, fresh), latents, stop)
     }
 }
 
 pub(super) fn train_on(
     run: &RunArgs,
     recipe: &SubgoalRecipe,
-    frame_skip: usize,
+    start: (usize, FreshWeights),
     latents: (&Latents, Option<&Latents>),
     stop: &Stop,
 ) -> Result<RunEnd> {
-    let (train, _) = latents;
-    let mut task = SubgoalTask::new(recipe, frame_skip, latents, run)?;
+    let ((train, _), (frame_skip, _)) = (latents, &start);
     let data = [
         ("latent_space", json!(train.space().to_string())),
         ("data", json!(train.digest())),
         ("frame_skip", json!(frame_skip)),
     ];
+    let mut task = SubgoalTask::new(recipe, start, latents, run)?;
     let data = (task.ways.len(), data);
     run.train_on_clips(&mut task, recipe, data, stop)
 }
@@ -62,9 +62,17 @@ pub(crate) fn frame_skip(own: Option<usize>, folder: &ModelFolder) -> Result<usi
     match own {
         Some(own) => Ok(own),
         None if folder.has_transition() => Ok(folder.transition_tensors()?.config.frame_skip),
-        None => Err(anyhow::anyhow!(
-            "the encoder's model has no transition model to take the model step from; set frame_skip"
-        )),
+        None => bail!(
+            "frame_skip is null, and the encoder's model has no transition model to take it from"
+        ),
     }
-    .context("frame_skip")
+}
+
+/// Initial weights: the transition model's where they fit.
+fn from_transition(folder: &ModelFolder, seed: u64) -> Result<FreshWeights> {
+    if !folder.has_transition() {
+        return Ok(FreshWeights::new(seed));
+    }
+    let tensors = folder.transition_tensors()?.tensors;
+    Ok(FreshWeights::tuning(seed, tensors))
 }

@@ -1,4 +1,4 @@
-use candle_core::{DType, Device};
+use candle_core::DType;
 
 use super::{arguments::train_on, *};
 use crate::{
@@ -15,8 +15,9 @@ fn small(steps: u64) -> SubgoalRecipe {
         "micro_batch=4",
         "distances=[1, 4]",
         "longest=8",
-        "model.width=16",
         "model.hidden=32",
+        "model.depth=2",
+        "model.heads=2",
         "optimisation.ema_decay=0.9",
     ];
     let recipe: SubgoalRecipe = bundled("tiny", &settings);
@@ -27,7 +28,8 @@ fn small(steps: u64) -> SubgoalRecipe {
 }
 
 fn train(out: &Path, recipe: &SubgoalRecipe, latents: (&Latents, Option<&Latents>)) -> Result<()> {
-    train_on(&run_in(out), recipe, 1, latents, &Stop::default()).map(drop)
+    let start = (1, FreshWeights::new(recipe.seed));
+    train_on(&run_in(out), recipe, start, latents, &Stop::default()).map(drop)
 }
 
 fn trained(out: &Path) -> TrainedSubgoals {

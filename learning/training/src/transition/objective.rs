@@ -200,10 +200,20 @@ impl Batch {
         rng: &mut ChaCha8Rng,
     ) -> Result<Self> {
         let (latents, actions) = objective.draw_clips(clips, rng)?;
+        Self::of(objective, model, (&latents, &actions), rng)
+    }
+
+    /// Clips (B, n, h, w, C) with the actions (B, n, A) of their frames, under random noise.
+    pub(crate) fn of(
+        objective: &Objective,
+        model: &Transition,
+        (latents, actions): (&Tensor, &Tensor),
+        rng: &mut ChaCha8Rng,
+    ) -> Result<Self> {
         let draws = objective.draw(latents.dims(), latents.device(), rng)?;
         let alignment = model.config().action_alignment;
         let past = objective.recipe.history;
-        Self::new(alignment, (&latents, &actions), &draws, past)
+        Self::new(alignment, (latents, actions), &draws, past)
     }
 
     /// From clips (B, n, h, w, C) with the actions (B, n, A) of their frames.
@@ -244,7 +254,7 @@ impl Batch {
     }
 
     /// Loss after the clips' own history, or after the model's predictions of it.
-    fn loss_after(&self, model: &Transition, own: bool, past: usize) -> Result<Tensor> {
+    pub(crate) fn loss_after(&self, model: &Transition, own: bool, past: usize) -> Result<Tensor> {
         let history = if own {
             self.with_predictions(model, past)?
         } else {
