@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use anyhow::{Context as _, Result, bail};
+use anyhow::{Context as _, Result, bail, ensure};
 use candle_core::{Device, Tensor};
 use image::RgbImage;
 use wm_model::{Encoder, WorldModel};
@@ -27,11 +27,19 @@ impl Model {
         let (encoder, world) = (folder.encoder()?, folder.world_model()?);
         let space = world.encoding.space();
         space.expect_same(&ActionSpace::bridge(), "the model", "the simulated arm")?;
+        let subgoals = folder.subgoals()?;
+        if let Some(subgoals) = &subgoals {
+            let (own, step) = (subgoals.frame_skip(), world.encoding.frame_skip());
+            ensure!(
+                own == step,
+                "the subgoals are for model steps of {own} camera frames, the transition model for {step}"
+            );
+        }
         Ok(Self {
             encoder,
             world,
             idm: folder.idm()?.map(Arc::new),
-            subgoals: folder.subgoals()?,
+            subgoals,
             distance: folder.distance()?.map(Arc::new),
         })
     }

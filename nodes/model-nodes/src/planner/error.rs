@@ -35,6 +35,16 @@ pub enum PlannerError {
         /// The planner.
         planner: PlannerChoice,
     },
+    /// The subgoals are for other model steps.
+    #[error(
+        "the model of subgoals was trained for model steps of {found} camera frames, but those of the transition model have {expected}"
+    )]
+    SubgoalSteps {
+        /// Camera frames per step of the transition model.
+        expected: usize,
+        /// Camera frames per step of the subgoals.
+        found: usize,
+    },
     /// The cost needs a learnt distance.
     #[error(
         "steps_weight is above 0, but the model has no learnt distance; train one with wm train distance"
@@ -63,6 +73,7 @@ impl PlannerError {
             | Self::Searched { .. }
             | Self::NoLatent
             | Self::NoSubgoals { .. }
+            | Self::SubgoalSteps { .. }
             | Self::NoDistance
             | Self::Settings(_) => "no_plan",
             Self::Model(_) | Self::Subgoals(_) => "model",

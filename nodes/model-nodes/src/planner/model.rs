@@ -119,13 +119,18 @@ impl PlannerModel {
         // What cannot serve is found here, not at the first goal.
         let nowhere = vec![0.0; model.space.elements()];
         let nowhere = Goals::of_values(&model.space, &[&nowhere])?;
-        choice.build(&setup.settings, parts.idm.as_ref(), nowhere.latents())?;
-        if choice.needs_subgoals() && parts.subgoals.is_none() {
-            return Err(PlannerError::NoSubgoals { planner: choice });
+        if choice.needs_subgoals() {
+            let subgoals = parts.subgoals.as_ref();
+            let subgoals = subgoals.ok_or(PlannerError::NoSubgoals { planner: choice })?;
+            let (expected, found) = (model.encoding.frame_skip(), subgoals.frame_skip());
+            if found != expected {
+                return Err(PlannerError::SubgoalSteps { expected, found });
+            }
         }
         if setup.steps_to_goal > 0.0 && parts.distance.is_none() {
             return Err(PlannerError::NoDistance);
         }
+        choice.build(&setup.settings, parts.idm.as_ref(), nowhere.latents())?;
         SearchSpace::new(vec![0.0; model.encoding.action_dim()], coordinates.clone())?;
         let integration_steps = setup
             .integration_steps

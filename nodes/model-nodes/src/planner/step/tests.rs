@@ -5,9 +5,10 @@ mod goals;
 use std::sync::LazyLock;
 
 use candle_core::{Device, Tensor};
-use wm_model::sampler::Given;
+use wm_model::{sampler::Given, transition::TransitionConfig};
 use wm_msgs::{builtin_interfaces::Duration as Period, std_msgs::Header, wm_msgs::Plan};
 use wm_planner::{Arrival, CemSettings, PlannerChoice, Target, Weights};
+use wm_zoo::subgoals::{SubgoalConfig, TrainedSubgoals};
 
 use super::*;
 use crate::{
@@ -488,4 +489,51 @@ fn a_jump_and_a_reset_forget_the_history_but_not_the_goal() {
     assert_eq!(step.request(at(5)).unwrap().seed, 70);
     let said = step.reset(None, Time::default());
     assert!(said.contains("seed 71"), "the present one goes on: {said}");
+}
+
+#[test]
+fn missing_networks_are_named_with_what_trains_them() {
+    let refused = |setup: PlannerSetup| searching(setup, &[]).unwrap_err().to_string();
+    let error = refused(PlannerSetup {
+        choice: Some(PlannerChoice::SubgoalsIdm),
+        ..settings()
+    });
+    assert!(
+        error.contains("subgoals+idm") && error.contains("wm train subgoals"),
+        "{error}"
+    );
+    let error = refused(PlannerSetup {
+        steps_to_goal: 1.0,
+        ..settings()
+    });
+    assert!(error.contains("wm train distance"), "{error}");
+}
+
+#[test]
+fn subgoals_of_another_model_step_are_refused() {
+    let network = TransitionConfig {
+        frame_skip: 3,
+        max_frames: 3,
+        ..TransitionConfig::preset("tiny", (4, 4, 4), 2, 1).unwrap()
+    };
+    let distances = SubgoalConfig { distances: vec![1] };
+    let subgoals = TrainedSubgoals::random(network, distances, world_model().space, 1).unwrap();
+    let parts = PlannerParts {
+        model: world_model(),
+        idm: None,
+        subgoals: Some(Arc::new(subgoals)),
+        distance: None,
+        probe: None,
+        decoder: None,
+        workers: None,
+    };
+    let setup = PlannerSetup {
+        choice: Some(PlannerChoice::SubgoalsIdm),
+        ..settings()
+    };
+    let error = PlannerModel::new(parts, setup).unwrap_err().to_string();
+    assert!(
+        error.contains("3 camera frames") && error.contains("have 2"),
+        "{error}"
+    );
 }
