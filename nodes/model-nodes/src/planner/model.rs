@@ -32,6 +32,9 @@ use super::{PlanRequest, PlannerError, PlannerSetup};
 use crate::history::model_values;
 use course::Course;
 
+/// `Plan.steps_to_goal` without a learnt distance. Not NaN, which JSON cannot hold.
+const NO_DISTANCE: f32 = -1.0;
+
 /// What plans are made with.
 #[derive(Clone)]
 pub struct PlannerParts {
@@ -248,7 +251,7 @@ impl PlannerModel {
             // At most as many as a goal may have.
             goal_index: course.waypoint.index as u32,
             distance: course.distance,
-            steps_to_goal: course.steps_to_goal,
+            steps_to_goal: course.steps_to_goal.unwrap_or(NO_DISTANCE),
             subgoals,
             subgoal_steps,
             terms: terms.iter().map(|&term| term.to_owned()).collect(),

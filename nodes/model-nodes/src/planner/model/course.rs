@@ -16,8 +16,8 @@ pub(super) struct Course {
     pub waypoint: Waypoint,
     /// Of the observation to the goal's last latent.
     pub distance: f32,
-    /// Model steps from the observation to the goal's last latent, by the learnt distance; NaN without it.
-    pub steps_to_goal: f32,
+    /// Model steps from the observation to the goal's last latent, by the learnt distance, if there is one.
+    pub steps_to_goal: Option<f32>,
     /// All latents of the goal; none for words alone.
     pub latents: Goals,
     /// Proposed latents on the way to the next goal, from where the plan begins.
@@ -40,7 +40,7 @@ impl PlannerModel {
                 goals: latents.clone(),
                 waypoint: request.waypoint,
                 distance: f32::NAN,
-                steps_to_goal: f32::NAN,
+                steps_to_goal: None,
                 latents,
                 subgoals: Subgoals::default(),
             });
@@ -72,8 +72,8 @@ impl PlannerModel {
             goals = subgoals.goals(horizon);
         }
         let steps_to_goal = match &self.parts.distance {
-            Some(learnt) => latents.steps_from(&observed, learnt)?,
-            None => f32::NAN,
+            Some(learnt) => Some(latents.steps_from(&observed, learnt)?),
+            None => None,
         };
         Ok(Course {
             goals,
