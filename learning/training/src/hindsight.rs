@@ -84,7 +84,7 @@ impl<'a> HindsightSource<'a> {
     fn draw_by<R: Rng>(&self, rng: &mut R, length: impl Fn(&mut R, usize) -> usize) -> Hindsight {
         let (first, count) = self.episodes[rng.random_range(0..self.episodes.len())];
         let present = rng.random_range(0..count - 1);
-        let most = (count - 1 - present).min(self.longest * self.frame_skip);
+        let most = (count - 1 - present).min(self.longest.saturating_mul(self.frame_skip));
         Hindsight {
             present: first + present,
             goal: first + present + length(rng, most),
@@ -93,7 +93,8 @@ impl<'a> HindsightSource<'a> {
 
     /// The frame `steps` model steps on the way, or the goal if it is nearer.
     pub fn on_the_way(&self, way: Hindsight, steps: usize) -> usize {
-        way.goal.min(way.present + steps * self.frame_skip)
+        let there = steps.saturating_mul(self.frame_skip);
+        way.goal.min(way.present.saturating_add(there))
     }
 
     /// Latents (B, n, h, w, C) of B rows of n frames.

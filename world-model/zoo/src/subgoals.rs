@@ -27,7 +27,7 @@ const MOST: usize = 16;
 /// Seed of the noise from which the expected subgoals are computed.
 const EXPECTED_SEED: u64 = 0;
 
-/// What subgoals are.
+/// The distances of the subgoals.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SubgoalConfig {
@@ -78,6 +78,16 @@ pub enum SubgoalSampling {
         /// Euler steps of the sampler.
         steps: usize,
     },
+}
+
+impl SubgoalSampling {
+    /// A sample by `seed` in this many Euler steps; the expected subgoals for one step.
+    pub fn of(seed: u64, steps: usize) -> Self {
+        match steps {
+            0 | 1 => Self::Expected,
+            steps => Self::Sampled { seed, steps },
+        }
+    }
 }
 
 /// A trained model of subgoals, written by `wm train subgoals`.

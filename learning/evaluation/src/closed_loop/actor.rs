@@ -276,13 +276,7 @@ impl PlannerState<'_> {
             )
         })?;
         let goal = goals.first().context("expected a goal")?;
-        let sampling = match settings.subgoal_steps {
-            1 => SubgoalSampling::Expected,
-            steps => SubgoalSampling::Sampled {
-                seed: self.seed,
-                steps,
-            },
-        };
+        let sampling = SubgoalSampling::of(self.seed, settings.subgoal_steps);
         let subgoals = Subgoals::propose(model, (observed, goal), sampling)?;
         Ok(subgoals.goals(settings.horizon).latents().to_vec())
     }

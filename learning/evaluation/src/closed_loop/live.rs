@@ -65,7 +65,7 @@ fn arguments(args: &ClosedLoopArgs, planner: PlannerChoice, output: &str) -> Res
         ("goal_period", goal_period.to_owned()),
         ("record", "false".to_owned()),
     ];
-    // Not every world tells its goal by several pictures, or records.
+    // Launch files of other worlds may lack these.
     let is_optional = |name: &str| matches!(name, "goal_period" | "record");
     let ours = ours.into_iter();
     let ours = ours.filter(|(name, _)| declared.contains(*name) || !is_optional(name));

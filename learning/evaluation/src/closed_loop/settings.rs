@@ -60,7 +60,8 @@ pub struct ClosedLoopSettings {
 
 impl ClosedLoopSettings {
     /// Defaults for a task and a controller. To move an object, the gripper is searched, and the planner gets subgoals,
-    /// since the last picture alone does not show the path, unless it makes subgoals itself. A search plans one model step, with [`PlannerSettings::quick`].
+    /// since the last picture alone does not show the path, unless it makes subgoals itself. A search
+    /// plans one model step, with [`PlannerSettings::quick`].
     pub fn of(task: GoalKind, controller: Controller) -> Self {
         let moves_object = task != GoalKind::Reach;
         let shows_way =

@@ -45,8 +45,8 @@ struct Spell {
 }
 
 impl Demonstration {
-    /// Demonstrates goals of the kinds `goals` for a viewer along `viewer`. Of the steps, a share up to `disturbance` has
-    /// disturbed actions; the share is drawn.
+    /// Demonstrates goals of these kinds for a viewer along `viewer`. A share of the actions is disturbed, drawn from 0 to
+    /// `disturbance`.
     pub fn new(
         goals: Vec<GoalKind>,
         disturbance: f64,

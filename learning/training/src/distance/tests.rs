@@ -29,7 +29,7 @@ fn train(out: &Path, recipe: &DistanceRecipe, latents: (&Latents, Option<&Latent
     train_on(&run_in(out), recipe, 1, latents, &Stop::default()).map(drop)
 }
 
-/// The level walks at random: it tells little of the time that has passed, and no more than that may be claimed.
+/// A random walk tells little of the time that has passed: the quantiles must be as far apart as that.
 #[test]
 fn quantiles_hold_the_distances_that_they_claim() {
     let dir = tempfile::tempdir().unwrap();

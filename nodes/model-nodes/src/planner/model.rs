@@ -77,7 +77,7 @@ pub struct Planned {
     pub message: Plan,
     /// What the camera would see after its last action, where that was asked for.
     pub outcome: Option<RgbImage>,
-    /// The subgoals side by side, nearest first, where that was asked for and there are any.
+    /// A picture of the subgoals side by side, nearest first; `None` without subgoals or subscribers.
     pub subgoals: Option<RgbImage>,
 }
 

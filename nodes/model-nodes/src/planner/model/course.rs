@@ -97,19 +97,11 @@ impl PlannerModel {
         let (Some(model), Some(goal)) = (model, goals.latents().first()) else {
             return Ok(Subgoals::default());
         };
-        let sampling = match self.setup.subgoal_steps {
-            1 => SubgoalSampling::Expected,
-            steps => SubgoalSampling::Sampled {
-                seed: request.seed,
-                steps,
-            },
-        };
+        let sampling = SubgoalSampling::of(request.seed, self.setup.subgoal_steps);
         let way = (&dynamics.start()?, goal);
         Ok(Subgoals::propose(model, way, sampling)?)
     }
-}
 
-impl PlannerModel {
     /// The subgoals in one picture, nearest first; none without subgoals or a decoder.
     pub(super) fn subgoal_pictures(
         &self,
