@@ -27,6 +27,8 @@ fn pages() -> Vec<PathBuf> {
         "launch-configs",
         "bags/tabletop",
         "fuzz",
+        "examples/cloned_policy",
+        "examples/gym",
         "examples/imagined_policy",
         "world-model/model/weights",
     ];

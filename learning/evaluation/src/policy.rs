@@ -9,6 +9,7 @@
 //! The policy is the recorded actions, no motion, or a program that speaks JSON lines ([`protocol`]). No robot and no
 //! DDS are involved: `wm env` is the environment for policies that are nodes.
 
+mod actor;
 mod arguments;
 mod borda;
 mod condition;
@@ -24,12 +25,16 @@ mod tasks;
 mod trial;
 mod words;
 
+pub(crate) use actor::Actor;
 pub use arguments::PolicyArgs;
 pub use borda::borda_of;
 pub(crate) use borda::with_borda;
 pub use condition::Condition;
+pub(crate) use episode::{Imagination, Start, Trial, imagine};
 pub use inputs::{JudgeInputs, PolicyInputs, PolicySettings};
 pub use judging::{Rubric, Verdicts};
+pub(crate) use process::PolicyProcess;
+pub(crate) use setup::Policy;
 pub use setup::Setup;
 pub use summary::summarise;
 pub use trial::{ImaginedTrial, Trials};

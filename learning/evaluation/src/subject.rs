@@ -119,13 +119,7 @@ impl Subject {
             .decoder
             .as_deref()
             .context("the model has no decoder")?;
-        let count = latents.dim(0)?;
-        // One at a time bounds the memory of a large decoder.
-        let pictures = (0..count).map(|at| {
-            let picture = decoder.decode(&latents.narrow(0, at, 1)?.contiguous()?)?;
-            Ok(to_rgb(&picture.squeeze(0)?)?)
-        });
-        pictures.collect()
+        decode(decoder, latents)
     }
 
     /// Encodes pictures to latents (N, h, w, C).
@@ -180,6 +174,16 @@ impl Subject {
         let Recording { frames, actions } = recording;
         predict(&self.world, self.sampler(), (frames, actions), seed)
     }
+}
+
+/// Decodes latents (N, h, w, C).
+pub(crate) fn decode(decoder: &dyn Decoder, latents: &Tensor) -> Result<Vec<RgbImage>> {
+    // One at a time bounds the memory of a large decoder.
+    let pictures = (0..latents.dim(0)?).map(|at| {
+        let picture = decoder.decode(&latents.narrow(0, at, 1)?.contiguous()?)?;
+        Ok(to_rgb(&picture.squeeze(0)?)?)
+    });
+    pictures.collect()
 }
 
 /// Predicts after the first [`CONTEXT`] of the frames (N, h, w, C), under the actions (N, A), to their end.

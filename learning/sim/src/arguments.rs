@@ -8,7 +8,7 @@ use wm_bag::Shard;
 use wm_program::progress::Progress;
 
 use crate::dataset::generate_bags;
-use crate::environment::GoalKind;
+use crate::environment::{GoalKind, ScriptedPolicy};
 use crate::episode_options::EpisodeOptions;
 
 /// Make Bridge-style bags of a simulated arm on a tabletop, one bag per episode.
@@ -44,6 +44,18 @@ pub struct SimArgs {
     /// back
     #[arg(long, value_name = "SHARE", default_value_t = 0.0, requires = "goals")]
     pub disturbance: f64,
+    /// Let one of these policies act in each episode, drawn by its seed, for one task from the starts of
+    /// `wm eval control`: oracle (the simulator's own controller), noise-MM, distracted-PERCENT, beside-MM, slow-PERCENT,
+    /// stop-PERCENT, frozen-gripper, random or hold. Without names, the 16 of `wm eval imagined`
+    #[arg(
+        long,
+        value_name = "NAME",
+        num_args = 0..,
+        value_delimiter = ',',
+        requires = "goals",
+        conflicts_with_all = ["failures", "disturbance"]
+    )]
+    pub policies: Option<Vec<ScriptedPolicy>>,
     /// Make every Nth episode, from the Ith (counted from 0): run the command on several machines, each with a
     /// different I
     #[arg(long, value_name = "I/N", default_value = "0/1")]
@@ -68,6 +80,11 @@ impl SimArgs {
             failures: self.failures,
             goals: self.goals.clone(),
             disturbance: self.disturbance,
+            policies: match self.policies.as_deref() {
+                None => Vec::new(),
+                Some([]) => ScriptedPolicy::ALL.to_vec(),
+                Some(named) => named.to_vec(),
+            },
             ..EpisodeOptions::default()
         };
         let succeeded = AtomicU64::new(0);

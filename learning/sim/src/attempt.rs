@@ -4,7 +4,7 @@ use rand::seq::IndexedRandom;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::environment::Demonstration;
+use crate::environment::{Demonstration, Environment, Performance, ScriptedPolicy};
 use crate::episode_options::EpisodeOptions;
 use crate::render::Camera;
 use crate::teleop::{Assignment, Failure, Operator};
@@ -69,6 +69,20 @@ impl Attempt {
             }
         }
         attempt
+    }
+
+    /// An attempt at an environment's goal. It succeeds if the final state fulfils the instruction.
+    pub fn of_policy(policy: ScriptedPolicy, mut environment: Environment, frames: usize) -> Self {
+        let mut performance = Performance::new(policy, &environment);
+        let steps = record(environment.world_mut(), frames, |world, _| {
+            performance.command(world)
+        });
+        Self {
+            steps,
+            instruction: environment.instruction().to_owned(),
+            success: environment.instruction_followed(),
+            failure: None,
+        }
     }
 
     fn make(mut operator: Operator, mut world: World, frames: usize) -> Self {

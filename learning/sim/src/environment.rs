@@ -8,11 +8,15 @@ mod choice;
 mod demonstration;
 mod goal;
 mod oracle;
+mod performance;
+mod policy;
 mod sight;
 mod solution;
 
 pub(crate) use demonstration::Demonstration;
 pub use goal::{Goal, GoalKind, REACH_TOLERANCE_M, Target};
+pub use performance::Performance;
+pub use policy::ScriptedPolicy;
 
 use image::RgbImage;
 use rand::SeedableRng;
@@ -184,6 +188,10 @@ impl Environment {
         &self.world
     }
 
+    pub(crate) fn world_mut(&mut self) -> &mut World {
+        &mut self.world
+    }
+
     /// Number of actions so far.
     pub fn steps(&self) -> usize {
         self.steps
@@ -245,6 +253,11 @@ impl Environment {
     /// The camera's picture of another state of this table, 256 by 256.
     pub fn picture_of(&mut self, world: &World) -> RgbImage {
         self.renderer.render(&self.scene.parts(world), false).rgb
+    }
+
+    /// The room without the arm and the objects.
+    pub(crate) fn surroundings(&self) -> &Surroundings {
+        &self.surroundings
     }
 
     /// The camera.

@@ -3,21 +3,27 @@
 use image::{GrayImage, RgbImage};
 use nalgebra::Vector3;
 use rand::SeedableRng;
+use rand::seq::IndexedRandom as _;
 use rand_chacha::ChaCha8Rng;
 
 use crate::arm::ToolPose;
 use crate::attempt::Attempt;
+use crate::environment::Environment;
 use crate::episode_options::EpisodeOptions;
 use crate::error::Error;
 use crate::layout;
 use crate::object::Object;
-use crate::render::{Camera, Renderer};
+use crate::render::{Camera, Renderer, Surroundings};
 use crate::room;
 use crate::scene::Scene;
 use crate::teleop::Failure;
+use crate::world::World;
 
 /// Fewest and most frames of an episode: two make an action visible, and the upper bound is 20 minutes.
 pub const FRAMES: std::ops::RangeInclusive<usize> = 2..=6000;
+
+/// Random stream that draws the policy and its goal; operators, the oracle and goals use others.
+const POLICY_STREAM: u64 = 48;
 
 /// An observation, and the action taken there.
 #[derive(Clone, Debug, PartialEq)]
@@ -61,7 +67,8 @@ impl Episode {
     ///
     /// # Errors
     /// [`Error::Frames`] if the number of frames is outside `FRAMES`, [`Error::Share`] if the share of
-    /// failures or of disturbed actions is outside 0 to 1.
+    /// failures or of disturbed actions is outside 0 to 1, [`Error::NoGoal`] for policies without goals, and
+    /// [`Error::Unsolvable`] if none of 40 tables allows their goal.
     pub fn generate(seed: u64, options: &EpisodeOptions) -> Result<Self, Error> {
         if !FRAMES.contains(&options.frames) {
             return Err(Error::Frames {
@@ -77,13 +84,14 @@ impl Episode {
                 return Err(Error::Share { of, share });
             }
         }
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let surroundings = room::draw_surroundings(&options.variety, &mut rng);
-        let camera = room::draw_camera(&options.variety, &mut rng);
-        let world = layout::lay_table(&options.variety, &mut rng);
+        let Stage {
+            surroundings,
+            camera,
+            world,
+            attempt,
+        } = Stage::of(seed, options)?;
         let scene = Scene::new(&world);
         let objects = world.objects().iter().map(Object::name).collect();
-        let attempt = Attempt::of(seed, options, &camera, world);
         let mut renderer = Renderer::new(&surroundings, camera.clone());
         let frames = attempt
             .steps
@@ -112,9 +120,50 @@ impl Episode {
     }
 }
 
+/// A room with its table, and what happens there.
+struct Stage {
+    surroundings: Surroundings,
+    camera: Camera,
+    /// At the start.
+    world: World,
+    attempt: Attempt,
+}
+
+impl Stage {
+    fn of(seed: u64, options: &EpisodeOptions) -> Result<Self, Error> {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        if !options.policies.is_empty() {
+            rng.set_stream(POLICY_STREAM);
+            return Self::of_policy(seed, options, rng);
+        }
+        let surroundings = room::draw_surroundings(&options.variety, &mut rng);
+        let camera = room::draw_camera(&options.variety, &mut rng);
+        let world = layout::lay_table(&options.variety, &mut rng);
+        Ok(Self {
+            surroundings,
+            attempt: Attempt::of(seed, options, &camera, world.clone()),
+            camera,
+            world,
+        })
+    }
+
+    fn of_policy(seed: u64, options: &EpisodeOptions, mut rng: ChaCha8Rng) -> Result<Self, Error> {
+        let policy = options.policies.choose(&mut rng).ok_or(Error::NoGoal)?;
+        let kind = options.goals.choose(&mut rng).ok_or(Error::NoGoal)?;
+        let environment = Environment::new(*kind, seed, &options.variety)?;
+        Ok(Self {
+            surroundings: *environment.surroundings(),
+            camera: environment.camera().clone(),
+            world: environment.world().clone(),
+            attempt: Attempt::of_policy(*policy, environment, options.frames),
+        })
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::environment::{GoalKind, ScriptedPolicy};
     use crate::scene::{FIRST_OBJECT_MASK, GRIPPER_MASK};
     use crate::variety::{Span, Variety};
     use nalgebra::Point3;
@@ -189,6 +238,33 @@ mod tests {
             }
         }
         assert!(checked >= 10, "{checked}");
+    }
+
+    #[test]
+    fn policies_act_from_the_starts_of_the_environment() {
+        let options = EpisodeOptions {
+            goals: vec![GoalKind::Push],
+            policies: ScriptedPolicy::ALL.to_vec(),
+            ..short(24)
+        };
+        let mut succeeded = 0;
+        for seed in 0..24 {
+            let episode = Episode::generate(seed, &options).expect("valid options");
+            let mut environment =
+                Environment::new(GoalKind::Push, seed, &options.variety).expect("a goal");
+            assert_eq!(episode.instruction, environment.instruction());
+            assert!(
+                episode.frames[0].image == environment.picture(),
+                "seed {seed}"
+            );
+            succeeded += usize::from(episode.success);
+        }
+        assert!((4..=20).contains(&succeeded), "{succeeded} of 24");
+        let aimless = EpisodeOptions {
+            goals: Vec::new(),
+            ..options
+        };
+        assert!(matches!(Episode::generate(0, &aimless), Err(Error::NoGoal)));
     }
 
     #[test]

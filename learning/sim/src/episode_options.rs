@@ -1,6 +1,6 @@
 //! Options of an episode.
 
-use crate::environment::GoalKind;
+use crate::environment::{GoalKind, ScriptedPolicy};
 use crate::variety::Variety;
 
 /// Options of an [`Episode`](crate::Episode).
@@ -17,6 +17,9 @@ pub struct EpisodeOptions {
     pub goals: Vec<GoalKind>,
     /// Largest share of the oracle's actions that are disturbed, 0 to 1; each episode draws its own.
     pub disturbance: f64,
+    /// Policies, of which one acts in an episode, for one of `goals` from the [`Environment`](crate::Environment)'s start;
+    /// empty for the operator or the oracle.
+    pub policies: Vec<ScriptedPolicy>,
     /// Variation between episodes.
     pub variety: Variety,
 }
@@ -29,6 +32,7 @@ impl Default for EpisodeOptions {
             failures: 0.0,
             goals: Vec::new(),
             disturbance: 0.0,
+            policies: Vec::new(),
             variety: Variety::default(),
         }
     }

@@ -19,6 +19,13 @@ pub enum Error {
     Seeds { first_seed: u64, episodes: u64 },
     #[error("expected a task, one of reach, push and pick-place, got {got:?}")]
     GoalKind { got: String },
+    #[error("expected goals for the policies, got none")]
+    NoGoal,
+    #[error(
+        "expected a policy, one of oracle, frozen-gripper, random, hold, noise-N or beside-N of 1 to 200 mm, or \
+         distracted-N, slow-N or stop-N of 1 to 99 %, got {got:?}"
+    )]
+    Policy { got: String },
     #[error(
         "expected seven finite numbers as an action (m, rad, gripper), got {:?} {:?} {}",
         .action.translation.as_slice(), .action.rotation.as_slice(), .action.gripper

@@ -57,7 +57,8 @@ pub use bag::{
 };
 pub use dataset::generate_bags;
 pub use environment::{
-    Environment, Goal, GoalKind, JOINT_NAMES, REACH_TOLERANCE_M, Snapshot, Target,
+    Environment, Goal, GoalKind, JOINT_NAMES, Performance, REACH_TOLERANCE_M, ScriptedPolicy,
+    Snapshot, Target,
 };
 pub use episode::{Episode, Frame};
 pub use episode_options::EpisodeOptions;

@@ -75,10 +75,7 @@ impl<'a> HindsightSource<'a> {
     /// A random frame with a goal; the logarithm of the length of the way is uniform, so that near goals are as frequent
     /// as far ones.
     pub fn draw_near(&self, rng: &mut impl Rng) -> Hindsight {
-        self.draw_by(rng, |rng, most| {
-            let log = rng.random_range(0.0..((most + 1) as f64).ln());
-            (log.exp() as usize).clamp(1, most)
-        })
+        self.draw_by(rng, |rng, most| logarithmic(rng, 1, most))
     }
 
     fn draw_by<R: Rng>(&self, rng: &mut R, length: impl Fn(&mut R, usize) -> usize) -> Hindsight {
@@ -89,6 +86,22 @@ impl<'a> HindsightSource<'a> {
             present: first + present,
             goal: first + present + length(rng, most),
         }
+    }
+
+    /// A goal of the frame `present`, at least a model step later; the logarithm of the length of the way is uniform, so
+    /// that near goals are as frequent as far ones. The last frame of the episode if it is nearer than a model step.
+    pub fn later(&self, present: usize, rng: &mut impl Rng) -> usize {
+        let left = self.last(present) - present;
+        let most = left.min(self.longest.saturating_mul(self.frame_skip));
+        let least = self.frame_skip.min(most);
+        present + logarithmic(rng, least, most)
+    }
+
+    /// The last frame of the episode of `present`.
+    pub fn last(&self, present: usize) -> usize {
+        let holds = |(first, count): &&(usize, usize)| (*first..first + count).contains(&present);
+        let episode = self.episodes.iter().find(holds);
+        episode.map_or(present, |(first, count)| first + count - 1)
     }
 
     /// The frame `steps` model steps on the way, or the goal if it is nearer.
@@ -111,6 +124,15 @@ impl<'a> HindsightSource<'a> {
         let shape = (rows.len(), frames, h, w, c);
         Ok(Tensor::from_vec(values, shape, &self.device)?)
     }
+}
+
+/// A number from `least` to `most`, whose logarithm is uniform.
+fn logarithmic(rng: &mut impl Rng, least: usize, most: usize) -> usize {
+    if most == 0 {
+        return 0;
+    }
+    let log = rng.random_range((least.max(1) as f64).ln()..((most + 1) as f64).ln());
+    (log.exp() as usize).clamp(least, most)
 }
 
 #[cfg(test)]
@@ -142,6 +164,17 @@ mod tests {
                 assert_eq!(source.on_the_way(way, 99), way.goal);
                 near += usize::from(way.goal - way.present == 1);
             }
+        }
+        for present in [0, 1, 2, source.episodes[0].1 - 2, source.episodes[0].1 - 1] {
+            let last = source.last(present);
+            assert_eq!(last, source.episodes[0].1 - 1);
+            let goals: Vec<usize> = (0..100).map(|_| source.later(present, &mut rng)).collect();
+            let (least, most) = ((present + 2).min(last), (present + 6).min(last));
+            assert!(
+                goals.iter().all(|goal| (least..=most).contains(goal)),
+                "{goals:?}"
+            );
+            assert!(goals.contains(&least) && goals.contains(&most), "{goals:?}");
         }
         assert!((200..500).contains(&near), "{near} of 1000");
         assert!(HindsightSource::new(&latents, 1000, 3).is_err());

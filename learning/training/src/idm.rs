@@ -9,6 +9,7 @@ use std::path::Path;
 
 use anyhow::{Context as _, Result, ensure};
 use candle_core::{DType, Tensor};
+use rand::Rng as _;
 use rand_chacha::ChaCha8Rng;
 use wm_dataset::{ClipSource, Latents};
 use wm_evaluation::{Figure, on_real};
@@ -21,6 +22,7 @@ use wm_zoo::{
 
 use crate::{
     arguments::RunArgs,
+    hindsight::HindsightSource,
     network_variables::{NetworkLearner, NetworkVariables},
     optimiser::ParameterValues,
     run::Task,
@@ -41,6 +43,8 @@ struct IdmTask<'a> {
     encoding: &'a ActionEncoding,
     train: &'a Latents,
     clips: ClipSource<'a>,
+    /// Goals farther away than the last latent of a clip.
+    goals: Option<HindsightSource<'a>>,
     held_out: Option<&'a Latents>,
     variables: NetworkVariables,
     model: IdmNetwork,
@@ -62,6 +66,12 @@ impl<'a> IdmTask<'a> {
             "dropout is {}, expected 0 up to 1",
             recipe.dropout
         );
+        ensure!(
+            recipe.longest <= 1 || recipe.model.horizon == 1,
+            "longest is {}, which needs a model.horizon of 1, not {}",
+            recipe.longest,
+            recipe.model.horizon
+        );
         let sizes = match run.old_config::<IdmNetworkConfig>(FILE, IDM_KEY)? {
             Some(old) => recipe.model.sized_as(&old),
             None => recipe.model.clone(),
@@ -73,8 +83,18 @@ impl<'a> IdmTask<'a> {
         if let Some(held_out) = held_out {
             ClipSource::new(held_out, encoding, frames).context("the held-out bags")?;
         }
+        ensure!(
+            (0.0..=1.0).contains(&recipe.last_goals),
+            "last_goals is {}, expected 0 to 1",
+            recipe.last_goals
+        );
+        let goals = (recipe.longest > 1)
+            .then(|| HindsightSource::new(train, encoding.frame_skip(), recipe.longest))
+            .transpose()?;
+        let device = run.device()?;
         Ok(Self {
-            clips: ClipSource::new(train, encoding, frames)?.on(&run.device()?),
+            goals: goals.map(|goals| goals.on(&device)),
+            clips: ClipSource::new(train, encoding, frames)?.on(&device),
             recipe,
             config,
             encoding,
@@ -86,8 +106,33 @@ impl<'a> IdmTask<'a> {
         })
     }
 
+    /// Latents (B, k + 1, h, w, C) with the actions (B, k + 1, A) of their frames. The last latent may be a goal farther
+    /// away.
+    fn batch(&self, rng: &mut ChaCha8Rng) -> Result<(Tensor, Tensor)> {
+        let clips: Vec<_> = (0..self.recipe.micro_batch)
+            .map(|_| self.clips.draw(rng))
+            .collect();
+        let (latents, actions) = self.clips.tensors(&clips)?;
+        let Some(source) = &self.goals else {
+            return Ok((latents, actions));
+        };
+        let goals = clips.iter().map(|clip| {
+            let present = self.clips.first_frame(*clip);
+            vec![match rng.random_bool(self.recipe.last_goals) {
+                true => source.last(present),
+                false => source.later(present, rng),
+            }]
+        });
+        let goals: Vec<_> = goals.collect();
+        let presents = latents.narrow(1, 0, self.config.horizon())?;
+        Ok((
+            Tensor::cat(&[&presents, &source.tensor(&goals)?], 1)?,
+            actions,
+        ))
+    }
+
     fn loss(&self, rng: &mut ChaCha8Rng) -> Result<Tensor> {
-        let (latents, actions) = self.clips.batch(self.recipe.micro_batch, rng)?;
+        let (latents, actions) = self.batch(rng)?;
         let latents = match self.recipe.latent_noise {
             0.0 => latents,
             deviation => {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use anyhow::{Context as _, Result, bail, ensure};
 use candle_core::{Device, Tensor};
 use image::RgbImage;
-use wm_model::{Encoder, WorldModel};
+use wm_model::{Decoder, Encoder, WorldModel};
 use wm_motion::actions::ActionSpace;
 use wm_sim::EndEffectorAction;
 use wm_zoo::{ModelFolder, distance::TrainedDistance, idm::TrainedIdm, subgoals::TrainedSubgoals};
@@ -15,6 +15,7 @@ use nalgebra::Vector3;
 /// Encoder, transition model, and the networks that planners use besides.
 pub struct Model {
     encoder: Box<dyn Encoder>,
+    pub decoder: Option<Box<dyn Decoder>>,
     pub world: WorldModel,
     pub idm: Option<Arc<TrainedIdm>>,
     pub subgoals: Option<TrainedSubgoals>,
@@ -37,6 +38,7 @@ impl Model {
         }
         Ok(Self {
             encoder,
+            decoder: folder.decoder()?,
             world,
             idm: folder.idm()?.map(Arc::new),
             subgoals,
@@ -48,6 +50,11 @@ impl Model {
     pub fn encode(&self, picture: &RgbImage) -> Result<Tensor> {
         let pixels = self.encoder.prepare(picture)?;
         Ok(self.encoder.encode(&pixels)?.squeeze(0)?)
+    }
+
+    /// A camera picture in the size of the model's pictures.
+    pub fn resized(&self, picture: &RgbImage) -> Result<RgbImage> {
+        Ok(self.encoder.framing().apply(picture)?)
     }
 
     /// Actions of the arm in one model step.

@@ -1,15 +1,15 @@
 //! `wm eval imagined`.
 
-use std::path::PathBuf;
+use std::{path::PathBuf, time::Duration};
 
 use anyhow::{Context as _, Result, ensure};
 use clap::Args;
 use wm_model::trained_folder::EMBEDDED;
-use wm_sim::GoalKind;
+use wm_sim::{GoalKind, ScriptedPolicy};
 
 use super::{
+    candidate::{Candidate, NamedCommand},
     findings::{Findings, RunInfo},
-    scripted::ScriptedPolicy,
     start::Setup,
 };
 use crate::{
@@ -27,6 +27,13 @@ pub struct ImaginedArgs {
     /// slow-PERCENT, stop-PERCENT, frozen-gripper, random or hold [default: 16 of them]
     #[arg(long, num_args = 1.., value_name = "NAME")]
     pub policy: Vec<ScriptedPolicy>,
+    /// A further policy: a program that answers JSON lines, as --policy-command of `wm eval policy`. It sees the pictures of
+    /// the arm, and in imagination the predicted ones
+    #[arg(long, value_name = "NAME=COMMAND")]
+    pub policy_command: Vec<NamedCommand>,
+    /// Time limit for an answer of a program \[s\]; its first answer includes loading the policy
+    #[arg(long, value_name = "SECONDS", default_value_t = 600, value_parser = clap::value_parser!(u64).range(1..=86_400))]
+    pub policy_timeout: u64,
     /// Model: tiny, or a model's folder; it needs a success probe
     #[arg(long, default_value = EMBEDDED)]
     pub model: String,
@@ -62,10 +69,17 @@ impl ImaginedArgs {
             "--patience must be positive and finite, not {}",
             self.patience
         );
-        let policies = match self.policy.as_slice() {
+        let scripted = match self.policy.as_slice() {
             [] => ScriptedPolicy::ALL.as_slice(),
             chosen => chosen,
         };
+        let limit = Duration::from_secs(self.policy_timeout);
+        let scripted = scripted
+            .iter()
+            .map(|policy| Ok(Candidate::Scripted(*policy)));
+        let programs = self.policy_command.iter();
+        let programs = programs.map(|named| Candidate::program(named, limit));
+        let candidates = scripted.chain(programs).collect::<Result<Vec<_>>>()?;
         let folder = open_model(&self.model)?;
         let probe = folder.probe()?.with_context(|| {
             format!(
@@ -74,9 +88,14 @@ impl ImaginedArgs {
             )
         })?;
         let model = Model::load(&folder)?;
+        ensure!(
+            self.policy_command.is_empty() || model.decoder.is_some(),
+            "{} has no decoder, but programs need pictures",
+            self.model
+        );
         let setup = Setup {
             task: self.task,
-            policies,
+            candidates: &candidates,
             model: &model,
             probe: &probe,
             patience: self.patience,
@@ -95,7 +114,7 @@ impl ImaginedArgs {
             starts: self.episodes,
             patience: self.patience,
         };
-        let findings = Findings::of(about, policies, &starts)?;
+        let findings = Findings::of(about, &candidates, &starts)?;
         print!("{findings}");
         if let Some(json) = &self.json {
             std::fs::write(json, findings.to_json()?)

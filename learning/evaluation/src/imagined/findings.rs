@@ -7,8 +7,8 @@ use serde::Serialize;
 use wm_metrics::statistics::{Bootstrap, bootstrap_mean, wilson};
 
 use super::{
+    candidate::Candidate,
     correlation::{Agreement, Coefficient, Score, Success},
-    scripted::ScriptedPolicy,
     start::{Outcome, Start},
 };
 
@@ -86,9 +86,9 @@ pub struct Episode {
 
 impl Findings {
     /// Findings of the policies from all starts.
-    pub fn of(about: RunInfo, policies: &[ScriptedPolicy], starts: &[Start]) -> Result<Self> {
-        let found = policies.iter().enumerate();
-        let found = found.map(|(index, policy)| Policy::of(*policy, index, starts));
+    pub fn of(about: RunInfo, candidates: &[Candidate], starts: &[Start]) -> Result<Self> {
+        let found = candidates.iter().enumerate();
+        let found = found.map(|(index, candidate)| Policy::of(candidate, index, starts));
         Ok(Self {
             about,
             agreements: Agreement::all(starts)?,
@@ -104,7 +104,7 @@ impl Findings {
 }
 
 impl Policy {
-    fn of(policy: ScriptedPolicy, index: usize, starts: &[Start]) -> Result<Self> {
+    fn of(candidate: &Candidate, index: usize, starts: &[Start]) -> Result<Self> {
         let found = starts.iter().filter_map(|start| {
             let outcome = start.outcomes.get(index)?;
             Some((start, *outcome))
@@ -129,7 +129,7 @@ impl Policy {
             })
         };
         Ok(Self {
-            policy: policy.to_string(),
+            policy: candidate.to_string(),
             executed: share(&|own| own.executed)?,
             followed: share(&|own| own.followed)?,
             seen: judged(|own| own.seen)?,

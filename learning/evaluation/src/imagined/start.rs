@@ -1,21 +1,27 @@
 //! All policies from one start, on the arm and in imagination.
 
-use anyhow::{Context as _, Result};
+use anyhow::{Context as _, Result, bail};
 use candle_core::Tensor;
+use image::RgbImage;
 use wm_planner::{Dynamics as _, TransitionDynamics};
-use wm_sim::{Environment, GoalKind, Variety};
+use wm_sim::{EndEffectorAction, Environment, GoalKind, Performance, ScriptedPolicy, Variety};
 use wm_zoo::success_probe::SuccessClassifier;
 
-use super::{performance::Performance, scripted::ScriptedPolicy};
+use super::candidate::Candidate;
 use crate::{
     CONTEXT,
     closed_loop::{actor::rest, model::Model, trial::LEAST_STEPS},
+    picture_strip::png,
+    policy::{
+        Actor, Imagination, Policy, Start as ImaginedStart, Trial, imagine,
+        protocol::{ActionSpaceInfo, Request, VERSION},
+    },
 };
 
 /// Settings of all starts.
 pub struct Setup<'a> {
     pub task: GoalKind,
-    pub policies: &'a [ScriptedPolicy],
+    pub candidates: &'a [Candidate],
     pub model: &'a Model,
     pub probe: &'a SuccessClassifier,
     /// Length of an episode, as a multiple of the oracle's.
@@ -47,6 +53,20 @@ pub struct Outcome {
     pub imagined: f32,
 }
 
+/// What the world model and the policies know at the start.
+struct Observed {
+    /// (`CONTEXT`, h, w, C).
+    latents: Tensor,
+    /// (1, A): the model action between them.
+    between: Tensor,
+    /// The newest picture, in the model's size.
+    picture: RgbImage,
+    /// The last command before it.
+    last: [f32; 7],
+    instruction: String,
+    seed: u64,
+}
+
 /// Commands of a policy, and the resulting pictures.
 struct Execution {
     /// (steps, A): the commands.
@@ -68,15 +88,28 @@ impl Setup<'_> {
         let steps = self.steps(&environment)?;
         // The model starts from two frames.
         let first = model.encode(&environment.picture())?;
-        let between = model.action(&rest(&mut environment, model.frames_per_step())?)?;
-        let observed = Tensor::stack(&[first, model.encode(&environment.picture())?], 0)?;
-        let executed = self.policies.iter();
-        let executed = executed.map(|policy| self.execute(*policy, environment.clone(), steps));
+        let done = rest(&mut environment, model.frames_per_step())?;
+        let picture = environment.picture();
+        let observed = Observed {
+            latents: Tensor::stack(&[first, model.encode(&picture)?], 0)?,
+            between: model.action(&done)?,
+            picture: model.resized(&picture)?,
+            last: done.last().context("no command before the start")?.values(),
+            instruction: environment.instruction().to_owned(),
+            seed,
+        };
+        let executed = self.candidates.iter();
+        let executed = executed.map(|candidate| match candidate {
+            Candidate::Scripted(policy) => self.execute(*policy, environment.clone(), steps),
+            Candidate::Program { name, policy } => self
+                .execute_program(policy, environment.clone(), &observed, steps)
+                .with_context(|| format!("{name} on the arm, seed {seed}")),
+        });
         let executed = executed.collect::<Result<Vec<_>>>()?;
-        let imagined = self.imagine(&observed, &between, &executed, seed)?;
+        let imagined = self.imagine(&observed, &executed, steps)?;
         let outcome = |(index, executed): (usize, &Execution)| -> Result<Outcome> {
             let probability = |after: &Tensor| {
-                let episode = Tensor::cat(&[&observed, after], 0)?;
+                let episode = Tensor::cat(&[&observed.latents, after], 0)?;
                 Ok::<f32, anyhow::Error>(probe.probability(&episode, &instruction)?)
             };
             Ok(Outcome {
@@ -84,7 +117,7 @@ impl Setup<'_> {
                 followed: executed.environment.instruction_followed(),
                 distance_m: executed.environment.distance_m(),
                 seen: probability(&executed.latents)?,
-                imagined: probability(&imagined.get(index)?)?,
+                imagined: probability(imagined.get(index).context("no imagined episode")?)?,
             })
         };
         let outcomes = executed.iter().enumerate().map(outcome);
@@ -110,19 +143,71 @@ impl Setup<'_> {
     fn execute(
         &self,
         policy: ScriptedPolicy,
-        mut environment: Environment,
+        environment: Environment,
         steps: usize,
     ) -> Result<Execution> {
-        let seed = environment.seed();
-        let mut performance = Performance::new(policy, &environment, seed);
-        let (mut actions, mut latents) = (Vec::new(), Vec::new());
-        for _ in 0..steps {
+        let mut performance = Performance::new(policy, &environment);
+        self.record(environment, steps, |environment, _| {
             let mut commands = Vec::new();
             for _ in 0..self.model.frames_per_step() {
-                let command = performance.command(&environment);
+                let command = performance.command(environment.world());
                 environment.step(&command)?;
                 commands.push(command);
             }
+            Ok(commands)
+        })
+    }
+
+    /// The program sees the arm's pictures.
+    fn execute_program(
+        &self,
+        policy: &Policy,
+        environment: Environment,
+        observed: &Observed,
+        steps: usize,
+    ) -> Result<Execution> {
+        let encoding = &self.model.world.encoding;
+        let space = ActionSpaceInfo::of(encoding);
+        let task = format!("{} {} on the arm", self.task, observed.seed);
+        let mut actor = Actor::new(policy, encoding, &observed.last, &[]);
+        self.record(environment, steps, |environment, step| {
+            if actor.needs_actions() {
+                actor.request(&Request {
+                    version: VERSION,
+                    task: &task,
+                    trial: 0,
+                    seed: observed.seed,
+                    step,
+                    instruction: &observed.instruction,
+                    image: png(&self.model.resized(&environment.picture())?)?,
+                    views: 1,
+                    state: None,
+                    action_space: &space,
+                })?;
+            }
+            let mut commands = Vec::new();
+            for values in actor.step().0 {
+                let Ok(values) = <[f32; 7]>::try_from(values) else {
+                    bail!("expected actions of seven values");
+                };
+                let command = EndEffectorAction::from_values(values);
+                environment.step(&command)?;
+                commands.push(command);
+            }
+            Ok(commands)
+        })
+    }
+
+    /// Acts for some model steps. `act` executes the commands of one.
+    fn record(
+        &self,
+        mut environment: Environment,
+        steps: usize,
+        mut act: impl FnMut(&mut Environment, usize) -> Result<Vec<EndEffectorAction>>,
+    ) -> Result<Execution> {
+        let (mut actions, mut latents) = (Vec::new(), Vec::new());
+        for step in 0..steps {
+            let commands = act(&mut environment, step)?;
             actions.push(self.model.action(&commands)?);
             latents.push(self.model.encode(&environment.picture())?);
         }
@@ -133,23 +218,73 @@ impl Setup<'_> {
         })
     }
 
-    /// Predictions for the policies' commands, in one batch with one noise: (policies, steps, h, w, C).
+    /// Predictions (steps, h, w, C) by candidate, all with the noise of the start's seed.
     fn imagine(
         &self,
-        observed: &Tensor,
-        between: &Tensor,
+        observed: &Observed,
         executed: &[Execution],
-        seed: u64,
+        steps: usize,
+    ) -> Result<Vec<Tensor>> {
+        let pairs = self.candidates.iter().zip(executed);
+        let scripted = pairs.filter(|(candidate, _)| matches!(candidate, Candidate::Scripted(_)));
+        let actions: Vec<&Tensor> = scripted.map(|(_, executed)| &executed.actions).collect();
+        // In one batch.
+        let scripted = match actions.as_slice() {
+            [] => Vec::new(),
+            actions => {
+                let transition = &self.model.world.transition;
+                let mut dynamics = TransitionDynamics::new(
+                    transition,
+                    &transition.config().sampler,
+                    &observed.latents.unsqueeze(0)?,
+                    Some(&observed.between),
+                    observed.seed,
+                )?;
+                let predicted = dynamics.rollout(&Tensor::stack(actions, 0)?)?;
+                (0..actions.len())
+                    .map(|index| predicted.get(index))
+                    .collect::<candle_core::Result<Vec<_>>>()?
+            }
+        };
+        let mut scripted = scripted.into_iter();
+        let each = self.candidates.iter().map(|candidate| match candidate {
+            Candidate::Scripted(_) => scripted.next().context("no prediction of a policy"),
+            Candidate::Program { name, policy } => self
+                .imagine_program(policy, observed, steps)
+                .with_context(|| format!("{name} in imagination")),
+        });
+        each.collect()
+    }
+
+    /// The program sees the predicted pictures.
+    fn imagine_program(
+        &self,
+        policy: &Policy,
+        observed: &Observed,
+        steps: usize,
     ) -> Result<Tensor> {
-        let transition = &self.model.world.transition;
-        let mut dynamics = TransitionDynamics::new(
-            transition,
-            &transition.config().sampler,
-            &observed.unsqueeze(0)?,
-            Some(between),
-            seed,
-        )?;
-        let actions: Vec<&Tensor> = executed.iter().map(|executed| &executed.actions).collect();
-        Ok(dynamics.rollout(&Tensor::stack(&actions, 0)?)?)
+        let world = &self.model.world;
+        let imagination = Imagination {
+            world,
+            sampler: &world.transition.config().sampler,
+            decoder: self.model.decoder.as_deref(),
+            views: 1,
+        };
+        let start = ImaginedStart {
+            latents: observed.latents.unsqueeze(0)?,
+            past: observed.between.clone(),
+            picture: observed.picture.clone(),
+            last: observed.last.to_vec(),
+            recorded: Vec::new(),
+        };
+        let task = format!("{} {} in imagination", self.task, observed.seed);
+        let trial = Trial {
+            task: &task,
+            trial: 0,
+            seed: observed.seed,
+            instruction: &observed.instruction,
+        };
+        let episode = imagine(imagination, policy, &start, trial, (steps, false))?;
+        Ok(episode.latents.narrow(0, CONTEXT, steps)?)
     }
 }

@@ -1,12 +1,11 @@
 #![allow(clippy::unwrap_used, clippy::indexing_slicing)]
 
-use wm_sim::{Environment, GoalKind, Variety};
+use wm_sim::{GoalKind, ScriptedPolicy};
 use wm_zoo::ModelFolder;
 
 use super::{
+    candidate::{Candidate, NamedCommand},
     findings::{Findings, RunInfo},
-    performance::Performance,
-    scripted::ScriptedPolicy,
     start::{Outcome, Setup, Start},
 };
 use crate::closed_loop::model::Model;
@@ -15,83 +14,80 @@ use crate::closed_loop::model::Model;
 const SEED: u64 = 5_000_000;
 
 #[test]
-fn names_round_trip_and_others_are_rejected() {
-    for policy in ScriptedPolicy::ALL {
-        let name = policy.to_string();
-        assert_eq!(name.parse::<ScriptedPolicy>().unwrap(), policy);
-    }
-    assert_eq!(
-        "noise-33".parse::<ScriptedPolicy>().unwrap(),
-        ScriptedPolicy::Noise(33)
-    );
-    for wrong in ["noise", "noise-0", "noise--5", "slow-100", "beside-x", ""] {
-        let message = wrong.parse::<ScriptedPolicy>().unwrap_err().to_string();
-        assert!(
-            message.contains(&format!("{wrong:?}")) && message.contains("oracle"),
-            "{message}"
-        );
-    }
-}
-
-/// Share of pushes and carries with success.
-fn attained(policy: ScriptedPolicy) -> f64 {
-    let episodes = [GoalKind::Push, GoalKind::PickPlace]
-        .into_iter()
-        .flat_map(|kind| (SEED..SEED + 10).map(move |seed| (kind, seed)));
-    let attained = episodes.map(|(kind, seed)| {
-        let mut environment = Environment::new(kind, seed, &Variety::default()).unwrap();
-        let mut performance = Performance::new(policy, &environment, seed);
-        for _ in 0..environment.solution().len() * 3 / 2 {
-            let command = performance.command(&environment);
-            environment.step(&command).unwrap();
-        }
-        f64::from(u8::from(environment.solved()))
-    });
-    attained.sum::<f64>() / 20.0
-}
-
-#[test]
-fn higher_fault_grade_succeeds_less() {
-    assert_eq!(attained(ScriptedPolicy::Oracle), 1.0);
-    assert_eq!(attained(ScriptedPolicy::Hold), 0.0);
-    let falling: [&[ScriptedPolicy]; 4] = [
-        &[ScriptedPolicy::Noise(5), ScriptedPolicy::Noise(80)],
-        &[
-            ScriptedPolicy::Distracted(5),
-            ScriptedPolicy::Distracted(70),
-        ],
-        &[ScriptedPolicy::Beside(5), ScriptedPolicy::Beside(80)],
-        &[ScriptedPolicy::Stop(99), ScriptedPolicy::Stop(40)],
-    ];
-    for grades in falling {
-        let rates: Vec<f64> = grades.iter().map(|policy| attained(*policy)).collect();
-        assert!(rates[0] > rates[1] + 0.3, "{grades:?}: {rates:?}");
-    }
-}
-
-#[test]
 fn policy_result_does_not_depend_on_other_policies() {
     let folder = ModelFolder::open("tiny").unwrap();
     let model = Model::load(&folder).unwrap();
     let probe = folder.probe().unwrap().unwrap();
-    let run = |policies: &[ScriptedPolicy]| {
+    let run = |candidates: &[Candidate]| {
         let setup = Setup {
             task: GoalKind::Reach,
-            policies,
+            candidates,
             model: &model,
             probe: &probe,
             patience: 1.5,
         };
         setup.run(SEED).unwrap()
     };
-    let both = run(&[ScriptedPolicy::Hold, ScriptedPolicy::Oracle]);
-    let alone = run(&[ScriptedPolicy::Oracle]);
+    let scripted = Candidate::Scripted;
+    let both = run(&[
+        scripted(ScriptedPolicy::Hold),
+        scripted(ScriptedPolicy::Oracle),
+    ]);
+    let alone = run(&[scripted(ScriptedPolicy::Oracle)]);
     assert_eq!(alone.outcomes[0], both.outcomes[1]);
     assert!(both.steps >= 10 && both.steps + 2 <= probe.max_frames());
     let [hold, oracle] = [both.outcomes[0], both.outcomes[1]];
     assert!(oracle.executed && oracle.followed && !hold.executed && !hold.followed);
     assert!(oracle.seen > hold.seen, "{both:?}");
     assert!(oracle.imagined > hold.imagined, "{both:?}");
+}
+
+/// The example moves down without looking, so it is the same on the arm and in imagination.
+#[test]
+fn program_acts_on_the_arm_and_in_imagination() {
+    let folder = ModelFolder::open("tiny").unwrap();
+    let model = Model::load(&folder).unwrap();
+    let probe = folder.probe().unwrap().unwrap();
+    let script = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../../examples/imagined_policy/policy.py"
+    );
+    let program = |options: &str| {
+        let named: NamedCommand = format!("down=python3 '{script}' {options}")
+            .parse()
+            .unwrap();
+        Candidate::program(&named, std::time::Duration::from_secs(60)).unwrap()
+    };
+    let run = |candidates: &[Candidate]| {
+        let setup = Setup {
+            task: GoalKind::Reach,
+            candidates,
+            model: &model,
+            probe: &probe,
+            patience: 1.0,
+        };
+        setup.run(SEED)
+    };
+    let still = [
+        program("--speed 0"),
+        Candidate::Scripted(ScriptedPolicy::Hold),
+    ];
+    let still = run(&still).unwrap().outcomes;
+    // The gripper's commands differ.
+    assert!(
+        (still[0].distance_m - still[1].distance_m).abs() < 1e-9,
+        "{still:?}"
+    );
+    let moving = run(&[program("--down 1 --speed 0.02")]).unwrap().outcomes;
+    assert_ne!(moving[0].distance_m, still[0].distance_m);
+    assert_ne!(moving[0].imagined, still[0].imagined);
+    let error = run(&[program("--no-such-option")]).unwrap_err();
+    let error = format!("{error:#}");
+    assert!(error.contains("down on the arm"), "{error}");
+    for wrong in ["", "policy.py", "=policy.py", "name= "] {
+        let error = wrong.parse::<NamedCommand>().unwrap_err().to_string();
+        assert!(error.contains("NAME=COMMAND"), "{error}");
+    }
 }
 
 fn run_info() -> RunInfo {
@@ -125,9 +121,12 @@ fn starts(imagined: impl Fn(u8) -> f32) -> Vec<Start> {
 
 #[test]
 fn findings_rank_policies() {
-    let policies = &ScriptedPolicy::ALL[..5];
+    let policies = ScriptedPolicy::ALL[..5].iter();
+    let policies: Vec<_> = policies
+        .map(|policy| Candidate::Scripted(*policy))
+        .collect();
     let json = |imagined: fn(u8) -> f32| -> serde_json::Value {
-        let found = Findings::of(run_info(), policies, &starts(imagined)).unwrap();
+        let found = Findings::of(run_info(), &policies, &starts(imagined)).unwrap();
         assert!(found.to_string().contains("none: all policies"), "{found}");
         serde_json::from_str(&found.to_json().unwrap()).unwrap()
     };

@@ -1,22 +1,34 @@
 //! Runs one imagined episode: the policy acts, the world model predicts.
 
-use std::collections::VecDeque;
-
 use anyhow::{Context as _, Result};
 use candle_core::{Device, Tensor};
 use image::RgbImage;
-use wm_model::sampler::{Given, Rollout};
-use wm_motion::actions::{ActionEncoding, ActionSpace};
+use wm_model::{
+    Decoder, WorldModel,
+    sampler::{Given, Rollout, Sampler},
+};
 
 use super::{
-    protocol::{ActionSpaceInfo, Request, VERSION, actions},
+    actor::Actor,
+    protocol::{ActionSpaceInfo, Request, VERSION},
     setup::Policy,
 };
-use crate::{Subject, picture_strip::png};
+use crate::{picture_strip::png, subject::decode};
+
+/// The model that an episode is imagined with.
+#[derive(Clone, Copy)]
+pub(crate) struct Imagination<'a> {
+    pub world: &'a WorldModel,
+    pub sampler: &'a Sampler,
+    /// Programs need it, to see.
+    pub decoder: Option<&'a dyn Decoder>,
+    /// Cameras, side by side in a picture.
+    pub views: usize,
+}
 
 /// Start of an episode.
 #[derive(Clone, Debug)]
-pub(super) struct Start {
+pub(crate) struct Start {
     /// (1, `CONTEXT`, h, w, C).
     pub latents: Tensor,
     /// (`CONTEXT` - 1, A): the model actions between them.
@@ -31,7 +43,7 @@ pub(super) struct Start {
 
 /// Identity of a trial, for the policy.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Trial<'a> {
+pub(crate) struct Trial<'a> {
     pub task: &'a str,
     pub trial: usize,
     pub seed: u64,
@@ -40,7 +52,7 @@ pub(super) struct Trial<'a> {
 
 /// An imagined episode.
 #[derive(Clone, Debug)]
-pub(super) struct Episode {
+pub(crate) struct Episode {
     /// Observed, then predicted: (`CONTEXT` + steps, h, w, C).
     pub latents: Tensor,
     /// The newest observed frame, then decoded predictions; empty if unused.
@@ -55,22 +67,21 @@ pub(super) struct Episode {
 ///
 /// # Errors
 /// If the policy fails, or model and start do not fit.
-pub(super) fn imagine(
-    subject: &Subject,
+pub(crate) fn imagine(
+    model: Imagination<'_>,
     policy: &Policy,
     start: &Start,
     trial: Trial<'_>,
     (steps, is_seen): (usize, bool),
 ) -> Result<Episode> {
-    let encoding = &subject.world.encoding;
+    let encoding = &model.world.encoding;
     let skip = encoding.frame_skip();
     let space = ActionSpaceInfo::of(encoding);
-    let mut actor = Actor::new(policy, encoding, start);
+    let mut actor = Actor::new(policy, encoding, &start.last, &start.recorded);
     let is_seen = is_seen || matches!(policy, Policy::Command(_));
-    let (model, sampler) = (&subject.world.transition, subject.sampler());
     let mut rollout = Rollout::new(
-        model,
-        sampler,
+        &model.world.transition,
+        model.sampler,
         &start.latents,
         Some(&start.past),
         trial.seed,
@@ -96,7 +107,7 @@ pub(super) fn imagine(
                 step,
                 instruction: trial.instruction,
                 image: png(seen)?,
-                views: subject.dataset.views(),
+                views: model.views,
                 state: None,
                 action_space: &space,
             };
@@ -114,7 +125,8 @@ pub(super) fn imagine(
         };
         let predicted = rollout.next_given(&row(action.values)?, given)?;
         if is_seen {
-            pictures.extend(subject.decode(&predicted)?);
+            let decoder = model.decoder.context("the model has no decoder")?;
+            pictures.extend(decode(decoder, &predicted)?);
         }
         latents.push(predicted);
     }
@@ -129,91 +141,4 @@ pub(super) fn imagine(
 fn row(values: Vec<f32>) -> Result<Tensor> {
     let shape = (1, values.len());
     Ok(Tensor::from_vec(values, shape, &Device::Cpu)?)
-}
-
-/// A policy with its remaining actions.
-struct Actor<'a> {
-    policy: &'a Policy,
-    space: &'a ActionSpace,
-    /// Actions per model step.
-    skip: usize,
-    /// Whole model steps of actions.
-    queue: VecDeque<Vec<f32>>,
-    /// The last action.
-    last: Vec<f32>,
-}
-
-impl<'a> Actor<'a> {
-    fn new(policy: &'a Policy, encoding: &'a ActionEncoding, start: &Start) -> Self {
-        let mut actor = Self {
-            policy,
-            space: encoding.space(),
-            skip: encoding.frame_skip(),
-            queue: VecDeque::new(),
-            last: start.last.clone(),
-        };
-        if matches!(policy, Policy::Recorded) {
-            actor.queue.extend(start.recorded.iter().cloned());
-            let end = still(start.recorded.last().unwrap_or(&start.last), actor.space);
-            actor.fill(&end);
-        }
-        actor
-    }
-
-    /// Fills the last model step with `action`.
-    fn fill(&mut self, action: &[f32]) {
-        let whole = self.queue.len().next_multiple_of(self.skip);
-        self.queue.resize(whole, action.to_vec());
-    }
-
-    /// Whether it needs new actions.
-    fn needs_actions(&self) -> bool {
-        self.queue.is_empty() && matches!(self.policy, Policy::Command(_))
-    }
-
-    fn request(&mut self, request: &Request<'_>) -> Result<()> {
-        let Policy::Command(process) = self.policy else {
-            return Ok(());
-        };
-        let line = process.ask(request)?;
-        let answered = actions(&line, self.space)?;
-        let held = answered.last().cloned();
-        self.queue.extend(answered);
-        if let Some(held) = held {
-            self.fill(&held);
-        }
-        Ok(())
-    }
-
-    /// Actions of this model step, and of the next one if known.
-    fn step(&mut self) -> (Vec<Vec<f32>>, Option<Vec<Vec<f32>>>) {
-        let count = self.skip.min(self.queue.len());
-        let mut taken: Vec<Vec<f32>> = self.queue.drain(..count).collect();
-        if let Some(last) = taken.last() {
-            self.last.clone_from(last);
-        }
-        let rest = still(&self.last, self.space);
-        taken.resize(self.skip, rest.clone());
-        let next: Vec<Vec<f32>> = self.queue.iter().take(self.skip).cloned().collect();
-        let next = match self.policy {
-            _ if !next.is_empty() => Some(next),
-            Policy::Command(_) => None,
-            Policy::Recorded | Policy::Still => Some(vec![rest; self.skip]),
-        };
-        (taken, next)
-    }
-}
-
-/// No motion after an action: changes and velocities are zero, states stay.
-pub(super) fn still(last: &[f32], space: &ActionSpace) -> Vec<f32> {
-    let values = space.dimensions().iter().zip(last);
-    values
-        .map(|(dimension, last)| {
-            if dimension.kind.is_motion() {
-                0.0
-            } else {
-                *last
-            }
-        })
-        .collect()
 }

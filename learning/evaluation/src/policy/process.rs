@@ -21,7 +21,7 @@ const MAX_LINE: u64 = 4 << 20;
 /// A policy program. One process serves all trials in sequence, so that it loads an accelerator once. It starts with
 /// the first request, and is killed on drop. It shares the standard error of this process.
 #[derive(Debug)]
-pub(super) struct PolicyProcess {
+pub(crate) struct PolicyProcess {
     command: String,
     words: Vec<String>,
     limit: Duration,
@@ -49,7 +49,7 @@ impl PolicyProcess {
     ///
     /// # Errors
     /// If the command cannot be split into words.
-    pub(super) fn new(command: &str, limit: Duration) -> Result<Self> {
+    pub(crate) fn new(command: &str, limit: Duration) -> Result<Self> {
         Ok(Self {
             command: command.to_owned(),
             words: words(command)?,

@@ -18,7 +18,7 @@ const EMBEDDED_TASKS: &str = "bridge_v2";
 
 /// A policy.
 #[derive(Debug)]
-pub(super) enum Policy {
+pub(crate) enum Policy {
     /// The episode's own actions, then none.
     Recorded,
     /// No motion.

@@ -11,7 +11,8 @@ use wm_metrics::ranking::SUCCESS_THRESHOLD;
 
 use super::{
     Condition, Setup, Verdicts,
-    episode::{Start, Trial, imagine, still},
+    actor::still,
+    episode::{Imagination, Start, Trial, imagine},
     judging::JudgePanel,
     setup::Policy,
     tasks::{Task, choose},
@@ -135,7 +136,7 @@ impl<'a> Trials<'a> {
         let instruction = trial_of.instruction;
         let is_seen = is_shown || self.judging.is_some();
         let episode = imagine(
-            subject,
+            imagination(subject),
             &setup.policy,
             &start,
             trial_of,
@@ -209,7 +210,7 @@ impl<'a> Trials<'a> {
         let start = self.start(task, unit.condition)?;
         let trial_of = self.trial_of(task, *unit);
         let found = imagine(
-            self.subject,
+            imagination(self.subject),
             &self.setup.policy,
             &start,
             trial_of,
@@ -252,6 +253,15 @@ impl<'a> Trials<'a> {
             last: last.clone(),
             recorded,
         })
+    }
+}
+
+fn imagination(subject: &Subject) -> Imagination<'_> {
+    Imagination {
+        world: &subject.world,
+        sampler: subject.sampler(),
+        decoder: subject.decoder.as_deref(),
+        views: subject.dataset.views(),
     }
 }
 

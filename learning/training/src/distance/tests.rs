@@ -1,4 +1,7 @@
+use std::sync::Arc;
+
 use candle_core::Device;
+use wm_planner::{Goals, SearchSpace, StepsToGoal, Term as _};
 
 use super::{arguments::train_on, *};
 use crate::{
@@ -84,6 +87,45 @@ fn unusable_shares_are_named() {
     };
     let error = train(dir.path(), &recipe, (&latents, None)).unwrap_err();
     assert!(error.to_string().contains("others is 0.8"), "{error}");
+}
+
+/// The planner's cost and `Plan.steps_to_goal`: of the last latent, not of the goal back to it.
+#[test]
+fn planners_count_the_steps_from_the_last_latent_to_the_goal() {
+    let dir = tempfile::tempdir().unwrap();
+    let latents = moving(dir.path(), 2, 1);
+    train(dir.path(), &small(1), (&latents, None)).unwrap();
+    let weights = Weights::open(dir.path().join(FILE)).unwrap();
+    let model = Arc::new(TrainedDistance::from_weights(weights).unwrap());
+    let ways = HindsightSource::new(&latents, 1, 10).unwrap();
+    // Two candidates of two steps, and the goal.
+    let rows = [vec![0, 9], vec![9, 4], vec![7, 7]];
+    let rows = ways.tensor(&rows).unwrap();
+    let (candidates, goal) = (
+        rows.narrow(0, 0, 2).unwrap(),
+        rows.get(2).unwrap().get(0).unwrap(),
+    );
+    let last = |index| candidates.get(index).unwrap().get(1).unwrap();
+    let median = |from: &Tensor, to: &Tensor| {
+        let pair = Tensor::stack(&[from, to], 0).unwrap().unsqueeze(0).unwrap();
+        model.steps(&pair).unwrap()[0][1] as f32
+    };
+    let space = SearchSpace::bounded(&[(-1.0, 1.0)], 1).unwrap();
+    let term = StepsToGoal::new(Arc::clone(&model), goal.clone());
+    let costs = term.costs(&space, &[], &candidates).unwrap();
+    let expected = [0, 1].map(|index| median(&last(index), &goal));
+    let back = [0, 1].map(|index| median(&goal, &last(index)));
+    assert_eq!((term.name(), costs.as_slice()), ("steps", &expected[..]));
+    assert_ne!(expected, back);
+    let goals = Goals::from(vec![last(1), goal]);
+    let observed = Goals::from(vec![last(0)]);
+    assert_eq!(goals.steps_from(&observed, &model).unwrap(), expected[0]);
+    assert!(
+        Goals::default()
+            .steps_from(&observed, &model)
+            .unwrap()
+            .is_nan()
+    );
 }
 
 /// By hand: each error, weighted by the quantile above the truth and by its complement below.

@@ -11,6 +11,8 @@ recipe! {
     pub struct IdmRecipe in ["tiny", "paper"] of "idm" {
         pub dropout: f64,
         pub latent_noise: f64,
+        pub longest: usize,
+        pub last_goals: f64,
         pub model: IdmModelRecipe,
     }
 }

@@ -59,6 +59,31 @@ fn training_learns_visible_actions() {
     }
 }
 
+/// Far goals: a latent several steps away still tells the direction.
+#[test]
+fn training_on_far_goals_infers_the_first_action_towards_them() {
+    let dir = tempfile::tempdir().unwrap();
+    let (train, held_out) = (moving(dir.path(), 200, 1), moving(dir.path(), 30, 2));
+    let mut recipe = small("tiny");
+    recipe.length = Span::Steps(300);
+    recipe.longest = 4;
+    train_on(&run_in(dir.path()), &recipe, &train, None, &Stop::default()).unwrap();
+    let model = TrainedIdm::open(dir.path().join(FILE)).unwrap();
+    let near = on_real(&model, &held_out, usize::MAX).unwrap();
+    let (_, _, r) = near.continuous.first().unwrap();
+    assert!(*r > 0.6, "{near}");
+    let refused = |longest, horizon| {
+        let mut recipe = small("tiny");
+        (recipe.longest, recipe.model.horizon) = (longest, horizon);
+        train_on(&run_in(dir.path()), &recipe, &train, None, &Stop::default()).unwrap_err()
+    };
+    let error = refused(4, 2).to_string();
+    assert!(
+        error.contains("longest is 4") && error.contains("horizon of 1"),
+        "{error}"
+    );
+}
+
 #[test]
 fn paused_training_gives_the_same_bytes() {
     let dir = tempfile::tempdir().unwrap();

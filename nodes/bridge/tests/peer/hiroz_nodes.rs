@@ -257,12 +257,21 @@ fn both_see_the_graph() {
         let graph = theirs.graph();
         let key = ("/wm".to_owned(), "ours".to_owned());
         assert!(graph.node_exists(key), "{:?}", graph.get_node_names());
-        let services = graph.get_service_names_and_types();
         let of_wm = (
             "/service_of_wm".to_owned(),
             "std_srvs::srv::dds_::SetBool_".to_owned(),
         );
-        assert!(services.contains(&of_wm), "{services:?}");
+        // the publisher may be announced before the service
+        soon("service of wm", async {
+            loop {
+                let changed = graph.change_notify.notified();
+                if graph.get_service_names_and_types().contains(&of_wm) {
+                    break;
+                }
+                changed.await;
+            }
+        })
+        .await;
         let found = graph.get_entities_by_topic(EndpointKind::Publisher, "/of_wm");
         let [found] = &found[..] else {
             panic!("expected one publisher, found {found:?}")

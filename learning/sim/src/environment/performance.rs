@@ -4,9 +4,13 @@ use nalgebra::Vector3;
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
-use wm_sim::{EndEffectorAction, Environment, LARGEST_STEP_M, LARGEST_TURN_RAD, Target};
 
-use super::scripted::ScriptedPolicy;
+use super::Environment;
+use super::goal::Target;
+use super::oracle;
+use super::policy::ScriptedPolicy;
+use crate::teleop::{LARGEST_STEP_M, LARGEST_TURN_RAD};
+use crate::world::{EndEffectorAction, World};
 
 /// One episode of a policy.
 #[derive(Clone, Debug)]
@@ -24,35 +28,47 @@ pub struct Performance {
 }
 
 impl Performance {
-    /// Starts here. Policies of a seed share random numbers: a higher grade errs in the same direction, by more.
-    pub fn new(policy: ScriptedPolicy, environment: &Environment, seed: u64) -> Self {
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    /// Starts at the environment's present state. Policies of a seed share random numbers: a higher grade errs in the same
+    /// direction, by more.
+    pub fn new(policy: ScriptedPolicy, environment: &Environment) -> Self {
+        let rng = ChaCha8Rng::seed_from_u64(environment.seed());
+        let aim = (environment.goal().target, environment.solution().len());
+        Self::of(policy, aim, environment.world(), rng)
+    }
+
+    /// Starts in `world` towards a target that the oracle attains in `solution` actions.
+    pub(crate) fn of(
+        policy: ScriptedPolicy,
+        (target, solution): (Target, usize),
+        world: &World,
+        mut rng: ChaCha8Rng,
+    ) -> Self {
         let angle = rng.random_range(0.0..std::f64::consts::TAU);
         let target = match policy {
             ScriptedPolicy::Beside(mm) => {
                 let aside = Vector3::new(angle.cos(), angle.sin(), 0.0) * metres(mm);
-                beside(environment.goal().target, aside)
+                beside(target, aside)
             }
-            _ => environment.goal().target,
+            _ => target,
         };
         Self {
             policy,
             target,
-            solution: environment.solution().len(),
+            solution,
             taken: 0,
-            grippers: [environment.world().opening().round(); 2],
+            grippers: [world.opening().round(); 2],
             rng,
         }
     }
 
-    /// The next command.
-    pub fn command(&mut self, environment: &Environment) -> EndEffectorAction {
+    /// The next command in `world`.
+    pub fn command(&mut self, world: &World) -> EndEffectorAction {
         // Always drawn, so that later draws do not depend on the policy.
         let shift = normal(&mut self.rng);
         let any = any_action(&mut self.rng);
         let chance = self.rng.random_range(0..100);
         let [at_start, last] = self.grippers;
-        let oracle = environment.oracle_for(&self.target);
+        let oracle = oracle::command(&self.target, world).unwrap_or_else(|| oracle::at_rest(world));
         let command = match self.policy {
             ScriptedPolicy::Oracle | ScriptedPolicy::Beside(_) => oracle,
             ScriptedPolicy::Noise(mm) => EndEffectorAction {
@@ -123,5 +139,51 @@ fn any_action(rng: &mut ChaCha8Rng) -> EndEffectorAction {
         translation: motion(LARGEST_STEP_M),
         rotation: motion(LARGEST_TURN_RAD),
         gripper: f64::from(rng.random_range(0..=1_u8)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::environment::GoalKind;
+    use crate::variety::Variety;
+
+    const SEED: u64 = 5_000_000;
+
+    /// Share of pushes and carries with success.
+    fn attained(policy: ScriptedPolicy) -> f64 {
+        let episodes = [GoalKind::Push, GoalKind::PickPlace]
+            .into_iter()
+            .flat_map(|kind| (SEED..SEED + 10).map(move |seed| (kind, seed)));
+        let attained = episodes.map(|(kind, seed)| {
+            let mut environment =
+                Environment::new(kind, seed, &Variety::default()).expect("a goal");
+            let mut performance = Performance::new(policy, &environment);
+            for _ in 0..environment.solution().len() * 3 / 2 {
+                let command = performance.command(environment.world());
+                environment.step(&command).expect("a finite action");
+            }
+            f64::from(u8::from(environment.solved()))
+        });
+        attained.sum::<f64>() / 20.0
+    }
+
+    #[test]
+    fn higher_fault_grade_succeeds_less() {
+        assert_eq!(attained(ScriptedPolicy::Oracle), 1.0);
+        assert_eq!(attained(ScriptedPolicy::Hold), 0.0);
+        let falling: [[ScriptedPolicy; 2]; 4] = [
+            [ScriptedPolicy::Noise(5), ScriptedPolicy::Noise(80)],
+            [
+                ScriptedPolicy::Distracted(5),
+                ScriptedPolicy::Distracted(70),
+            ],
+            [ScriptedPolicy::Beside(5), ScriptedPolicy::Beside(80)],
+            [ScriptedPolicy::Stop(99), ScriptedPolicy::Stop(40)],
+        ];
+        for grades in falling {
+            let [low, high] = grades.map(attained);
+            assert!(low > high + 0.3, "{grades:?}: {low}, {high}");
+        }
     }
 }

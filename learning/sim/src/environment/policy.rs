@@ -1,8 +1,8 @@
-//! Scripted policies by name.
+//! Policies of graded quality, by name.
 
 use std::{fmt, str::FromStr};
 
-use anyhow::{Error, bail};
+use crate::error::Error;
 
 /// The simulator's own controller (the oracle) with a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -84,13 +84,33 @@ impl FromStr for ScriptedPolicy {
             Some(("slow", percent @ 1..=99)) => Self::Slow(percent),
             Some(("stop", percent @ 1..=99)) => Self::Stop(percent),
             _ => {
-                let alone: Vec<String> = alone.map(|known| known.to_string()).collect();
-                bail!(
-                    "unknown policy {name:?}; expected {}, noise-N or beside-N of 1 to 200 mm, or distracted-N, slow-N or \
-                     stop-N of 1 to 99 %",
-                    alone.join(", ")
-                )
+                return Err(Error::Policy {
+                    got: name.to_owned(),
+                });
             }
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_round_trip_and_others_are_rejected() {
+        for policy in ScriptedPolicy::ALL {
+            let name = policy.to_string();
+            assert_eq!(name.parse::<ScriptedPolicy>().expect("a name"), policy);
+        }
+        let read: ScriptedPolicy = "noise-33".parse().expect("a name");
+        assert_eq!(read, ScriptedPolicy::Noise(33));
+        for wrong in ["noise", "noise-0", "noise--5", "slow-100", "beside-x", ""] {
+            let error = wrong.parse::<ScriptedPolicy>().expect_err("no name");
+            let message = error.to_string();
+            assert!(
+                message.contains(&format!("{wrong:?}")) && message.contains("oracle"),
+                "{message}"
+            );
+        }
     }
 }
