@@ -94,7 +94,7 @@ fn unusable_shares_are_named() {
 fn planners_count_the_steps_from_the_last_latent_to_the_goal() {
     let dir = tempfile::tempdir().unwrap();
     let latents = moving(dir.path(), 2, 1);
-    train(dir.path(), &small(1), (&latents, None)).unwrap();
+    train(dir.path(), &small(100), (&latents, None)).unwrap();
     let weights = Weights::open(dir.path().join(FILE)).unwrap();
     let model = Arc::new(TrainedDistance::from_weights(weights).unwrap());
     let ways = HindsightSource::new(&latents, 1, 10).unwrap();
