@@ -28,7 +28,6 @@ fn pages() -> Vec<PathBuf> {
         "bags/tabletop",
         "fuzz",
         "examples/cloned_policy",
-        "examples/gym",
         "examples/imagined_policy",
         "world-model/model/weights",
     ];
