@@ -37,6 +37,8 @@ def act(request, policy, vocabulary, mean, deviation):
 
 
 def main():
+    if len(sys.argv) != 2:
+        sys.exit("expected the policy that train.py wrote")
     torch.set_num_threads(1)
     learnt = load(sys.argv[1])
     for line in sys.stdin:

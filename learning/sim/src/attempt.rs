@@ -6,6 +6,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::environment::{Demonstration, Environment, Performance, ScriptedPolicy};
 use crate::episode_options::EpisodeOptions;
+use crate::error::Error;
 use crate::render::Camera;
 use crate::teleop::{Assignment, Failure, Operator};
 use crate::world::{EndEffectorAction, World};
@@ -71,18 +72,29 @@ impl Attempt {
         attempt
     }
 
-    /// An attempt at an environment's goal. It succeeds if the final state fulfils the instruction.
-    pub fn of_policy(policy: ScriptedPolicy, mut environment: Environment, frames: usize) -> Self {
+    /// An attempt at an environment's goal, by commands limited as in [`Environment::step`]. It succeeds if the final state
+    /// fulfils the instruction.
+    ///
+    /// # Errors
+    /// If a command is not finite.
+    pub fn of_policy(
+        policy: ScriptedPolicy,
+        mut environment: Environment,
+        frames: usize,
+    ) -> Result<Self, Error> {
         let mut performance = Performance::new(policy, &environment);
-        let steps = record(environment.world_mut(), frames, |world, _| {
-            performance.command(world)
-        });
-        Self {
+        let mut steps = Vec::with_capacity(frames);
+        for _ in 0..frames {
+            let before = environment.world().clone();
+            let command = performance.command(&before);
+            steps.push((before, environment.step(&command)?.values()));
+        }
+        Ok(Self {
             steps,
             instruction: environment.instruction().to_owned(),
             success: environment.instruction_followed(),
             failure: None,
-        }
+        })
     }
 
     fn make(mut operator: Operator, mut world: World, frames: usize) -> Self {

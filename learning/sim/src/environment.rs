@@ -188,10 +188,6 @@ impl Environment {
         &self.world
     }
 
-    pub(crate) fn world_mut(&mut self) -> &mut World {
-        &mut self.world
-    }
-
     /// Number of actions so far.
     pub fn steps(&self) -> usize {
         self.steps
@@ -339,7 +335,12 @@ fn limit_action(action: &EndEffectorAction) -> Result<EndEffectorAction, Error> 
     {
         return Err(Error::Action { action: *action });
     }
-    Ok(EndEffectorAction {
+    Ok(within_limits(action))
+}
+
+/// The action, limited to the largest step, turn and opening.
+fn within_limits(action: &EndEffectorAction) -> EndEffectorAction {
+    EndEffectorAction {
         translation: action
             .translation
             .map(|v| v.clamp(-LARGEST_STEP_M, LARGEST_STEP_M)),
@@ -347,7 +348,7 @@ fn limit_action(action: &EndEffectorAction) -> Result<EndEffectorAction, Error> 
             .rotation
             .map(|v| v.clamp(-LARGEST_TURN_RAD, LARGEST_TURN_RAD)),
         gripper: action.gripper.clamp(0.0, 1.0),
-    })
+    }
 }
 
 #[cfg(test)]

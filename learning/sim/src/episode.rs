@@ -155,7 +155,7 @@ impl Stage {
             surroundings: *environment.surroundings(),
             camera: environment.camera().clone(),
             world: environment.world().clone(),
-            attempt: Attempt::of_policy(*policy, environment, options.frames),
+            attempt: Attempt::of_policy(*policy, environment, options.frames)?,
         })
     }
 }
@@ -165,6 +165,7 @@ mod tests {
     use super::*;
     use crate::environment::{GoalKind, ScriptedPolicy};
     use crate::scene::{FIRST_OBJECT_MASK, GRIPPER_MASK};
+    use crate::teleop::LARGEST_STEP_M;
     use crate::variety::{Span, Variety};
     use nalgebra::Point3;
 
@@ -257,6 +258,9 @@ mod tests {
                 episode.frames[0].image == environment.picture(),
                 "seed {seed}"
             );
+            let actions = episode.frames.iter().map(|frame| frame.action);
+            let mut motions = actions.flat_map(|action| [action[0], action[1], action[2]]);
+            assert!(motions.all(|motion| f64::from(motion.abs()) < LARGEST_STEP_M + 1e-6));
             succeeded += usize::from(episode.success);
         }
         assert!((4..=20).contains(&succeeded), "{succeeded} of 24");

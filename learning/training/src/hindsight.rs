@@ -99,9 +99,12 @@ impl<'a> HindsightSource<'a> {
 
     /// The last frame of the episode of `present`.
     pub fn last(&self, present: usize) -> usize {
-        let holds = |(first, count): &&(usize, usize)| (*first..first + count).contains(&present);
-        let episode = self.episodes.iter().find(holds);
-        episode.map_or(present, |(first, count)| first + count - 1)
+        // Episodes are in the order of their frames.
+        let later = self
+            .episodes
+            .partition_point(|(first, _)| *first <= present);
+        let episode = later.checked_sub(1).and_then(|at| self.episodes.get(at));
+        episode.map_or(present, |(first, count)| present.max(first + count - 1))
     }
 
     /// The frame `steps` model steps on the way, or the goal if it is nearer.

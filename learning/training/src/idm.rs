@@ -88,6 +88,12 @@ impl<'a> IdmTask<'a> {
             "last_goals is {}, expected 0 to 1",
             recipe.last_goals
         );
+        ensure!(
+            recipe.last_goals == 0.0 || recipe.longest > 1,
+            "last_goals is {}, which needs a longest above 1, not {}",
+            recipe.last_goals,
+            recipe.longest
+        );
         let goals = (recipe.longest > 1)
             .then(|| HindsightSource::new(train, encoding.frame_skip(), recipe.longest))
             .transpose()?;

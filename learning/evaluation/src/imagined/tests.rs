@@ -13,77 +13,65 @@ use crate::closed_loop::model::Model;
 /// tiny was not trained on it.
 const SEED: u64 = 5_000_000;
 
-#[test]
-fn policy_result_does_not_depend_on_other_policies() {
+/// Runs the candidates on reaching, with the bundled model.
+fn run(candidates: &[Candidate]) -> anyhow::Result<Start> {
     let folder = ModelFolder::open("tiny").unwrap();
     let model = Model::load(&folder).unwrap();
     let probe = folder.probe().unwrap().unwrap();
-    let run = |candidates: &[Candidate]| {
-        let setup = Setup {
-            task: GoalKind::Reach,
-            candidates,
-            model: &model,
-            probe: &probe,
-            patience: 1.5,
-        };
-        setup.run(SEED).unwrap()
+    let setup = Setup {
+        task: GoalKind::Reach,
+        candidates,
+        model: &model,
+        probe: &probe,
+        patience: 1.5,
     };
+    let start = setup.run(SEED)?;
+    assert!(start.steps >= 10 && start.steps + 2 <= probe.max_frames());
+    Ok(start)
+}
+
+#[test]
+fn policy_result_does_not_depend_on_other_policies() {
     let scripted = Candidate::Scripted;
-    let both = run(&[
-        scripted(ScriptedPolicy::Hold),
-        scripted(ScriptedPolicy::Oracle),
-    ]);
-    let alone = run(&[scripted(ScriptedPolicy::Oracle)]);
+    let both = [ScriptedPolicy::Hold, ScriptedPolicy::Oracle].map(scripted);
+    let both = run(&both).unwrap();
+    let alone = run(&[scripted(ScriptedPolicy::Oracle)]).unwrap();
     assert_eq!(alone.outcomes[0], both.outcomes[1]);
-    assert!(both.steps >= 10 && both.steps + 2 <= probe.max_frames());
     let [hold, oracle] = [both.outcomes[0], both.outcomes[1]];
     assert!(oracle.executed && oracle.followed && !hold.executed && !hold.followed);
     assert!(oracle.seen > hold.seen, "{both:?}");
     assert!(oracle.imagined > hold.imagined, "{both:?}");
 }
 
-/// The example moves down without looking, so it is the same on the arm and in imagination.
 #[test]
 fn program_acts_on_the_arm_and_in_imagination() {
-    let folder = ModelFolder::open("tiny").unwrap();
-    let model = Model::load(&folder).unwrap();
-    let probe = folder.probe().unwrap().unwrap();
     let script = concat!(
         env!("CARGO_MANIFEST_DIR"),
         "/../../examples/imagined_policy/policy.py"
     );
     let program = |options: &str| {
-        let named: NamedCommand = format!("down=python3 '{script}' {options}")
-            .parse()
-            .unwrap();
-        Candidate::program(&named, std::time::Duration::from_secs(60)).unwrap()
+        let named = format!("down=python3 '{script}' {options}").parse();
+        let limit = std::time::Duration::from_secs(60);
+        Candidate::program(&named.unwrap(), limit).unwrap()
     };
-    let run = |candidates: &[Candidate]| {
-        let setup = Setup {
-            task: GoalKind::Reach,
-            candidates,
-            model: &model,
-            probe: &probe,
-            patience: 1.0,
-        };
-        setup.run(SEED)
-    };
-    let still = [
-        program("--speed 0"),
-        Candidate::Scripted(ScriptedPolicy::Hold),
-    ];
-    let still = run(&still).unwrap().outcomes;
-    // The gripper's commands differ.
+    let hold = Candidate::Scripted(ScriptedPolicy::Hold);
+    let both = run(&[program("--speed 0"), hold]).unwrap();
+    let [still, hold] = [both.outcomes[0], both.outcomes[1]];
+    // It opens and closes the gripper where it stands.
     assert!(
-        (still[0].distance_m - still[1].distance_m).abs() < 1e-9,
-        "{still:?}"
+        (still.distance_m - hold.distance_m).abs() < 1e-9,
+        "{both:?}"
     );
-    let moving = run(&[program("--down 1 --speed 0.02")]).unwrap().outcomes;
-    assert_ne!(moving[0].distance_m, still[0].distance_m);
-    assert_ne!(moving[0].imagined, still[0].imagined);
+    let moving = run(&[program("--down 1 --speed 0.02")]).unwrap().outcomes[0];
+    assert_ne!(moving.distance_m, still.distance_m);
+    assert_ne!(moving.imagined, still.imagined);
     let error = run(&[program("--no-such-option")]).unwrap_err();
     let error = format!("{error:#}");
     assert!(error.contains("down on the arm"), "{error}");
+}
+
+#[test]
+fn commands_without_a_name_are_rejected() {
     for wrong in ["", "policy.py", "=policy.py", "name= "] {
         let error = wrong.parse::<NamedCommand>().unwrap_err().to_string();
         assert!(error.contains("NAME=COMMAND"), "{error}");

@@ -95,7 +95,7 @@ impl Demonstration {
         if spell.left == 0 {
             self.spell = None;
         }
-        disturbed
+        super::within_limits(&disturbed)
     }
 
     /// The instructions in order, and whether the last goal is attained in `world`.

@@ -59,29 +59,56 @@ fn training_learns_visible_actions() {
     }
 }
 
-/// Far goals: a latent several steps away still tells the direction.
+/// A model of single steps takes the whole way to a far goal for one action; one of far goals knows that it is several.
 #[test]
-fn training_on_far_goals_infers_the_first_action_towards_them() {
+fn far_goals_teach_the_first_action_of_the_way() {
+    const STEPS: usize = 4;
     let dir = tempfile::tempdir().unwrap();
     let (train, held_out) = (moving(dir.path(), 200, 1), moving(dir.path(), 30, 2));
-    let mut recipe = small("tiny");
-    recipe.length = Span::Steps(300);
-    recipe.longest = 4;
-    train_on(&run_in(dir.path()), &recipe, &train, None, &Stop::default()).unwrap();
-    let model = TrainedIdm::open(dir.path().join(FILE)).unwrap();
-    let near = on_real(&model, &held_out, usize::MAX).unwrap();
-    let (_, _, r) = near.continuous.first().unwrap();
-    assert!(*r > 0.6, "{near}");
-    let refused = |longest, horizon| {
+    let of = |longest: usize, last_goals: f64| {
+        let mut recipe = small("tiny");
+        recipe.length = Span::Steps(300);
+        (recipe.longest, recipe.last_goals) = (longest, last_goals);
+        let out = dir.path().join(format!("{longest} {last_goals}"));
+        train_on(&run_in(&out), &recipe, &train, None, &Stop::default()).unwrap();
+        TrainedIdm::open(out.join(FILE)).unwrap()
+    };
+    let recipe = small("tiny");
+    let encoding = recipe.model.encoding(held_out.action_space()).unwrap();
+    let clips = ClipSource::new(&held_out, &encoding, STEPS + 1).unwrap();
+    let (latents, actions) = clips.tensors(&clips.all()).unwrap();
+    let ends = [0, STEPS].map(|frame| latents.narrow(1, frame, 1).unwrap());
+    let pairs = Tensor::cat(&ends, 1).unwrap();
+    let truth = actions.narrow(1, 0, 1).unwrap().narrow(2, 0, 1).unwrap();
+    let error = |model: TrainedIdm| {
+        let found = model
+            .idm()
+            .forward(&pairs)
+            .unwrap()
+            .narrow(2, 0, 1)
+            .unwrap();
+        let error = (found - &truth).unwrap().sqr().unwrap().mean_all().unwrap();
+        error.to_scalar::<f32>().unwrap()
+    };
+    let [near, far, last] = [(1, 0.0), (STEPS, 0.0), (STEPS, 1.0)].map(|(a, b)| error(of(a, b)));
+    assert!(far < 0.9 * near, "{far} and {near}");
+    assert!(last < 0.9 * near && last != far, "{last} and {near}");
+    let refused = |longest, horizon, last_goals| {
         let mut recipe = small("tiny");
         (recipe.longest, recipe.model.horizon) = (longest, horizon);
-        train_on(&run_in(dir.path()), &recipe, &train, None, &Stop::default()).unwrap_err()
+        recipe.last_goals = last_goals;
+        let out = run_in(dir.path());
+        let error = train_on(&out, &recipe, &train, None, &Stop::default());
+        error.unwrap_err().to_string()
     };
-    let error = refused(4, 2).to_string();
-    assert!(
-        error.contains("longest is 4") && error.contains("horizon of 1"),
-        "{error}"
-    );
+    for (settings, named) in [
+        ((4, 2, 0.0), "horizon of 1"),
+        ((4, 1, 1.5), "0 to 1"),
+        ((1, 1, 0.5), "longest above 1"),
+    ] {
+        let error = refused(settings.0, settings.1, settings.2);
+        assert!(error.contains(named), "{error}");
+    }
 }
 
 #[test]
