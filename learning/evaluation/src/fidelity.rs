@@ -91,8 +91,11 @@ pub fn measure(
     let predicted = subject.decode(&subject.rollout(&recording, seed)?)?;
     let coming = recording.frames.narrow(0, CONTEXT, predicted.len())?;
     let reconstructed = subject.decode(&coming)?;
-    let held = frames.get(CONTEXT - 1).context("an observed frame")?;
-    let held = subject.frame(*held)?;
+    let observed = frames.iter().take(CONTEXT);
+    let observed: Vec<RgbImage> = observed
+        .map(|index| subject.frame(*index))
+        .collect::<Result<_>>()?;
+    let held = observed.last().context("an observed frame")?;
     let truths = frames.iter().skip(CONTEXT);
     let truths: Vec<RgbImage> = truths
         .map(|index| subject.frame(*index))
@@ -102,12 +105,12 @@ pub fn measure(
         Ok(StepFidelity {
             predicted: Similarity::of(predicted, truth)?,
             reconstructed: Similarity::of(reconstructed, truth)?,
-            held: Similarity::of(&held, truth)?,
+            held: Similarity::of(held, truth)?,
         })
     });
     let steps = steps.collect::<Result<_>>()?;
     let perception = subject.perception.measure(&RolloutPictures {
-        held: &held,
+        observed: &observed,
         truth: &truths,
         predicted: &predicted,
         reconstructed: &reconstructed,

@@ -14,6 +14,7 @@ use wm_metrics::findings::{
 
 use crate::{
     card::{self, WriteOutcome},
+    families::{self, FamilyArg},
     merge::RECORDS,
 };
 
@@ -29,6 +30,10 @@ pub struct OutputArgs {
     /// Folder for the report: report.html, figures.json and figures.csv
     #[arg(long, value_name = "DIR")]
     pub report: Option<PathBuf>,
+    /// Families of the models to compare, such as `reconstruction=A,B semantic=C,D`: the mean of each against that of the first,
+    /// by unit. Printed, and in the report's folder as families.html and families.json
+    #[arg(long, num_args = 2.., value_name = "NAME=MODEL,...")]
+    pub families: Vec<FamilyArg>,
     /// File for the model card (MODEL.md) of the first model; an edited card is kept
     #[arg(long, value_name = "FILE")]
     pub card: Option<PathBuf>,
@@ -46,19 +51,28 @@ impl OutputArgs {
         let json = wm_metrics::findings::json(findings)?;
         let csv = wm_metrics::findings::csv(findings);
         let mut files = vec![(self.json.clone(), &json), (self.csv.clone(), &csv)];
-        let html;
+        let families = families::means(&self.families, findings)?;
+        let (html, families_json, families_html);
         if let Some(folder) = &self.report {
             fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
             html = wm_metrics::findings::html(&title(findings), findings)?;
             files.push((Some(folder.join("figures.json")), &json));
             files.push((Some(folder.join("figures.csv")), &csv));
             files.push((Some(folder.join("report.html")), &html));
+            if !families.is_empty() {
+                families_json = wm_metrics::findings::json(&families)?;
+                families_html = wm_metrics::findings::html(&title(&families), &families)?;
+                files.push((Some(folder.join("families.json")), &families_json));
+                files.push((Some(folder.join("families.html")), &families_html));
+            }
         }
         for model in findings {
             print(model);
         }
-        for comparison in compare_with_first(findings)? {
-            print_comparison(&comparison);
+        for compared in [findings, &families] {
+            for comparison in compare_with_first(compared)? {
+                print_comparison(&comparison);
+            }
         }
         for (path, text) in files {
             let Some(path) = path else { continue };
@@ -100,8 +114,11 @@ impl OutputArgs {
     /// Names the first.
     pub fn require_free(&self) -> Result<()> {
         let of_report = ["report.html", "figures.json", "figures.csv"];
+        let of_families = ["families.html", "families.json"];
+        let of_families = of_families.iter().filter(|_| !self.families.is_empty());
+        let of_report: Vec<&str> = of_report.iter().chain(of_families).copied().collect();
         let report = self.report.iter();
-        let report = report.flat_map(|folder| of_report.map(|name| folder.join(name)));
+        let report = report.flat_map(|folder| of_report.iter().map(|name| folder.join(name)));
         let named = self.json.iter().chain(&self.csv);
         let mut files = BTreeSet::new();
         for path in named.cloned().chain(report) {

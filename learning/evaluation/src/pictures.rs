@@ -1,3 +1,5 @@
+mod moved_objects;
+
 use std::fmt;
 
 use anyhow::{Context as _, Result};
@@ -7,6 +9,7 @@ use wm_dataset::Dataset;
 use wm_model::{Decoder, transition::LoadedTransition};
 
 use crate::{ActionChange, CONTEXT, SquaredError, Windows};
+use moved_objects::{MovedObjects, Truth};
 
 /// Errors by step of decoded predictions, and of persistence (the last observed frame, repeated).
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -25,6 +28,8 @@ pub struct StepErrors {
     pub predicted_in_masks: SquaredError,
     /// Of the last observed frame inside the same masks.
     pub held_in_masks: SquaredError,
+    /// Objects that moved, and those that the decoded prediction lost.
+    pub objects: MovedObjects,
 }
 
 impl PictureErrors {
@@ -84,10 +89,21 @@ impl StepErrors {
                 .frame(index)
                 .with_context(|| format!("no frame {index}"))
         };
-        let (truth_frame, held) = (frame(truth)?, frame(held)?);
         // Without masks, no pixel is inside one.
-        let mut masks = dataset.mask(truth).unwrap_or_default().iter();
-        let mut errors = Self::default();
+        let mask_of = |index| dataset.mask(index).unwrap_or_default();
+        let (mask, observed_mask) = (mask_of(truth), mask_of(held));
+        let (truth_frame, held) = (frame(truth)?, frame(held)?);
+        let seen = Truth {
+            pixels: truth_frame,
+            mask,
+            observed_mask,
+            width: dataset.size().1,
+        };
+        let mut errors = Self {
+            objects: MovedObjects::of(&seen, &picture),
+            ..Self::default()
+        };
+        let mut masks = mask.iter();
         let pixels = picture
             .chunks_exact(3)
             .zip(truth_frame.chunks_exact(3))
@@ -116,6 +132,7 @@ impl StepErrors {
         self.held.add(&other.held);
         self.predicted_in_masks.add(&other.predicted_in_masks);
         self.held_in_masks.add(&other.held_in_masks);
+        self.objects.add(&other.objects);
     }
 }
 
@@ -142,6 +159,16 @@ impl fmt::Display for PictureErrors {
                     Some(psnr) => write!(f, "{psnr:<7.2}")?,
                     None => write!(f, "{:<7}", "-")?,
                 }
+            }
+        }
+        if self.steps.iter().any(|step| step.objects.moved > 0) {
+            write!(
+                f,
+                "\nmoved objects that vanished, of all that moved\n{:<16} ",
+                ""
+            )?;
+            for MovedObjects { moved, vanished } in self.steps.iter().map(|step| step.objects) {
+                write!(f, "{:<7}", format!("{vanished}/{moved}"))?;
             }
         }
         Ok(())

@@ -1,6 +1,7 @@
 //! Whether real and predicted latents encode actions and success (the paper, appendix C.3): Pearson's r of an inverse
 //! dynamics model, and the accuracy of a success probe.
 
+mod features;
 mod recovery;
 mod success;
 mod summary;
@@ -8,6 +9,7 @@ mod summary;
 use anyhow::Result;
 use serde::{Deserialize, Serialize};
 
+pub use features::{EpisodeFeatures, IdmFeatures};
 pub use recovery::{IdmActions, InferredActions};
 pub use success::{Answers, EpisodeVerdicts};
 pub use summary::summarise;
@@ -21,14 +23,17 @@ pub enum Representation {
     Told(InferredActions),
     /// The success of an episode.
     Judged(EpisodeVerdicts),
+    /// The features of an episode's actions.
+    Features(EpisodeFeatures),
 }
 
-/// The units of both parts.
+/// The units of all parts.
 pub struct Representations<'a> {
     subject: &'a Subject,
     settings: &'a Settings,
     recovery: Option<crate::Windows>,
     judged: Vec<usize>,
+    followed: Vec<usize>,
 }
 
 impl<'a> Representations<'a> {
@@ -42,10 +47,11 @@ impl<'a> Representations<'a> {
             settings,
             recovery: recovery::windows(subject, settings)?,
             judged: success::units(subject, settings),
+            followed: features::units(subject, settings),
         })
     }
 
-    /// Names of the units; windows come first.
+    /// Names of the units: windows, judged episodes, then those whose features are followed.
     #[must_use]
     pub fn names(&self) -> Vec<String> {
         let windows = (0..self.windows()).map(|unit| format!("window {unit}"));
@@ -54,7 +60,14 @@ impl<'a> Representations<'a> {
             .judged
             .iter()
             .filter_map(|episode| episodes.get(*episode));
-        windows.chain(judged.map(|e| e.name.clone())).collect()
+        let followed = self
+            .followed
+            .iter()
+            .filter_map(|episode| episodes.get(*episode));
+        windows
+            .chain(judged.map(|e| e.name.clone()))
+            .chain(followed.map(|e| format!("features of {}", e.name)))
+            .collect()
     }
 
     fn windows(&self) -> usize {
@@ -70,8 +83,12 @@ impl<'a> Representations<'a> {
         if let (Some(windows), true) = (&self.recovery, unit < self.windows()) {
             return recovery::measure(self.subject, windows, unit).map(Representation::Told);
         }
-        let episode = self.judged.get(unit - self.windows());
+        let unit = unit - self.windows();
+        if let Some(episode) = self.judged.get(unit) {
+            return success::measure(self.subject, *episode, seed).map(Representation::Judged);
+        }
+        let episode = self.followed.get(unit - self.judged.len());
         let episode = anyhow::Context::context(episode, "no such unit")?;
-        success::measure(self.subject, *episode, seed).map(Representation::Judged)
+        features::measure(self.subject, *episode, seed).map(Representation::Features)
     }
 }

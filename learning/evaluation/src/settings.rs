@@ -101,6 +101,8 @@ pub struct LatentsSettings {
     pub steps: usize,
     /// Most episodes with an instruction and an outcome, evenly spread.
     pub judged_episodes: usize,
+    /// Most episodes for action trajectories, evenly spread.
+    pub trajectories: usize,
 }
 
 /// Changed frames.
@@ -140,6 +142,7 @@ impl Settings {
         settings.control.response_windows = 16;
         settings.latents.windows = 16;
         settings.latents.judged_episodes = 16;
+        settings.latents.trajectories = 8;
         settings
     }
 
@@ -182,6 +185,8 @@ impl Settings {
                 windows: choose(40, 1000),
                 steps: 8,
                 judged_episodes: choose(40, 1000),
+                // Records have all features; the paper does not state its number.
+                trajectories: 40,
             },
             robustness: RobustnessSettings {
                 windows: choose(16, 100),

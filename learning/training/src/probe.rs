@@ -40,7 +40,7 @@ use crate::{
     workers::BatchLoss,
 };
 pub use arguments::{EvaluateProbeArgs, TrainProbeArgs};
-use episodes::{Episodes, Sample, Shares};
+use episodes::{Episodes, Negatives, Sample, Shares};
 use loss::loss;
 use text::{Text, Tower};
 use things::Things;
@@ -87,6 +87,12 @@ impl<'a> ProbeTask<'a> {
         let own = &recipe.model;
         let episodes = Episodes::new(train, own.frame_skip, own.max_frames);
         episodes.require_successes()?;
+        let negatives = match own.kind {
+            // Read no instruction.
+            ProbeKind::Linear | ProbeKind::Temporal => Negatives::Any,
+            ProbeKind::Grounded | ProbeKind::Transformer => recipe.negatives,
+        };
+        let episodes = episodes.with(negatives)?;
         let most = Some(episodes.max_frames());
         let mut held_out = held_out
             .map(|held_out| Episodes::new(held_out, own.frame_skip, most))

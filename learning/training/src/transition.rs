@@ -8,6 +8,7 @@
 mod arguments;
 mod draws;
 mod noised_at_once;
+mod object_weights;
 mod objective;
 mod recipe;
 mod worker;
@@ -42,6 +43,7 @@ use crate::{
     workers::BatchLoss,
 };
 pub use arguments::{EvaluateTransitionArgs, ListenArgs, TrainTransitionArgs, TrainWorkerArgs};
+use object_weights::ObjectWeights;
 pub(crate) use objective::{Batch, normals};
 pub use objective::{Forcing, Objective, ObjectiveRecipe, TauDistribution};
 pub use recipe::{ModelRecipe, SamplerRecipe, TransitionRecipe};
@@ -74,7 +76,8 @@ impl TrainTransitionArgs {
         let from = from.map(|from| ModelFolder::open(from)?.transition_tensors());
         let from = from.transpose()?;
         let listen = &self.listen;
-        train_on(run, &recipe, from, &on.train, held_out, (listen, stop))
+        let train = (&on.train, Some(&on.data.training));
+        train_on(run, &recipe, from, train, held_out, (listen, stop))
     }
 }
 
@@ -85,7 +88,7 @@ pub(crate) fn train_on(
     run: &RunArgs,
     recipe: &TransitionRecipe,
     from: Option<TransitionTensors>,
-    train: &Latents,
+    (train, frames): (&Latents, Option<&Dataset>),
     held_out: Option<(&Latents, Option<Pictures<'_>>)>,
     (listen, stop): (&ListenArgs, &Stop),
 ) -> Result<RunEnd> {
@@ -101,7 +104,8 @@ pub(crate) fn train_on(
     let old = from.map(|from| from.tensors).unwrap_or_default();
     let fresh = FreshWeights::tuning(recipe.seed, old).on(&run.compute()?)?;
     let setup = Setup::new(recipe, &encoding, &config, run);
-    let mut task = TransitionTask::new(recipe, (&encoding, config), fresh, train, held_out, run)?;
+    let data = (train, frames);
+    let mut task = TransitionTask::new(recipe, (&encoding, config), fresh, data, held_out, run)?;
     if let Some(address) = &listen.listen {
         let processes = (run.threads()?, listen.workers);
         task.variables.coordinator = Some(setup.listen(address, train, processes)?);
@@ -133,6 +137,7 @@ struct TransitionTask<'a> {
     objective: Objective,
     train: &'a Latents,
     clips: ClipSource<'a>,
+    objects: Option<ObjectWeights<'a>>,
     held_out: Option<HeldOut<'a>>,
     variables: NetworkVariables,
     model: Transition,
@@ -145,7 +150,7 @@ impl<'a> TransitionTask<'a> {
         recipe: &TransitionRecipe,
         (encoding, config): (&'a ActionEncoding, TransitionConfig),
         fresh: FreshWeights,
-        train: &'a Latents,
+        (train, frames): (&'a Latents, Option<&'a Dataset>),
         held_out: Option<(&'a Latents, Option<Pictures<'a>>)>,
         run: &RunArgs,
     ) -> Result<Self> {
@@ -153,6 +158,7 @@ impl<'a> TransitionTask<'a> {
         Ok(Self {
             objective: recipe.objective(&config)?,
             clips: ClipSource::new(train, encoding, config.max_frames)?.on(&run.device()?),
+            objects: ObjectWeights::new(frames, recipe.objective.object_weight)?,
             config,
             encoding,
             train,
@@ -180,7 +186,8 @@ impl NetworkLearner for TransitionTask<'_> {
     fn batch_loss(&self, _step: u64, rng: &mut ChaCha8Rng) -> Result<BatchLoss> {
         let gradients = WeightGradients::default();
         let model = self.model.collecting(&gradients);
-        let loss = self.objective.loss(&model, &self.clips, rng)?;
+        let clips = (&self.clips, self.objects.as_ref());
+        let loss = self.objective.loss(&model, clips, rng)?;
         Ok(BatchLoss {
             gradients,
             ..BatchLoss::from(loss)
@@ -302,7 +309,7 @@ impl EvaluateTransitionArgs {
     }
 }
 
-/// Encoding and configuration of a model fine-tuned on `train`: its sizes and conventions stay.
+/// Encoding and configuration of a model fine-tuned on `train`: its sizes and conventions stay, but blocks may be added.
 fn tuned(
     from: &TransitionTensors,
     train: &Latents,
@@ -312,6 +319,7 @@ fn tuned(
     let (mut frame_skip, mut accumulation) =
         (from.encoding.frame_skip(), from.encoding.accumulation());
     let (own, sizes) = (&recipe.model, &from.config);
+    let mut depth = sizes.depth;
     for setting in set {
         let fits = match setting.path() {
             "model.frame_skip" => {
@@ -323,7 +331,11 @@ fn tuned(
                 true
             }
             "model.hidden" => own.hidden == Some(sizes.hidden),
-            "model.depth" => own.depth == Some(sizes.depth),
+            "model.depth" => {
+                depth = own.depth.unwrap_or(depth);
+                // Blocks that are added start as the identity.
+                depth >= sizes.depth
+            }
             "model.heads" => own.heads == Some(sizes.heads),
             "model.patch" => own.patch == Some(sizes.patch),
             "model.frames" => own.frames == sizes.max_frames,
@@ -343,6 +355,7 @@ fn tuned(
         accumulation,
     )?;
     let config = TransitionConfig {
+        depth,
         frame_skip,
         latent_height: space.height,
         latent_width: space.width,

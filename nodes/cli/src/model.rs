@@ -1,5 +1,6 @@
 //! `wm model`: the model library from the command line.
 
+mod average;
 mod check;
 mod convert;
 mod fetch;
@@ -27,6 +28,8 @@ pub(crate) enum ModelCommand {
     Forward(forward::ForwardCommand),
     /// Predict frames with a transition model
     Rollout(rollout::RolloutCommand),
+    /// Average the weights of a transition model and of one that was fine-tuned from it
+    Average(average::AverageCommand),
     /// Write a torch checkpoint as safetensors
     Convert(convert::ConvertCommand),
     /// Download a published model
@@ -43,6 +46,7 @@ impl ModelCommand {
             }
             Self::Forward(command) => command.run()?,
             Self::Rollout(command) => command.run()?,
+            Self::Average(command) => command.run()?,
             Self::Convert(command) => command.run()?,
             Self::Fetch(command) => command.run()?,
         }

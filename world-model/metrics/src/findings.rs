@@ -7,6 +7,7 @@
 //! | [`html`] | for people: one file with figures, curves, paths and pictures |
 //! | [`model_card`] | for people who choose a model |
 //! | [`ClosedLoop`] | success rate of a planner on an arm |
+//! | [`family`] | the mean of several models, to compare families |
 //! | [`compare`] | whether one model is better than another over the same units |
 //!
 //! Nothing here measures or accesses files. Equal findings give equal bytes. Figures that are not finite are reported
@@ -45,6 +46,7 @@ mod closed_loop;
 mod comparison;
 mod csv;
 mod error;
+mod family;
 mod headlines;
 mod html;
 mod json;
@@ -58,6 +60,7 @@ pub use closed_loop::{ClosedLoop, Episode, Percentiles, PlanTime};
 pub use comparison::{Comparison, Difference, Verdict, compare, compare_with_first};
 pub use csv::csv;
 pub use error::{FindingsError, Mismatch};
+pub use family::family;
 pub use html::html;
 pub use json::json;
 pub use model_findings::{Header, ModelFindings};

@@ -218,6 +218,23 @@ impl Idm {
     /// # Errors
     /// If the latents have another shape.
     pub fn forward_dropping(&self, latents: &Tensor, dropout: &mut Dropout<'_>) -> Result<Tensor> {
+        let [first, second] = &self.head;
+        let answers = self.answers(latents, dropout)?;
+        let hidden = first.forward_activated(&answers, Activation::GeluExact)?;
+        Ok(second.forward(&hidden)?.to_dtype(DType::F32)?)
+    }
+
+    /// Latents (B, horizon + 1, h, w, features) to what the head reads: a feature of each action (B, horizon, hidden), f32.
+    ///
+    /// # Errors
+    /// If the latents have another shape.
+    pub fn features(&self, latents: &Tensor) -> Result<Tensor> {
+        let answers = self.answers(latents, &mut Dropout::none())?;
+        Ok(answers.to_dtype(DType::F32)?)
+    }
+
+    /// The normed outputs of the queries (B, horizon, hidden).
+    fn answers(&self, latents: &Tensor, dropout: &mut Dropout<'_>) -> Result<Tensor> {
         let latents = latents.to_device(self.queries.device())?;
         let patches = self.patches(&latents.to_dtype(self.queries.dtype())?)?;
         let (b, frames, tokens, _) = patches.dims4()?;
@@ -233,10 +250,7 @@ impl Idm {
         for block in &self.blocks {
             x = block.forward_dropping(&x, None, None, dropout)?;
         }
-        let answers = self.norm.forward(&x.narrow(1, 0, k)?.contiguous()?)?;
-        let [first, second] = &self.head;
-        let hidden = first.forward_activated(&answers, Activation::GeluExact)?;
-        Ok(second.forward(&hidden)?.to_dtype(DType::F32)?)
+        self.norm.forward(&x.narrow(1, 0, k)?.contiguous()?)
     }
 
     /// (B, frames, h, w, C) to (B, frames, tokens, patch * patch * C), a patch's values in the
@@ -298,6 +312,7 @@ mod tests {
             let shape = (2, 4, 2 * patch, 3 * patch, 4);
             let latents = Tensor::ones(shape, DType::F32, &Device::Cpu).unwrap();
             assert_eq!(model.forward(&latents).unwrap().dims(), [2, 3, 5]);
+            assert_eq!(model.features(&latents).unwrap().dims(), [2, 3, 16]);
             let message = model.forward(&latents.narrow(1, 0, 3).unwrap());
             let message = message.unwrap_err().to_string();
             assert!(message.contains("(B, 4,"), "{message}");

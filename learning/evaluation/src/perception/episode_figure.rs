@@ -96,7 +96,7 @@ impl EpisodeFigure {
                 "relative depth error of predicted frames against true frames, scaled to their median"
             }
             Self::PckCoverage => {
-                "PCK coverage: share of 16x16 points of the last observed frame that are seen in predicted ones"
+                "PCK coverage: share of 16x16 points of the first observed frame that are seen in predicted ones"
             }
         }
     }

@@ -10,16 +10,17 @@ const SIDE: usize = 16;
 /// Width of a picture relative to the grid's margin, as in CoTracker's `get_points_on_a_grid`.
 const WIDTHS_OF_MARGIN: f32 = 64.0;
 
-/// Share of the last observed frame's points that are visible in each predicted frame.
+/// Share of the first observed frame's points that are visible in each predicted frame (the paper, appendix C.2).
 pub(super) fn coverage(
     network: &Tracks,
     pictures: &RolloutPictures<'_>,
 ) -> Result<Result<Vec<f64>, MetricError>> {
-    let mut video: Vec<RgbImage> = vec![pictures.held.clone()];
-    video.extend_from_slice(pictures.predicted);
-    let (width, height) = pictures.held.dimensions();
+    let video = [pictures.observed, pictures.predicted].concat();
+    let Some((width, height)) = video.first().map(RgbImage::dimensions) else {
+        return Ok(point_coverage::<Vec<bool>>(&[]).map(|coverage| coverage.per_step));
+    };
     let tracks = network.follow(&video, &grid(width, height))?;
-    let steps = (1..video.len()).map(|step| -> Vec<bool> {
+    let steps = (pictures.observed.len()..video.len()).map(|step| -> Vec<bool> {
         let at = tracks.iter().map(|track| track.get(step));
         at.map(|point| point.is_some_and(|point| point.visible))
             .collect()

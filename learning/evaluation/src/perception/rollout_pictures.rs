@@ -7,8 +7,8 @@ use super::Values;
 /// Pictures of a rollout, all of one size.
 #[derive(Clone, Copy, Debug)]
 pub struct RolloutPictures<'a> {
-    /// The last observed frame.
-    pub held: &'a RgbImage,
+    /// Observed frames.
+    pub observed: &'a [RgbImage],
     /// True frames, by step.
     pub truth: &'a [RgbImage],
     /// Predicted frames.

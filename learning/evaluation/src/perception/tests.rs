@@ -7,7 +7,7 @@ fn without_networks_there_are_no_metrics() {
     let picture = RgbImage::from_pixel(8, 8, Rgb([1, 2, 3]));
     let pictures = [picture.clone(), picture.clone()];
     let pictures = RolloutPictures {
-        held: &picture,
+        observed: std::slice::from_ref(&picture),
         truth: &pictures,
         predicted: &pictures,
         reconstructed: &pictures,

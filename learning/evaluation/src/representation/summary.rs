@@ -4,8 +4,8 @@ use super::Representation;
 use crate::Settings;
 
 mod actions;
-mod paths;
 mod success;
+mod trajectories;
 
 /// Findings of all units, in order.
 #[must_use]
@@ -13,10 +13,12 @@ pub fn summarise(units: &[(String, Representation)], settings: &Settings) -> Sec
     let mut section = Section::new(Suite::Latents);
     let mut told = Vec::new();
     let mut judged = Vec::new();
+    let mut followed = Vec::new();
     for (_, unit) in units {
         match unit {
             Representation::Told(found) => told.push(found),
             Representation::Judged(found) => judged.push(found),
+            Representation::Features(found) => followed.push(found),
         }
     }
     let models = told.first().map_or(0, |found| found.models.len());
@@ -28,7 +30,7 @@ pub fn summarise(units: &[(String, Representation)], settings: &Settings) -> Sec
     }
     for model in 0..models {
         actions::of_model(&mut section, &told, settings, model);
-        paths::of_model(&mut section, &told, model);
+        trajectories::of_model(&mut section, &followed, model);
     }
     let probes = judged.first().map_or(0, |found| found.probes.len());
     if probes == 0 {

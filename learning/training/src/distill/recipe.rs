@@ -98,6 +98,7 @@ impl DistillRecipe {
                 own_history: 0.0,
                 // The sampler never uses the null action.
                 action_dropout: 0.0,
+                object_weight: 0.0,
             },
         };
         objective.validate(config)?;

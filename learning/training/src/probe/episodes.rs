@@ -1,8 +1,12 @@
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use anyhow::{Result, ensure};
 use candle_core::{Device, Tensor};
-use rand::{Rng, seq::IndexedRandom as _};
+use rand::{
+    Rng,
+    seq::{IndexedRandom as _, IteratorRandom as _},
+};
+use serde::{Deserialize, Serialize};
 use wm_dataset::{Episode, Latents};
 
 /// An episode with an instruction and an outcome.
@@ -14,6 +18,24 @@ struct LabelledEpisode {
     frame_count: usize,
     instruction: String,
     success: bool,
+}
+
+impl LabelledEpisode {
+    /// The task's family: its verb, which comes first in an English instruction.
+    fn family(&self) -> String {
+        let verb = self.instruction.split_whitespace().next();
+        verb.unwrap_or_default().to_lowercase()
+    }
+}
+
+/// Whose instructions a success is also asked under.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Negatives {
+    /// Those of any episode.
+    Any,
+    /// Those of another task family, which begin with another verb (the paper, appendix B.7).
+    OtherFamily,
 }
 
 /// An episode with questions for a probe.
@@ -76,6 +98,8 @@ pub(super) struct Episodes<'a> {
     /// Indices in `labelled`.
     successes: Vec<usize>,
     failures: Vec<usize>,
+    /// Indices in `labelled` by family, for [`Negatives::OtherFamily`].
+    families: Option<BTreeMap<String, Vec<usize>>>,
 }
 
 impl<'a> Episodes<'a> {
@@ -95,7 +119,35 @@ impl<'a> Episodes<'a> {
             labelled,
             successes,
             failures,
+            families: None,
         }
+    }
+
+    /// The same with these negatives.
+    ///
+    /// # Errors
+    /// If they are of another family, but all instructions are of one.
+    pub(super) fn with(mut self, negatives: Negatives) -> Result<Self> {
+        self.families = match negatives {
+            Negatives::Any => None,
+            Negatives::OtherFamily => Some(self.by_family()),
+        };
+        if let Some(families) = &self.families
+            && let (1, Some(verb)) = (families.len(), families.keys().next())
+        {
+            anyhow::bail!(
+                "negatives is other_family, but all instructions begin with `{verb}`: use negatives=any"
+            );
+        }
+        Ok(self)
+    }
+
+    fn by_family(&self) -> BTreeMap<String, Vec<usize>> {
+        let mut families = BTreeMap::<String, Vec<usize>>::new();
+        for (place, episode) in self.labelled.iter().enumerate() {
+            families.entry(episode.family()).or_default().push(place);
+        }
+        families
     }
 
     /// Rejects data that no probe can be trained on.
@@ -137,6 +189,7 @@ impl<'a> Episodes<'a> {
             .extract_if(.., |episode| is_out(&episode.instruction));
         let out: BTreeSet<String> = out.map(|episode| episode.instruction).collect();
         (self.successes, self.failures) = by_outcome(&self.labelled);
+        self.families = self.families.is_some().then(|| self.by_family());
         out.into_iter().collect()
     }
 
@@ -185,10 +238,21 @@ impl<'a> Episodes<'a> {
         let mut questions = vec![question(episode, episode, own)];
         if is_success {
             let weight = (1.0 - own) / shares.others as f64;
-            let others = (0..shares.others).filter_map(|_| self.labelled.choose(rng));
+            let others = (0..shares.others).filter_map(|_| self.other(episode, rng));
             questions.extend(others.map(|other| question(episode, other, weight)));
         }
         self.sample(episode, questions, offset)
+    }
+
+    /// The episode of a negative for `episode`, which may have the same instruction among [`Negatives::Any`].
+    fn other(&self, episode: &LabelledEpisode, rng: &mut impl Rng) -> Option<&LabelledEpisode> {
+        let Some(families) = &self.families else {
+            return self.labelled.choose(rng);
+        };
+        let own = episode.family();
+        let others = families.iter().filter(|(family, _)| **family != own);
+        let place = others.flat_map(|(_, places)| places).choose(rng)?;
+        self.labelled.get(*place)
     }
 
     /// Questions of a validation: every episode under its own instruction, and every success also under the next different
@@ -199,7 +263,10 @@ impl<'a> Episodes<'a> {
         asked.map(|(place, episode)| {
             let after = self.labelled.iter().cycle().skip(place + 1);
             let mut after = after.take(self.labelled.len());
-            let other = after.find(|other| other.instruction != episode.instruction);
+            let other = after.find(|other| match &self.families {
+                None => other.instruction != episode.instruction,
+                Some(_) => other.family() != episode.family(),
+            });
             let other = other.filter(|_| episode.success);
             let questions = std::iter::once(episode).chain(other);
             let questions = questions.map(|of| question(episode, of, 1.0)).collect();

@@ -6,6 +6,7 @@ use wm_zoo::{
     success_probe::{GroundedProbeConfig, ProbeNetworkConfig, SuccessProbeConfig},
 };
 
+use super::episodes::Negatives;
 use crate::recipe::recipe;
 
 recipe! {
@@ -15,6 +16,7 @@ recipe! {
         pub successes: f64,
         pub mismatches: f64,
         pub others: usize,
+        pub negatives: Negatives,
         pub pointing: f64,
         pub dropout: f64,
         pub latent_noise: f64,

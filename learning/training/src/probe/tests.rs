@@ -27,6 +27,7 @@ fn small(name: &str, steps: u64) -> ProbeRecipe {
         "model.text_width=16",
         "model.frames=4",
         "others=2",
+        "negatives=any",
         "model.heads=2",
         "model.ffn=48",
         "model.text_features=16",
@@ -274,6 +275,43 @@ fn questions_have_their_shares() {
         for (found, expected) in found.into_iter().zip([0.4, 0.3, 0.3]) {
             assert!((found - expected).abs() < 0.03, "{found} {expected}");
         }
+    }
+}
+
+#[test]
+fn negatives_are_of_another_family() {
+    let dir = tempfile::tempdir().unwrap();
+    let data = labelled(dir.path(), 60, 1);
+    let one = Episodes::new(&data, 1, None).with(Negatives::OtherFamily);
+    let error = one.map(|_| ()).unwrap_err().to_string();
+    assert!(error.contains("negatives=any"), "{error}");
+
+    let instructions = ["Go up", "go to the left", "lift the arm"];
+    let mut episodes = data.episodes().to_vec();
+    for (episode, instruction) in episodes.iter_mut().zip(instructions.into_iter().cycle()) {
+        episode.instruction = Some(instruction.into());
+    }
+    let (file, space) = (dir.path().join("latents 1"), data.space().clone());
+    let actions = data.action_space().clone();
+    let data = Latents::map(&file, space, episodes, "families".into(), actions).unwrap();
+    let episodes = Episodes::new(&data, 1, None)
+        .with(Negatives::OtherFamily)
+        .unwrap();
+    let shares = Shares {
+        successes: 0.5,
+        mismatches: 0.5,
+        others: 3,
+    };
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    let drawn = (0..200).map(|_| episodes.draw(shares, &mut rng));
+    for sample in drawn.chain(episodes.all(usize::MAX)) {
+        let asked: Vec<bool> = (sample.unwrap().questions.iter())
+            .map(|question| question.instruction.starts_with("lift"))
+            .collect();
+        assert!(
+            asked[1..].iter().all(|other| *other != asked[0]),
+            "{asked:?}"
+        );
     }
 }
 

@@ -87,6 +87,7 @@ impl SubgoalRecipe {
                 history_noise: self.latent_noise,
                 own_history: 0.0,
                 action_dropout: 0.0,
+                object_weight: 0.0,
             },
         };
         objective.validate(config)?;

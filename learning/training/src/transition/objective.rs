@@ -4,13 +4,13 @@ use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use serde::{Deserialize, Serialize};
-use wm_dataset::ClipSource;
+use wm_dataset::{Clip, ClipSource};
 use wm_model::{
     sampler::shift_time,
     transition::{ActionAlignment, Parametrisation, TemporalPattern, Transition, TransitionConfig},
 };
 
-use super::{draws::Draws, noised_at_once};
+use super::{draws::Draws, noised_at_once, object_weights::ObjectWeights};
 
 /// Least trained noise level: the velocity of the residual parametrisation is divided by it.
 const SMALLEST_TAU: f64 = 0.01;
@@ -54,6 +54,9 @@ pub struct ObjectiveRecipe {
     pub own_history: f64,
     /// Share of the clips with the null action.
     pub action_dropout: f64,
+    /// How much more the objects of the masks count than anything else.
+    #[serde(default)]
+    pub object_weight: f64,
 }
 
 /// The objective with its clips.
@@ -95,7 +98,17 @@ impl Objective {
             "objective.history_noise is {}, expected at least 0",
             recipe.history_noise
         );
+        ensure!(
+            recipe.object_weight >= 0.0,
+            "objective.object_weight is {}, expected at least 0",
+            recipe.object_weight
+        );
         if recipe.forcing == Forcing::Diffusion {
+            ensure!(
+                recipe.object_weight == 0.0,
+                "objective.object_weight is {}, which needs objective.forcing: teacher",
+                recipe.object_weight
+            );
             ensure!(
                 config.parametrisation == Parametrisation::Velocity,
                 "objective.forcing is diffusion, where the frame before may be noisy: model.predicts must be velocity"
@@ -113,15 +126,21 @@ impl Objective {
     pub(super) fn loss(
         &self,
         model: &Transition,
-        clips: &ClipSource<'_>,
+        (clips, objects): (&ClipSource<'_>, Option<&ObjectWeights<'_>>),
         rng: &mut ChaCha8Rng,
     ) -> Result<Tensor> {
+        let drawn = self.draw_places(clips, rng);
+        let (latents, actions) = self.load(clips, &drawn, rng)?;
         if self.recipe.forcing == Forcing::Diffusion {
-            let (latents, actions) = self.draw_clips(clips, rng)?;
             let draws = self.draw(latents.dims(), latents.device(), rng)?;
             return noised_at_once::loss(model, (&latents, &actions), &draws, self.recipe.history);
         }
-        let batch = Batch::draw(self, model, clips, rng)?;
+        let mut batch = Batch::of(self, model, (&latents, &actions), rng)?;
+        if let Some(objects) = objects {
+            let weights = objects.of(clips, &drawn, latents.device())?;
+            let past = self.recipe.history;
+            batch.weights = Some(weights.narrow(1, past, weights.dim(1)? - past)?);
+        }
         let own = rng.random_bool(self.recipe.own_history);
         batch.loss_after(model, own, self.recipe.history)
     }
@@ -132,7 +151,21 @@ impl Objective {
         clips: &ClipSource<'_>,
         rng: &mut ChaCha8Rng,
     ) -> Result<(Tensor, Tensor)> {
-        let (latents, actions) = clips.batch(self.micro_batch, rng)?;
+        let drawn = self.draw_places(clips, rng);
+        self.load(clips, &drawn, rng)
+    }
+
+    fn draw_places(&self, clips: &ClipSource<'_>, rng: &mut ChaCha8Rng) -> Vec<Clip> {
+        (0..self.micro_batch).map(|_| clips.draw(rng)).collect()
+    }
+
+    fn load(
+        &self,
+        clips: &ClipSource<'_>,
+        drawn: &[Clip],
+        rng: &mut ChaCha8Rng,
+    ) -> Result<(Tensor, Tensor)> {
+        let (latents, actions) = clips.tensors(drawn)?;
         let part = self.recipe.action_dropout;
         if part > 0.0 {
             return Ok((latents, drop_actions(&actions, part, rng)?));
@@ -190,6 +223,8 @@ pub(crate) struct Batch {
     tau: Tensor,
     /// (B, n - 1 + n - H, A), by frame.
     actions: Tensor,
+    /// Of the squared errors, (B, n - H, h, w, 1); `None` stands for ones.
+    weights: Option<Tensor>,
 }
 
 impl Batch {
@@ -250,6 +285,7 @@ impl Batch {
             noise: draws.noise.clone(),
             tau: draws.tau.clone(),
             actions,
+            weights: None,
         })
     }
 
@@ -268,7 +304,7 @@ impl Batch {
         match model.config().parametrisation {
             Parametrisation::Velocity => {
                 let velocity = (&self.noise - &self.target)?;
-                Ok((output - velocity)?.sqr()?.mean_all()?)
+                self.mean((output - velocity)?.sqr()?)
             }
             Parametrisation::Residual => {
                 let predicted = (output + self.previous(history, past)?)?;
@@ -276,9 +312,18 @@ impl Batch {
                 // levels, with little left to predict.
                 let weight = (tau.sqr()? + SOFTENING * SOFTENING)?.recip()?;
                 let error = (predicted - &self.target)?.sqr()?;
-                Ok(error.broadcast_mul(&weight)?.mean_all()?)
+                self.mean(error.broadcast_mul(&weight)?)
             }
         }
+    }
+
+    /// Mean of the squared errors (B, n - H, h, w, C) with their weights.
+    fn mean(&self, errors: Tensor) -> Result<Tensor> {
+        let errors = match &self.weights {
+            Some(weights) => errors.broadcast_mul(weights)?,
+            None => errors,
+        };
+        Ok(errors.mean_all()?)
     }
 
     /// Output of the network at the noisy frames, these frames, and tau as (B, n - H, 1, 1, 1).
@@ -397,5 +442,36 @@ mod tests {
             assert_eq!(row[4..6], row[2..4]);
             assert!(row.iter().all(|value| *value != 0.0), "{row:?}");
         }
+    }
+
+    #[test]
+    fn cells_count_by_their_weights() {
+        let dir = tempfile::tempdir().unwrap();
+        let latents = moving(dir.path(), 4, 1);
+        let encoding = encoding();
+        let clips = ClipSource::new(&latents, &encoding, 5).unwrap();
+        let config = config(Parametrisation::Residual, ActionAlignment::WithResult);
+        let (_, model) = fresh(&config, 3);
+        let objective = objective(Forcing::Teacher);
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let mut batch = Batch::draw(&objective, &model, &clips, &mut rng).unwrap();
+        let past = objective.recipe.history;
+        let (b, later, h, w, _) = batch.target.dims5().unwrap();
+        let mut loss = |weights: Vec<f32>| {
+            batch.weights =
+                Some(Tensor::from_vec(weights, (b, later, h, w, 1), &Device::Cpu).unwrap());
+            let loss = batch.loss_after(&model, false, past).unwrap();
+            loss.to_scalar::<f32>().unwrap()
+        };
+        let cells = b * later * h * w;
+        let (ones, twos) = (loss(vec![1.0; cells]), loss(vec![2.0; cells]));
+        assert!((twos / ones - 2.0).abs() < 1e-5, "{twos} {ones}");
+        let left = |cell: usize| if cell.is_multiple_of(w) { 1.0 } else { 0.0 };
+        let first = loss((0..cells).map(left).collect());
+        let others = loss((0..cells).map(|cell| 1.0 - left(cell)).collect());
+        assert!(
+            first > 0.0 && (first + others - ones).abs() < 1e-5,
+            "{first} {others} {ones}"
+        );
     }
 }

@@ -27,7 +27,7 @@ pub(crate) fn train_on(
     stop: &Stop,
 ) -> Result<RunEnd> {
     let alone = ListenArgs::default();
-    super::train_on(run, recipe, from, train, held_out, (&alone, stop))
+    super::train_on(run, recipe, from, (train, None), held_out, (&alone, stop))
 }
 
 const SIDE: usize = 4;
@@ -193,7 +193,7 @@ fn step(
     };
     let loss = |rng: &mut _| {
         let gradients = WeightGradients::default();
-        let loss = objective.loss(&model.collecting(&gradients), clips, rng)?;
+        let loss = objective.loss(&model.collecting(&gradients), (clips, None), rng)?;
         Ok(BatchLoss {
             gradients,
             ..BatchLoss::from(loss)
@@ -464,6 +464,46 @@ fn model_is_fine_tuned_to_other_actions() {
     );
     let error = format!("{:#}", error.unwrap_err());
     assert!(error.contains("from"), "{error}");
+}
+
+#[test]
+fn added_blocks_do_not_change_the_predictions_at_first() {
+    let dir = tempfile::tempdir().unwrap();
+    let (shallow, deep) = (dir.path().join("shallow"), dir.path().join("deep"));
+    let stop = Stop::default();
+    let recipe = small("tiny", None);
+    let latents = moving(dir.path(), 4, 1);
+    train_on(&run_in(&shallow), &recipe, None, &latents, None, &stop).unwrap();
+
+    let from = || {
+        let from = ModelFolder::open(shallow.to_str().unwrap()).unwrap();
+        from.transition_tensors().unwrap()
+    };
+    let depth = |depth| {
+        let mut recipe = small("tiny", None);
+        recipe.optimisation.learning_rate = 0.0;
+        recipe.model.depth = Some(depth);
+        let run = RunArgs {
+            from: Some(shallow.display().to_string()),
+            set: vec![format!("model.depth={depth}").parse().unwrap()],
+            ..run_in(&deep)
+        };
+        train_on(&run, &recipe, Some(from()), &latents, None, &stop)
+    };
+    let error = format!("{:#}", depth(0).unwrap_err());
+    assert!(error.contains("model.depth=0"), "{error}");
+    depth(3).unwrap();
+
+    let ratios = |folder: &Path| {
+        let weights = Weights::open(folder.join(FILE)).unwrap();
+        let model = Transition::from_weights(weights).unwrap().pack().unwrap();
+        let windows = Windows::new(&latents, &encoding(), 3, usize::MAX).unwrap();
+        let depth = model.config().depth;
+        (depth, windows.ratios(&model, ActionChange::None).unwrap())
+    };
+    let ((one, before), (three, after)) = (ratios(&shallow), ratios(&deep));
+    assert_eq!((one, three), (1, 3));
+    assert_eq!(before, after);
 }
 
 #[test]

@@ -5,7 +5,7 @@ use std::{path::PathBuf, time::Duration};
 use anyhow::{Context as _, Result};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
-use wm_dataset::{Data, Latents};
+use wm_dataset::{Data, Dataset, Latents};
 use wm_model::{NumberFormat, transition::TransitionConfig};
 use wm_motion::actions::ActionEncoding;
 use wm_zoo::ModelFolder;
@@ -79,7 +79,12 @@ impl TrainWorkerArgs {
         let data = Data::open(&self.data, encoder.framing(), &cache, &self.options)?;
         let train = Latents::open(&data.training, &*encoder, &cache)?;
         let wait = Duration::from_secs(self.wait);
-        work_on(&run, &train, (&self.address, wait), stop)
+        work_on(
+            &run,
+            (&train, Some(&data.training)),
+            (&self.address, wait),
+            stop,
+        )
     }
 
     fn of_run(&self) -> RunArgs {
@@ -105,7 +110,7 @@ impl TrainWorkerArgs {
 /// Computes for the training at `address`, which may be unreachable for `wait`.
 pub(super) fn work_on(
     run: &RunArgs,
-    train: &Latents,
+    train: (&Latents, Option<&Dataset>),
     (address, wait): (&str, Duration),
     stop: &Stop,
 ) -> Result<RunEnd> {
@@ -113,7 +118,7 @@ pub(super) fn work_on(
         address: address.to_owned(),
         version: version(),
         threads: run.threads()?,
-        data: description(train),
+        data: description(train.0),
         wait,
     };
     while let Some(accepted) = worker.join(stop)? {
@@ -127,7 +132,11 @@ pub(super) fn work_on(
     Ok(RunEnd::Stopped)
 }
 
-fn task<'a>(setup: &'a Setup, run: &RunArgs, train: &'a Latents) -> Result<TransitionTask<'a>> {
+fn task<'a>(
+    setup: &'a Setup,
+    run: &RunArgs,
+    train: (&'a Latents, Option<&'a Dataset>),
+) -> Result<TransitionTask<'a>> {
     let Setup {
         recipe,
         encoding,

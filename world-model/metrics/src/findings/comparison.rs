@@ -115,14 +115,7 @@ pub fn compare(
     baseline: &ModelFindings,
     model: &ModelFindings,
 ) -> Result<Comparison, FindingsError> {
-    let mismatches = mismatches(&baseline.header, &model.header);
-    if !mismatches.is_empty() {
-        return Err(FindingsError::NotComparable {
-            baseline: baseline.header.model.clone(),
-            model: model.header.model.clone(),
-            mismatches,
-        });
-    }
+    require_comparable(&baseline.header, &model.header)?;
     let (ours, theirs) = (baseline.metrics(), model.metrics());
     let names: BTreeSet<&str> = ours.keys().chain(theirs.keys()).copied().collect();
     let (mut differences, mut absent) = (BTreeMap::new(), BTreeMap::new());
@@ -150,6 +143,19 @@ pub fn compare(
         model: model.header.clone(),
         differences,
         absent,
+    })
+}
+
+/// Rejects other data, another seed or other settings.
+pub(crate) fn require_comparable(baseline: &Header, model: &Header) -> Result<(), FindingsError> {
+    let mismatches = mismatches(baseline, model);
+    if mismatches.is_empty() {
+        return Ok(());
+    }
+    Err(FindingsError::NotComparable {
+        baseline: baseline.model.clone(),
+        model: model.model.clone(),
+        mismatches,
     })
 }
 

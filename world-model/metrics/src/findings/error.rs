@@ -22,6 +22,12 @@ pub enum FindingsError {
         /// All differing settings.
         mismatches: Vec<Mismatch>,
     },
+    /// A family without models.
+    #[error("the family {family:?} has no model")]
+    EmptyFamily {
+        /// Name of the family.
+        family: String,
+    },
     /// Samples of a figure without an interval or a test.
     #[error("{metric}: {source}")]
     Statistics {

@@ -1,5 +1,5 @@
 use wm_metrics::findings::{
-    Better, FindingsError, Metric, ModelFindings, Section, Suite, Verdict, compare,
+    Better, FindingsError, Metric, ModelFindings, Section, Suite, Verdict, compare, family,
 };
 
 use super::sample::findings;
@@ -157,4 +157,47 @@ fn different_settings_are_rejected_by_name() {
     );
     assert!(wm_metrics::findings::html("", &[a.clone(), b.clone()]).is_err());
     assert!(wm_metrics::findings::json(&[a, b]).is_err());
+}
+
+/// The paper's family-level rows: the mean of each family by unit, then paired over units.
+#[test]
+fn families_are_compared_by_their_means() {
+    let of = |values: &[f64]| with(Better::Higher, values);
+    let reconstruction = [of(&[1.0, 2.0, 3.0]), of(&[3.0, 2.0, 1.0])];
+    let semantic = [of(&[4.0, 3.0, 5.0])];
+    let mean =
+        |name: &str, members: &[ModelFindings]| family(name, &members.iter().collect::<Vec<_>>());
+    let baseline = mean("reconstruction", &reconstruction).unwrap();
+    let found = compare(&baseline, &mean("semantic", &semantic).unwrap()).unwrap();
+    let names = [&found.baseline.model, &found.model.model];
+    assert_eq!(names, ["reconstruction", "semantic"]);
+    let difference = &found.differences[NAME];
+    // 4 - 2, 3 - 2, 5 - 2.
+    assert_eq!(
+        (difference.baseline, difference.difference, difference.n),
+        (2.0, 2.0, 3)
+    );
+    assert_eq!(
+        (difference.p, difference.p_is_exact),
+        (Some(1.0 / 8.0), true)
+    );
+
+    // Units that a member lacks have no mean.
+    let shorter = mean("shorter", &[of(&[1.0, 2.0, 3.0]), of(&[3.0, 2.0])]).unwrap();
+    assert_eq!(shorter.metrics()[NAME].samples.len(), 2);
+    // Figures that a member lacks neither.
+    let mut without = of(&[1.0]);
+    without.sections.clear();
+    let missing = mean("missing", &[of(&[1.0]), without]).unwrap();
+    assert!(missing.metrics().is_empty());
+}
+
+#[test]
+fn families_need_comparable_members() {
+    let error = family("none", &[]).unwrap_err().to_string();
+    assert!(error.contains("none"), "{error}");
+    let (a, mut b) = (with(Better::Higher, &[1.0]), with(Better::Higher, &[1.0]));
+    b.header.seed += 1;
+    let error = family("mixed", &[&a, &b]).unwrap_err().to_string();
+    assert!(error.contains("seed"), "{error}");
 }

@@ -118,6 +118,31 @@ impl ConvolutionalIdm {
     /// If the latents have another shape.
     pub fn forward_dropping(&self, latents: &Tensor, dropout: &mut Dropout<'_>) -> Result<Tensor> {
         let c = &self.config;
+        let [_, last] = &self.head;
+        let hidden = self.hidden(latents)?;
+        let actions = last.forward(&dropout.apply(&hidden)?)?;
+        let b = hidden.dim(0)?;
+        let actions = actions.reshape((b, c.horizon, c.actions))?;
+        Ok(actions.to_dtype(DType::F32)?)
+    }
+
+    /// Latents (B, horizon + 1, h, w, features) to what the last layer reads, which is the same for each action
+    /// (B, horizon, hidden), f32.
+    ///
+    /// # Errors
+    /// If the latents have another shape.
+    pub fn features(&self, latents: &Tensor) -> Result<Tensor> {
+        let hidden = self.hidden(latents)?.to_dtype(DType::F32)?;
+        let (b, width) = hidden.dims2()?;
+        let each = hidden
+            .unsqueeze(1)?
+            .expand((b, self.config.horizon, width))?;
+        Ok(each.contiguous()?)
+    }
+
+    /// (B, hidden).
+    fn hidden(&self, latents: &Tensor) -> Result<Tensor> {
+        let c = &self.config;
         let ([rows, columns], frames) = (c.grid, c.horizon + 1);
         let expected = [frames, rows, columns, c.features];
         let b = match latents.dims() {
@@ -127,17 +152,14 @@ impl ConvolutionalIdm {
                 return Err(shape_error("the latents", expected, latents));
             }
         };
-        let [first, last] = &self.head;
+        let [first, _] = &self.head;
         let latents = latents.to_device(&self.device)?.to_dtype(self.dtype)?;
         let together = latents.permute((0, 2, 3, 1, 4))?.contiguous()?;
         let mut x = together.reshape((b, rows, columns, frames * c.features))?;
         for conv in &self.convs {
             x = conv.forward(&x)?.relu()?;
         }
-        let hidden = first.forward(&x.flatten_from(1)?)?.relu()?;
-        let actions = last.forward(&dropout.apply(&hidden)?)?;
-        let actions = actions.reshape((b, c.horizon, c.actions))?;
-        Ok(actions.to_dtype(DType::F32)?)
+        Ok(first.forward(&x.flatten_from(1)?)?.relu()?)
     }
 }
 
@@ -175,6 +197,8 @@ mod tests {
         let latents = |frames| Tensor::zeros((2, frames, 5, 6, 12), DType::F32, &Device::Cpu);
         let actions = model.forward_dropping(&latents(4).unwrap(), &mut Dropout::none());
         assert_eq!(actions.unwrap().dims(), [2, 3, 7]);
+        let features = model.features(&latents(4).unwrap()).unwrap();
+        assert_eq!(features.dims(), [2, 3, 128]);
         let error = model.forward_dropping(&latents(3).unwrap(), &mut Dropout::none());
         let error = error.unwrap_err().to_string();
         assert!(error.contains("(B, 4, 5, 6, 12)"), "{error}");

@@ -65,7 +65,19 @@ impl IdmNetwork {
         self.forward_dropping(latents, &mut Dropout::none())
     }
 
-    /// The same in training, with dropout.
+    /// Latents (B, k + 1, h, w, C) to what the last layers read of each action (B, k, width), f32: the features of the paper's
+    /// action trajectories.
+    ///
+    /// # Errors
+    /// If the latents have another shape.
+    pub fn features(&self, latents: &Tensor) -> Result<Tensor> {
+        match self {
+            Self::Transformer(model) => model.features(latents),
+            Self::Convolutional(model) => model.features(latents),
+        }
+    }
+
+    /// The same as [`Self::forward`] in training, with dropout.
     ///
     /// # Errors
     /// If the latents have another shape.
