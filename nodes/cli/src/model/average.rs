@@ -8,14 +8,10 @@ use clap::Args;
 use serde_json::Value;
 use wm_model::{
     LatentSpace, Weights,
-    trained_folder::TRAINED_ON_KEY,
+    trained_folder::{TRAINED_ON_KEY, TrainedFolder},
     transition::{ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, TransitionConfig},
     weights::{Precision, WeightsBuilder},
 };
-use wm_zoo::ModelFolder;
-
-/// File of the weights in a model's folder.
-const FILE: &str = "transition.safetensors";
 
 /// Averages the weights of two transition models, of which one was fine-tuned from the other: what it has learnt is mostly
 /// kept, and what it has forgotten mostly comes back (Wortsman et al., "Robust fine-tuning of zero-shot models", 2022).
@@ -96,12 +92,13 @@ impl AverageCommand {
 }
 
 fn weights(model: &str) -> Result<Weights> {
-    let found = ModelFolder::open(model)?.weights(FILE)?;
-    found.with_context(|| format!("{model}: it has no {FILE}"))
+    Ok(TrainedFolder::named(model).transition()?)
 }
 
 #[cfg(test)]
 mod tests {
+    use wm_model::trained_folder::TRANSITION_FILE;
+
     use super::*;
 
     fn command(second: &str, output: PathBuf, share: f32) -> AverageCommand {
@@ -126,7 +123,7 @@ mod tests {
         for key in [CONFIG_KEY, LATENT_SPACE_KEY, ACTIONS_KEY] {
             copy.metadata(key, tiny.metadata(key).unwrap());
         }
-        copy.write(folder.join(FILE)).unwrap();
+        copy.write(folder.join(TRANSITION_FILE)).unwrap();
         folder.to_str().unwrap().to_owned()
     }
 
