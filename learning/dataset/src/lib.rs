@@ -60,6 +60,9 @@ pub use source_sizes::SourceSize;
 pub use statistics::{DataStatistics, LatentStatistics, Statistics, SuccessCounts};
 pub(crate) use store::Folder;
 
+/// Mask values from this one on are objects; 1 is the gripper, 0 the background.
+pub const FIRST_OBJECT: u8 = 2;
+
 /// One episode of a [`Dataset`].
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Episode {
@@ -224,7 +227,7 @@ impl Dataset {
         self.folders.get(folder)?.frame(frame)
     }
 
-    /// Mask of frame `index`: height x width bytes, 0 background, 1 gripper, 2 and above objects; `None` past the end,
+    /// Mask of frame `index`: height x width bytes, 0 background, 1 gripper, [`FIRST_OBJECT`] and above objects; `None` past the end,
     /// or without masks.
     #[must_use]
     pub fn mask(&self, index: usize) -> Option<&[u8]> {

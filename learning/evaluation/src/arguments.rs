@@ -13,6 +13,7 @@ use wm_metrics::findings::Suite;
 use wm_zoo::ModelFolder;
 
 use crate::control::SearchedDimensions;
+use crate::families;
 use crate::{
     OutputArgs, Perception, PerceptionArgs, PolicyArgs, Protocol, ReaderArgs, Settings, Shard,
     Subject, merge::of_files, open_model, policy::Setup, run,
@@ -150,6 +151,9 @@ impl SuiteArgs {
         let mut settings = self.settings(&setup)?;
         settings.networks = perception.description().cloned();
         let models = || std::iter::once(&self.model).chain(&self.compare);
+        // Before hours of measurements.
+        let names: Vec<&str> = models().map(String::as_str).collect();
+        families::members(&self.output.families, &names)?;
         let folders: Vec<ModelFolder> = models()
             .map(|model| open_model(model))
             .collect::<Result<_>>()?;

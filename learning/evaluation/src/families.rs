@@ -1,8 +1,8 @@
 //! `--families`: families of models against each other.
 
-use std::str::FromStr;
+use std::{collections::BTreeSet, str::FromStr};
 
-use anyhow::{Context as _, Result, ensure};
+use anyhow::{Result, bail, ensure};
 use wm_metrics::findings::{ModelFindings, family};
 
 /// A family as an option: `NAME=MODEL,MODEL`.
@@ -29,47 +29,66 @@ impl FromStr for FamilyArg {
     }
 }
 
-/// The mean of each family.
+/// The models of each family, as places in `names`: the names of all measured models.
 ///
 /// # Errors
-/// If a family names a model that was not measured, a model is in two families, or they cannot be compared.
-pub(crate) fn means(
-    families: &[FamilyArg],
-    findings: &[ModelFindings],
-) -> Result<Vec<ModelFindings>> {
+/// If there is one family, a family names a model that is not measured or might be several, or a model is in two families.
+pub(crate) fn members(families: &[FamilyArg], names: &[&str]) -> Result<Vec<Vec<usize>>> {
     ensure!(
         families.len() != 1,
         "--families has one family: nothing to compare it with"
     );
-    let mut seen = Vec::new();
-    let means = families.iter().map(|own| {
-        let members = own.models.iter().map(|model| {
-            let found = member(findings, model)?;
-            ensure!(
-                !seen.contains(&&found.header.hash),
-                "--families has {model} twice"
-            );
-            seen.push(&found.header.hash);
-            Ok(found)
+    let mut seen = BTreeSet::new();
+    let members = families.iter().map(|own| {
+        let places = own.models.iter().map(|model| {
+            let place = place(names, model)?;
+            ensure!(seen.insert(place), "--families has {model} twice");
+            Ok(place)
         });
-        let members = members.collect::<Result<Vec<_>>>()?;
+        places.collect()
+    });
+    members.collect()
+}
+
+/// The mean of each family.
+///
+/// # Errors
+/// Those of [`members`], and if the models of a family cannot be compared.
+pub(crate) fn means(
+    families: &[FamilyArg],
+    findings: &[ModelFindings],
+) -> Result<Vec<ModelFindings>> {
+    let names: Vec<&str> = findings.iter().map(|own| &*own.header.model).collect();
+    let members = members(families, &names)?;
+    let means = families.iter().zip(members).map(|(own, places)| {
+        let members: Vec<&ModelFindings> = places
+            .iter()
+            .filter_map(|place| findings.get(*place))
+            .collect();
         Ok(family(&own.name, &members)?)
     });
     means.collect()
 }
 
-/// The findings of a model by its name or its folder's.
-fn member<'a>(findings: &'a [ModelFindings], model: &str) -> Result<&'a ModelFindings> {
-    let folder = model.trim_end_matches('/');
-    let named = findings.iter().find(|found| {
-        let own = found.header.model.trim_end_matches('/');
-        own == folder || own.rsplit('/').next() == folder.rsplit('/').next()
-    });
-    named.with_context(|| {
-        let known = findings.iter().map(|found| &*found.header.model);
-        let known = known.collect::<Vec<_>>().join(", ");
-        format!("--families: no model `{model}` among {known}")
-    })
+/// The place of a model by its name, or by that of its folder if only one has it.
+fn place(names: &[&str], model: &str) -> Result<usize> {
+    let model = model.trim_end_matches('/');
+    let folder = |name: &str| name.rsplit('/').next().map(str::to_owned);
+    let places = |is: &dyn Fn(&str) -> bool| -> Vec<usize> {
+        let numbered = names.iter().enumerate();
+        let chosen = numbered.filter(|(_, name)| is(name.trim_end_matches('/')));
+        chosen.map(|(place, _)| place).collect()
+    };
+    let mut found = places(&|name| name == model);
+    if found.is_empty() {
+        found = places(&|name| folder(name) == folder(model));
+    }
+    let known = names.join(", ");
+    match found.as_slice() {
+        [place] => Ok(*place),
+        [] => bail!("--families: no model `{model}` among {known}"),
+        _ => bail!("--families: `{model}` is several models of {known}; give the whole path"),
+    }
 }
 
 #[cfg(test)]
@@ -96,6 +115,9 @@ mod tests {
         assert_eq!(names, ["first", "second"]);
         assert_eq!(found[0].header.hash, "hash of a+hash of runs/b");
         assert!(means(&[], &all).unwrap().is_empty());
+        // The whole name comes before the folder's.
+        let found = members(&families(&["first=y/a", "second=a"]), &["x/a", "y/a", "a"]);
+        assert_eq!(found.unwrap(), [[1], [2]]);
     }
 
     #[test]
@@ -112,6 +134,8 @@ mod tests {
             let error = format!("{:#}", means(&families(texts), &all).unwrap_err());
             assert!(error.contains(expected), "{error}");
         }
+        let error = members(&families(&["first=a", "second=b"]), &["x/a", "y/a", "b"]).unwrap_err();
+        assert!(error.to_string().contains("whole path"), "{error}");
         for text in ["a", "=a", "first=", "first=a,,b"] {
             assert!(text.parse::<FamilyArg>().is_err(), "{text}");
         }

@@ -87,12 +87,6 @@ impl<'a> ProbeTask<'a> {
         let own = &recipe.model;
         let episodes = Episodes::new(train, own.frame_skip, own.max_frames);
         episodes.require_successes()?;
-        let negatives = match own.kind {
-            // Read no instruction.
-            ProbeKind::Linear | ProbeKind::Temporal => Negatives::Any,
-            ProbeKind::Grounded | ProbeKind::Transformer => recipe.negatives,
-        };
-        let episodes = episodes.with(negatives)?;
         let most = Some(episodes.max_frames());
         let mut held_out = held_out
             .map(|held_out| Episodes::new(held_out, own.frame_skip, most))
@@ -109,6 +103,14 @@ impl<'a> ProbeTask<'a> {
         if let Some(old) = run.old_config::<ProbeNetworkConfig>(FILE, PROBE_KEY)? {
             config = recipe::resized(old, train.space(), config.max_frames());
         }
+        let reads_instructions = config.text_features_mut().is_some();
+        let negatives = match reads_instructions {
+            true => recipe.negatives,
+            false => Negatives::Any,
+        };
+        let episodes = episodes.with(negatives);
+        episodes.require_negatives()?;
+        held_out = held_out.map(|held_out| held_out.with(negatives));
         let fresh = run.fresh_weights(FILE, recipe.seed)?;
         let loader = fresh.loader();
         let text = match (text_tower, config.text_features_mut()) {

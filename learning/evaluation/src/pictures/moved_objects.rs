@@ -2,15 +2,15 @@
 
 use std::collections::BTreeMap;
 
-/// Mask values from this one on are objects; 1 is the gripper, 0 the background.
-const FIRST_OBJECT: u8 = 2;
+use wm_dataset::FIRST_OBJECT;
+
 /// Least way of an object's middle that counts as a motion, as a fraction of the picture's width.
 const LEAST_WAY: f64 = 0.03;
 /// Smaller areas have no reliable colour \[pixels\].
 const LEAST_AREA: usize = 12;
 /// An object is searched for as far from its true place, as a fraction of the picture's width.
 const REACH: f64 = 0.06;
-/// Width of the surroundings that are compared with an object \[pixels\].
+/// Distance of the surroundings that an object is compared with \[pixels\].
 const RIM: usize = 3;
 /// Least distance of the colours of an object and of its surroundings, 0 to the root of 3.
 const LEAST_CONTRAST: f64 = 0.15;
@@ -19,8 +19,8 @@ type Colour = [f64; 3];
 
 /// Counts of objects that moved since the last observed frame, and of those that the prediction has lost.
 ///
-/// An object is there if some place within 6 % of the picture's width of its true one has its colour: averaged over
-/// its true outline, the predicted colour is closer to its own than half the way to the surroundings' colour.
+/// The outline of the true object is moved over the prediction, by at most 6 % of the picture's width. The object is there if
+/// somewhere the mean colour inside is nearer to its true colour than half the distance of that to the surroundings' colour.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct MovedObjects {
     /// Objects that moved, and differ in colour from what surrounds them.
@@ -67,7 +67,8 @@ impl MovedObjects {
 }
 
 impl Truth<'_> {
-    /// Whether `predicted` shows the object of this outline; `None` if it has its surroundings' colour, or none are seen.
+    /// Whether `predicted` shows the object of this outline; `None` if its colour is that of its surroundings, or the picture
+    /// shows no surroundings.
     fn shows(&self, outline: &[Place], predicted: &[f32]) -> Option<bool> {
         let true_at = |place: Place| {
             let [r, g, b] = pixel(self.pixels, place, self.width)?;
@@ -89,7 +90,7 @@ impl Truth<'_> {
         }))
     }
 
-    /// The background within [`RIM`] pixels of an outline, once for each of its neighbours.
+    /// The background [`RIM`] pixels left and right of, above and below each pixel of an outline.
     fn surroundings<'a>(&'a self, outline: &'a [Place]) -> impl Iterator<Item = Place> + 'a {
         let rim = RIM as isize;
         let ways = [(-rim, 0), (rim, 0), (0, -rim), (0, rim)];

@@ -124,14 +124,19 @@ impl<'a> Episodes<'a> {
     }
 
     /// The same with these negatives.
-    ///
-    /// # Errors
-    /// If they are of another family, but all instructions are of one.
-    pub(super) fn with(mut self, negatives: Negatives) -> Result<Self> {
+    pub(super) fn with(mut self, negatives: Negatives) -> Self {
         self.families = match negatives {
             Negatives::Any => None,
             Negatives::OtherFamily => Some(self.by_family()),
         };
+        self
+    }
+
+    /// Rejects data without negatives.
+    ///
+    /// # Errors
+    /// If these are of another family, but all instructions are of one.
+    pub(super) fn require_negatives(&self) -> Result<()> {
         if let Some(families) = &self.families
             && let (1, Some(verb)) = (families.len(), families.keys().next())
         {
@@ -139,7 +144,7 @@ impl<'a> Episodes<'a> {
                 "negatives is other_family, but all instructions begin with `{verb}`: use negatives=any"
             );
         }
-        Ok(self)
+        Ok(())
     }
 
     fn by_family(&self) -> BTreeMap<String, Vec<usize>> {
@@ -255,8 +260,8 @@ impl<'a> Episodes<'a> {
         self.labelled.get(*place)
     }
 
-    /// Questions of a validation: every episode under its own instruction, and every success also under the next different
-    /// one. At most `most` evenly spread episodes.
+    /// Questions of a validation: every episode under its own instruction, and every success also under the next other one
+    /// that may be a negative. At most `most` evenly spread episodes.
     pub(super) fn all(&self, most: usize) -> impl Iterator<Item = Result<Sample>> {
         let stride = self.labelled.len().div_ceil(most.max(1)).max(1);
         let asked = self.labelled.iter().enumerate().step_by(stride);

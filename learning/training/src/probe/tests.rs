@@ -283,7 +283,7 @@ fn negatives_are_of_another_family() {
     let dir = tempfile::tempdir().unwrap();
     let data = labelled(dir.path(), 60, 1);
     let one = Episodes::new(&data, 1, None).with(Negatives::OtherFamily);
-    let error = one.map(|_| ()).unwrap_err().to_string();
+    let error = one.require_negatives().unwrap_err().to_string();
     assert!(error.contains("negatives=any"), "{error}");
 
     let instructions = ["Go up", "go to the left", "lift the arm"];
@@ -294,9 +294,7 @@ fn negatives_are_of_another_family() {
     let (file, space) = (dir.path().join("latents 1"), data.space().clone());
     let actions = data.action_space().clone();
     let data = Latents::map(&file, space, episodes, "families".into(), actions).unwrap();
-    let episodes = Episodes::new(&data, 1, None)
-        .with(Negatives::OtherFamily)
-        .unwrap();
+    let episodes = Episodes::new(&data, 1, None).with(Negatives::OtherFamily);
     let shares = Shares {
         successes: 0.5,
         mismatches: 0.5,

@@ -2,10 +2,7 @@
 
 use anyhow::{Result, ensure};
 use candle_core::{Device, Tensor};
-use wm_dataset::{Clip, ClipSource, Dataset};
-
-/// Mask values from this one on are objects; 1 is the gripper, 0 the background.
-const FIRST_OBJECT: u8 = 2;
+use wm_dataset::{Clip, ClipSource, Dataset, FIRST_OBJECT};
 
 /// Weights by the masks of the frames: a cell that shows nothing but objects counts `1 + further` times, one without
 /// objects once. Objects are small and mostly at rest, so that without weights a model loses those that move.

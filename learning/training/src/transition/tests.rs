@@ -503,6 +503,10 @@ fn added_blocks_do_not_change_the_predictions_at_first() {
     };
     let ((one, before), (three, after)) = (ratios(&shallow), ratios(&deep));
     assert_eq!((one, three), (1, 3));
+    assert!(
+        before.iter().all(|ratio| *ratio != 1.0),
+        "the model predicts something: {before:?}"
+    );
     assert_eq!(before, after);
 }
 

@@ -13,8 +13,9 @@ use wm_model::{
     weights::{Precision, WeightsBuilder},
 };
 
-/// Averages the weights of two transition models, of which one was fine-tuned from the other: what it has learnt is mostly
-/// kept, and what it has forgotten mostly comes back (Wortsman et al., "Robust fine-tuning of zero-shot models", 2022).
+/// Averages the weights of a transition model and of one that was fine-tuned from it. The average keeps most of what the
+/// fine-tuning taught, and regains most of what it made the model forget (Wortsman et al., "Robust fine-tuning of zero-shot
+/// models", 2022).
 #[derive(Args, Debug)]
 pub(crate) struct AverageCommand {
     /// Model: tiny, or a model's folder
@@ -31,7 +32,7 @@ pub(crate) struct AverageCommand {
     share: f32,
 }
 
-/// What two models must have in common.
+/// Sizes, latent space and actions: equal in a model and in those that were fine-tuned from it.
 #[derive(Debug, PartialEq)]
 struct Conventions {
     config: TransitionConfig,

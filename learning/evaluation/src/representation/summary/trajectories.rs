@@ -15,7 +15,7 @@ const RIDGE: f64 = 1e-6;
 
 type Rows = fn(&IdmFeatures) -> &Vec<Vec<f32>>;
 
-/// Features of real latents, and of predicted ones.
+/// Latents by their name in figures, with the features from them.
 const SOURCES: [(&str, Rows); 2] = [
     ("real", |found| &found.real),
     ("predicted", |found| &found.predicted),
@@ -43,7 +43,7 @@ pub(super) fn of_model(section: &mut Section, episodes: &[&EpisodeFeatures], mod
             );
             continue;
         };
-        let mut figure = |kind: &str, value, about: &str| {
+        let mut figure = |kind: &str, (value, steps), about: &str| {
             let name = format!("{name}_{kind}_{source}");
             section.metric(&name, Metric::plain(value, steps, Better::Higher, about));
         };
@@ -53,17 +53,17 @@ pub(super) fn of_model(section: &mut Section, episodes: &[&EpisodeFeatures], mod
         );
         // A missing direction has no correlation.
         let rho = |i: usize| fitted.correlations().get(i).copied().unwrap_or(0.0);
-        figure("rho1", rho(0), &about);
-        figure("rho2", rho(1), &about);
+        figure("rho1", (rho(0), steps), &about);
+        figure("rho2", (rho(1), steps), &about);
         figure(
             "eta",
-            fitted.eta(),
+            (fitted.eta(), steps),
             "root of the mean squared canonical correlation (Hooper's trace correlation)",
         );
         match held_out(&found, &columns, of) {
-            Some(eta) => figure(
+            Some(found) => figure(
                 "eta_held_out",
-                eta,
+                found,
                 "the same on every second episode, with the directions of the others",
             ),
             None => section.absent(
@@ -114,15 +114,15 @@ fn fit(episodes: &[&IdmFeatures], columns: &[usize], of: Rows) -> Option<Canonic
     CanonicalCorrelation::fit(&features, &actions, Regularisation::Ridge(RIDGE)).ok()
 }
 
-/// Trace correlation on every second episode, with the directions of the others.
-fn held_out(episodes: &[&IdmFeatures], columns: &[usize], of: Rows) -> Option<f64> {
+/// Trace correlation on every second episode, with the directions of the others, and the number of its steps.
+fn held_out(episodes: &[&IdmFeatures], columns: &[usize], of: Rows) -> Option<(f64, usize)> {
     let half =
         |first| -> Vec<&IdmFeatures> { episodes.iter().skip(first).step_by(2).copied().collect() };
     let (fitted_on, others) = (half(0), half(1));
     let fitted = fit(&fitted_on, columns, of)?;
     let (features, actions) = (features(&others, of)?, actions(&others, columns)?);
     let correlations = fitted.correlations_of(&features, &actions).ok()?;
-    Some(trace_correlation(&correlations))
+    Some((trace_correlation(&correlations), actions.rows()))
 }
 
 /// Draws the episodes in the plane of the two leading directions.
@@ -138,15 +138,11 @@ fn draw(
     let rho = |i: usize| plane.correlations().get(i).copied().unwrap_or(0.0);
     let of_actions =
         actions(episodes, columns).and_then(|rows| plane.project_actions(&rows, 2).ok());
-    let mut drawn = vec![("true actions", of_actions)];
+    let mut drawn = vec![("true actions".to_owned(), of_actions)];
     for (source, of) in SOURCES {
-        let what = match source {
-            "real" => "features of real latents",
-            _ => "features of predicted latents",
-        };
         let rows = features(episodes, of);
         drawn.push((
-            what,
+            format!("features of {source} latents"),
             rows.and_then(|rows| plane.project_features(&rows, 2).ok()),
         ));
     }
@@ -234,6 +230,7 @@ mod tests {
             value("eta_held_out_predicted")
         );
         assert_eq!(found.metrics["latents.idm_k1_cca_eta_real"].n, 200);
+        assert_eq!(found.metrics["latents.idm_k1_cca_eta_held_out_real"].n, 100);
         let titles: Vec<&str> = found.trajectories.iter().map(|own| &*own.title).collect();
         assert_eq!(titles.len(), 3, "{titles:?}");
         assert!(
