@@ -2,7 +2,7 @@
 #
 #   docker build -t wm .
 #   docker run --rm -it --network host --read-only --tmpfs /tmp --cap-drop ALL --security-opt no-new-privileges \
-#       --memory 4g --volume wm-out:/var/lib/wm wm launch /usr/share/wm/launch/live.launch.yaml
+#       --memory 4g --volume wm-out:/var/lib/wm wm launch live.launch.yaml
 #
 # With the host's network, and its loopback by default: DDS participants of one host find each other there, and the socket
 # filter of wm drops what comes from other machines (docs/security.md). `--network none` does for a replay.
@@ -24,4 +24,4 @@ COPY LICENSE-APACHE LICENSE-MIT /usr/share/doc/wm/
 USER wm
 WORKDIR /var/lib/wm
 ENTRYPOINT ["wm"]
-CMD ["launch", "/usr/share/wm/launch/replay.launch.yaml"]
+CMD ["launch", "replay.launch.yaml"]

@@ -122,4 +122,5 @@ def main():
         print_table(of_kind)
 
 
-main()
+if __name__ == "__main__":
+    main()

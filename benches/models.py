@@ -1,22 +1,24 @@
 #!/usr/bin/env python3
 """The models' engine against PyTorch on the same machine, with the same weights and inputs.
 
-usage: benches/models.py [--device cuda] [--rounds N] [--seconds S] [--no-compile] [CASE ...]
+usage: benches/models.py [--device cuda] [--rounds N] [--seconds S] [--formats F ...] [--no-compile] [CASE ...]
 
 Builds `learning/training/examples/model_speed.rs`, and for each case writes random weights and an input to a temporary
-folder, then runs ours and PyTorch (eager, and with torch.compile) in turns, round by round, on all threads of each. Of
-all runs it prints the medians, of the rounds' ratios of ours to the faster PyTorch the median and the range (below 1:
-ours is faster), and how far our output and that of eager are from eager's in f32 (relative, Euclidean). `candle` is the
+folder, then runs ours, PyTorch (eager, and with torch.compile), ONNX Runtime and OpenVINO in turns, round by round, on all
+threads of each (benches/engines.py; a peer that is not installed is left out). Of all runs it prints the medians, of the
+rounds' ratios of ours to the fastest peer the median and the range (below 1: ours is faster), and how far our output and
+that of eager are from eager's in f32 (relative, Euclidean). `candle` is the
 same network on candle's own CPU operations, with its time divided by ours. `at the peak` is the time of eager's
 multiplications and additions at the measured peak of the processor for the format, if ours computes the same ones: no
 arrangement of them is faster, but convolutions take fewer. Needs cargo, a C++ compiler, and the packages of
-world-model/zoo/fixtures/requirements.txt.
+world-model/zoo/fixtures/requirements.txt; for the engines also onnx, onnxscript, onnxruntime, openvino and nncf.
 
 Cases: velocity-dit-s, velocity-dit-l: one velocity of a new frame after nine frames with cached keys and values, on
 both sides. frame-dit-s: a predicted frame, ten Euler steps in a full window of ten, ours with its exact cache, the
 reference's loop without. plan-dit-s: the same for 64 candidates after two frames; the peers compute two of them, and
-their time counts 32 times. vit-l, sd3-encode, sd3-decode, pixel: one picture of 256 x 256. Those of one velocity and
-vit-l also in int8, beside PyTorch's dynamic quantisation. Last, load: time and memory to load a model of 300 M
+their time counts 32 times; only PyTorch is a peer. vit-l, sd3-encode, sd3-decode, pixel: one picture of 256 x 256. Those
+of one velocity and vit-l also in int8, beside the dynamic quantisation of PyTorch and ONNX Runtime, and that of OpenVINO's
+NNCF. Last, load: time and memory to load a model of 300 M
 parameters, packing its weights (first) and finding them packed (kept).
 
 With --device cuda, all on an NVIDIA GPU: cargo then needs nvcc (tests/setup_cuda installs one), and PyTorch its own
@@ -27,9 +29,7 @@ the card. The peak is that of a product of 8192 x 8192 matrices in PyTorch, bf16
 """
 
 import argparse
-import copy
 import datetime
-import importlib.util
 import json
 import os
 import pathlib
@@ -38,324 +38,19 @@ import subprocess
 import sys
 import tempfile
 import time
-import warnings
 
 import torch
-import torch.nn.functional as F
-from diffusers import AutoencoderKL
 from safetensors.torch import load_file, save_file
 from torch.utils.flop_counter import FlopCounterMode
-from transformers import Dinov2Config, Dinov2Model
+
+from card_memory import CardMemory
+from engines import engines, installed, versions
+from machine import processor
+from model_cases import CASES, FORMATS, MATRIX_FORMATS, ON_CUDA, VitL
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT / "world-model/zoo/fixtures"))
-
-from card_memory import CardMemory  # noqa: E402
-from cases.autoencoder import SD3, to_signed, to_unit  # noqa: E402
-from cases.case import channels_first, channels_last, pictures, randomised, resized, saved  # noqa: E402
-from cases.transition import dit_input  # noqa: E402
-from machine import processor  # noqa: E402
-from reference import dit, pixel_decoder, vjepa  # noqa: E402
-
-FORMATS = {"f32": torch.float32, "bf16": torch.bfloat16}
-# Of models whose time is that of matrices; on the CPU only.
-MATRIX_FORMATS = (*FORMATS, "int8")
 # The place of candle's own operations on the CPU, for model_speed.
 CANDLE = ("candle",)
-DIT_S = dit.DIT_L_SD3 | dict(hidden=384, depth=12, heads=6)
-EULER_STEPS, CONTEXT_TAU = 10, 0.01
-
-
-def dynamically_quantised(model):
-    """Every Linear with weights in 8 bits, a scale for each output, and inputs that are rounded when it runs."""
-    quantization = torch.ao.quantization
-    with warnings.catch_warnings():
-        # It is to move to torchao, a package of its own.
-        warnings.simplefilter("ignore")
-        return quantization.quantize_dynamic(model, {torch.nn.Linear: quantization.per_channel_dynamic_qconfig})
-
-
-class Case:
-    """One model and an input. `step` computes in PyTorch what `ours` names in model_speed.rs."""
-
-    ours = output = None
-    formats = tuple(FORMATS)
-    # The factor of work of ours over the peers', by which their times are multiplied.
-    share = 1
-    # Operations of ours in a run, for the share of the card's peak.
-    operations = None
-    # Whether the peers compute the same operations as ours.
-    same_operations = True
-
-    def __init__(self):
-        torch.manual_seed(1)
-        self.config, self.model, self.inputs = self.build()
-
-    def at(self, number_format):
-        """A copy of the case in another number format."""
-        other = copy.copy(self)
-        # The default device: that of the run.
-        device = torch.get_default_device()
-        dtype = FORMATS.get(number_format, torch.float32)
-        other.model = copy.deepcopy(self.model).to(device, dtype)
-        if number_format == "int8":
-            other.model = dynamically_quantised(other.model)
-        other.inputs = {name: value.to(device, dtype) for name, value in self.inputs.items()}
-        other.ready()
-        return other
-
-    def ready(self):
-        """Preparation that is not part of the time of a step."""
-
-    def weights(self):
-        """By the names of a published checkpoint."""
-        return self.model.state_dict()
-
-    def compiled(self):
-        other = copy.copy(self)
-        other.step = torch.compile(self.step)
-        return other
-
-
-    def tensor_rt(self):
-        other = copy.copy(self)
-        other.step = torch.compile(self.step, backend="torch_tensorrt")
-        return other
-
-
-class Velocity(Case):
-    """The reference's layers run for one new frame, whose temporal attention sees cached keys and values."""
-
-    ours, output, cached, formats = "velocity", "velocity", 9, MATRIX_FORMATS
-
-    def __init__(self, config):
-        self.config = config
-        super().__init__()
-
-    def build(self):
-        return self.config, randomised(dit.dit(**self.config)), dit_input(self.config, 1, 10)
-
-    def ready(self):
-        c, self.module = self.config, dit.transition_module()
-        self.spatial, self.temporal = self.spatial_block, self.temporal_block
-        dtype = self.inputs["x"].dtype
-        rows, columns = (side // c["patch"] for side in c["grid"])
-        self.heads, self.dim = c["heads"], c["hidden"] // c["heads"]
-        row, column = torch.arange(rows).repeat_interleave(columns), torch.arange(columns).repeat(rows)
-        angles = self.module.axis_angles
-        turn = lambda a: (a.cos().to(dtype), a.sin().to(dtype))
-        # As a careful user does: constants are computed once.
-        self.space = turn(torch.cat((angles(row, self.dim // 2), angles(column, self.dim // 2)), -1))
-        self.times = [turn(angles(torch.tensor([t]), self.dim)) for t in range(self.cached + 1)]
-        self.frequencies = torch.exp(-torch.log(torch.tensor(10000.0)) * torch.arange(128) / 128)
-        empty = torch.empty(rows * columns, self.heads, 0, self.dim, dtype=dtype)
-        self.cache = [(empty, empty)] * c["depth"]
-        for t in range(self.cached):
-            self.cache = self.frame(t)[1]
-
-    def turned(self, x, angles):
-        x = F.rms_norm(x, (self.dim,), eps=torch.finfo(x.dtype).eps)
-        a, b = x[..., 0::2], x[..., 1::2]
-        cos, sin = angles
-        return torch.stack((a * cos - b * sin, a * sin + b * cos), -1).flatten(-2)
-
-    def qkv(self, block, x, modulation):
-        shift, scale = modulation[:2]
-        qkv = block.attn.qkv_proj(self.module.modulated(x, shift, scale))
-        return qkv.view(x.shape[0], 3, self.heads, self.dim).unbind(1)
-
-    def rest(self, block, x, attended, modulation):
-        _, _, gate1, shift2, scale2, gate2 = modulation
-        x = x + gate1 * block.attn.out_proj(attended)
-        return x + gate2 * block.ffwd(self.module.modulated(x, shift2, scale2))
-
-    def spatial_block(self, block, x, condition):
-        modulation = block.adaLN_modulation(condition).chunk(6, -1)
-        q, k, v = (t.transpose(0, 1)[None] for t in self.qkv(block, x, modulation))
-        out = F.scaled_dot_product_attention(self.turned(q, self.space), self.turned(k, self.space), v)
-        return self.rest(block, x, out[0].transpose(0, 1).flatten(1), modulation)
-
-    def temporal_block(self, block, x, condition, angles, keys, values):
-        modulation = block.adaLN_modulation(condition).chunk(6, -1)
-        q, k, v = (t.unsqueeze(2) for t in self.qkv(block, x, modulation))
-        keys, values = torch.cat((keys, self.turned(k, angles)), 2), torch.cat((values, v), 2)
-        out = F.scaled_dot_product_attention(self.turned(q, angles), keys, values)
-        return self.rest(block, x, out.flatten(1), modulation), (keys, values)
-
-    def frame(self, t):
-        """The velocity of frame `t` after the cached ones, and the cache with it."""
-        model, cache = self.model, []
-        x, tau, action = (self.inputs[name][:, t] for name in ("x", "tau", "action"))
-        tokens = model.x_proj(x.permute(0, 3, 1, 2)).flatten(2).transpose(1, 2)[0]
-        waves = (tau.float() * 1000)[:, None] * self.frequencies
-        time = model.timestep_mlp(torch.cat((waves.cos(), waves.sin()), -1).to(x.dtype))
-        condition = time + model.action_embedder(action)
-        for block, (keys, values) in zip(model.blocks, self.cache):
-            tokens = self.spatial(block.s_block, tokens, condition)
-            tokens, entry = self.temporal(block.t_block, tokens, condition, self.times[t], keys, values)
-            cache.append(entry)
-        head = model.final_layer
-        shift, scale = head.adaLN_modulation(condition).chunk(2, -1)
-        patches = head.linear(self.module.modulated(tokens, shift, scale))
-        (h, w), p = self.config["grid"], self.config["patch"]
-        grid = patches.view(h // p, w // p, p, p, -1).transpose(1, 2)
-        return grid.reshape(1, 1, h, w, -1), cache
-
-    def step(self):
-        return self.frame(self.cached)[0]
-
-    def compiled(self):
-        # One block, which all of the model share: the whole would take minutes to compile.
-        other = copy.copy(self)
-        other.spatial, other.temporal = torch.compile(self.spatial_block), torch.compile(self.temporal_block)
-        return other
-
-
-class Step(Case):
-    """One Euler step of a plan: the new frame of many candidates, after frames of their own."""
-
-    ours, output, formats, candidates, cached = "velocity", "velocity", ("bf16",), 64, 2
-
-    def build(self):
-        config = dit.DIT_L_SD3
-        d, h = config["hidden"], 2 * (4 * config["hidden"] // 3)
-        tokens = config["grid"][0] * config["grid"][1] // config["patch"] ** 2
-        # A multiplication and an addition are two; of the attention that within frames.
-        of_token = 2 * (4 * d * d + 3 * d * h) + 2 * tokens * d
-        self.operations = 2 * self.candidates * tokens * config["depth"] * of_token
-        model = randomised(dit.dit(**config))
-        return config, model, dit_input(config, self.candidates, self.cached + 1)
-
-
-class Frame(Case):
-    """The reference's loop: every Euler step computes the whole window of every candidate."""
-
-    ours, output, same_operations = "frame", "predicted", False
-    # In f32 only: on a processor without bf16 arithmetic, the loop takes minutes in PyTorch's bf16.
-    formats = ("f32",)
-
-    def __init__(self, observed, candidates):
-        self.observed, self.candidates = observed, candidates
-        # Each candidate is as much work for the reference, half a minute of it: no need to wait for all.
-        self.peer_candidates = min(candidates, 2)
-        self.share = candidates / self.peer_candidates
-        super().__init__()
-
-    def build(self):
-        model = randomised(dit.dit(**DIT_S))
-        # A small velocity, as of a trained model: else errors grow over the Euler steps, and nothing can be compared.
-        model.final_layer.linear.weight.data *= 0.25
-        frame = (*DIT_S["grid"], DIT_S["channels"])
-        actions = torch.randn(1, self.observed + 1, 10).repeat(self.candidates, 1, 1)
-        actions[:, -2] = torch.randn(self.candidates, 10)
-        inputs = dict(
-            context=torch.randn(1, self.observed, *frame), actions=actions, noise=torch.randn(1, 1, *frame)
-        )
-        return DIT_S, model, inputs
-
-    def step(self):
-        # That of models of such latents, `published_shift`.
-        shift = max(1, (256 * DIT_S["channels"] / DIT_S["patch"] ** 2 / 4096) ** 0.5)
-        actions = self.inputs["actions"][: self.peer_candidates]
-        context, noise = (self.inputs[name].expand(len(actions), -1, -1, -1, -1) for name in ("context", "noise"))
-        options = dict(max_frames=10, steps=EULER_STEPS, shift=shift, context_tau=CONTEXT_TAU)
-        return dit.rollout(self.model, context, actions, noise, **options)
-
-    def compiled(self):
-        other = copy.copy(self)
-        other.model = copy.deepcopy(self.model)
-        for block in other.model.blocks:
-            block.compile()
-        return other
-
-
-class VitL(Case):
-    ours, output, formats = "web-dino", "latent", MATRIX_FORMATS
-
-    def build(self):
-        model = Dinov2Model(
-            Dinov2Config(
-                hidden_size=1024, num_hidden_layers=24, num_attention_heads=16, mlp_ratio=4, image_size=224,
-                patch_size=14, use_swiglu_ffn=False, layer_norm_eps=1e-6,
-            )
-        )
-        config, self.published = saved(randomised(model))
-        return config, model, dict(image=pictures(1, 256, 256))
-
-    def weights(self):
-        return self.published
-
-    def step(self):
-        image = resized(channels_first(self.inputs["image"]), 224)
-        mean, std = (torch.tensor(v, dtype=image.dtype).view(3, 1, 1) for v in (vjepa.MEAN, vjepa.STD))
-        return self.model((image - mean) / std).last_hidden_state[:, 1:].unflatten(1, (16, 16))
-
-
-class Convolutional(Case):
-    """Channels last in PyTorch, too: it is faster so."""
-
-    def ready(self):
-        self.model.to(memory_format=torch.channels_last)
-
-
-class Sd3(Convolutional):
-    def build(self):
-        options = dict(SD3, widths=[128, 256, 512, 512], norm_num_groups=32, latent_channels=16)
-        widths = options.pop("widths")
-        model = AutoencoderKL(
-            block_out_channels=widths, down_block_types=["DownEncoderBlock2D"] * 4,
-            up_block_types=["UpDecoderBlock2D"] * 4, **options,
-        )
-        self.shift, self.scale = options["shift_factor"], options["scaling_factor"]
-        randomised(model)
-        return dict(model.config), model, self.input()
-
-
-class Sd3Encoder(Sd3):
-    ours, output = "sd3-vae", "latent"
-
-    def input(self):
-        return dict(image=pictures(1, 256, 256))
-
-    def step(self):
-        mean = self.model.encode(to_signed(self.inputs["image"])).latent_dist.mean
-        return channels_last((mean - self.shift) * self.scale)
-
-
-class Sd3Decoder(Sd3):
-    ours, output = "sd3-vae-decoder", "image"
-
-    def input(self):
-        return dict(latent=torch.randn(1, 32, 32, 16))
-
-    def step(self):
-        latent = channels_first(self.inputs["latent"]) / self.scale + self.shift
-        return to_unit(self.model.decode(latent).sample)
-
-
-class Pixel(Convolutional):
-    ours, output = "pixel", "image"
-
-    def build(self):
-        config = pixel_decoder.PUBLISHED
-        model = randomised(pixel_decoder.PixelDecoder(**config))
-        return config, model, dict(latent=torch.randn(1, 16, 16, config["latent"]))
-
-    def step(self):
-        return channels_last(self.model(channels_first(self.inputs["latent"])))
-
-
-CASES = {
-    "velocity-dit-s": lambda: Velocity(DIT_S),
-    "velocity-dit-l": lambda: Velocity(dit.DIT_L_SD3),
-    "frame-dit-s": lambda: Frame(9, 1),
-    "plan-dit-s": lambda: Frame(2, 64),
-    "vit-l": VitL,
-    "sd3-encode": Sd3Encoder,
-    "sd3-decode": Sd3Decoder,
-    "pixel": Pixel,
-}
-ON_CUDA = CASES | {"step-dit-l": Step}
 
 
 def write(case, folder):
@@ -435,17 +130,19 @@ def step_on_card(name, case, folder, place, runs=10):
 def compare(name, case, folder, arguments, place, peaks):
     reference = operations = None
     for number_format in case.formats:
-        if number_format not in FORMATS and place:
+        if number_format not in (FORMATS if place else arguments.formats):
             continue
         at = case.at(number_format)
         peers = dict(eager=at)
         # What is quantised dynamically cannot be compiled.
         if not arguments.no_compile and number_format in FORMATS:
             peers["compile"] = at.compiled()
-        if place and importlib.util.find_spec("torch_tensorrt"):
+        if place and installed("torch_tensorrt"):
             import torch_tensorrt  # noqa: F401, registers the backend
 
             peers["tensorrt"] = at.tensor_rt()
+        if not place:
+            peers |= engines(case, number_format, folder, len(os.sched_getaffinity(0)))
         firsts = {peer: first_run(of) for peer, of in peers.items()}
         if reference is None:
             reference = firsts["eager"][0].float()
@@ -475,7 +172,7 @@ def compare(name, case, folder, arguments, place, peaks):
             f"{((found - reference).norm() / reference.norm()).item():.1e}"
             for found in (output, firsts["eager"][0].float())
         ]
-        columns = ("eager", "compile", *(["tensorrt"] if place else []))
+        columns = ("eager", "compile", *(["tensorrt"] if place else ["onnxruntime", "openvino"]))
         medians = [statistics.median(theirs[peer]) if peer in theirs else None for peer in columns]
         cells = [f"{m:.1f}" if m else "-" for m in (statistics.median(all_ours), *medians)]
         ratio = f"{statistics.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})"
@@ -539,6 +236,7 @@ def main():
     parser.add_argument("--no-graphs", action="store_true", help="with --device cuda: record no passes")
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--seconds", type=float, default=15, help="how long one peer's runs of a round may take, about")
+    parser.add_argument("--formats", nargs="+", choices=MATRIX_FORMATS, default=MATRIX_FORMATS, help="on the CPU")
     parser.add_argument("--no-compile", action="store_true", help="leave torch.compile out")
     arguments = parser.parse_args()
     on_cuda = arguments.device == "cuda"
@@ -558,11 +256,13 @@ def main():
     torch.set_grad_enabled(False)
     flags = "AVX-512" if torch.cpu._is_avx512_supported() else "AVX2" if torch.cpu._is_avx2_supported() else "baseline"
     card = f"{torch.cuda.get_device_name()}, CUDA {torch.version.cuda}, " if on_cuda else ""
-    print(f"{card}{processor()}, {flags}, {cores} cores, {datetime.date.today()}, torch {torch.__version__}\n")
+    print(f"{card}{processor()}, {flags}, {cores} cores, {datetime.date.today()}, torch {torch.__version__}{versions()}")
+    print()
     peaks = {} if on_cuda else processor_peaks(cores)
-    more = " TensorRT p50 ms |" if on_cuda else " candle p50 ms (to ours) | at the peak ms |"
+    more = " ONNX Runtime p50 ms | OpenVINO p50 ms | candle p50 ms (to ours) | at the peak ms |"
+    more = " TensorRT p50 ms |" if on_cuda else more
     print(f"| case | format | ours p50 ms | eager p50 ms | compile p50 ms |{more} ratio to the fastest | difference | eager's | runs |")
-    print("|---" * (10 if on_cuda else 11) + "|")
+    print("|---" * (10 if on_cuda else 13) + "|")
     place = () if not on_cuda else ("cuda",) if arguments.no_graphs else ("cuda", "recorded")
     cases = arguments.cases or known
     for name in cases:

@@ -241,14 +241,10 @@ fn node_handles_signals_before_it_joins_the_graph() {
 
 /// Exit code and standard error of a monitor that gets SIGINT when it works, or after a bag was played to it.
 fn interrupted_monitor(out: &Path, bag: Option<&Path>) -> (Option<i32>, String) {
-    let (domain, log) = (fresh_domain(), out.join("log"));
+    let domain = fresh_domain();
     let output = format!("output:={}", out.display());
-    let mut command = wm_node(domain, "monitor", &[&output]);
-    let file = std::fs::File::create(&log).expect("a new file");
-    command.stderr(file);
-    let monitor = Process::start(command);
-    let said = || std::fs::read_to_string(&log).expect("the log");
-    let is_working = || said().contains("camera ");
+    let mut monitor = Process::start(wm_node(domain, "monitor", &[&output]));
+    let is_working = || monitor.stderr().contains("camera ");
     wait_until("the live line", Duration::from_secs(30), is_working);
     if let Some(bag) = bag {
         let wait = ["--wait-for", "/camera/image_raw/compressed"];
@@ -259,8 +255,8 @@ fn interrupted_monitor(out: &Path, bag: Option<&Path>) -> (Option<i32>, String) 
         assert!(status.success(), "{status}");
     }
     monitor.signal(Signal::INT);
-    let (status, _) = monitor.finish(Duration::from_secs(30));
-    (status.code(), said())
+    let status = monitor.ended(Duration::from_secs(30));
+    (status.code(), monitor.stderr())
 }
 
 #[test]

@@ -6,7 +6,6 @@
 
 use std::{
     path::Path,
-    process::Stdio,
     time::{Duration, Instant},
 };
 
@@ -211,19 +210,15 @@ async fn most_resident(
     (most, received)
 }
 
-/// Starts the launch with its messages in `log`.
-fn launch(domain: u16, arguments: &[&str], log: &Path) -> Process {
-    let mut command = wm(domain, &[&["launch"][..], arguments].concat());
-    let file = std::fs::File::create(log).expect("a new file");
-    command.stderr(Stdio::from(file));
-    Process::start(command)
+fn launch(domain: u16, arguments: &[&str]) -> Process {
+    Process::start(wm(domain, &[&["launch"][..], arguments].concat()))
 }
 
 #[tokio::test(flavor = "current_thread")]
 async fn killed_node_works_again_within_five_seconds() {
     let _alone = whole_suite();
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let (log, output) = (dir.path().join("log"), dir.path().join("out"));
+    let output = dir.path().join("out");
     let domain = fresh_domain();
     let (_context, node) = join(domain, "observer");
     let mut latents = node
@@ -239,7 +234,6 @@ async fn killed_node_works_again_within_five_seconds() {
             "launch-configs/live.launch.yaml",
             &format!("output:={}", output.display()),
         ],
-        &log,
     );
     let _player = looping_player(domain);
     next(&mut predictions).await;
@@ -285,7 +279,7 @@ async fn killed_node_works_again_within_five_seconds() {
             .expect("it goes on");
         assert_eq!(*pid, find(name), "{name} is another process");
     }
-    let said = std::fs::read_to_string(&log).expect("the launch's log");
+    let said = suite.stderr();
     assert!(
         said.contains("encoder-1 failed: signal 9 (SIGKILL)")
             && said.contains("restarting encoder-1 (no. 1)"),
@@ -342,21 +336,16 @@ async fn node_reports_a_missing_killed_node() {
 fn log_names_a_camera_on_another_topic() {
     let _alone = whole_suite();
     let domain = fresh_domain();
-    let dir = tempfile::tempdir().expect("a temporary directory");
-    let log = dir.path().join("log");
-    let mut encoder = wm(domain, &["encoder"]);
-    encoder.stderr(std::fs::File::create(&log).expect("a new file"));
-    let _encoder = Process::start(encoder);
+    let encoder = Process::start(wm(domain, &["encoder"]));
     let bag = bundled_bag();
     let front = "/camera/image_raw/compressed:=/front/image_raw/compressed";
     let play = ["bag", "play", "--loop", &bag.to_string_lossy(), "-m", front];
     let _player = Process::start(wm(domain, &play));
-    let said = || std::fs::read_to_string(&log).unwrap_or_default();
     wait_until("a warning", PATIENCE, || {
-        said().contains("no camera images on")
+        encoder.stderr().contains("no camera images on")
     });
     let camera = "there are camera images on /front/image_raw/compressed";
-    assert!(said().contains(camera), "{}", said());
+    assert!(encoder.stderr().contains(camera));
 }
 
 #[tokio::test(flavor = "current_thread")]

@@ -13,9 +13,10 @@ use std::{
     time::{Duration, Instant},
 };
 
-pub use crate::ros2_peer::{in_domain, peers, rclpy, root, ros2_env};
+pub use crate::ros2_peer::{in_domain, over_zenoh, peers, rclpy, root, ros2_env};
 use rustix::process::Pid;
 pub use rustix::process::Signal;
+use tempfile::NamedTempFile;
 use wm_ros::{Context, Environment, Middleware, Node, NodeArgs, Reach};
 
 /// The binary under test.
@@ -126,6 +127,13 @@ pub fn wait_until(what: &str, limit: Duration, is_so: impl Fn() -> bool) {
     }
 }
 
+/// The result of `future`, if it comes within a minute.
+pub async fn soon<T>(what: &str, future: impl Future<Output = T>) -> T {
+    let limit = Duration::from_secs(60);
+    let result = tokio::time::timeout(limit, future).await;
+    result.unwrap_or_else(|_elapsed| panic!("{what}: not within {limit:?}"))
+}
+
 /// Resident memory of a process \[byte\].
 pub fn resident(pid: Pid) -> u64 {
     let status = std::fs::read_to_string(format!("/proc/{}/status", pid.as_raw_nonzero()))
@@ -180,19 +188,25 @@ pub struct Process {
     child: Child,
     name: String,
     stdout: Option<Stdout>,
+    /// A file: a pipe would stay open as long as any child of the process.
+    stderr: Option<NamedTempFile>,
 }
 
 impl Process {
-    /// Starts `command`; its stderr goes to the test's own, its stdout to [`Self::finish`].
+    /// Starts `command`; its stdout goes to [`Self::finish`], its stderr to the test's own when it has ended, so that only
+    /// failed tests show it.
     pub fn start(mut command: Command) -> Self {
-        command.stdout(Stdio::piped());
+        let stderr = NamedTempFile::new().expect("a temporary file");
+        let log = stderr.as_file().try_clone().expect("an open file");
+        command.stdout(Stdio::piped()).stderr(log);
         let mut process = Self::start_with_output(command);
         let stdout = process.child.stdout.take().expect("stdout is piped");
         process.stdout = Some(Stdout::new(stdout));
+        process.stderr = Some(stderr);
         process
     }
 
-    /// Starts `command` with its own stdout.
+    /// Starts `command` with its own stdout and stderr.
     pub fn start_with_output(mut command: Command) -> Self {
         let name = format!("{command:?}");
         command.stdin(Stdio::null());
@@ -205,7 +219,17 @@ impl Process {
             child,
             name,
             stdout: None,
+            stderr: None,
         }
+    }
+
+    /// The stderr of the process so far.
+    pub fn stderr(&self) -> String {
+        let Some(log) = &self.stderr else {
+            return String::new();
+        };
+        let bytes = std::fs::read(log.path()).expect("the log");
+        String::from_utf8_lossy(&bytes).into_owned()
     }
 
     pub fn pid(&self) -> Pid {
@@ -234,20 +258,25 @@ impl Process {
         }
     }
 
-    /// Waits at most `limit` for the end of the process; returns its exit status and stdout.
-    pub fn finish(mut self, limit: Duration) -> (ExitStatus, String) {
+    /// Waits at most `limit` for the end of the process.
+    pub fn ended(&mut self, limit: Duration) -> ExitStatus {
         let start = Instant::now();
-        let status = loop {
+        loop {
             if let Some(status) = self.child.try_wait().expect("the child is ours") {
-                break status;
+                return status;
             }
+            let name = &self.name;
             assert!(
                 start.elapsed() < limit,
-                "{} did not end within {limit:?}",
-                self.name
+                "{name} did not end within {limit:?}"
             );
             std::thread::sleep(Duration::from_millis(20));
-        };
+        }
+    }
+
+    /// Waits at most `limit` for the end of the process; returns its exit status and stdout.
+    pub fn finish(mut self, limit: Duration) -> (ExitStatus, String) {
+        let status = self.ended(limit);
         let stdout = match self.stdout.take() {
             Some(Stdout { text, reader }) => {
                 reader.join().expect("the reader does not panic");
@@ -264,6 +293,10 @@ impl Drop for Process {
         if matches!(self.child.try_wait(), Ok(None)) {
             let _ = rustix::process::kill_process_group(self.pid(), Signal::KILL);
             let _ = self.child.wait();
+        }
+        let stderr = self.stderr();
+        if !stderr.is_empty() {
+            eprintln!("{}:\n{stderr}", self.name);
         }
     }
 }

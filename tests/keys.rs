@@ -6,7 +6,7 @@ use std::{
     os::unix::fs::PermissionsExt as _,
     path::{Path, PathBuf},
     process::{Command, Output},
-    time::Duration,
+    time::{Duration, Instant},
 };
 use zenoh::{Config, Session, handlers::RingChannel, sample::Locality};
 
@@ -38,16 +38,21 @@ fn keys(folder: &Path, args: &[&str]) -> Output {
     command.output().unwrap()
 }
 
-/// A port that is free now.
-fn free_port() -> u16 {
-    let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
-    socket.local_addr().unwrap().port()
+/// So many different ports that are free now.
+fn free_ports(count: usize) -> Vec<u16> {
+    let sockets = (0..count).map(|_| UdpSocket::bind("127.0.0.1:0").unwrap());
+    // All are held at once: the system may give a port that was let go a second time.
+    let sockets: Vec<_> = sockets.collect();
+    let ports = sockets
+        .iter()
+        .map(|socket| socket.local_addr().unwrap().port());
+    ports.collect()
 }
 
 impl Keys {
     fn new(args: &[&str]) -> Self {
         let folder = tempfile::tempdir().unwrap();
-        let port = free_port();
+        let port = free_ports(1)[0];
         let (domain, port_text) = (DOMAIN.to_string(), port.to_string());
         let own = ["--domain", &domain, "--port", &port_text];
         let output = keys(&folder.path().join("keys"), &[&own, args].concat());
@@ -64,14 +69,23 @@ impl Keys {
         Config::from_file(self.file(name)).unwrap()
     }
 
-    /// The router, which listens on further ports too.
-    async fn router(&self, further: &[u16]) -> Session {
-        let mut config = self.config("router.json5");
-        let ports = [&[self.port][..], further].concat();
-        let endpoints = ports.iter().map(|port| endpoint(*port));
-        let endpoints = serde_json::to_string(&endpoints.collect::<Vec<_>>()).unwrap();
-        config.insert_json5("listen/endpoints", &endpoints).unwrap();
-        zenoh::open(config).await.unwrap()
+    /// The router, which listens on so many further ports too, and these ports.
+    async fn router(&self, further: usize) -> (Session, Vec<u16>) {
+        let started = Instant::now();
+        loop {
+            let further = free_ports(further);
+            let mut config = self.config("router.json5");
+            let ports = [&[self.port][..], &further].concat();
+            let endpoints = ports.iter().map(|port| endpoint(*port));
+            let endpoints = serde_json::to_string(&endpoints.collect::<Vec<_>>()).unwrap();
+            config.insert_json5("listen/endpoints", &endpoints).unwrap();
+            match zenoh::open(config).await {
+                Ok(session) => return (session, further),
+                // Another test's socket was given one of the ports meanwhile.
+                Err(error) if started.elapsed() < PATIENCE => eprintln!("once more: {error}"),
+                Err(error) => panic!("{error}"),
+            }
+        }
     }
 
     async fn session(&self, name: &str) -> Session {
@@ -119,8 +133,7 @@ fn stranger(keys: &Keys) -> Config {
 #[tokio::test(flavor = "multi_thread")]
 async fn stranger_without_certificate_is_always_refused() {
     let keys = Keys::new(&[]);
-    let ports: Vec<u16> = (0..PORTS).map(|_| free_port()).collect();
-    let _router = keys.router(&ports).await;
+    let (_router, ports) = keys.router(PORTS).await;
     let stranger = stranger(&keys);
     let tries = ports.iter().map(|port| {
         let config = at_once(stranger.clone(), *port);
@@ -143,7 +156,7 @@ async fn stranger_without_certificate_is_always_refused() {
 #[tokio::test(flavor = "multi_thread")]
 async fn certificate_of_another_authority_is_refused_both_ways() {
     let (keys, others) = (Keys::new(&[]), Keys::new(&[]));
-    let _router = keys.router(&[]).await;
+    let _router = keys.router(0).await;
     let config = at_once(others.config("wm.view.json5"), keys.port);
     assert_eq!(refused(config, 3).await, 3);
 
@@ -186,7 +199,7 @@ async fn session_certificate_is_refused_as_a_router() {
 #[tokio::test(flavor = "multi_thread")]
 async fn certificate_limits_what_its_holder_may_do() {
     let keys = Keys::new(&["--tool", "desk=read"]);
-    let _router = keys.router(&[]).await;
+    let _router = keys.router(0).await;
     let planner = keys.session("wm.planner.json5").await;
     let view = keys.session("wm.view.json5").await;
     let executor = keys.session("wm.executor.json5").await;
@@ -259,26 +272,18 @@ fn existing_keys_are_kept_and_new_ones_may_have_the_same_authority() {
 }
 
 /// `wm zenoh-router` with the generated file, and its log so far.
-struct Router {
-    _process: Process,
-    log: PathBuf,
-}
+struct Router(Process);
 
 impl Router {
     fn start(keys: &Keys) -> Self {
-        let log = keys.folder.path().join("router.log");
         let mut command = Command::new(WM);
         command.arg("zenoh-router");
         command.env("ZENOH_ROUTER_CONFIG_URI", keys.file("router.json5"));
-        command.stderr(std::fs::File::create(&log).unwrap());
-        Self {
-            _process: Process::start(command),
-            log,
-        }
+        Self(Process::start(command))
     }
 
     fn log(&self) -> String {
-        std::fs::read_to_string(&self.log).unwrap()
+        self.0.stderr()
     }
 
     fn denials(&self) -> Vec<String> {

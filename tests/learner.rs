@@ -8,8 +8,8 @@ use wm_msgs::wm_msgs::{LearnerStatus, Prediction, UseModel, UseModelRequest};
 use wm_ros::{Node, Qos, Subscription};
 
 use crate::harness::{
-    Process, fresh_domain, join, looping_player, root, wait_for_publishers, whole_suite, wm,
-    wm_node,
+    Process, fresh_domain, join, looping_player, root, soon, wait_for_publishers, wait_until,
+    whole_suite, wm, wm_node,
 };
 
 /// Far longer than a round of some steps; only ends a hanging test.
@@ -120,15 +120,23 @@ async fn learn_and_change() {
     let mut predictions = node
         .subscription::<Prediction>("/wm/predicted", Qos::reliable(16))
         .expect("a subscription");
-    let before = predictions.recv().await.expect("a prediction").message;
+    let before = soon("a prediction", predictions.recv()).await;
+    let before = before.expect("the node runs").message;
+    // A call may go to the killed learner alone, whose lease lasts.
+    let topic = "/wm/learner/status";
+    wait_until("one learner is left", PATIENCE, || {
+        let seen = node.topics().into_iter().find(|seen| seen.name == topic);
+        seen.is_some_and(|seen| seen.publishers.len() == 1)
+    });
     let client = node
         .client::<UseModel>("/wm/learner/use_model")
         .expect("a client");
-    client.wait_for_service().await;
+    soon("the service", client.wait_for_service()).await;
     let use_model = async |model: &Path| {
         let model = model.display().to_string();
         let request = UseModelRequest { model };
-        client.call(&request).await.expect("a response")
+        let response = soon("a response", client.call(&request)).await;
+        response.expect("a response")
     };
     let missing = use_model(&folder.path().join("missing")).await;
     assert!(

@@ -10,8 +10,8 @@ use wm_bag::{BagReader, BagWriter, WriterOptions};
 use wm_msgs::diagnostic_msgs::DiagnosticArray;
 
 use crate::harness::{
-    Process, Signal, bundled_bag, children, fresh_domain, looping_player, wait_until, whole_suite,
-    wm,
+    Process, Signal, bundled_bag, children, fresh_domain, looping_player, over_zenoh, wait_until,
+    whole_suite, wm,
 };
 
 /// Runs the main job into `out`, which must succeed; at half rate, so that a busy machine decodes some of each step
@@ -23,7 +23,26 @@ fn main_job(out: &Path, arguments: &[&str]) {
     all.extend(arguments);
     let launch = Process::start(wm(fresh_domain(), &all));
     let (status, stdout) = launch.finish(Duration::from_secs(60));
-    assert!(status.success(), "the launch ended with {status}");
+    // Zenoh has no acknowledgements: it drops a sample that no link takes in time. The job must say so.
+    let is_counted_loss = over_zenoh() && status.code() == Some(3);
+    if is_counted_loss {
+        // "lost 2 message(s) of /topic: 2 missing in their publishers' sequence numbers"; any other cause is a fault of ours
+        let losses: Vec<&str> = (stdout.lines())
+            .filter(|line| line.contains("message(s) of /"))
+            .collect();
+        let is_of_transport = |line: &&str| {
+            let cause = line.split_once(": ").map_or("", |(_, cause)| cause);
+            let cause = cause.trim_start_matches(|c: char| c.is_ascii_digit());
+            cause == " missing in their publishers' sequence numbers"
+        };
+        let are_counted = !losses.is_empty() && losses.iter().all(is_of_transport);
+        assert!(are_counted, "{stdout}");
+        eprintln!("Zenoh dropped samples: {losses:?}");
+    }
+    assert!(
+        status.success() || is_counted_loss,
+        "the launch ended with {status}: {stdout}"
+    );
     assert!(stdout.contains("PSNR"), "no table in: {stdout}");
 }
 

@@ -19,6 +19,11 @@ pub fn in_domain(command: &mut Command, domain: u16) {
         .env_remove("ROS_STATIC_PEERS");
 }
 
+/// Whether this run tests over Zenoh.
+pub fn over_zenoh() -> bool {
+    std::env::var("RMW_IMPLEMENTATION").is_ok_and(|name| name.contains("zenoh"))
+}
+
 /// The ROS 2 distribution of the peers: `WM_TEST_ROS_DISTRO`, else Kilted.
 pub fn distribution() -> String {
     std::env::var("WM_TEST_ROS_DISTRO").unwrap_or_else(|_| "kilted".to_owned())
@@ -26,7 +31,7 @@ pub fn distribution() -> String {
 
 /// The virtual environments of `tests/setup_ros2`; `None`, with a message, if it was not run.
 pub fn peers() -> Option<PathBuf> {
-    if std::env::var("RMW_IMPLEMENTATION").is_ok_and(|name| name.contains("zenoh")) {
+    if over_zenoh() {
         eprintln!("skipped: the peers under .venv use DDS");
         return None;
     }

@@ -129,7 +129,7 @@ impl Preparation {
             let plan = survey.plan(&self.sources, &self.settings, &broken)?;
             let folder = NewFolder::create(dir)?;
             let (mut manifest, actions) = self.manifest(&plan);
-            let found = frames::write(&plan.bags, &survey.readers, &manifest, &folder)?;
+            let found = frames::write(&plan.bags, &self.sources, &manifest, &folder)?;
             manifest.source_sizes = source_sizes(&found.sizes, &manifest.cameras);
             if found.broken.iter().all(BrokenPictures::is_empty) {
                 folder.write_audit(&audit(&plan, &manifest, &found))?;

@@ -15,8 +15,12 @@ use wm_zoo::ModelFolder;
 use crate::control::SearchedDimensions;
 use crate::families;
 use crate::{
-    OutputArgs, Perception, PerceptionArgs, PolicyArgs, Protocol, ReaderArgs, Settings, Shard,
-    Subject, merge::of_files, open_model, policy::Setup, run,
+    OutputArgs, Perception, PerceptionArgs, PolicyArgs, Protocol, ReaderArgs, Readers, Settings,
+    Shard, Subject,
+    merge::of_files,
+    open_model,
+    policy::{JudgeInputs, Setup},
+    run,
 };
 
 /// Measure one or several models on bags
@@ -48,9 +52,13 @@ pub struct SuiteArgs {
     #[arg(long)]
     pub windows: Option<usize>,
     /// Dimensions of the actions that searches recover (control): all, as in the paper, effective (those with an effect on
-    /// predictions), translations, or names such as dx,dy [default: effective]
+    /// predictions), translations, or names such as dx,dy [default: effective;
+    /// all in --protocol paper]
     #[arg(long, value_name = "DIMENSIONS")]
     pub search_dims: Option<SearchedDimensions>,
+    /// Search all dimensions unless an option or a setting says otherwise.
+    #[arg(skip)]
+    pub(crate) searches_all: bool,
     /// Most predicted steps of a decoded rollout
     #[arg(long)]
     pub steps: Option<usize>,
@@ -67,7 +75,7 @@ pub struct SuiteArgs {
     #[command(flatten)]
     pub perception: PerceptionArgs,
     /// Measure part I of N, from 0; join the parts with `wm eval merge`
-    #[arg(long, value_name = "I/N", requires = "records", conflicts_with_all = ["report", "json", "csv", "card"])]
+    #[arg(long, value_name = "I/N", requires = "records", conflicts_with_all = ["report", "json", "csv", "card", "paper"])]
     pub shard: Option<Shard>,
     /// Folder for measurements by unit, from which an interrupted run resumes [default: in the report's folder, or
     /// beside the file of the figures]
@@ -148,8 +156,6 @@ impl SuiteArgs {
         let perception = Arc::new(Perception::open(&self.perception)?);
         let shard = self.shard.unwrap_or(Shard::WHOLE);
         let setup = Setup::new(&self.policy)?;
-        let mut settings = self.settings(&setup)?;
-        settings.networks = perception.description().cloned();
         let models = || std::iter::once(&self.model).chain(&self.compare);
         // Before hours of measurements.
         let names: Vec<&str> = models().map(String::as_str).collect();
@@ -159,7 +165,13 @@ impl SuiteArgs {
             .collect::<Result<_>>()?;
         require_different(&folders)?;
         self.readers.require_models(&folders)?;
+        let setup = match setup.has_probes_judge() {
+            true => setup.with_probes(self.judges(&folders)?)?,
+            false => setup,
+        };
         drop(folders);
+        let mut settings = self.settings(&setup)?;
+        settings.networks = perception.description().cloned();
         let mut files = Vec::new();
         for (position, model) in models().enumerate() {
             let mut subject = Subject::open(model, &self.on, &self.readers)
@@ -188,8 +200,35 @@ impl SuiteArgs {
         self.output.write(&of_files(&files)?)
     }
 
+    /// The success probes as judges, of which each model has the same.
+    fn judges(&self, folders: &[ModelFolder]) -> Result<Vec<JudgeInputs>> {
+        let mut judges: Option<(String, Vec<JudgeInputs>)> = None;
+        for folder in folders {
+            let own = Readers::open(folder, &self.readers)?.judges();
+            let Some((first, of_first)) = &judges else {
+                judges = Some((folder.name(), own));
+                continue;
+            };
+            let names = |judges: &[JudgeInputs]| {
+                let names: Vec<&str> = judges.iter().map(|judge| &*judge.name).collect();
+                names.join(", ")
+            };
+            ensure!(
+                *of_first == own,
+                "--judges probes: {first} has {}, {} has {}; expected the same kinds of probes",
+                names(of_first),
+                folder.name(),
+                names(&own)
+            );
+        }
+        Ok(judges.map(|(_, judges)| judges).unwrap_or_default())
+    }
+
     fn settings(&self, setup: &Setup) -> Result<Settings> {
         let mut settings = Settings::of(self.protocol, self.seed);
+        if self.searches_all {
+            settings.control.searched = SearchedDimensions::All;
+        }
         if let Some(path) = &self.settings {
             let name = || path.display().to_string();
             let text = std::fs::read_to_string(path).with_context(name)?;

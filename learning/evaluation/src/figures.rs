@@ -66,6 +66,16 @@ pub(crate) fn figure_of_units(
     })
 }
 
+/// Indices, in order, of the half of `count` units with the largest `change`.
+pub(crate) fn most_changed(count: usize, change: impl Fn(usize) -> Option<f64>) -> Vec<usize> {
+    let of = |index: &usize| change(*index).unwrap_or(0.0);
+    let mut indices: Vec<usize> = (0..count).collect();
+    indices.sort_by(|a, b| of(b).total_cmp(&of(a)));
+    indices.truncate(count.div_ceil(2));
+    indices.sort_unstable();
+    indices
+}
+
 /// At most `most` of them, evenly spread.
 #[must_use]
 pub fn spread<T>(all: Vec<T>, most: usize) -> Vec<T> {

@@ -9,10 +9,11 @@ use std::{
 use anyhow::{Context as _, Result, bail, ensure};
 use clap::Args;
 use wm_metrics::findings::{
-    Better, CardDetails, Comparison, ModelFindings, Verdict, compare_with_first,
+    Better, CardDetails, Comparison, ModelFindings, Verdict, compare_with_first, paper_page,
 };
 
 use crate::{
+    Protocol, Settings,
     card::{self, WriteOutcome},
     families::{self, FamilyArg},
     merge::RECORDS,
@@ -30,6 +31,9 @@ pub struct OutputArgs {
     /// Folder for the report: report.html, figures.json and figures.csv
     #[arg(long, value_name = "DIR")]
     pub report: Option<PathBuf>,
+    /// File for the quantities of the paper's tables and figures with the values of the models, as Markdown
+    #[arg(long, value_name = "FILE")]
+    pub paper: Option<PathBuf>,
     /// Families of the models to compare, such as `reconstruction=A,B semantic=C,D`: the mean of each against that of the first,
     /// by unit. Printed, and in the report's folder as families.html and families.json
     #[arg(long, num_args = 2.., value_name = "NAME=MODEL,...")]
@@ -50,7 +54,12 @@ impl OutputArgs {
     pub fn write(&self, findings: &[ModelFindings]) -> Result<()> {
         let json = wm_metrics::findings::json(findings)?;
         let csv = wm_metrics::findings::csv(findings);
-        let mut files = vec![(self.json.clone(), &json), (self.csv.clone(), &csv)];
+        let paper = paper(findings)?;
+        let mut files = vec![
+            (self.json.clone(), &json),
+            (self.csv.clone(), &csv),
+            (self.paper.clone(), &paper),
+        ];
         let families = families::means(&self.families, findings)?;
         let (html, families_json, families_html);
         if let Some(folder) = &self.report {
@@ -119,7 +128,7 @@ impl OutputArgs {
         let of_report: Vec<&str> = of_report.iter().chain(of_families).copied().collect();
         let report = self.report.iter();
         let report = report.flat_map(|folder| of_report.iter().map(|name| folder.join(name)));
-        let named = self.json.iter().chain(&self.csv);
+        let named = self.json.iter().chain(&self.csv).chain(&self.paper);
         let mut files = BTreeSet::new();
         for path in named.cloned().chain(report) {
             ensure!(
@@ -130,12 +139,15 @@ impl OutputArgs {
             let shown = path.display().to_string();
             ensure!(files.insert(path), "{shown}: given twice");
         }
-        for path in self.json.iter().chain(&self.csv).chain(&self.card) {
+        let named = self.json.iter().chain(&self.csv).chain(&self.paper);
+        for path in named.chain(&self.card) {
             let folder = path
                 .parent()
                 .filter(|folder| !folder.as_os_str().is_empty());
+            // That of the report will be made.
             ensure!(
-                folder.is_none_or(Path::is_dir),
+                folder
+                    .is_none_or(|folder| folder.is_dir() || Some(folder) == self.report.as_deref()),
                 "{}: the folder does not exist",
                 path.display()
             );
@@ -161,9 +173,17 @@ impl OutputArgs {
             .json
             .as_ref()
             .or(self.csv.as_ref())
+            .or(self.paper.as_ref())
             .or(self.card.as_ref());
         file.map(|file| file.with_extension(RECORDS))
     }
+}
+
+/// The page of the paper's quantities, with the settings that differ from its protocol.
+fn paper(findings: &[ModelFindings]) -> Result<String> {
+    let seed = findings.first().map_or(0, |first| first.header.seed);
+    let protocol = serde_json::to_value(Settings::of(Protocol::Paper, seed))?;
+    Ok(paper_page(findings, &protocol))
 }
 
 fn title(findings: &[ModelFindings]) -> String {

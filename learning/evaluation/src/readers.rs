@@ -22,6 +22,8 @@ use wm_zoo::{
     success_probe::{PROBE_KEY, SuccessClassifier},
 };
 
+use crate::policy::JudgeInputs;
+
 /// Prefix of the figures of the model's own success probe.
 pub(crate) const OWN_PROBE: &str = "success";
 
@@ -101,6 +103,16 @@ pub struct Readers {
 }
 
 impl Readers {
+    /// Readers of the model's folder, and those of `more`.
+    ///
+    /// # Errors
+    /// Names a missing or invalid tensor or file.
+    pub fn open(folder: &ModelFolder, more: &ReaderArgs) -> Result<Self> {
+        let mut readers = Self::of_folder(folder)?;
+        readers.add(more, folder)?;
+        Ok(readers)
+    }
+
     /// Readers of the model's folder.
     ///
     /// # Errors
@@ -183,6 +195,13 @@ impl Readers {
             });
         }
         Ok(())
+    }
+
+    /// The success probes as judges.
+    pub(crate) fn judges(&self) -> Vec<JudgeInputs> {
+        let probes = self.probes.iter();
+        let judges = probes.map(|probe| JudgeInputs::probe(&probe.name, probe.model.kind()));
+        judges.collect()
     }
 
     fn hash(&mut self, name: &str, weights: Option<Weights>) {

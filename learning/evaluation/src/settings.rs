@@ -15,7 +15,7 @@ pub enum Protocol {
     /// A few minutes with a small model on two cores: fewer episodes and windows, otherwise as the paper
     #[default]
     Quick,
-    /// The paper's numbers of episodes, windows and steps (appendix C)
+    /// The paper's numbers of episodes, windows and steps (appendix C), and searches over all dimensions
     Paper,
 }
 
@@ -171,7 +171,10 @@ impl Settings {
                         windows: choose(4, 100),
                     },
                 ],
-                searched: SearchedDimensions::default(),
+                searched: match protocol {
+                    Protocol::Quick => SearchedDimensions::default(),
+                    Protocol::Paper => SearchedDimensions::All,
+                },
                 least_effect: 0.01,
                 population: 400,
                 iterations: 5,

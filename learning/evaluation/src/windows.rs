@@ -285,6 +285,13 @@ impl Windows {
         others.next()
     }
 
+    /// Whether a window's actions can be changed so, in this space: another window's need another episode.
+    #[must_use]
+    pub fn can_change(&self, index: usize, change: ActionChange, space: &ActionSpace) -> bool {
+        change.applies_to(space)
+            && (change != ActionChange::Shuffled || self.other(index).is_some())
+    }
+
     fn case(&self, index: usize) -> Result<&Window> {
         self.all.get(index).context("no such window")
     }

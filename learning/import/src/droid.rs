@@ -15,6 +15,7 @@ use std::path::Path;
 use crate::{
     ActionMapping, ImportError,
     episode::{Camera, Episode, FoundEpisode, Trajectory, UnreadEpisode},
+    origin::origin,
     video::Video,
 };
 use annotation::Annotation;
@@ -61,6 +62,10 @@ impl AnnotatedEpisode {
 }
 
 impl UnreadEpisode for AnnotatedEpisode {
+    fn origin(&self, src: &Path) -> String {
+        origin(src, Some(&self.located.annotation), None)
+    }
+
     fn recorded(&self, mapping: &ActionMapping) -> Result<Trajectory, ImportError> {
         let annotation = self.annotation()?;
         let frames = annotation.states.len();
@@ -99,7 +104,6 @@ impl UnreadEpisode for AnnotatedEpisode {
         notes.dedup();
         Episode {
             source: self.located.annotation.clone(),
-            record: None,
             recorded: of_states(&annotation.states, mapping, period_s),
             cameras,
             joints: annotation.joints.map(joints),

@@ -11,8 +11,7 @@ use wm_msgs::{
 };
 
 use crate::{
-    ActionMapping, ImportError, imported::write_whole, mapping::VALUES, origin::origin,
-    remedy::ValueSource,
+    ActionMapping, ImportError, imported::write_whole, mapping::VALUES, remedy::ValueSource,
 };
 
 /// Bridge V2 is controlled and recorded at 5 Hz (BridgeData V2, arXiv 2308.12952, section 3).
@@ -22,6 +21,8 @@ const BASE_FRAME: &str = "base_link";
 
 /// An episode that has not been read.
 pub(crate) trait UnreadEpisode {
+    /// The origin for the bag's notes, for a data set at `src`.
+    fn origin(&self, src: &Path) -> String;
     /// Reads actions and states, without pictures.
     fn recorded(&self, mapping: &ActionMapping) -> Result<Trajectory, ImportError>;
     fn read(&self, mapping: &ActionMapping) -> Result<Episode, ImportError>;
@@ -85,8 +86,6 @@ pub(crate) struct Joints {
 pub(crate) struct Episode {
     /// The source file.
     pub source: PathBuf,
-    /// Its number in the file, from 0, if the file has several.
-    pub record: Option<u64>,
     pub recorded: Trajectory,
     /// Each has one frame per action.
     pub cameras: Vec<Camera>,
@@ -153,12 +152,6 @@ impl Episode {
             return corrupt(reason);
         }
         Ok(self)
-    }
-
-    /// The origin for the bag's notes, for a data set at `src`.
-    pub fn origin(&self, src: &Path) -> String {
-        let number = self.record.and_then(|record| i64::try_from(record).ok());
-        origin(src, Some(&self.source), number)
     }
 
     /// Writes the episode as a bag with its first frame at `start_ns`; an incomplete bag is removed.
@@ -321,24 +314,6 @@ mod tests {
             success: Some(true),
             ..Episode::default()
         }
-    }
-
-    #[test]
-    fn origin_is_relative_to_the_imported_folder() {
-        let origin = |source: &str, record, src: &str| {
-            let source = source.into();
-            let episode = Episode {
-                source,
-                record,
-                ..Episode::default()
-            };
-            episode.origin(Path::new(src))
-        };
-        assert_eq!(
-            origin("in/train/a-00001", Some(7), "in"),
-            "in/train/a-00001#7"
-        );
-        assert_eq!(origin("in/clip.mp4", None, "in/clip.mp4"), "clip.mp4");
     }
 
     #[test]

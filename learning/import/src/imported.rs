@@ -4,11 +4,15 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use wm_bag::{BagError, BagReader, ORIGIN};
+
 /// The result of an import.
 #[derive(Debug, Default)]
 pub struct ImportReport {
-    /// The bags, in order.
+    /// The bags, in order; those of an earlier run too.
     pub bags: Vec<PathBuf>,
+    /// How many of them an earlier run had made.
+    pub kept: usize,
     /// Reasons of skipped episodes, with file and episode.
     pub skipped: Vec<String>,
     /// Measured ranges of the actions in words, or a derived action space as a table; `None` without actions.
@@ -58,11 +62,11 @@ impl Notes {
 ///
 /// # Errors
 /// `bag` exists, `write` fails, or the file system fails; then no files remain.
-pub(crate) fn write_whole<E: From<wm_bag::BagError>>(
+pub(crate) fn write_whole<E: From<BagError>>(
     bag: &Path,
     write: impl FnOnce(&Path) -> Result<(), E>,
 ) -> Result<(), E> {
-    let io = |path: &Path, reason| wm_bag::BagError::Io {
+    let io = |path: &Path, reason| BagError::Io {
         path: path.to_owned(),
         reason,
     };
@@ -71,12 +75,8 @@ pub(crate) fn write_whole<E: From<wm_bag::BagError>>(
     let mut partial = name.to_owned();
     partial.push(format!(".partial-{}", std::process::id()));
     let partial = bag.with_file_name(partial);
-    let is_taken = match std::fs::read_dir(bag) {
-        Ok(mut entries) => entries.next().is_some(),
-        Err(error) => error.kind() != std::io::ErrorKind::NotFound,
-    };
-    if is_taken {
-        return Err(wm_bag::BagError::Exists(bag.to_owned()).into());
+    if is_taken(bag) {
+        return Err(BagError::Exists(bag.to_owned()).into());
     }
     // A bag's files have its folder's name, so the inner folder has the final name.
     let inner = partial.join(name);
@@ -90,11 +90,31 @@ pub(crate) fn write_whole<E: From<wm_bag::BagError>>(
     removed.map_err(E::from)
 }
 
+/// Whether an earlier run has made `bag` of the same episode.
+///
+/// # Errors
+/// `bag` is of another origin, or is no whole bag.
+pub(crate) fn is_made(bag: &Path, origin: &str) -> Result<bool, BagError> {
+    if !is_taken(bag) {
+        return Ok(false);
+    }
+    match BagReader::open(bag)?.note(ORIGIN) == Some(origin) {
+        true => Ok(true),
+        false => Err(BagError::Exists(bag.to_owned())),
+    }
+}
+
+/// Whether there is something at `path` already, other than an empty folder.
+fn is_taken(path: &Path) -> bool {
+    match std::fs::read_dir(path) {
+        Ok(mut entries) => entries.next().is_some(),
+        Err(error) => error.kind() != std::io::ErrorKind::NotFound,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use std::fs;
-
-    use wm_bag::BagError;
 
     use super::*;
 

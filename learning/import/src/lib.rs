@@ -68,6 +68,8 @@ pub struct ImportOptions {
     pub episodes: Option<usize>,
     /// The shard to import, if several machines share an import. The bags keep their numbers.
     pub shard: Shard,
+    /// Whether whole bags of the same episodes, of an earlier run, are kept instead of an error.
+    pub resume: bool,
     /// JPEG quality of frames that are not JPEG yet, 1 to 100.
     pub jpeg_quality: u8,
     /// Stamp of the first frame of each episode, in ns since the epoch; the data have no times.
@@ -81,6 +83,7 @@ impl Default for ImportOptions {
         Self {
             episodes: None,
             shard: Shard::WHOLE,
+            resume: false,
             jpeg_quality: 95,
             // A fixed time makes imports reproducible; 0 means "no time" in ROS.
             start_ns: 1_700_000_000_000_000_000,

@@ -3,12 +3,13 @@
 mod actions;
 mod arrays;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use crate::{
     ActionMapping, ImportError,
     episode::{BRIDGE_PERIOD_NS, Episode, FoundEpisode, Trajectory, UnreadEpisode, bridge_cameras},
     mapping::VALUES,
+    origin::origin,
     remedy::ValueSource,
     video::Video,
 };
@@ -51,6 +52,10 @@ impl VideoPair {
 }
 
 impl UnreadEpisode for VideoPair {
+    fn origin(&self, src: &Path) -> String {
+        origin(src, Some(&self.video), None)
+    }
+
     fn recorded(&self, mapping: &ActionMapping) -> Result<Trajectory, ImportError> {
         let labelled = self.labelled_actions()?;
         Ok(recorded(labelled.actions, mapping))

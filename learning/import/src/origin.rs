@@ -42,5 +42,6 @@ mod tests {
         let roundabout = dataset.join("../bridge_v2/.");
         assert_eq!(origin(&roundabout, None, Some(0)), "bridge_v2#0");
         assert_eq!(origin(&file, Some(file.as_path()), Some(1)), "a.tfrecord#1");
+        assert_eq!(origin(&file, Some(file.as_path()), None), "a.tfrecord");
     }
 }

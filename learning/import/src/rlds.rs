@@ -24,6 +24,7 @@ use crate::{
         BRIDGE_PERIOD_NS, Camera, Episode, FoundEpisode, Trajectory, UnreadEpisode, bridge_cameras,
     },
     mapping::VALUES,
+    origin::origin,
     remedy::ValueSource,
 };
 use example::Example;
@@ -130,6 +131,10 @@ struct Content {
 }
 
 impl UnreadEpisode for RldsEpisode {
+    fn origin(&self, src: &Path) -> String {
+        origin(src, Some(&self.file), i64::try_from(self.number).ok())
+    }
+
     fn recorded(&self, mapping: &ActionMapping) -> Result<Trajectory, ImportError> {
         let record = self.record.read()?;
         let content = Example::parse(&record).and_then(|example| read_content(&example, mapping));
@@ -162,7 +167,6 @@ impl RldsEpisode {
         };
         Ok(Episode {
             source: self.file.to_path_buf(),
-            record: Some(self.number),
             cameras,
             recorded: content.recorded,
             joints: content.joints.map(crate::droid::states::joints),

@@ -4,7 +4,10 @@ use std::path::Path;
 
 use wm_motion::actions::{ActionSpace, ActionSurvey, Cause};
 
-use crate::{ImportError, ImportOptions, ImportReport, episode::FoundEpisode, remedy::ValueSource};
+use crate::{
+    ImportError, ImportOptions, ImportReport, episode::FoundEpisode, imported::is_made,
+    remedy::ValueSource,
+};
 
 /// Number of episodes in the survey before the import, the same for all shards.
 const SURVEY_EPISODES: usize = 256;
@@ -44,6 +47,13 @@ pub(crate) fn import<I: Iterator<Item = FoundEpisode>>(
         if !options.shard.has(own) {
             continue;
         }
+        let bag = out.join(format!("episode_{own:06}"));
+        let origin = unread.origin(src);
+        if options.resume && is_made(&bag, &origin)? {
+            imported.kept += 1;
+            imported.bags.push(bag);
+            continue;
+        }
         let episode = match unread.read(&options.actions) {
             Ok(episode) => episode,
             Err(error) => {
@@ -52,8 +62,7 @@ pub(crate) fn import<I: Iterator<Item = FoundEpisode>>(
                 continue;
             }
         };
-        let bag = out.join(format!("episode_{own:06}"));
-        episode.write(&bag, options.start_ns, &episode.origin(src))?;
+        episode.write(&bag, options.start_ns, &origin)?;
         tracing::info!(
             source = %episode.source.display(), bag = %bag.display(),
             frames = episode.recorded.actions.len(), cameras = episode.cameras.len(), "imported"

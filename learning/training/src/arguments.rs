@@ -175,7 +175,11 @@ impl RunArgs {
         })
     }
 
-    fn old(&self, file: &str) -> Result<Option<Weights>> {
+    /// Weights of the network to fine-tune; `None` without one.
+    ///
+    /// # Errors
+    /// If the model to fine-tune lacks the file, or it cannot be read.
+    pub fn old(&self, file: &str) -> Result<Option<Weights>> {
         let Some(from) = &self.from else {
             return Ok(None);
         };

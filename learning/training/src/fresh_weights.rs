@@ -79,6 +79,24 @@ impl FreshWeights {
         })
     }
 
+    /// Adds rows with their usual initial values to the old tensor of a table, if there is one with fewer than `rows`.
+    ///
+    /// # Errors
+    /// If they cannot be made.
+    pub fn add_rows(&mut self, name: &str, rows: usize) -> candle_core::Result<()> {
+        let Some(old) = self.old.get(name) else {
+            return Ok(());
+        };
+        let (count, columns) = old.dims2()?;
+        if count < rows {
+            let new = self.usual(name, &[rows, columns])?;
+            let new = new.narrow(0, count, rows - count)?;
+            let table = Tensor::cat(&[old, &new.to_dtype(old.dtype())?], 0)?;
+            self.old.insert(name.to_owned(), table);
+        }
+        Ok(())
+    }
+
     /// The usual initial values of a parameter.
     ///
     /// # Errors

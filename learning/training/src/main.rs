@@ -9,7 +9,8 @@ use clap::{Parser, Subcommand};
 use tracing_subscriber::EnvFilter;
 use wm_dataset::DatasetArgs;
 use wm_evaluation::{
-    CalibrateArgs, ClosedLoopArgs, ImaginedArgs, MergeArgs, Protocol, Settings, SuiteArgs,
+    CalibrateArgs, ClosedLoopArgs, ImaginedArgs, MergeArgs, PaperArgs, Protocol, Settings,
+    SuiteArgs,
 };
 use wm_metrics::findings::Suite;
 use wm_sim::SimArgs;
@@ -119,6 +120,8 @@ enum EvalCommand {
     Robustness(SuiteArgs),
     /// Measure a model's computation on this machine
     Cost(SuiteArgs),
+    /// Fill the paper's tables and figures with the values of models on bags
+    Paper(Box<PaperArgs>),
     /// Merge the records of shards, or of several models
     Merge(MergeArgs),
     /// Print the settings of a protocol as YAML, for --settings
@@ -200,6 +203,7 @@ impl Command {
                 EvalCommand::Policy(arguments) => arguments.run(&[Suite::Policy])?,
                 EvalCommand::Imagined(arguments) => arguments.run()?,
                 EvalCommand::Robustness(arguments) => arguments.run(&[Suite::Robustness])?,
+                EvalCommand::Paper(arguments) => arguments.run()?,
                 EvalCommand::Cost(arguments) => arguments.run(&[Suite::Cost])?,
                 EvalCommand::Merge(arguments) => arguments.run()?,
                 EvalCommand::Settings { protocol } => {

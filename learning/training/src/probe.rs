@@ -27,7 +27,10 @@ use wm_model::{Kernels, Weights, weights::WeightsBuilder};
 use wm_zoo::{
     Dropout, Loader, PROBE_FILE as FILE,
     loader::OfWeights,
-    success_probe::{PROBE_KEY, ProbeNetwork, ProbeNetworkConfig, Reader, Reading, WordsConfig},
+    success_probe::{
+        PLACE_FEATURES, PROBE_KEY, ProbeNetwork, ProbeNetworkConfig, Reader, Reading,
+        WORD_FEATURES, WORDS_KEY, WordsConfig,
+    },
 };
 
 use crate::{
@@ -111,8 +114,7 @@ impl<'a> ProbeTask<'a> {
         let episodes = episodes.with(negatives);
         episodes.require_negatives()?;
         held_out = held_out.map(|held_out| held_out.with(negatives));
-        let fresh = run.fresh_weights(FILE, recipe.seed)?;
-        let loader = fresh.loader();
+        let mut fresh = run.fresh_weights(FILE, recipe.seed)?;
         let text = match (text_tower, config.text_features_mut()) {
             (Some(_), None) => {
                 bail!("this kind of probe reads no instruction: leave --text-tower out")
@@ -128,14 +130,20 @@ impl<'a> ProbeTask<'a> {
                 Text::Tower(tower)
             }
             (None, Some(features)) => {
-                let words = WordsConfig::of(episodes.instructions(), *features);
+                let words = match old_words(run)? {
+                    None => WordsConfig::of(episodes.instructions(), *features),
+                    // The words of the old data stay known.
+                    Some(old) => old.with(episodes.instructions()),
+                };
+                fresh.add_rows(WORD_FEATURES, words.vocabulary.len())?;
+                fresh.add_rows(PLACE_FEATURES, words.max_words)?;
                 if let Some(held_out) = &mut held_out {
                     leave_out_unknown(held_out, &words);
                 }
-                Text::words(&words, &loader)?
+                Text::words(&words, &fresh.loader())?
             }
         };
-        let model = ProbeNetwork::load(&config, &loader)?;
+        let model = ProbeNetwork::load(&config, &fresh.loader())?;
         Ok(Self {
             model,
             text,
@@ -223,6 +231,13 @@ impl<'a> ProbeTask<'a> {
         }
         Ok(weights.write(path)?)
     }
+}
+
+/// Vocabulary of the probe to fine-tune; `None` without one, or if it reads a text tower's features.
+fn old_words(run: &RunArgs) -> Result<Option<WordsConfig>> {
+    let old = run.old(FILE)?;
+    let old = old.filter(|old| old.metadata(WORDS_KEY).is_some());
+    Ok(old.map(|old| old.json(WORDS_KEY)).transpose()?)
 }
 
 /// A number of places between -`most` and `most`.

@@ -1,6 +1,6 @@
 //! `wm launch`.
 
-use crate::{keys, launch_argument, node, output::print};
+use crate::{installed, keys, launch_argument, node, output::print};
 use anyhow::{Context as _, Result};
 use clap::Args;
 use std::collections::BTreeMap;
@@ -19,7 +19,7 @@ pub(crate) const CAMERA: &str = "/camera/image_raw";
 /// Starts the nodes of a launch file.
 #[derive(Args, Debug)]
 pub(crate) struct LaunchCommand {
-    /// Launch file in ROS 2's YAML launch format
+    /// Launch file in ROS 2's YAML launch format, or the name of an installed one, such as replay.launch.yaml
     file: PathBuf,
     /// Launch arguments
     #[arg(value_name = "NAME:=VALUE", value_parser = launch_argument::parse)]
@@ -37,7 +37,7 @@ pub(crate) struct LaunchCommand {
 
 impl LaunchCommand {
     pub(crate) fn run(self) -> Result<ExitCode> {
-        let file = wm_launch::read(&self.file, &System)?;
+        let file = read(&self.file)?;
         if self.show_args {
             print(wm_launch::describe_arguments(&file))?;
             return Ok(ExitCode::SUCCESS);
@@ -66,6 +66,11 @@ impl LaunchCommand {
     }
 }
 
+/// Reads a launch file by its path, or an installed one by its name.
+fn read(file: &Path) -> Result<LaunchFile> {
+    Ok(wm_launch::read(&installed::launch_file(file), &System)?)
+}
+
 fn resolved(file: &LaunchFile, given: Vec<(String, String)>) -> Result<Plan> {
     let mut arguments = BTreeMap::new();
     for (name, value) in given {
@@ -79,7 +84,7 @@ fn resolved(file: &LaunchFile, given: Vec<(String, String)>) -> Result<Plan> {
 /// The processes of a launch file with these arguments.
 #[cfg(feature = "zenoh")]
 pub(crate) fn plan_of(file: &Path, arguments: Vec<(String, String)>) -> Result<Plan> {
-    resolved(&wm_launch::read(file, &System)?, arguments)
+    resolved(&read(file)?, arguments)
 }
 
 /// Checks that players find their bags before anything starts. A restarted player may wait for its bag.

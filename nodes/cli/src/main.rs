@@ -9,6 +9,7 @@ mod completions;
 mod doctor;
 mod external;
 mod init;
+mod installed;
 mod keys;
 mod launch;
 mod launch_argument;

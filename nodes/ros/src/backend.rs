@@ -165,6 +165,10 @@ pub(crate) trait Backend: Send + Sync {
     fn seen(&self) -> Vec<DiscoveredEndpoint>;
     /// The number of endpoints of other participants that this one is connected to.
     fn matched(&self, endpoint: &EndpointId) -> usize;
+    /// Whether a server is connected to both ends of a client: to the writer `requests` and the reader `responses`.
+    fn has_server(&self, requests: &EndpointId, responses: &EndpointId) -> bool {
+        self.matched(requests) > 0 && self.matched(responses) > 0
+    }
     /// The number of those that run another DDS implementation.
     fn foreign(&self, endpoint: &EndpointId) -> usize;
     /// Why endpoints of other participants on the same topic are not connected to this one, as text.

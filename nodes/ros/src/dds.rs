@@ -39,7 +39,7 @@ pub(crate) use workarounds::parts::decode_part;
 
 use buffer_channels::BufferChannels;
 use futures::FutureExt as _;
-use identity::{is_foreign, participant_of};
+use identity::{Peer, is_foreign, participant_of};
 use mismatches::Mismatches;
 use names::{dds_name, dds_type, ros_names};
 use nodes::Nodes;
@@ -48,6 +48,7 @@ use reader::DdsReader;
 use rustdds::{DomainParticipant, RTPSEntity as _};
 use shared::Shared;
 use std::{
+    collections::BTreeSet,
     sync::{Arc, Mutex, OnceLock},
     time::Instant,
 };
@@ -299,6 +300,16 @@ impl Backend for Dds {
     fn matched(&self, endpoint: &EndpointId) -> usize {
         let line = self.shared.lines.current(endpoint);
         self.shared.matched(&line).len() + self.shared.local.matched(endpoint)
+    }
+
+    /// The two ends of a server that has just left or arrived are not connected at the same time.
+    fn has_server(&self, requests: &EndpointId, responses: &EndpointId) -> bool {
+        let participants = |own: &EndpointId| -> BTreeSet<Peer> {
+            let others = self.shared.matched(&self.shared.lines.current(own));
+            others.iter().map(participant_of).collect()
+        };
+        let is_here = || self.shared.local.matched(requests) > 0;
+        !participants(requests).is_disjoint(&participants(responses)) || is_here()
     }
 
     fn foreign(&self, endpoint: &EndpointId) -> usize {

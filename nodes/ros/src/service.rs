@@ -448,11 +448,8 @@ impl RawClient {
     /// Waits until a server is connected.
     pub async fn wait_for_service(&self) {
         let mut changes = self.backend.changes();
-        let is_there = || {
-            self.backend.matched(&self.writer.id()) > 0
-                && self.backend.matched(&self.reader.id()) > 0
-        };
-        while !is_there() {
+        let (requests, responses) = (self.writer.id(), self.reader.id());
+        while !self.backend.has_server(&requests, &responses) {
             if changes.changed().await.is_err() {
                 return;
             }

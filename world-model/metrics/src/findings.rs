@@ -6,6 +6,7 @@
 //! | [`csv`] | for spreadsheets: one row per model and figure |
 //! | [`html`] | for people: one file with figures, curves, paths and pictures |
 //! | [`model_card`] | for people who choose a model |
+//! | [`paper_page`] | for readers of the paper: its quantities, filled |
 //! | [`ClosedLoop`] | success rate of a planner on an arm |
 //! | [`family`] | the mean of several models, to compare families |
 //! | [`compare`] | whether one model is better than another over the same units |
@@ -52,6 +53,7 @@ mod html;
 mod json;
 mod model_findings;
 mod number;
+mod paper;
 mod section;
 mod suite;
 
@@ -64,6 +66,7 @@ pub use family::family;
 pub use html::html;
 pub use json::json;
 pub use model_findings::{Header, ModelFindings};
+pub use paper::paper_page;
 pub use section::{
     AbsentFigure, Better, Curve, Metric, Picture, Section, Series, TextTable, Trajectories,
 };

@@ -48,7 +48,7 @@ pub use grounded::{Answers, Asked, GroundedProbe, GroundedProbeConfig, Seen};
 pub use network::{ProbeNetwork, ProbeNetworkConfig};
 pub use tokenizer::InstructionTokenizer;
 pub use trained::{PROBE_KEY, TEXT_TOWER_KEY, WORDS_KEY};
-pub use words::{WordEmbedding, WordsConfig, words};
+pub use words::{PLACE_FEATURES, WORD_FEATURES, WordEmbedding, WordsConfig, words};
 
 use crate::Result;
 use crate::layers::{Dropout, Linear};

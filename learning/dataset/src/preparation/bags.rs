@@ -17,8 +17,9 @@ use crate::{
 
 /// Readable bags with their common action space.
 pub(super) struct Survey {
-    /// One per source; `None` for an excluded bag.
-    pub readers: Vec<Option<BagReader>>,
+    /// One per source; false for an excluded bag. Bags are opened when they are read: thousands of open ones would take
+    /// gigabytes for their indices.
+    is_readable: Vec<bool>,
     space: ActionSpace,
     left_out: Vec<LeftOut>,
 }
@@ -57,7 +58,7 @@ impl Survey {
             .map(|source| open(source, settings))
             .collect();
         let mut survey = Self {
-            readers: Vec::with_capacity(sources.len()),
+            is_readable: Vec::with_capacity(sources.len()),
             space: ActionSpace::bridge(),
             left_out: Vec::new(),
         };
@@ -65,16 +66,16 @@ impl Survey {
         let mut first = requested.map(|space| (space, "--action-space".to_owned()));
         for (source, opened) in sources.iter().zip(opened) {
             let bag = &source.bag;
-            let (reader, space) = match opened {
+            survey.is_readable.push(opened.is_ok());
+            let (warnings, space) = match opened {
                 Ok(opened) => opened,
                 Err(reason) => {
                     survey.left_out.push(LeftOut::path(bag, &reason));
-                    survey.readers.push(None);
                     continue;
                 }
             };
-            for warning in reader.warnings() {
-                tracing::warn!("{}", LeftOut::path(bag, &warning.to_string()));
+            for warning in warnings {
+                tracing::warn!("{}", LeftOut::path(bag, &warning));
             }
             let others = bag.display().to_string();
             match (&first, space) {
@@ -87,7 +88,6 @@ impl Survey {
                     first = Some((space.unwrap_or_else(ActionSpace::bridge), others));
                 }
             }
-            survey.readers.push(Some(reader));
         }
         if let Some((space, _)) = first {
             survey.space = space;
@@ -103,11 +103,13 @@ impl Survey {
         broken: &[BrokenPictures],
     ) -> Result<Plan, DatasetError> {
         let progress = Progress::of("reading", "bags", sources.len() as u64);
-        let contents: Vec<_> = (self.readers.par_iter().zip(broken))
-            .map(|(reader, broken)| {
-                let contents = reader
-                    .as_ref()
-                    .map(|reader| contents(reader, settings, &self.space, broken));
+        let readable = sources.par_iter().zip(&self.is_readable);
+        let contents: Vec<_> = (readable.zip(broken))
+            .map(|((source, is_readable), broken)| {
+                let contents = is_readable.then(|| {
+                    let reader = reader(source).map_err(UnusableBag::Lacks)?;
+                    contents(&reader, settings, &self.space, broken)
+                });
                 progress.inc(1);
                 contents
             })
@@ -223,17 +225,26 @@ fn refused(bag: &Path, what: impl ToString) -> DatasetError {
     }
 }
 
-/// A bag with its declared action space. Without `--action-space`, an undeclared one is Bridge V2's.
-fn open(source: &Source, settings: &Settings) -> Result<(BagReader, Option<ActionSpace>), String> {
-    let reader = BagReader::open(&source.bag).map_err(|error| error.to_string())?;
+/// The reader of a source's bag.
+pub(super) fn reader(source: &Source) -> Result<BagReader, String> {
+    BagReader::open(&source.bag).map_err(|error| error.to_string())
+}
+
+/// A bag's warnings and its declared action space. Without `--action-space`, an undeclared one is Bridge V2's.
+fn open(
+    source: &Source,
+    settings: &Settings,
+) -> Result<(Vec<String>, Option<ActionSpace>), String> {
+    let reader = reader(source)?;
+    let warnings = reader.warnings().iter().map(ToString::to_string).collect();
     let note = reader.note(ActionSpace::NOTE);
     // The declared space is that of wm_msgs/Action. For joints, the user chooses the values.
     let is_free = note.is_none() || has_joints(&reader, &settings.action_topic);
     if is_free && settings.action_space.is_some() {
-        return Ok((reader, None));
+        return Ok((warnings, None));
     }
     let space = ActionSpace::of_note(note).map_err(|error| error.to_string())?;
-    Ok((reader, Some(space)))
+    Ok((warnings, Some(space)))
 }
 
 fn contents(

@@ -19,12 +19,13 @@ use wm_model::{Fit, Framing, PictureSize};
 use wm_msgs::builtin_interfaces::Time;
 use wm_program::progress::Progress;
 
-use super::BagPlan;
+use super::{BagPlan, bags::reader};
 use crate::{
     DatasetError, Manifest, Size, StampSource,
     camera_message::{CameraMessage, first_needed},
     cameras::MASK,
     cutting::Draft,
+    manifest::Source,
     mask,
     recording::BrokenPictures,
     source_sizes::SizeCounts,
@@ -57,7 +58,7 @@ struct DecodedEpisode {
 /// the episode.
 pub(super) fn write(
     bags: &[BagPlan],
-    readers: &[Option<BagReader>],
+    sources: &[Source],
     manifest: &Manifest,
     folder: &NewFolder,
 ) -> Result<DecodedFrames, DatasetError> {
@@ -84,18 +85,22 @@ pub(super) fn write(
         }
     }
     let results = jobs.par_iter().map(|(bag, draft, first_frame)| {
-        let Some(reader) = readers.get(bag.source).and_then(Option::as_ref) else {
+        let Some(source) = sources.get(bag.source) else {
             return Ok((bag.source, DecodedEpisode::default()));
         };
-        let episode = files.write_episode(reader, &bag.topics, draft, *first_frame)?;
+        let reader = reader(source).map_err(|what| DatasetError::Episode {
+            bag: source.bag.clone(),
+            what,
+        })?;
+        let episode = files.write_episode(&reader, &bag.topics, draft, *first_frame)?;
         progress.inc(draft.actions.len() as u64);
         Ok((bag.source, episode))
     });
     let mut decoded = DecodedFrames {
-        broken: vec![BrokenPictures::default(); readers.len()],
+        broken: vec![BrokenPictures::default(); sources.len()],
         sizes: SizeCounts::new(),
         changes: Vec::new(),
-        videos: vec![Vec::new(); readers.len()],
+        videos: vec![Vec::new(); sources.len()],
     };
     for (source, episode) in results.collect::<Result<Vec<_>, DatasetError>>()? {
         if let Some(all) = decoded.broken.get_mut(source) {

@@ -40,8 +40,7 @@ pub(super) fn measure(subject: &Subject, windows: &Windows, unit: usize) -> Resu
     let space = subject.world.encoding.space();
     let wrong = ActionChange::WRONG
         .into_iter()
-        .filter(|change| change.applies_to(space))
-        .filter(|change| *change != ActionChange::Shuffled || windows.other(unit).is_some());
+        .filter(|change| windows.can_change(unit, *change, space));
     let wrong = wrong.map(|change| Ok((change, errors(&predict(change)?)?)));
     let held = vec![last.clone(); truths.len()];
     Ok(Response {

@@ -4,7 +4,7 @@ use wm_metrics::findings::{Better, Curve, Section, Series, Suite, TextTable};
 use super::{RecoveredActions, Response, Start, WindowControl, recovered::Search};
 use crate::{
     ActionChange, Settings,
-    figures::{figure_of_units, mean_over_units},
+    figures::{figure_of_units, mean_over_units, most_changed},
 };
 
 /// Findings of all windows, in order.
@@ -302,7 +302,10 @@ fn of_responses(section: &mut Section, windows: &[(&String, &Response)], setting
             add(format!("ratio_k{k}{end}"), &sentence, &all);
             let sentence =
                 format!("{sentence}, on the half of the windows that change most until k = {k}");
-            let moving = most_changed(windows, k - 1);
+            let moving = most_changed(windows.len(), |index| {
+                let (_, found) = windows.get(index)?;
+                found.persistence.get(k - 1).copied()
+            });
             add(format!("ratio_k{k}{end}_moving"), &sentence, &moving);
         }
     }
@@ -335,22 +338,6 @@ fn of_responses(section: &mut Section, windows: &[(&String, &Response)], setting
     if let Some(metric) = share {
         section.metric("motion_share", metric);
     }
-}
-
-/// Indices, in order, of the half of the windows whose latents change most until step `k` (counted from 0).
-fn most_changed(windows: &[(&String, &Response)], k: usize) -> Vec<usize> {
-    let change = |index: &usize| {
-        let (_, found) = windows.get(*index)?;
-        found.persistence.get(k).copied()
-    };
-    let mut indices: Vec<usize> = (0..windows.len()).collect();
-    indices.sort_by(|a, b| {
-        let of = |index| change(index).unwrap_or(0.0);
-        of(b).total_cmp(&of(a))
-    });
-    indices.truncate(windows.len().div_ceil(2));
-    indices.sort_unstable();
-    indices
 }
 
 fn of_change(found: &Response, change: ActionChange) -> Option<&Vec<f64>> {

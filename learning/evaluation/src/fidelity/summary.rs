@@ -45,23 +45,28 @@ pub fn summarise(episodes: &[(String, EpisodeFidelity)], settings: &Settings) ->
             |s| s.ssim_colour,
         ),
     ];
+    let is_moving = moving(episodes);
     for (name, about, unit, figure) in figures {
         for (end, what, of) in pictures {
-            let values = per_episode(episodes, |step| figure(of(step)));
-            let about = format!("{about}: {what}; mean over frames, then episodes");
             // Persistence depends only on the data.
             let better = match end {
                 "_persistence" => Better::Neither,
                 _ => Better::Higher,
             };
-            let metric = mean_over_units(&values, settings, better, &about);
-            if let Some(metric) = metric {
-                section.metric(&format!("{name}{end}"), metric.in_unit(unit));
-            }
+            let mut add = |end: &str, values: &[(String, f64)], frames: &str| {
+                let about = format!("{about}: {what}; mean over {frames}, then episodes");
+                if let Some(metric) = mean_over_units(values, settings, better, &about) {
+                    section.metric(&format!("{name}{end}"), metric.in_unit(unit));
+                }
+            };
+            let figure = |step: &StepFidelity| figure(of(step));
+            add(end, &per_episode(episodes, |_| true, figure), "frames");
+            let moving = per_episode(episodes, &is_moving, figure);
+            let half = "the half of the frames that differ most from the last observed one";
+            add(&format!("{end}_moving"), &moving, half);
         }
-        let gaps = per_episode(episodes, |step| {
-            figure(&step.reconstructed) - figure(&step.predicted)
-        });
+        let gap = |step: &StepFidelity| figure(&step.reconstructed) - figure(&step.predicted);
+        let gaps = per_episode(episodes, |_| true, gap);
         let about = format!("{about}: ceiling minus predictions: the loss by the transition model");
         if let Some(metric) = mean_over_units(&gaps, settings, Better::Lower, &about) {
             section.metric(&format!("{name}_gap"), metric.in_unit(unit));
@@ -73,9 +78,7 @@ pub fn summarise(episodes: &[(String, EpisodeFidelity)], settings: &Settings) ->
             title: format!("Gap of {} by step", name.to_uppercase()),
             x: "predicted step k".into(),
             y: y_of(name, unit),
-            series: vec![series("ceiling minus predictions", episodes, |step| {
-                figure(&step.reconstructed) - figure(&step.predicted)
-            })],
+            series: vec![series("ceiling minus predictions", episodes, gap)],
         });
     }
     let shown = episodes.iter().filter_map(|(name, episode)| {
@@ -113,18 +116,28 @@ fn y_of(name: &str, unit: &str) -> String {
     }
 }
 
-/// The mean over an episode's steps.
+/// The mean over those of an episode's steps that are `chosen`; episodes without any are left out.
 fn per_episode(
     episodes: &[(String, EpisodeFidelity)],
+    chosen: impl Fn(&StepFidelity) -> bool,
     figure: impl Fn(&StepFidelity) -> f64,
 ) -> Vec<(String, f64)> {
-    let with_steps = episodes.iter().filter(|(_, found)| !found.steps.is_empty());
-    with_steps
-        .map(|(name, found)| {
-            let sum: f64 = found.steps.iter().map(&figure).sum();
-            (name.clone(), sum / found.steps.len() as f64)
-        })
-        .collect()
+    let means = episodes.iter().filter_map(|(name, found)| {
+        let steps = found.steps.iter().filter(|step| chosen(step));
+        let values: Vec<f64> = steps.map(&figure).collect();
+        let mean = values.iter().sum::<f64>() / values.len() as f64;
+        (!values.is_empty()).then(|| (name.clone(), mean))
+    });
+    means.collect()
+}
+
+/// Whether a step is of the half of all steps whose frames differ most from the last observed one.
+fn moving(episodes: &[(String, EpisodeFidelity)]) -> impl Fn(&StepFidelity) -> bool {
+    let steps = episodes.iter().flat_map(|(_, found)| &found.steps);
+    let mut held: Vec<f64> = steps.map(|step| step.held.psnr).collect();
+    held.sort_by(f64::total_cmp);
+    let median = held.get(held.len().saturating_sub(1) / 2).copied();
+    move |step| median.is_some_and(|median| step.held.psnr <= median)
 }
 
 fn by_step(
@@ -166,5 +179,49 @@ fn series(
         name: name.into(),
         points: points.collect(),
         band: Vec::new(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Protocol, perception::EpisodePerception};
+
+    #[test]
+    fn moving_frames_differ_most_from_the_last_observed() {
+        let similarity = |psnr: f64| Similarity {
+            psnr,
+            ssim: 0.5,
+            ssim_colour: 0.5,
+        };
+        let episode = |steps: &[(f64, f64)]| EpisodeFidelity {
+            steps: steps
+                .iter()
+                .map(|(predicted, held)| StepFidelity {
+                    predicted: similarity(*predicted),
+                    reconstructed: similarity(40.0),
+                    held: similarity(*held),
+                })
+                .collect(),
+            strip: None,
+            perception: EpisodePerception::default(),
+        };
+        let episodes = [
+            (
+                "moves".to_owned(),
+                episode(&[(20.0, 30.0), (16.0, 10.0), (18.0, 12.0)]),
+            ),
+            ("still".to_owned(), episode(&[(30.0, 50.0), (28.0, 45.0)])),
+        ];
+        let section = summarise(&episodes, &Settings::of(Protocol::Quick, 0));
+        let value = |name: &str| {
+            let metric = &section.metrics[&format!("fidelity.{name}")];
+            (metric.value, metric.n)
+        };
+        assert_eq!(value("psnr"), (23.5, 2));
+        // The three frames with the lowest PSNR of persistence are all of the first episode.
+        assert_eq!(value("psnr_moving"), (18.0, 1));
+        assert_eq!(value("psnr_persistence_moving"), (52.0 / 3.0, 1));
+        assert_eq!(value("psnr_ceiling_moving"), (40.0, 1));
     }
 }

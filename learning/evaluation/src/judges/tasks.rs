@@ -221,6 +221,16 @@ mod tests {
     }
 
     #[test]
+    fn tasks_of_the_tabletop_have_levels_and_pairs() {
+        let tasks = Tasks::parse(include_str!("../../tasks/tabletop.yaml")).unwrap();
+        for level in 1..=4 {
+            let of_level = tasks.tasks().iter().filter(|task| task.level == level);
+            assert_eq!(of_level.count(), 5, "level {level}");
+        }
+        assert_eq!(tasks.out_of_distribution().count(), 10);
+    }
+
+    #[test]
     fn faulty_files_are_rejected_by_name() {
         let cases = [
             (

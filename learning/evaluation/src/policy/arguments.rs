@@ -33,7 +33,8 @@ pub struct PolicyArgs {
     #[arg(long, value_name = "DIR")]
     pub start_images: Option<PathBuf>,
     /// Vision-language models that judge the imagined episodes (YAML, as learning/evaluation/judges.yaml). Their
-    /// answers are stored beside the records
+    /// answers are stored beside the records. probes: no language models, but the success probes of the model and of
+    /// --probe
     #[arg(long, value_name = "FILE")]
     pub judges: Option<PathBuf>,
     /// Prompts of the judges (YAML); the paper's by default

@@ -51,3 +51,25 @@ pub struct JudgeInputs {
     /// Its seed.
     pub seed: Option<u64>,
 }
+
+/// What the description of a success probe as a judge begins with.
+const PROBE: &str = "success probe, ";
+
+impl JudgeInputs {
+    /// A success probe of this kind as a judge.
+    #[must_use]
+    pub fn probe(name: &str, kind: &str) -> Self {
+        Self {
+            name: name.to_owned(),
+            model: format!("{PROBE}{kind}"),
+            temperature: None,
+            seed: None,
+        }
+    }
+
+    /// Whether it is a success probe, not a vision-language model.
+    #[must_use]
+    pub fn is_probe(&self) -> bool {
+        self.model.starts_with(PROBE)
+    }
+}

@@ -15,6 +15,8 @@ use super::{
 
 /// Name of the embedded tasks.
 const EMBEDDED_TASKS: &str = "bridge_v2";
+/// Name of the success probes as judges.
+const PROBES: &str = "probes";
 
 /// A policy.
 #[derive(Debug)]
@@ -35,6 +37,8 @@ pub struct Setup {
     pub(super) other_instructions: bool,
     pub(super) start_images: Option<StartImages>,
     pub(super) judges: Option<(PanelSettings, Arc<Prompts>)>,
+    /// Whether success probes are the judges.
+    has_probes_judge: bool,
     inputs: PolicyInputs,
 }
 
@@ -67,7 +71,13 @@ impl Setup {
         };
         let tasks = arguments.tasks.as_deref().map(tasks_text).transpose()?;
         let prompts = arguments.prompts.as_deref().map(text).transpose()?;
-        let judges = match &arguments.judges {
+        let judges = arguments.judges.as_deref();
+        let has_probes_judge = judges.is_some_and(|path| is_builtin(path, PROBES));
+        ensure!(
+            !has_probes_judge || prompts.is_none(),
+            "--prompts are for vision-language models, but --judges {PROBES} are none"
+        );
+        let judges = match judges.filter(|_| !has_probes_judge) {
             Some(path) => {
                 let panel = PanelSettings::read(path);
                 let panel = panel.with_context(|| path.display().to_string())?;
@@ -103,8 +113,28 @@ impl Setup {
             other_instructions,
             start_images,
             judges,
+            has_probes_judge,
             inputs,
         })
+    }
+
+    /// Whether success probes are the judges.
+    #[must_use]
+    pub fn has_probes_judge(&self) -> bool {
+        self.has_probes_judge
+    }
+
+    /// With these success probes as the judges.
+    ///
+    /// # Errors
+    /// If there is none.
+    pub fn with_probes(mut self, judges: Vec<JudgeInputs>) -> Result<Self> {
+        ensure!(
+            !judges.is_empty(),
+            "--judges {PROBES}: the model has no success probe; train one with wm train probe"
+        );
+        self.inputs.judges = judges;
+        Ok(self)
     }
 
     /// Inputs that affect the results.
@@ -125,10 +155,15 @@ fn judge_inputs(panel: &PanelSettings) -> Vec<JudgeInputs> {
 }
 
 fn tasks_text(path: &Path) -> Result<String> {
-    if path.as_os_str() == EMBEDDED_TASKS && !path.exists() {
+    if is_builtin(path, EMBEDDED_TASKS) {
         return Ok(BRIDGE_V2_YAML.to_owned());
     }
     text(path)
+}
+
+/// Whether a path is a name of this program's own, and of no file.
+fn is_builtin(path: &Path, name: &str) -> bool {
+    path.as_os_str() == name && !path.exists()
 }
 
 fn text(path: &Path) -> Result<String> {

@@ -7,7 +7,7 @@ mod tables;
 
 use wm_metrics::findings::{Picture, Section, Suite};
 
-use super::{Condition, ImaginedTrial};
+use super::{Condition, ImaginedTrial, JudgeInputs};
 use crate::Settings;
 use consensus::ConsensusPair;
 use rates::Score;
@@ -68,6 +68,12 @@ fn say_absent(section: &mut Section, trials: &[&ImaginedTrial], settings: &Setti
         1 => section.absent("consensus_success", "one judge, but a consensus needs two"),
         _ => {}
     }
+    if inputs.judges.first().is_some_and(JudgeInputs::is_probe) {
+        section.absent(
+            "interaction_quality",
+            "the judges are success probes; the rubric needs a vision-language model",
+        );
+    }
     let wanted = [
         (
             Condition::OtherInstruction,
@@ -115,6 +121,13 @@ fn say_how(
             );
         }
         section.notes.push(note);
+    }
+    if own.inputs.judges.first().is_some_and(JudgeInputs::is_probe) {
+        section.notes.push(
+            "The judges are success probes, not the paper's vision-language models. They read the latents of the model that they \
+             judge."
+                .into(),
+        );
     }
     if trials
         .iter()

@@ -62,7 +62,10 @@ impl Bags {
 
     /// The written records of all trials, and their section.
     fn run(&self, arguments: &PolicyArgs, folder: &str) -> anyhow::Result<(Vec<String>, Section)> {
-        let setup = Setup::new(arguments)?;
+        let mut setup = Setup::new(arguments)?;
+        if setup.has_probes_judge() {
+            setup = setup.with_probes(self.subject.readers.judges())?;
+        }
         let mut settings = Settings::of(Protocol::Quick, 5);
         settings.resamples = 100;
         let own = &mut settings.policy;

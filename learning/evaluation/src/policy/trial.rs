@@ -147,19 +147,23 @@ impl<'a> Trials<'a> {
             .transpose()?;
         let is_recording =
             matches!(setup.policy, Policy::Recorded) && condition == Condition::Recorded;
-        let verdicts = self.judging.as_ref().map(|judging| {
-            judging.judge(&Rollout {
-                instruction: instruction.to_owned(),
-                // They belong to the recorded instruction.
-                partial_criteria: match condition {
-                    Condition::OtherInstruction => None,
-                    _ => task.partial_criteria.clone(),
-                },
-                frames: episode.pictures,
-                trial: trial as u64,
-                stamp_ns: 0,
+        let verdicts = if setup.has_probes_judge() {
+            Some(self.verdicts_by_probes(&episode.latents, instruction))
+        } else {
+            self.judging.as_ref().map(|judging| {
+                judging.judge(&Rollout {
+                    instruction: instruction.to_owned(),
+                    // They belong to the recorded instruction.
+                    partial_criteria: match condition {
+                        Condition::OtherInstruction => None,
+                        _ => task.partial_criteria.clone(),
+                    },
+                    frames: episode.pictures,
+                    trial: trial as u64,
+                    stamp_ns: 0,
+                })
             })
-        });
+        };
         let probability = |latents: &Tensor| self.probability(latents, instruction);
         let real = is_recording.then(|| {
             let frames = subject.frames_of(task.episode, own.steps);
@@ -189,6 +193,23 @@ impl<'a> Trials<'a> {
             seed: seed(self.settings.seed, &task.name, unit.trial),
             instruction: task.instruction_under(unit.condition),
         }
+    }
+
+    /// Every success probe as a judge: 0 or 1, `None` for an instruction that it does not know.
+    fn verdicts_by_probes(&self, latents: &Tensor, instruction: &str) -> Result<Verdicts> {
+        let mut verdicts = Verdicts::default();
+        for probe in &self.subject.readers.probes {
+            let score = match probe.model.instruction(instruction) {
+                Ok(instruction) => {
+                    let latents = probe.latents(latents)?;
+                    let success = probe.model.probability(&latents, &instruction)?;
+                    Some(f64::from(success > 0.5))
+                }
+                Err(_) => None,
+            };
+            verdicts.scores.insert(probe.name.clone(), score);
+        }
+        Ok(verdicts)
     }
 
     /// `None` without a probe for the instruction.

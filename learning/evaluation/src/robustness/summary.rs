@@ -3,7 +3,7 @@ use wm_metrics::findings::{Better, Curve, Section, Series, Suite, TextTable};
 use super::{Change, UnderChange, WindowRobustness};
 use crate::{
     Settings,
-    figures::{figure_of_units, mean_over_units},
+    figures::{figure_of_units, mean_over_units, most_changed},
 };
 
 /// Findings of all windows, in order.
@@ -45,7 +45,7 @@ pub fn summarise(windows: &[(String, WindowRobustness)], settings: &Settings) ->
         let mut row = vec![change.to_string()];
         for k in [1, steps] {
             let about = format!(
-                "squared latent error over that of persistence at k = {k}; {change}. Above 1, persistence is the better \
+                "squared latent error over that of persistence at k = {k}; {change}; above 1, persistence is the better \
                  guess"
             );
             let metric =
@@ -59,6 +59,22 @@ pub fn summarise(windows: &[(String, WindowRobustness)], settings: &Settings) ->
             );
             if let Some(metric) = metric {
                 section.metric(&format!("ratio_k{k}_{name}"), metric);
+            }
+            // The same windows under every change.
+            let moving = most_changed(windows.len(), |index| {
+                let found = of(index, Change::None)?;
+                found.persistence.get(k - 1).copied()
+            });
+            let about =
+                format!("{about}, on the half of the windows that change most until k = {k}");
+            let metric = figure_of_units(moving.len(), settings, Better::Lower, &about, |chosen| {
+                let chosen = chosen
+                    .iter()
+                    .filter_map(|place| moving.get(*place).copied());
+                ratio(&chosen.collect::<Vec<_>>(), change, k - 1)
+            });
+            if let Some(metric) = metric {
+                section.metric(&format!("ratio_k{k}_{name}_moving"), metric);
             }
         }
         // PSNR itself is higher for darker pictures, whatever the prediction.

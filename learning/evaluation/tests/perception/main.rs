@@ -1,10 +1,12 @@
-//! `wm eval fidelity` with networks: the embedded model on bags of the simulator.
+//! `wm eval fidelity` with networks and `wm eval paper`: the embedded model on bags of the simulator.
 
 #![allow(clippy::unwrap_used)] // also in the helpers of tests
 
 mod bench;
+mod lpips;
 #[cfg(feature = "onnx")]
 mod onnx;
+mod paper;
 
 use std::fs;
 

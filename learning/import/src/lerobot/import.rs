@@ -16,7 +16,7 @@ use std::{
     path::Path,
 };
 
-use crate::{ActionMapping, ImportReport};
+use crate::{ActionMapping, ImportReport, imported::is_made};
 use wm_bag::Shard;
 use wm_motion::actions::{ActionSpace, ActionSurvey, Cause};
 
@@ -41,6 +41,8 @@ pub struct ImportOptions {
     pub episodes: Option<RangeInclusive<i64>>,
     /// The shard to import, if several machines share an import.
     pub shard: Shard,
+    /// Whether whole bags of the same episodes, of an earlier run, are kept instead of an error.
+    pub resume: bool,
     /// JPEG quality of video frames, 1 to 100. Pictures in files are copied.
     pub jpeg_quality: u8,
     /// Stamp of the first frame of each episode, in ns since the epoch, as LeRobot has no time of day. Episodes from our own
@@ -61,6 +63,7 @@ impl Default for ImportOptions {
         Self {
             episodes: None,
             shard: Shard::WHOLE,
+            resume: false,
             jpeg_quality: bridge.jpeg_quality,
             start_ns: bridge.start_ns,
             action_space: None,
@@ -134,6 +137,13 @@ pub fn import(
     let mut first_error = None;
     let mut jitter_s = Vec::new();
     for (_, entry) in own {
+        let path = out.join(format!("episode_{:06}", entry.index));
+        let origin = crate::origin::origin(src, None, Some(entry.index));
+        if options.resume && is_made(&path, &origin)? {
+            imported.kept += 1;
+            imported.bags.push(path);
+            continue;
+        }
         let read = episode::read(&dataset, entry, &mut rows, &mut videos, reading);
         let read = read.and_then(|episode| read_mapped(episode, actions.as_ref(), &dataset, entry));
         let episode = match read {
@@ -144,16 +154,14 @@ pub fn import(
                 continue;
             }
         };
-        let path = out.join(format!("episode_{:06}", entry.index));
         let start_ns = entry.start_ns.unwrap_or(options.start_ns);
-        let origin = crate::origin::origin(src, None, Some(entry.index));
         let space = actions.as_ref().and_then(|actions| actions.space.as_ref());
         bag::write(&episode, space, &path, start_ns, &origin)?;
         tracing::info!(episode = entry.index, bag = %path.display(), frames = entry.length, "imported");
         if let Some(derived) = actions
             .as_ref()
             .and_then(|actions| actions.derived.as_ref())
-            && imported.bags.is_empty()
+            && imported.bags.len() == imported.kept
         {
             write_derived(&derived.space, out, &mut imported)?;
         }

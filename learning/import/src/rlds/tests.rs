@@ -266,6 +266,38 @@ fn shards_import_the_same_as_one_run() {
     }
 }
 
+#[test]
+fn interrupted_import_continues() {
+    let dir = tempfile::tempdir().unwrap();
+    let (src, out) = (dir.path().join("src"), dir.path().join("out"));
+    fs::create_dir(&src).unwrap();
+    let file = src.join("a.tfrecord");
+    fs::write(&file, tfrecord(&[example(2), example(1), example(3)])).unwrap();
+    let resuming = ImportOptions {
+        resume: true,
+        ..ImportOptions::default()
+    };
+    let first = ImportOptions {
+        episodes: Some(2),
+        ..resuming.clone()
+    };
+    let made = import_bridge(&src, &out, &first).unwrap();
+    assert_eq!((made.bags.len(), made.kept), (2, 0));
+    let modified = |bag: &str| {
+        let metadata = out.join(bag).join("metadata.yaml");
+        fs::metadata(metadata).unwrap().modified().unwrap()
+    };
+    let before = modified("episode_000000");
+    let whole = import_bridge(&src, &out, &resuming).unwrap();
+    assert_eq!((whole.bags.len(), whole.kept), (3, 2));
+    assert_eq!(modified("episode_000000"), before);
+    // Without the option, or of another data set, existing bags are an error.
+    for (src, options) in [(&src, ImportOptions::default()), (&file, resuming)] {
+        let error = import_bridge(src, &out, &options).unwrap_err().to_string();
+        assert!(error.contains("episode_000000"), "{error}");
+    }
+}
+
 fn floats(value: Vec<f32>) -> Feature {
     feature(Kind::Floats(FloatList { value }))
 }

@@ -216,6 +216,45 @@ fn fine_tuned_probe_uses_the_new_grid() {
 }
 
 #[test]
+fn fine_tuned_probe_keeps_its_words() {
+    let dir = tempfile::tempdir().unwrap();
+    let (first, second) = (dir.path().join("first"), dir.path().join("second"));
+    let data = labelled(dir.path(), 12, 1);
+    let (mut recipe, stop) = (small("tiny", 1), Stop::default());
+    let probe = |run: &RunArgs, recipe: &ProbeRecipe, data: &Latents| {
+        train_on(run, recipe, (data, None), (None, None), &stop).unwrap();
+        let weights = Weights::open(run.out.join(FILE)).unwrap();
+        let words: WordsConfig = weights.json(WORDS_KEY).unwrap();
+        let shape = [words.vocabulary.len(), words.features];
+        let table = weights.values(WORD_FEATURES, &shape).unwrap();
+        (words, table)
+    };
+    let (old, old_table) = probe(&run_in(&first), &recipe, &data);
+    assert_eq!(old.vocabulary, ["down", "go", "up"]);
+
+    let mut episodes = data.episodes().to_vec();
+    for episode in &mut episodes {
+        let is_up = episode.instruction.as_deref() == Some("go up");
+        let instruction = if is_up { "always go up" } else { "never go up" };
+        episode.instruction = Some(instruction.into());
+    }
+    let (file, space) = (dir.path().join("latents 1"), data.space().clone());
+    let actions = data.action_space().clone();
+    let data = Latents::map(&file, space, episodes, "other".into(), actions).unwrap();
+    let run = RunArgs {
+        from: Some(first.display().to_string()),
+        ..run_in(&second)
+    };
+    recipe.optimisation.learning_rate = 0.0;
+    let (new, table) = probe(&run, &recipe, &data);
+    assert_eq!(new.vocabulary, ["down", "go", "up", "always", "never"]);
+    assert_eq!((old.max_words, new.max_words), (2, 3));
+    let (kept, added) = table.split_at(old_table.len());
+    assert_eq!(kept, old_table);
+    assert!(added.iter().all(|value| *value != 0.0), "{added:?}");
+}
+
+#[test]
 fn latents_are_shifted_with_repeated_borders() {
     let rows = Tensor::new(&[[1.0f32, 2.0, 3.0], [4.0, 5.0, 6.0]], &Device::Cpu).unwrap();
     let found = |dim, by| shifted(&rows, dim, by).unwrap().to_vec2::<f32>().unwrap();

@@ -16,7 +16,7 @@ use wm_msgs::{
 };
 use wm_ros::{
     ActionServer, Diagnostics, GoalId, GoalRequest, Level, NodeDefinition, Publisher, Qos,
-    Subscription, complaints::Complaints,
+    Subscription, complaints::Complaints, frame_trace,
 };
 use wm_zoo::ModelFolder;
 
@@ -474,6 +474,7 @@ impl Planner {
         let run = self.action.as_mut();
         if run.as_ref().is_none_or(|run| run.course.is_published()) {
             plans.publish(&plan)?;
+            frame_trace::passed("plan published", plan.header.stamp);
         }
         if let Some(pictures) = pictures {
             shown.outcomes.publish(&pictures)?;

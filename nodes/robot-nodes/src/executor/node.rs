@@ -15,7 +15,7 @@ use wm_msgs::{
 };
 use wm_ros::{
     Diagnostics, Level, Node, NodeDefinition, NodeProgram, Received, Setup, Subscription, answer,
-    complaints::Complaints,
+    complaints::Complaints, frame_trace,
 };
 
 use crate::optional::next;
@@ -42,6 +42,8 @@ struct Executor {
     diagnostics: Diagnostics,
     /// The last published status, and when it was published.
     published: Option<(Status, Instant)>,
+    /// Capture time of the frame whose command was traced last \[ns\].
+    traced_ns: Option<i64>,
     /// Number of undecodable messages of the emergency stop.
     undecodable: u64,
 }
@@ -73,6 +75,7 @@ impl NodeProgram for Executor {
             complaints: Complaints::new(node.diagnostics()),
             diagnostics: node.diagnostics(),
             published: None,
+            traced_ns: None,
             undecodable: 0,
         })
     }
@@ -226,9 +229,22 @@ impl Executor {
             Output::Send(command) => {
                 is_moving = !command.velocity.is_zero();
                 self.send(&header, command)?;
+                self.trace();
             }
         }
         Ok(is_moving)
+    }
+
+    /// Traces the first command of each offer.
+    fn trace(&mut self) {
+        let capture_ns = self.step.executed_capture_ns();
+        if capture_ns == self.traced_ns {
+            return;
+        }
+        self.traced_ns = capture_ns;
+        if let Some(capture_ns) = capture_ns {
+            frame_trace::passed("command published", Time::from_nanos(capture_ns));
+        }
     }
 
     fn send(&self, header: &Header, command: Command) -> Result<()> {

@@ -171,6 +171,11 @@ impl ExecutorStep {
         &self.frame_id
     }
 
+    /// Capture time of the frame that the executed offer responds to \[ns\].
+    pub fn executed_capture_ns(&self) -> Option<i64> {
+        self.schedule.current()?.capture_ns
+    }
+
     /// Takes the pose of the end effector.
     ///
     /// # Errors

@@ -3,14 +3,16 @@
 use super::{names::tests::endpoint, *};
 use crate::{backend::WhenFull, payload::Payload};
 
+const PATIENCE: std::time::Duration = std::time::Duration::from_secs(20);
+
+/// The domain of this process among the twenty from `first` on.
+fn domain(first: u16) -> u16 {
+    first + (std::process::id() % 20) as u16
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn response_waits_until_its_client_is_connected() {
-    const PATIENCE: std::time::Duration = std::time::Duration::from_secs(20);
-    let environment = Environment {
-        domain_id: 100 + (std::process::id() % 20) as u16,
-        reach: crate::Reach::Localhost,
-        middleware: crate::Middleware::Dds,
-    };
+    let environment = on_loopback(domain(100));
     let join = || Dds::join(&environment, Handle::current()).unwrap();
     let (server, client) = (join(), join());
     let (calls, mut called) = tokio::sync::mpsc::unbounded_channel();
@@ -63,15 +65,46 @@ async fn response_waits_until_its_client_is_connected() {
     assert_eq!(answer, sample);
 }
 
+/// A killed server stays connected until its lease ends, and its successor connects one end after the other. A call that is
+/// sent in between is lost.
+#[tokio::test(flavor = "multi_thread")]
+async fn two_halves_of_servers_are_no_server() {
+    let environment = on_loopback(domain(20));
+    let join = || Dds::join(&environment, Handle::current()).unwrap();
+    let [client, one, other] = [join(), join(), join()];
+    let takes_calls = |server: &Dds| {
+        let ends = endpoint(Channel::Request);
+        server.reader("/server", &ends, Box::new(drop)).unwrap()
+    };
+    let answers = |server: &Dds| {
+        let ends = endpoint(Channel::Response);
+        server.writer("/server", &ends).unwrap()
+    };
+    let requests = client
+        .writer("/client", &endpoint(Channel::Request))
+        .unwrap();
+    let responses = client
+        .reader("/client", &endpoint(Channel::Response), Box::new(drop))
+        .unwrap();
+    let wait = async |is_so: &dyn Fn() -> bool| {
+        let mut changes = client.changes();
+        while !is_so() {
+            let change = tokio::time::timeout(PATIENCE, changes.changed()).await;
+            change.unwrap().unwrap();
+        }
+    };
+    let (requests, responses) = (requests.id(), responses.id());
+    let (_takes, _answers) = (takes_calls(&one), answers(&other));
+    wait(&|| client.matched(&requests) > 0 && client.matched(&responses) > 0).await;
+    assert!(!client.has_server(&requests, &responses));
+    let _second_end = answers(&one);
+    wait(&|| client.has_server(&requests, &responses)).await;
+}
+
 /// Simulates lost events.
 #[tokio::test(flavor = "multi_thread")]
 async fn lost_discovery_events_are_repaired() {
-    const PATIENCE: std::time::Duration = std::time::Duration::from_secs(20);
-    let environment = Environment {
-        domain_id: 80 + (std::process::id() % 20) as u16,
-        reach: crate::Reach::Localhost,
-        middleware: crate::Middleware::Dds,
-    };
+    let environment = on_loopback(domain(80));
     let join = || Dds::join(&environment, Handle::current()).unwrap();
     let (here, there) = (join(), join());
     let writer = here.writer("/here", &endpoint(Channel::Topic)).unwrap();
@@ -138,12 +171,7 @@ async fn panic_in_subscription_fails_the_participant() {
 /// forgets such a sample when the writer leaves.
 #[test]
 fn last_sample_of_a_dropped_writer_reaches_a_busy_reader() {
-    const PATIENCE: std::time::Duration = std::time::Duration::from_secs(20);
-    let environment = Environment {
-        domain_id: 60 + (std::process::id() % 20) as u16,
-        reach: crate::Reach::Localhost,
-        middleware: crate::Middleware::Dds,
-    };
+    let environment = on_loopback(domain(60));
     let runtime = |threads| {
         let mut builder = tokio::runtime::Builder::new_multi_thread();
         let builder = builder.worker_threads(threads).enable_all();

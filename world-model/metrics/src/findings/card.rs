@@ -209,7 +209,7 @@ fn list<'a>(line: &mut impl FnMut(&str), items: impl Iterator<Item = &'a str>, n
 }
 
 /// One line of text without markup; links become plain text.
-fn inline(text: &str) -> String {
+pub(super) fn inline(text: &str) -> String {
     let mut escaped = String::new();
     for character in text.chars() {
         match character {
@@ -227,7 +227,7 @@ fn inline(text: &str) -> String {
 
 /// Inline code, with more backticks around it than in it. Text with a bar becomes HTML instead: the bar would end a
 /// table cell even here, and a backslash would undo its escape.
-fn code(text: &str) -> String {
+pub(super) fn code(text: &str) -> String {
     if text.contains('|') {
         return format!("<code>{}</code>", inline(text));
     }

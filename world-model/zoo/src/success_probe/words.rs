@@ -10,6 +10,11 @@ use crate::{Error, Result};
 /// Words that a vocabulary has at most.
 const MOST_WORDS: usize = 1 << 16;
 
+/// Name of the tensor of features of words.
+pub const WORD_FEATURES: &str = "word_embed";
+/// Name of the tensor of features of the words' places in an instruction.
+pub const PLACE_FEATURES: &str = "place_embed";
+
 /// A vocabulary and its features.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -25,18 +30,26 @@ pub struct WordsConfig {
 impl WordsConfig {
     /// The vocabulary of these instructions, in alphabetical order.
     pub fn of<'a>(instructions: impl IntoIterator<Item = &'a str>, features: usize) -> Self {
-        let mut vocabulary = std::collections::BTreeSet::new();
-        let mut max_words = 1;
+        let empty = Self {
+            vocabulary: Vec::new(),
+            max_words: 1,
+            features,
+        };
+        empty.with(instructions)
+    }
+
+    /// The same words in the same places, followed by the new words of these instructions in alphabetical order.
+    #[must_use]
+    pub fn with<'a>(mut self, instructions: impl IntoIterator<Item = &'a str>) -> Self {
+        let mut new = std::collections::BTreeSet::new();
         for instruction in instructions {
             let words = words(instruction);
-            max_words = max_words.max(words.len());
-            vocabulary.extend(words);
+            self.max_words = self.max_words.max(words.len());
+            new.extend(words);
         }
-        Self {
-            vocabulary: vocabulary.into_iter().collect(),
-            max_words,
-            features,
-        }
+        new.retain(|word| !self.vocabulary.contains(word));
+        self.vocabulary.extend(new);
+        self
     }
 
     /// The places of the words of `instruction` in the vocabulary.
@@ -99,8 +112,8 @@ impl WordEmbedding {
             return Err(wm_model::Error::config("vocabulary", reason).into());
         }
         Ok(Self {
-            words: loader.tensor("word_embed", &[words, config.features])?,
-            places: loader.tensor("place_embed", &[places, config.features])?,
+            words: loader.tensor(WORD_FEATURES, &[words, config.features])?,
+            places: loader.tensor(PLACE_FEATURES, &[places, config.features])?,
             config: config.clone(),
         })
     }
@@ -144,6 +157,11 @@ mod tests {
         );
         assert!(config.encode(" .").is_err());
         assert!(config.encode(&"the ".repeat(8)).is_err());
+
+        let more = config.clone().with(["pick a banana", "the cup"]);
+        assert_eq!(more.vocabulary[..8], config.vocabulary);
+        assert_eq!(more.vocabulary[8..], ["a", "banana"]);
+        assert_eq!(more.max_words, 7);
     }
 
     #[test]

@@ -130,18 +130,26 @@ pub(super) fn add(
     scores: &[Score<'_>],
     settings: &Settings,
 ) {
+    let changes = Condition::CHANGED.map(|own| (own.prefix(), own.words(), vec![own]));
+    let has = |condition: &Condition| trials.iter().any(|trial| trial.condition == *condition);
+    // The paper's table 12 pools both.
+    let pooled = Condition::CHANGED.iter().all(has).then(|| {
+        let words = "other instruction or first frame";
+        ("ood_", words, Condition::CHANGED.to_vec())
+    });
+    let changes: Vec<_> = changes.into_iter().chain(pooled).collect();
     for score in scores {
-        let recorded = by_task(trials, Condition::Recorded, score);
+        let recorded = by_task(trials, &[Condition::Recorded], score);
         if let Some(metric) = metric(&recorded, score, settings, "") {
             section.metric(&score.name, metric);
         }
-        for condition in Condition::CHANGED {
-            let changed = by_task(trials, condition, score);
-            let how = format!(", {}", condition.words());
+        for (prefix, words, conditions) in &changes {
+            let changed = by_task(trials, conditions, score);
+            let how = format!(", {words}");
             let Some(metric) = metric(&changed, score, settings, &how) else {
                 continue;
             };
-            let name = format!("{}{}", condition.prefix(), score.name);
+            let name = format!("{prefix}{}", score.name);
             section.metric(&name, metric);
             let drops: Vec<(String, f64)> = changed
                 .iter()
@@ -151,9 +159,8 @@ pub(super) fn add(
                 })
                 .collect();
             let about = format!(
-                "{}: on the same tasks as recorded, minus that on these trials ({})",
-                score.about,
-                condition.words()
+                "{}: on the same tasks as recorded, minus that on these trials ({words})",
+                score.about
             );
             let drop = mean_over_units(&drops, settings, Better::Lower, &about);
             if let Some(drop) = drop {
@@ -200,11 +207,14 @@ fn metric(
 
 fn by_task<'t>(
     trials: &[&'t ImaginedTrial],
-    condition: Condition,
+    conditions: &[Condition],
     score: &Score<'_>,
 ) -> BTreeMap<&'t str, Vec<f64>> {
     let mut tasks: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
-    for trial in trials.iter().filter(|trial| trial.condition == condition) {
+    let chosen = trials
+        .iter()
+        .filter(|trial| conditions.contains(&trial.condition));
+    for trial in chosen {
         if let Some(value) = (score.of)(trial) {
             tasks.entry(&trial.task).or_default().push(value);
         }
@@ -253,7 +263,7 @@ fn add_of_recordings(section: &mut Section, trials: &[&ImaginedTrial], settings:
             is_rate: false,
             of: Box::new(of),
         };
-        let tasks = by_task(trials, Condition::Recorded, &score);
+        let tasks = by_task(trials, &[Condition::Recorded], &score);
         if let Some(metric) = metric(&tasks, &score, settings, "") {
             section.metric(name, metric);
         }

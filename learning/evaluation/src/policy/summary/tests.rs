@@ -177,6 +177,35 @@ fn drops_compare_the_same_tasks() {
 }
 
 #[test]
+fn changed_conditions_are_pooled_by_task() {
+    let mut all = trials(|_, _| vec![("a", Some(1.0))]);
+    for (task, condition, score) in [
+        (0, Condition::OtherInstruction, 0.0),
+        (0, Condition::OtherFrame, 1.0),
+        (1, Condition::OtherInstruction, 0.0),
+    ] {
+        let (name, imagined) = trial(task, 0, &[("a", Some(score))]);
+        all.push((
+            name,
+            ImaginedTrial {
+                condition,
+                ..imagined
+            },
+        ));
+    }
+    let section = summarise(&all, &judged(&["a"]));
+    let value = |name: &str| {
+        let metric = &section.metrics[&format!("policy.ood_{name}")];
+        (metric.value, metric.n)
+    };
+    // The mean over tasks of means over trials.
+    assert_eq!(value("success_by_a"), (0.25, 3));
+    assert_eq!(value("success_by_a_drop"), (0.75, 2));
+    assert_eq!(value("instruction_success_by_a"), (0.0, 2));
+    assert_eq!(value("distractor_success_by_a"), (1.0, 1));
+}
+
+#[test]
 fn missing_trials_have_a_reason() {
     let section = summarise(&[], &judged(&[]));
     assert!(section.metrics.is_empty());

@@ -1,10 +1,57 @@
 use serde_json::{Value, json};
+use wm_zoo::ModelFolder;
+
+use crate::Readers;
 
 use super::{
     Bags, BuiltIn, PolicyArgs, of,
     server::{Server, says},
     threads,
 };
+
+#[test]
+fn success_probes_judge_and_say_so() {
+    let mut bags = Bags::new();
+    let folder = ModelFolder::open("tiny").unwrap();
+    let mut again = Readers::of_folder(&folder).unwrap().probes.remove(0);
+    again.name = "success_again".into();
+    bags.subject.readers.probes.push(again);
+    let arguments = PolicyArgs {
+        judges: Some("probes".into()),
+        ..of(BuiltIn::Recorded)
+    };
+    let (_, section) = bags.run(&arguments, "records").unwrap();
+    let metric = |name: &str| &section.metrics[&format!("policy.{name}")];
+    for name in [
+        "success_by_success",
+        "success_by_success_again",
+        "consensus_success",
+    ] {
+        assert_eq!(metric(name).value, metric("probe_success").value, "{name}");
+        assert_eq!(metric(name).n, 4);
+    }
+    let why = section
+        .absent
+        .iter()
+        .find(|a| a.metric == "policy.interaction_quality");
+    assert!(why.unwrap().why.contains("success probes"));
+    assert!(
+        section
+            .notes
+            .iter()
+            .any(|note| note.contains("not the paper's"))
+    );
+
+    bags.subject.readers.probes.clear();
+    let error = bags.run(&arguments, "none").unwrap_err().to_string();
+    assert!(error.contains("no success probe"), "{error}");
+    let prompts = PolicyArgs {
+        prompts: Some(bags.write("prompts.yaml", "")),
+        ..arguments
+    };
+    let error = bags.run(&prompts, "none").unwrap_err().to_string();
+    assert!(error.contains("--prompts"), "{error}");
+}
 
 /// Two judges follow the instruction; the third answers the opposite.
 fn last_line(body: &Value) -> String {

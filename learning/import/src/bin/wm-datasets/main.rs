@@ -112,6 +112,9 @@ struct Common {
     /// different I. Bags keep their numbers, so that all machines may write to one folder
     #[arg(long, value_name = "I/N", default_value = "0/1")]
     shard: Shard,
+    /// Continue an interrupted import: whole bags of the same episodes stay as they are. Give the same options
+    #[arg(long)]
+    resume: bool,
     #[command(flatten)]
     mapping: MappingOptions,
 }
@@ -169,6 +172,7 @@ impl EpisodesCommand {
             episodes: self.episodes,
             jpeg_quality: self.common.jpeg_quality,
             shard: self.common.shard,
+            resume: self.common.resume,
             actions: self.common.mapping.mapping(),
             ..wm_import::ImportOptions::default()
         }
@@ -191,6 +195,7 @@ impl ImportCommand {
                         .transpose()?,
                     jpeg_quality: from.common.jpeg_quality,
                     shard: from.common.shard,
+                    resume: from.common.resume,
                     actions: from.common.mapping.mapping(),
                     is_nominal: from.stamps == Stamps::Rate,
                     ..wm_import::lerobot::ImportOptions::default()
@@ -240,6 +245,12 @@ fn print_report(imported: &ImportReport) -> Result<ExitCode> {
     let mut out = std::io::stdout().lock();
     for bag in &imported.bags {
         writeln!(out, "{}", bag.display())?;
+    }
+    if imported.kept > 0 {
+        eprintln!(
+            "wm-datasets: {} episodes were imported before",
+            imported.kept
+        );
     }
     let ranges = imported.ranges.iter().cloned();
     for line in ranges.chain(imported.notes.lines()) {
