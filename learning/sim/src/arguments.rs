@@ -1,15 +1,22 @@
 //! The command line of `wm sim`.
 
+use std::fs::File;
+use std::io::BufWriter;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use anyhow::Context;
+use image::{ImageFormat, RgbImage};
 use wm_bag::Shard;
 use wm_program::progress::Progress;
 
 use crate::dataset::generate_bags;
 use crate::environment::{GoalKind, ScriptedPolicy};
 use crate::episode_options::EpisodeOptions;
+use crate::error::Error;
+
+/// Objects that distract.
+const DISTRACTORS: usize = 2;
 
 /// Make Bridge-style bags of a simulated arm on a tabletop, one bag per episode.
 #[derive(Clone, Debug, clap::Args)]
@@ -56,6 +63,10 @@ pub struct SimArgs {
         conflicts_with_all = ["failures", "disturbance"]
     )]
     pub policies: Option<Vec<ScriptedPolicy>>,
+    /// Also write each episode's first picture with two more objects, which the task does not name, as
+    /// DIR/episode_000012.png: for `wm eval policy --start-images`
+    #[arg(long, value_name = "DIR")]
+    pub distractors: Option<PathBuf>,
     /// Make every Nth episode, from the Ith (counted from 0): run the command on several machines, each with a
     /// different I
     #[arg(long, value_name = "I/N", default_value = "0/1")]
@@ -73,6 +84,10 @@ impl SimArgs {
     pub fn run(&self) -> anyhow::Result<()> {
         std::fs::create_dir_all(&self.out)
             .with_context(|| format!("cannot make the directory {}", self.out.display()))?;
+        if let Some(folder) = &self.distractors {
+            std::fs::create_dir_all(folder)
+                .with_context(|| format!("cannot make the directory {}", folder.display()))?;
+        }
         let progress = Progress::of("making", "episodes", self.shard.share_of(self.episodes));
         let options = EpisodeOptions {
             frames: self.frames,
@@ -85,6 +100,7 @@ impl SimArgs {
                 Some([]) => ScriptedPolicy::ALL.to_vec(),
                 Some(named) => named.to_vec(),
             },
+            distractors: self.distractors.as_ref().map_or(0, |_| DISTRACTORS),
             ..EpisodeOptions::default()
         };
         let succeeded = AtomicU64::new(0);
@@ -92,6 +108,10 @@ impl SimArgs {
         let bags = generate_bags(&self.out, own, self.seed, &options, |episode| {
             succeeded.fetch_add(u64::from(episode.success), Ordering::Relaxed);
             progress.inc(1);
+            if let (Some(folder), Some(picture)) = (&self.distractors, &episode.distracted) {
+                write_new(picture, folder.join(format!("{}.png", episode.name())))?;
+            }
+            Ok(())
         })
         .with_context(|| format!("cannot make the episodes in {}", self.out.display()))?;
         drop(progress);
@@ -103,5 +123,13 @@ impl SimArgs {
             succeeded.into_inner()
         );
         Ok(())
+    }
+}
+
+/// Writes a picture as a PNG that does not exist yet.
+fn write_new(picture: &RgbImage, path: PathBuf) -> Result<(), Error> {
+    match File::create_new(&path) {
+        Ok(file) => Ok(picture.write_to(&mut BufWriter::new(file), ImageFormat::Png)?),
+        Err(source) => Err(Error::File { path, source }),
     }
 }

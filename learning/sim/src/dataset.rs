@@ -16,14 +16,14 @@ use crate::error::Error;
 /// seeds.
 ///
 /// # Errors
-/// The first error of any episode; see [`Episode::generate`] and `write_bag`.
+/// The first error of any episode; see [`Episode::generate`] and `write_bag`; or of `finished`.
 /// [`Error::Seeds`] if a seed exceeds the largest number.
 pub fn generate_bags(
     out: &Path,
     (episodes, shard): (u64, Shard),
     first_seed: u64,
     options: &EpisodeOptions,
-    finished: impl Fn(&Episode) + Sync,
+    finished: impl Fn(&Episode) -> Result<(), Error> + Sync,
 ) -> Result<Vec<PathBuf>, Error> {
     let end = first_seed.checked_add(episodes).ok_or(Error::Seeds {
         first_seed,
@@ -38,9 +38,9 @@ pub fn generate_bags(
         .into_par_iter()
         .map(|seed| {
             let episode = Episode::generate(seed, options)?;
-            let dir = out.join(format!("episode_{seed:06}"));
+            let dir = out.join(episode.name());
             write_bag(&episode, &dir)?;
-            finished(&episode);
+            finished(&episode)?;
             Ok(dir)
         })
         .collect()
@@ -64,7 +64,7 @@ mod tests {
                 (2, Shard::WHOLE),
                 7,
                 &options,
-                |_| {},
+                |_| Ok(()),
             )
             .expect("bags");
             let mut all = Vec::new();
@@ -96,7 +96,7 @@ mod tests {
             (2, Shard::WHOLE),
             u64::MAX,
             &options,
-            |_| {},
+            |_| Ok(()),
         );
         assert!(matches!(result, Err(Error::Seeds { .. })));
     }

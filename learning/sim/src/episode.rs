@@ -24,6 +24,8 @@ pub const FRAMES: std::ops::RangeInclusive<usize> = 2..=6000;
 
 /// Random stream that draws the policy and its goal; operators, the oracle and goals use others.
 const POLICY_STREAM: u64 = 48;
+/// Random stream that draws distractors: they change nothing else.
+const DISTRACTOR_STREAM: u64 = 56;
 
 /// An observation, and the action taken there.
 #[derive(Clone, Debug, PartialEq)]
@@ -60,6 +62,8 @@ pub struct Episode {
     pub camera: Camera,
     /// The frames.
     pub frames: Vec<Frame>,
+    /// The first frame's picture with distractors, if requested: objects that the task does not name.
+    pub distracted: Option<RgbImage>,
 }
 
 impl Episode {
@@ -108,6 +112,14 @@ impl Episode {
                 }
             })
             .collect();
+        let distracted = (options.distractors > 0).then(|| {
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            rng.set_stream(DISTRACTOR_STREAM);
+            let (count, variety) = (options.distractors, &options.variety);
+            let world = layout::add_distractors(&world, count, variety, &mut rng);
+            let parts = Scene::new(&world).parts(&world);
+            renderer.render(&parts, false).rgb
+        });
         Ok(Self {
             seed,
             instruction: attempt.instruction,
@@ -116,7 +128,15 @@ impl Episode {
             objects,
             camera,
             frames,
+            distracted,
         })
+    }
+}
+
+impl Episode {
+    /// The name of its bag, `episode_000012`: the number is the seed.
+    pub fn name(&self) -> String {
+        format!("episode_{:06}", self.seed)
     }
 }
 
@@ -269,6 +289,33 @@ mod tests {
             ..options
         };
         assert!(matches!(Episode::generate(0, &aimless), Err(Error::NoGoal)));
+    }
+
+    #[test]
+    fn distractors_change_the_first_picture_and_nothing_else() {
+        let plain = Episode::generate(5, &short(3)).expect("valid options");
+        assert!(plain.distracted.is_none());
+        let options = EpisodeOptions {
+            distractors: 2,
+            ..short(3)
+        };
+        let mut episode = Episode::generate(5, &options).expect("valid options");
+        let distracted = episode.distracted.take().expect("requested");
+        assert!(episode == plain);
+        let first = &plain.frames[0];
+        let changed = |(x, y): (u32, u32)| {
+            let (before, after) = (first.image.get_pixel(x, y), distracted.get_pixel(x, y));
+            (0..3).any(|channel| before[channel].abs_diff(after[channel]) > 40)
+        };
+        let pixels = (0..256).flat_map(|y| (0..256).map(move |x| (x, y)));
+        let changed: Vec<_> = pixels.filter(|at| changed(*at)).collect();
+        assert!((100..8000).contains(&changed.len()), "{}", changed.len());
+        // What was there stays visible, except where a nearer object stands before it.
+        let mask = first.mask.as_ref().expect("requested");
+        let hidden = changed
+            .iter()
+            .filter(|(x, y)| mask.get_pixel(*x, *y).0[0] != 0);
+        assert!(hidden.count() < changed.len() / 2);
     }
 
     #[test]

@@ -20,6 +20,9 @@ pub struct EpisodeOptions {
     /// Policies, of which one acts in an episode, for one of `goals` from the [`Environment`](crate::Environment)'s start;
     /// empty for the operator or the oracle.
     pub policies: Vec<ScriptedPolicy>,
+    /// Number of objects that [`Episode::distracted`](crate::Episode::distracted) has more than the first frame; 0 for no
+    /// such picture.
+    pub distractors: usize,
     /// Variation between episodes.
     pub variety: Variety,
 }
@@ -33,6 +36,7 @@ impl Default for EpisodeOptions {
             goals: Vec::new(),
             disturbance: 0.0,
             policies: Vec::new(),
+            distractors: 0,
             variety: Variety::default(),
         }
     }

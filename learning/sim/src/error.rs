@@ -46,6 +46,11 @@ pub enum Error {
     /// The description of the action space cannot be written.
     #[error(transparent)]
     Actions(#[from] wm_motion::actions::ActionError),
+    #[error("cannot write {}: {source}", .path.display())]
+    File {
+        path: std::path::PathBuf,
+        source: std::io::Error,
+    },
     #[error("cannot encode a picture: {0}")]
     Picture(#[from] image::ImageError),
 }

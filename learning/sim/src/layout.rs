@@ -41,23 +41,48 @@ pub fn lay_table(variety: &Variety, rng: &mut ChaCha8Rng) -> World {
         };
         let colour = tint(colour, variety, rng);
         // A full table gets one object fewer.
-        for _ in 0..60 {
-            let [x, y] = PLACES_M.map(|span| span.pick(rng));
-            // A box's long sides run away from the viewer, across the hand's opening.
-            let yaw = std::f64::consts::FRAC_PI_2 + rng.random_range(-1.1..1.1);
-            let object = Object::standing(shape, colour, x, y, yaw);
-            let free = objects.iter().all(|other| {
-                (other.position() - object.position()).norm()
-                    > other.shape.bounding_radius() + object.shape.bounding_radius() + GAP_M
-            });
-            if free {
-                objects.push(object);
-                break;
-            }
-        }
+        objects.extend(stand(shape, colour, &objects, rng));
     }
     let opening = if rng.random_bool(0.75) { 1.0 } else { 0.0 };
     World::new(objects, draw_tool(rng), opening)
+}
+
+/// The table of `world` with up to `count` more objects, of other colours than those there; fewer if no place is free.
+pub fn add_distractors(
+    world: &World,
+    count: usize,
+    variety: &Variety,
+    rng: &mut ChaCha8Rng,
+) -> World {
+    let mut objects = world.objects().to_vec();
+    let is_new = |colour: &Colour| {
+        let mut there = world.objects().iter();
+        there.all(|object| object.colour.name != colour.name)
+    };
+    let mut colours: Vec<Colour> = COLOURS.into_iter().filter(is_new).collect();
+    colours.shuffle(rng);
+    for colour in colours.into_iter().take(count) {
+        let size = variety.object_size.pick(rng);
+        let shape = draw_shape(rng, false, size);
+        let colour = tint(colour, variety, rng);
+        objects.extend(stand(shape, colour, &objects, rng));
+    }
+    World::new(objects, *world.tool(), world.opening())
+}
+
+/// An object at a random place that touches none of `others`; `None` if 60 draws find no place.
+fn stand(shape: Shape, colour: Colour, others: &[Object], rng: &mut ChaCha8Rng) -> Option<Object> {
+    (0..60).find_map(|_| {
+        let [x, y] = PLACES_M.map(|span| span.pick(rng));
+        // A box's long sides run away from the viewer, across the hand's opening.
+        let yaw = std::f64::consts::FRAC_PI_2 + rng.random_range(-1.1..1.1);
+        let object = Object::standing(shape, colour, x, y, yaw);
+        let is_free = others.iter().all(|other| {
+            (other.position() - object.position()).norm()
+                > other.shape.bounding_radius() + object.shape.bounding_radius() + GAP_M
+        });
+        is_free.then_some(object)
+    })
 }
 
 /// Draws a hand above all objects and mats.

@@ -32,7 +32,10 @@ impl Bench {
             };
             let bags = dir.path().join("bags").join(frames.to_string());
             fs::create_dir_all(&bags).unwrap();
-            generate_bags(&bags, (episodes, wm_bag::Shard::WHOLE), 5, &options, |_| {}).unwrap();
+            generate_bags(&bags, (episodes, wm_bag::Shard::WHOLE), 5, &options, |_| {
+                Ok(())
+            })
+            .unwrap();
         }
         fs::write(
             dir.path().join("settings.yaml"),
