@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """The models' engine against PyTorch on the same machine, with the same weights and inputs.
 
-usage: benches/models.py [--device cuda] [--rounds N] [--seconds S] [--formats F ...] [--no-compile] [CASE ...]
+usage: benches/models.py [--device cuda] [--rounds N] [--seconds S] [--formats F ...] [--no-compile] [--no-candle] [CASE ...]
 
 Builds `learning/training/examples/model_speed.rs`, and for each case writes random weights and an input to a temporary
 folder, then runs ours, PyTorch (eager, and with torch.compile), ONNX Runtime and OpenVINO in turns, round by round, on all
@@ -154,7 +154,7 @@ def compare(name, case, folder, arguments, place, peaks):
         candles, gains = [], []
         for _ in range(rounds):
             # Before ours, whose output is compared.
-            has_candle = not place and number_format in FORMATS
+            has_candle = not place and number_format in FORMATS and not arguments.no_candle
             candle = ours(case.ours, folder, number_format, min(runs, 3), place=CANDLE)["run_ms"] if has_candle else []
             # Of recorded passes, the first two are not repeated ones.
             a = ours(case.ours, folder, number_format, runs, warm=3 if place else 1, place=place)["run_ms"]
@@ -238,6 +238,7 @@ def main():
     parser.add_argument("--seconds", type=float, default=15, help="how long one peer's runs of a round may take, about")
     parser.add_argument("--formats", nargs="+", choices=MATRIX_FORMATS, default=MATRIX_FORMATS, help="on the CPU")
     parser.add_argument("--no-compile", action="store_true", help="leave torch.compile out")
+    parser.add_argument("--no-candle", action="store_true", help="leave candle's own operations out, the slowest column")
     arguments = parser.parse_args()
     on_cuda = arguments.device == "cuda"
     known = [*ON_CUDA] if on_cuda else [*CASES, "load"]

@@ -288,6 +288,11 @@ async fn lerobot_server_gets_observations_and_gives_chunks() {
         return;
     }
     pass(&peers, "lerobot", "test_lerobot_policy.py");
+    pass(
+        &peers,
+        "lerobot",
+        "imagined_policy/test_lerobot_checkpoint.py",
+    );
     let domain = fresh_domain();
     let folder = tempfile::tempdir().unwrap();
     let port = free_port().to_string();

@@ -19,6 +19,7 @@ import torch
 from lerobot.configs.policies import PreTrainedConfig
 from lerobot.policies.factory import get_policy_class, make_pre_post_processors
 from lerobot.policies.utils import prepare_observation_for_inference
+from lerobot.utils.constants import OBS_STATE
 from PIL import Image
 
 VERSION = 1  # of the protocol
@@ -61,12 +62,15 @@ class Checkpoint:
         torch.manual_seed(request["seed"] * 1000 + request["step"])
         with torch.inference_mode():
             observation = prepare_observation_for_inference(self.pictures(request), CPU, request["instruction"])
-            chunk = self.after(self.policy.predict_action_chunk(self.before(observation)))[0]
+            observation = self.before(observation)
+            # ACT asks for the device of a state, even if it was trained without one.
+            observation.setdefault(OBS_STATE, torch.zeros(1, 1))
+            chunk = self.after(self.policy.predict_action_chunk(observation))[0]
         if chunk.shape[1] != len(space["names"]):
             raise ValueError(f"actions of {len(space['names'])} values, but the policy learnt {chunk.shape[1]}")
         per_step = space["actions_per_step"]
         chosen = min(self.policy.config.n_action_steps, len(chunk))
-        chunk = chunk[: max(chosen - chosen % per_step, 1)].tolist()
+        chunk = chunk[: chosen - chosen % per_step or chosen].tolist()
         is_binary = [kind == "gripper_binary" for kind in space["kinds"]]
         return [
             [float(round(min(max(value, 0.0), 1.0))) if binary else value for value, binary in zip(action, is_binary)]
