@@ -3,9 +3,10 @@
 usage: wm eval policy --model tiny --bags BAGS \\
            --policy-command 'python3 examples/imagined_policy/lerobot_checkpoint.py outputs/act/checkpoints/last/pretrained_model'
 
-PRETRAINED_MODEL is a folder that `lerobot-train` wrote, of any policy that acts from pictures, with or without an
-instruction. One that wants the robot's state is refused: an imagined robot has none. Of each chunk, the policy's
-`n_action_steps` are executed, in whole model steps. Runs on the CPU. Tried with lerobot 0.4.4 (../../tests/requirements-lerobot.txt).
+PRETRAINED_MODEL is a folder that `lerobot-train` wrote, of a policy that acts from the newest pictures, such as ACT. Refused are
+policies that want the robot's state, which an imagined robot has not, or several observations (Diffusion). Of each chunk, the
+policy's `n_action_steps` are executed, in whole model steps. Runs on the CPU. Tried with ACT of lerobot 0.4.4
+(../../tests/requirements-lerobot.txt).
 """
 
 import base64
@@ -36,6 +37,8 @@ class Checkpoint:
         others = sorted(set(config.input_features) - set(self.cameras))
         if others:
             raise ValueError(f"{folder} wants {', '.join(others)}: an imagined robot has pictures only")
+        if config.n_obs_steps != 1:
+            raise ValueError(f"{folder} wants {config.n_obs_steps} observations: only the newest one is sent")
         self.policy = get_policy_class(config.type).from_pretrained(folder, config=config).eval()
         on_cpu = {"device_processor": {"device": "cpu"}}
         self.before, self.after = make_pre_post_processors(config, folder, preprocessor_overrides=on_cpu)
@@ -58,13 +61,13 @@ class Checkpoint:
         if request["version"] != VERSION:
             raise ValueError(f"protocol {request['version']}, expected {VERSION}")
         space = request["action_space"]
-        # Requests of several trials alternate, so the policy's own queue of actions is not used.
         torch.manual_seed(request["seed"] * 1000 + request["step"])
         with torch.inference_mode():
             observation = prepare_observation_for_inference(self.pictures(request), CPU, request["instruction"])
             observation = self.before(observation)
             # ACT asks for the device of a state, even if it was trained without one.
             observation.setdefault(OBS_STATE, torch.zeros(1, 1))
+            # Not select_action: requests of several trials alternate, but its queue of actions is one.
             chunk = self.after(self.policy.predict_action_chunk(observation))[0]
         if chunk.shape[1] != len(space["names"]):
             raise ValueError(f"actions of {len(space['names'])} values, but the policy learnt {chunk.shape[1]}")
@@ -84,7 +87,10 @@ def main():
     torch.set_num_threads(1)
     # Standard output has answers only; the library prints to it.
     with contextlib.redirect_stdout(sys.stderr):
-        checkpoint = Checkpoint(sys.argv[1])
+        try:
+            checkpoint = Checkpoint(sys.argv[1])
+        except ValueError as error:
+            sys.exit(str(error))
     for line in sys.stdin:
         try:
             with contextlib.redirect_stdout(sys.stderr):

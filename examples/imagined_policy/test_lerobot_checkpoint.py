@@ -11,6 +11,7 @@ import torch
 from lerobot.configs.types import FeatureType, PolicyFeature
 from lerobot.policies.act.configuration_act import ACTConfig
 from lerobot.policies.act.modeling_act import ACTPolicy
+from lerobot.policies.diffusion.configuration_diffusion import DiffusionConfig
 from lerobot.policies.factory import make_pre_post_processors
 from lerobot_checkpoint import Checkpoint
 from PIL import Image
@@ -79,6 +80,11 @@ class TestCheckpoint(unittest.TestCase):
     def test_what_does_not_fit_is_refused(self):
         with self.assertRaisesRegex(ValueError, STATE):
             self.checkpoint(CAMERA, STATE)
+        with tempfile.TemporaryDirectory() as folder:
+            features = {CAMERA: PolicyFeature(FeatureType.VISUAL, (3, 64, 64))}
+            DiffusionConfig(device="cpu", input_features=features).save_pretrained(folder)
+            with self.assertRaisesRegex(ValueError, "wants 2 observations"):
+                Checkpoint(folder)
         checkpoint = self.checkpoint(CAMERA)
         with self.assertRaisesRegex(ValueError, "actions of 3 values, but the policy learnt 2"):
             checkpoint.act(request(names=("dx", "dy", "gripper")))

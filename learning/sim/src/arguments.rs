@@ -1,7 +1,7 @@
 //! The command line of `wm sim`.
 
 use std::fs::File;
-use std::io::BufWriter;
+use std::io::{Cursor, Write as _};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -15,7 +15,7 @@ use crate::environment::{GoalKind, ScriptedPolicy};
 use crate::episode_options::EpisodeOptions;
 use crate::error::Error;
 
-/// Objects that distract.
+/// Objects that `--distractors` adds to a picture.
 const DISTRACTORS: usize = 2;
 
 /// Make Bridge-style bags of a simulated arm on a tabletop, one bag per episode.
@@ -128,8 +128,9 @@ impl SimArgs {
 
 /// Writes a picture as a PNG that does not exist yet.
 fn write_new(picture: &RgbImage, path: PathBuf) -> Result<(), Error> {
-    match File::create_new(&path) {
-        Ok(file) => Ok(picture.write_to(&mut BufWriter::new(file), ImageFormat::Png)?),
-        Err(source) => Err(Error::File { path, source }),
-    }
+    let mut png = Cursor::new(Vec::new());
+    picture.write_to(&mut png, ImageFormat::Png)?;
+    File::create_new(&path)
+        .and_then(|mut file| file.write_all(png.get_ref()))
+        .map_err(|source| Error::File { path, source })
 }

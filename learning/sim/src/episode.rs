@@ -131,9 +131,7 @@ impl Episode {
             distracted,
         })
     }
-}
 
-impl Episode {
     /// The name of its bag, `episode_000012`: the number is the seed.
     pub fn name(&self) -> String {
         format!("episode_{:06}", self.seed)
