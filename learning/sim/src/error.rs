@@ -46,7 +46,7 @@ pub enum Error {
     /// The description of the action space cannot be written.
     #[error(transparent)]
     Actions(#[from] wm_motion::actions::ActionError),
-    #[error("cannot write {}: {source}", .path.display())]
+    #[error("cannot write {}", .path.display())]
     File {
         path: std::path::PathBuf,
         source: std::io::Error,
