@@ -48,6 +48,12 @@ fn main() -> Result<()> {
     // As in the program `wm`.
     wm_program::process::prepare();
     let arguments: Vec<String> = std::env::args().skip(1).collect();
+    // On a thread of the pool, as in the nodes: another would sleep while the pool works, and be woken after each operation.
+    let timed = rayon::scope(|_| time(&arguments).map_err(|error| error.to_string()));
+    Ok(timed?)
+}
+
+fn time(arguments: &[String]) -> Result<()> {
     let (kept, rest): (Vec<&String>, Vec<&String>) = arguments
         .iter()
         .partition(|argument| argument.starts_with(KEEP));

@@ -17,6 +17,7 @@ mod buffers;
 mod camera;
 mod clock;
 mod comparison;
+mod control_group;
 mod error;
 mod fit;
 mod listen;

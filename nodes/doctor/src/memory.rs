@@ -1,10 +1,6 @@
 //! Main memory.
 
-use crate::{
-    DoctorError, Finding,
-    system_file::{read, read_if_there},
-};
-use std::path::Path;
+use crate::{DoctorError, Finding, control_group::ControlGroups, system_file::read};
 
 const CHECK: &str = "memory";
 /// Encoder, predictor, decoder and planner use up to 180 MiB each with the bundled model (docs/benchmarks.md);
@@ -24,10 +20,8 @@ pub(crate) struct Memory {
 
 impl Memory {
     pub(crate) fn look() -> Result<Self, DoctorError> {
-        let group = read_if_there("/proc/self/cgroup")
-            .and_then(|text| group_of(&text, Path::new("/sys/fs/cgroup")));
         Ok(Self {
-            group,
+            group: ControlGroups::look().and_then(|groups| groups.memory()),
             ..Self::of_meminfo(&read("/proc/meminfo")?)
         })
     }
@@ -52,15 +46,6 @@ impl Memory {
         let left = self.group.map(|(limit, taken)| limit.saturating_sub(taken));
         self.available.min(left.unwrap_or(u64::MAX))
     }
-}
-
-/// Limit and use of the control group (version 2) in `/proc/self/cgroup`; `None` without a limit.
-fn group_of(cgroup: &str, root: &Path) -> Option<(u64, u64)> {
-    let path = cgroup.lines().find_map(|line| line.strip_prefix("0::"))?;
-    let folder = root.join(path.trim_start_matches('/'));
-    let figure = |name: &str| read_if_there(folder.join(name))?.parse().ok();
-    // "max" means no limit
-    Some((figure("memory.max")?, figure("memory.current")?))
 }
 
 pub(crate) fn gib(bytes: u64) -> String {
@@ -101,18 +86,5 @@ mod tests {
             finding.what,
             "0.5 GiB free, of the 2.0 GiB limit of this process"
         );
-    }
-
-    #[test]
-    fn control_group_without_limit_is_ignored() {
-        let root = tempfile::tempdir().unwrap();
-        let folder = root.path().join("robot/wm");
-        std::fs::create_dir_all(&folder).unwrap();
-        std::fs::write(folder.join("memory.current"), "1000\n").unwrap();
-        for (limit, found) in [("max\n", None), ("4096\n", Some((4096, 1000)))] {
-            std::fs::write(folder.join("memory.max"), limit).unwrap();
-            assert_eq!(group_of("1:x:/y\n0::/robot/wm\n", root.path()), found);
-        }
-        assert_eq!(group_of("", root.path()), None);
     }
 }

@@ -2,6 +2,7 @@
 
 use crate::{
     DoctorError, Finding,
+    control_group::{ControlGroups, Quota},
     system_file::{read, read_if_there},
 };
 
@@ -23,8 +24,12 @@ const DYNAMIC: [&str; 2] = ["intel_pstate", "amd-pstate-epp"];
 pub(crate) struct Processor {
     /// The vendor's name.
     pub model: String,
-    /// How many this process may use.
+    /// How many this process may use, by its affinity and its quota, rounded down.
     pub count: usize,
+    /// Share of processor time by the control group.
+    pub quota: Option<Quota>,
+    /// `RAYON_NUM_THREADS`: threads of the models.
+    pub threads: Option<usize>,
     /// `flags` of x86; `None` elsewhere.
     pub flags: Option<Vec<String>>,
     /// Driver and governor of the frequency; `None` in a virtual machine.
@@ -39,6 +44,10 @@ impl Processor {
         let one = |name: &str| read_if_there(format!("{frequency}/{name}"));
         Ok(Self {
             count: std::thread::available_parallelism().map_or(1, std::num::NonZero::get),
+            quota: ControlGroups::look().and_then(|groups| groups.quota()),
+            threads: std::env::var("RAYON_NUM_THREADS")
+                .ok()
+                .and_then(|number| number.parse().ok()),
             governor: one("scaling_driver").zip(one("scaling_governor")),
             load: load_of(&read("/proc/loadavg")?),
             ..Self::of_cpuinfo(&read("/proc/cpuinfo")?)
@@ -93,7 +102,36 @@ pub(crate) fn check(processor: &Processor) -> Vec<Finding> {
             true => String::new(),
             false => format!(", with {}", names.join(", ")),
         };
-        findings.push(Finding::ok(CHECK, format!("{model}, {count} usable{with}")));
+        let quota = processor.quota.as_ref().map_or_else(String::new, |quota| {
+            format!(" (quota of {:.1})", quota.processors)
+        });
+        findings.push(Finding::ok(
+            CHECK,
+            format!("{model}, {count} usable{quota}{with}"),
+        ));
+    }
+    if let Some(quota) = processor.quota.as_ref().filter(|quota| quota.throttled > 0) {
+        findings.push(
+            Finding::warning(
+                CHECK,
+                format!(
+                    "the control group's quota of {:.1} processors has stopped its processes {} times",
+                    quota.processors, quota.throttled
+                ),
+            )
+            .because("a node that is stopped is late by most of a period, 100 ms if nobody set another")
+            .fix("raise the quota (CPUQuota of systemd, docker --cpus), or bind the nodes to processors of their own (taskset, docker --cpuset-cpus)"),
+        );
+    }
+    if let Some(threads) = processor.threads.filter(|threads| threads > count) {
+        findings.push(
+            Finding::warning(
+                CHECK,
+                format!("{threads} threads by RAYON_NUM_THREADS on {count} usable processors"),
+            )
+            .because("threads of a model wait for each other: one that has no processor stops all")
+            .fix("unset RAYON_NUM_THREADS, or give this process more processors"),
+        );
     }
     if *count < 2 {
         findings.push(
@@ -185,6 +223,28 @@ mod tests {
             ..good.clone()
         };
         assert_eq!(levels(&single), [Level::Ok, Level::Warning]);
+        let throttled = Processor {
+            quota: Some(Quota {
+                processors: 1.5,
+                throttled: 3,
+            }),
+            ..good.clone()
+        };
+        assert!(
+            check(&throttled)[0]
+                .what
+                .ends_with("4 usable (quota of 1.5)")
+        );
+        assert!(
+            check(&throttled)[1]
+                .what
+                .ends_with("stopped its processes 3 times")
+        );
+        let crowded = Processor {
+            threads: Some(8),
+            ..good.clone()
+        };
+        assert_eq!(levels(&crowded), [Level::Ok, Level::Warning]);
         let slow = Processor {
             governor: Some(("acpi-cpufreq".into(), "powersave".into())),
             ..good

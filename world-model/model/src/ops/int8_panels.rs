@@ -12,7 +12,7 @@ use std::cell::RefCell;
 use rayon::prelude::*;
 
 use super::element::{Element, INT8_MOST};
-use super::kernel::Product;
+use super::kernel::{Ahead, Product, Row};
 use super::panel_product::{Rows, Target, check, row};
 use super::panel_values::MappedBytes;
 use super::panels::Panels;
@@ -225,17 +225,26 @@ impl Int8Panels {
     ) {
         let panels = &self.panels;
         let whole = panels.whole_depth();
-        for place in panels.iter() {
-            let (vectors, start, first) = place;
+        let values = |(vectors, start, _): (usize, usize, usize)| {
             let values = panels.values.get(start..start + whole * vectors * LANES);
-            let weights = weights(values.unwrap_or_default());
+            values.unwrap_or_default()
+        };
+        let mut places = panels.iter().peekable();
+        while let Some(place) = places.next() {
+            let (_, _, first) = place;
+            let weights = weights(values(place));
             let scales = WholeScales {
                 inputs: scales.as_ptr(),
                 weights: self.scales.as_ptr().wrapping_add(first),
                 starts: self.starts.as_ptr().wrapping_add(first),
             };
             let input = (rounded.as_ptr(), whole, whole);
-            let row = row::<P>(input, weights, panels, place, target, scales);
+            let row = Row {
+                ahead: places
+                    .peek()
+                    .map_or(Ahead::NOTHING, |next| Ahead::of(values(*next))),
+                ..row::<P>(input, weights, panels, place, target, scales)
+            };
             // SAFETY: the lengths were checked by the caller, and those of the panels, scales and starts hold by
             // construction; there is a rounded row, and its scale, for every row; the panels were cut for the unit, which
             // the processor was found to have.

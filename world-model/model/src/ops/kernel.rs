@@ -5,13 +5,18 @@
 //! the gradient of the weights. A [`Row`] is computed in the number formats of a [`Product`].
 
 use super::element::Element;
-use super::simd::{LANES, Lanes};
+use super::simd::{LANES, Lanes, Portable};
 
+mod ahead;
 #[cfg(target_arch = "x86_64")]
 mod amx;
 mod outer;
 
+pub(crate) use ahead::{Ahead, second_level};
 pub(crate) use outer::Outer;
+
+/// Groups of inputs after which a part of what is ahead is asked for.
+const GROUPS: usize = 8;
 
 /// The number formats of a product.
 ///
@@ -41,11 +46,11 @@ pub(crate) trait Scales: Copy {
     /// Where the sums start, for every output: at the `bias`, or at numbers of as many bits if the sums are not f32.
     fn starts(&self, bias: *const f32) -> *const f32;
 
-    /// Makes outputs of the sums of a vector of a pixel; `place` is (pixel, vector).
+    /// The outputs of the sums of a vector of a pixel; `place` is (pixel, vector).
     ///
     /// # Safety
     /// The row has that pixel and that vector, and `bias` and scales are its.
-    unsafe fn outputs(&self, bias: *const f32, place: (usize, usize), sums: &mut [f32; LANES]);
+    unsafe fn outputs<L: Lanes>(&self, bias: *const f32, place: (usize, usize), sums: L) -> L;
 }
 
 /// The sums are outputs.
@@ -56,7 +61,9 @@ impl Scales for () {
     }
 
     #[inline(always)]
-    unsafe fn outputs(&self, _: *const f32, _: (usize, usize), _: &mut [f32; LANES]) {}
+    unsafe fn outputs<L: Lanes>(&self, _: *const f32, _: (usize, usize), sums: L) -> L {
+        sums
+    }
 }
 
 /// A step of a product on the lanes `L`, of which each holds a group or a sum.
@@ -98,6 +105,8 @@ pub(crate) struct Row<P: Product> {
     pub vectors: usize,
     /// Bias, `vectors * LANES` values.
     pub bias: *const f32,
+    /// Whether the sums start at the outputs, not at the bias: those of earlier inputs. All channels of the panel exist.
+    pub goes_on: bool,
     /// What else makes outputs of sums.
     pub scales: P::Scales,
     /// Pixels.
@@ -114,6 +123,8 @@ pub(crate) struct Row<P: Product> {
     pub channels: usize,
     /// Whether negative outputs become zero.
     pub relu: bool,
+    /// What is read after this row.
+    pub ahead: Ahead,
 }
 
 impl<P: Product> Row<P> {
@@ -150,68 +161,93 @@ impl<P: Product> Row<P> {
         P: Step<L>,
     {
         debug_assert_eq!(self.vectors, N);
+        let steps = (self.run / P::Weight::GROUP).div_ceil(GROUPS) * self.tap_rows;
+        let mut ahead = self.ahead.in_parts(self.pixels.div_ceil(M) * steps);
         // SAFETY: as for `run`; every tile lies within the row.
         unsafe {
             // No tile overlaps another, so that the residual may be the output itself.
             let mut x = 0;
             for _ in 0..whole_tiles(self.pixels, M) {
-                self.tile::<L, M, N>(x);
+                self.tile::<L, M, N>(x, &mut ahead);
                 x += M;
             }
             while x + 4 <= self.pixels {
-                self.tile::<L, 4, N>(x);
+                self.tile::<L, 4, N>(x, &mut ahead);
                 x += 4;
             }
             while x < self.pixels {
-                self.tile::<L, 1, N>(x);
+                self.tile::<L, 1, N>(x, &mut ahead);
                 x += 1;
             }
         }
     }
 
     #[inline(always)]
-    unsafe fn tile<L: Lanes, const M: usize, const N: usize>(&self, x: usize)
+    unsafe fn tile<L: Lanes, const M: usize, const N: usize>(&self, x: usize, ahead: &mut Ahead)
     where
         P: Step<L>,
     {
         // SAFETY: as for `run`; `x + M` pixels exist.
         unsafe {
             let mut sums = [[L::splat(0.0); N]; M];
-            for sum in &mut sums {
+            let starts = self.scales.starts(self.bias);
+            let so_far = self.output.add(x * self.output_step).cast_const();
+            for (i, sum) in sums.iter_mut().enumerate() {
                 for (j, sum) in sum.iter_mut().enumerate() {
-                    *sum = L::load(self.scales.starts(self.bias).add(j * LANES));
+                    let start = match self.goes_on {
+                        true => so_far.add(i * self.output_step),
+                        false => starts,
+                    };
+                    *sum = L::load(start.add(j * LANES));
                 }
             }
             let mut weights = self.panel;
             let step = self.input_step;
             for tap_row in 0..self.tap_rows {
-                let mut input = self.input.add(x * step + tap_row * self.tap_pitch);
-                for _ in 0..self.run / P::Weight::GROUP {
-                    let mut w = [L::splat(0.0); N];
-                    for (j, w) in w.iter_mut().enumerate() {
-                        *w = P::load(weights.add(j * LANES * P::Weight::GROUP));
-                    }
-                    weights = weights.add(N * LANES * P::Weight::GROUP);
-                    for (i, sum) in sums.iter_mut().enumerate() {
-                        let a = P::splat(input.add(i * step));
-                        for (sum, w) in sum.iter_mut().zip(w) {
-                            *sum = P::add(a, w, *sum);
+                let first = self.input.add(x * step + tap_row * self.tap_pitch);
+                // A pointer to each pixel's inputs: from one pixel to the next, the compiler added the step in the loop below,
+                // and fetched it from memory.
+                let mut inputs = [first; M];
+                for (i, input) in inputs.iter_mut().enumerate() {
+                    *input = first.add(i * step);
+                }
+                let groups = self.run / P::Weight::GROUP;
+                let together = if ahead.is_done() { groups } else { GROUPS };
+                let mut group = 0;
+                while group < groups {
+                    // The row's weights are there, and so are those that it asks for.
+                    ahead.ask();
+                    let end = groups.min(group + together);
+                    while group < end {
+                        let mut w = [L::splat(0.0); N];
+                        for (j, w) in w.iter_mut().enumerate() {
+                            *w = P::load(weights.add(j * LANES * P::Weight::GROUP));
                         }
+                        weights = weights.add(N * LANES * P::Weight::GROUP);
+                        for (sum, input) in sums.iter_mut().zip(inputs) {
+                            let a = P::splat(input.add(group * P::Weight::GROUP));
+                            for (sum, w) in sum.iter_mut().zip(w) {
+                                *sum = P::add(a, w, *sum);
+                            }
+                        }
+                        group += 1;
                     }
-                    input = input.add(P::Weight::GROUP);
                 }
             }
-            if self.is_plain() && self.channels >= N * LANES {
-                let at = x * self.output_step;
+            let is_plain = self.mask.is_null() && !self.relu && self.channels >= N * LANES;
+            let write = |(i, j): (usize, usize), outputs: L| {
+                let at = (x + i) * self.output_step + j * LANES;
+                let outputs = if self.residual.is_null() {
+                    outputs
+                } else {
+                    outputs.add(L::load(self.residual.add(at)))
+                };
+                outputs.store(self.output.add(at));
+            };
+            if is_plain && P::SUMS_ARE_OUTPUTS {
                 for (i, sums) in sums.iter().enumerate() {
                     for (j, sum) in sums.iter().enumerate() {
-                        let at = at + i * self.output_step + j * LANES;
-                        let sum = if self.residual.is_null() {
-                            *sum
-                        } else {
-                            sum.add(L::load(self.residual.add(at)))
-                        };
-                        sum.store(self.output.add(at));
+                        write((i, j), *sum);
                     }
                 }
                 return;
@@ -224,6 +260,15 @@ impl<P: Product> Row<P> {
                     sum.store(values.as_mut_ptr());
                 }
             }
+            if is_plain {
+                for (i, values) in values.iter().enumerate() {
+                    for (j, values) in values.iter().enumerate() {
+                        let sums = L::load(values.as_ptr());
+                        write((i, j), self.scales.outputs(self.bias, (x + i, j), sums));
+                    }
+                }
+                return;
+            }
             for (i, values) in values.iter_mut().enumerate() {
                 for (j, values) in values.iter_mut().enumerate() {
                     self.finish(x + i, j, values);
@@ -232,18 +277,14 @@ impl<P: Product> Row<P> {
         }
     }
 
-    /// Whether the sums are written as they are, but for the residual.
-    #[inline(always)]
-    fn is_plain(&self) -> bool {
-        P::SUMS_ARE_OUTPUTS && self.mask.is_null() && !self.relu
-    }
-
     /// Makes the outputs of vector `vector` of pixel `x` of their sums.
     #[inline(always)]
     unsafe fn finish(&self, x: usize, vector: usize, values: &mut [f32; LANES]) {
         // SAFETY: as for `run`; the pixel exists, and no channel beyond `channels` is touched.
         unsafe {
-            self.scales.outputs(self.bias, (x, vector), values);
+            let outputs = Portable::load(values.as_ptr());
+            let outputs = self.scales.outputs(self.bias, (x, vector), outputs);
+            outputs.store(values.as_mut_ptr());
             let at = x * self.output_step + vector * LANES;
             let count = (self.channels - vector * LANES).min(LANES);
             if !self.residual.is_null() {

@@ -1,17 +1,17 @@
 //! Rows times a matrix in panels, on the calling thread.
-//!
-//! Panels are not asked for ahead: processors (Zen 3, Zen 4) fetch them by themselves, and are 2 to 11 % slower where they are
-//! asked.
 
 use std::cell::RefCell;
 
 use half::bf16;
 
 use super::element::{Element, widen};
-use super::kernel::{Product, Row};
+use super::kernel::{Ahead, Product, Row, second_level};
 use super::panels::Panels;
 use super::product::{Bf16, F32};
 use super::simd::{Bf16Unit, LANES};
+
+/// With fewer rows, a panel is read so few times that it does not matter where it lies.
+const FEW_ROWS: usize = 32;
 
 thread_local! {
     /// Rows that were rounded to bf16.
@@ -142,19 +142,78 @@ unsafe fn by_panel<P: Product<Scales = ()>>(
     input: (*const P::Input, usize),
     target: Target,
 ) {
-    let whole = panels.whole_depth();
-    for place in panels.iter() {
-        let weights = panels.values.as_ptr().wrapping_add(place.1);
-        let row = row::<P>(
-            (input.0, input.1, whole),
-            weights,
-            panels,
-            place,
-            target,
-            (),
-        );
+    let mut pieces = panels.pieces(target.count).peekable();
+    while let Some(piece) = pieces.next() {
+        let ahead = pieces
+            .peek()
+            .map_or(Ahead::NOTHING, |next| Ahead::of(panels.values_of(*next)));
+        let from = input.0.wrapping_add(piece.from);
+        let weights = panels.values_of(piece).as_ptr();
+        let row = Row {
+            goes_on: piece.from > 0,
+            ahead,
+            ..row::<P>(
+                (from, input.1, piece.inputs),
+                weights,
+                panels,
+                piece.place,
+                target,
+                (),
+            )
+        };
         // SAFETY: as for this function; the lengths of the panels hold by construction, and they were cut for the unit.
         unsafe { row.run(unit) };
+    }
+}
+
+/// Some inputs of a panel.
+#[derive(Clone, Copy)]
+struct Piece {
+    /// The panel, as [`Panels::iter`] has it.
+    place: (usize, usize, usize),
+    /// The first input.
+    from: usize,
+    inputs: usize,
+}
+
+impl<T: Element> Panels<T> {
+    /// The pieces in which so many rows are multiplied with the panels, those of the same inputs one after the other: the
+    /// weights of a piece, those of the next, and the inputs of the rows have room in the second level of cache.
+    fn pieces(&self, rows: usize) -> impl Iterator<Item = Piece> {
+        let whole = self.whole_depth();
+        let panel = T::tile_vectors() * LANES * size_of::<T>();
+        // Of a whole panel, unless it is too large. Products of bf16 do not go on from the sums of a piece before.
+        let inputs = match second_level() / 8 / panel {
+            most @ 1.. if T::GROUP == 1 && rows >= FEW_ROWS => {
+                whole.div_ceil(whole.div_ceil(most).max(1))
+            }
+            _ => whole,
+        };
+        let starts = (0..whole.max(1)).step_by(inputs.max(1));
+        starts.flat_map(move |from| {
+            self.iter().filter_map(move |place| {
+                let (vectors, _, first) = place;
+                let (is_first, is_full) = (from == 0, first + vectors * LANES <= self.outputs);
+                let inputs = match is_full {
+                    true => inputs.min(whole - from),
+                    // Sums go on from outputs, and some are missing here.
+                    false => whole,
+                };
+                (is_first || is_full).then_some(Piece {
+                    place,
+                    from,
+                    inputs,
+                })
+            })
+        })
+    }
+
+    fn values_of(&self, piece: Piece) -> &[T] {
+        let (vectors, start, _) = piece.place;
+        let width = vectors * LANES;
+        let values = self.values.get(start + piece.from * width..);
+        let values = values.and_then(|values| values.get(..piece.inputs * width));
+        values.unwrap_or_default()
     }
 }
 
@@ -234,6 +293,8 @@ pub(super) fn row<P: Product>(
         output_step: target.step,
         channels: (panels.outputs - first).min(vectors * LANES),
         relu: false,
+        goes_on: false,
+        ahead: Ahead::NOTHING,
     }
 }
 
@@ -325,5 +386,25 @@ mod tests {
                 });
             }
         }
+    }
+    /// Many rows are multiplied with pieces of deep panels, few with whole ones.
+    #[test]
+    fn pieces_change_no_bit() {
+        // The last panel has padding, and the last piece is shorter.
+        let (rows, inputs, outputs) = (2 * FEW_ROWS - 2, 3001, 130);
+        let (x, w) = (numbers(rows * inputs, 1), numbers(outputs * inputs, 2));
+        let bias = numbers(outputs, 3);
+        let panels = Panels::pack_transposed(inputs, outputs, Some(&bias), &w);
+        let mut together = vec![0.0; rows * outputs];
+        f32::product(&panels, &x, &mut together);
+        let mut apart = vec![0.0; rows * outputs];
+        let half = FEW_ROWS - 1;
+        for (x, y) in x
+            .chunks(half * inputs)
+            .zip(apart.chunks_mut(half * outputs))
+        {
+            f32::product(&panels, x, y);
+        }
+        assert_eq!(together, apart);
     }
 }

@@ -156,22 +156,19 @@ impl Scales for WholeScales {
 
     /// In one order and without fused operations, so that every processor gives the same bits.
     #[inline(always)]
-    unsafe fn outputs(
+    unsafe fn outputs<L: Lanes>(
         &self,
         bias: *const f32,
         (pixel, vector): (usize, usize),
-        sums: &mut [f32; LANES],
-    ) {
+        sums: L,
+    ) -> L {
         // SAFETY: as for this function.
         let (input, weights, bias) = unsafe {
             let at = vector * LANES;
-            let values = |of: *const f32| of.add(at).cast::<[f32; LANES]>().read_unaligned();
-            (*self.inputs.add(pixel), values(self.weights), values(bias))
+            let input = L::splat(*self.inputs.add(pixel));
+            (input, L::load(self.weights.add(at)), L::load(bias.add(at)))
         };
-        for ((value, weight), bias) in sums.iter_mut().zip(weights).zip(bias) {
-            let sum = value.to_bits().cast_signed() as f32;
-            *value = sum * (input * weight) + bias;
-        }
+        sums.from_whole().mul(input.mul(weights)).add(bias)
     }
 }
 

@@ -41,6 +41,10 @@ pub(crate) trait Lanes: Copy {
     fn add(self, b: Self) -> Self;
     /// `self - b`.
     fn sub(self, b: Self) -> Self;
+    /// `self * b`.
+    fn mul(self, b: Self) -> Self;
+    /// The whole numbers (i32) whose bits are in the lanes, rounded to f32.
+    fn from_whole(self) -> Self;
 }
 
 /// Lanes with an instruction for products of bf16, two of which are in each lane.
@@ -140,11 +144,10 @@ const MOST_VECTORS: usize = 4;
 pub(crate) static NO_BIAS: [f32; MOST_VECTORS * LANES] = [0.0; MOST_VECTORS * LANES];
 
 /// Bytes that a cache fetches together. Some processors have lines of 128 and are asked twice.
-#[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
-const CACHE_LINE: usize = 64;
+pub(crate) const CACHE_LINE: usize = 64;
 
 /// Asks for `values` to be brought into the second-level cache.
-#[inline]
+#[inline(always)]
 pub(crate) fn prefetch<T>(values: &[T]) {
     #[cfg(target_arch = "x86_64")]
     for line in values.chunks(CACHE_LINE / size_of::<T>().max(1)) {

@@ -1,7 +1,8 @@
 //! Lanes in the registers of 64-bit Arm.
 
 use std::arch::aarch64::{
-    float32x4_t, vaddq_f32, vdupq_n_f32, vfmaq_f32, vgetq_lane_f32, vld1q_f32, vst1q_f32, vsubq_f32,
+    float32x4_t, vaddq_f32, vcvtq_f32_s32, vdupq_n_f32, vfmaq_f32, vgetq_lane_f32, vld1q_f32,
+    vmulq_f32, vreinterpretq_s32_f32, vst1q_f32, vsubq_f32,
 };
 use std::arch::asm;
 
@@ -61,6 +62,20 @@ impl Lanes for Neon {
         // SAFETY: as above.
         let register = |i: usize| unsafe { vsubq_f32(self.0[i], b.0[i]) };
         Self(std::array::from_fn(register))
+    }
+
+    #[inline(always)]
+    fn mul(self, b: Self) -> Self {
+        // SAFETY: as above.
+        let register = |i: usize| unsafe { vmulq_f32(self.0[i], b.0[i]) };
+        Self(std::array::from_fn(register))
+    }
+
+    #[inline(always)]
+    fn from_whole(self) -> Self {
+        // SAFETY: as above.
+        let register = |bits| unsafe { vcvtq_f32_s32(vreinterpretq_s32_f32(bits)) };
+        Self(self.0.map(register))
     }
 }
 

@@ -48,6 +48,16 @@ impl Lanes for Portable {
     fn sub(self, b: Self) -> Self {
         Self(std::array::from_fn(|lane| self.0[lane] - b.0[lane]))
     }
+
+    #[inline(always)]
+    fn mul(self, b: Self) -> Self {
+        Self(std::array::from_fn(|lane| self.0[lane] * b.0[lane]))
+    }
+
+    #[inline(always)]
+    fn from_whole(self) -> Self {
+        Self(self.0.map(|bits| bits.to_bits().cast_signed() as f32))
+    }
 }
 
 impl DotInt8 for Portable {
