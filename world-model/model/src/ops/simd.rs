@@ -44,7 +44,7 @@ pub(crate) trait Lanes: Copy {
     /// `self * b`.
     fn mul(self, b: Self) -> Self;
     /// The whole numbers (i32) whose bits are in the lanes, rounded to f32.
-    fn from_whole(self) -> Self;
+    fn whole_to_f32(self) -> Self;
 }
 
 /// Lanes with an instruction for products of bf16, two of which are in each lane.
