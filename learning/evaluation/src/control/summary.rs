@@ -255,7 +255,7 @@ fn of_responses(section: &mut Section, windows: &[(&String, &Response)], setting
         series: Vec::new(),
     };
     for (end, about, of) in &lines {
-        let ratio = |chosen: &[usize], k: usize| {
+        let sums = |chosen: &[usize], k: usize| {
             let (mut error, mut persistence) = (0.0, 0.0);
             for index in chosen {
                 let Some((_, found)) = windows.get(*index) else {
@@ -267,6 +267,10 @@ fn of_responses(section: &mut Section, windows: &[(&String, &Response)], setting
                     persistence += held;
                 }
             }
+            (error, persistence)
+        };
+        let ratio = |chosen: &[usize], k: usize| {
+            let (error, persistence) = sums(chosen, k);
             error / persistence
         };
         let all: Vec<usize> = (0..windows.len()).collect();
@@ -291,11 +295,14 @@ fn of_responses(section: &mut Section, windows: &[(&String, &Response)], setting
                     ratio(&of_all.collect::<Vec<_>>(), k - 1)
                 });
                 if let Some(mut metric) = metric {
+                    // Over the mean persistence: so the figure is their mean, and what is tested. A window's own ratio is huge
+                    // where nothing moves.
+                    let persistence = sums(indices, k - 1).1 / indices.len() as f64;
                     let each = indices.iter().filter_map(|index| {
                         let (name, _) = windows.get(*index)?;
-                        Some(((*name).clone(), ratio(&[*index], k - 1)))
+                        Some(((*name).clone(), sums(&[*index], k - 1).0 / persistence))
                     });
-                    metric.samples = each.filter(|(_, ratio)| ratio.is_finite()).collect();
+                    metric.samples = each.collect();
                     section.metric(&name, metric);
                 }
             };
@@ -380,5 +387,9 @@ mod tests {
         assert_eq!(ratio("ratio_k1"), Some(5.3 / 10.3));
         // The three windows that change most.
         assert_eq!(ratio("ratio_k1_moving"), Some(5.2 / 10.2));
+        // What is compared between models is what the figure is the mean of.
+        let samples = &section.metrics["control.ratio_k1"].samples;
+        let mean = samples.values().sum::<f64>() / samples.len() as f64;
+        assert!((mean - 5.3 / 10.3).abs() < 1e-12, "{samples:?}");
     }
 }
