@@ -295,8 +295,8 @@ fn of_responses(section: &mut Section, windows: &[(&String, &Response)], setting
                     ratio(&of_all.collect::<Vec<_>>(), k - 1)
                 });
                 if let Some(mut metric) = metric {
-                    // Over the mean persistence: so the figure is their mean, and what is tested. A window's own ratio is huge
-                    // where nothing moves.
+                    // Relative to the mean persistence, so that their mean is the figure and tests are about the figure. A
+                    // window's own ratio is huge if nothing moves.
                     let persistence = sums(indices, k - 1).1 / indices.len() as f64;
                     let each = indices.iter().filter_map(|index| {
                         let (name, _) = windows.get(*index)?;
@@ -387,7 +387,7 @@ mod tests {
         assert_eq!(ratio("ratio_k1"), Some(5.3 / 10.3));
         // The three windows that change most.
         assert_eq!(ratio("ratio_k1_moving"), Some(5.2 / 10.2));
-        // What is compared between models is what the figure is the mean of.
+        // Models are compared by samples whose mean is the figure.
         let samples = &section.metrics["control.ratio_k1"].samples;
         let mean = samples.values().sum::<f64>() / samples.len() as f64;
         assert!((mean - 5.3 / 10.3).abs() < 1e-12, "{samples:?}");

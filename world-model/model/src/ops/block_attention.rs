@@ -6,7 +6,7 @@
 //! of all. The cut depends on the number of tokens only, so results do not depend on the threads.
 
 use super::element::{Element, Rounded};
-use super::kernel::{Ahead, Product, Row};
+use super::kernel::{Prefetch, Product, Row};
 use super::rotary::{RotaryTable, normalise_and_rotate};
 use super::simd::{InstructionSet, LANES, NO_BIAS};
 use super::softmax::softmax_rows;
@@ -150,8 +150,8 @@ impl TokenBlocks {
             output_step: pitch,
             channels: self.key_vectors * LANES,
             relu: false,
-            goes_on: false,
-            ahead: Ahead::NOTHING,
+            accumulates: false,
+            prefetch: Prefetch::NOTHING,
         };
         let (key_width, value_width) = (self.key_vectors * LANES, self.value_vectors * LANES);
         for head in 0..self.heads {

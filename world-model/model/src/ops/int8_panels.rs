@@ -12,7 +12,7 @@ use std::cell::RefCell;
 use rayon::prelude::*;
 
 use super::element::{Element, INT8_MOST};
-use super::kernel::{Ahead, Product, Row};
+use super::kernel::{Prefetch, Product, Row};
 use super::panel_product::{Rows, Target, check, row};
 use super::panel_values::MappedBytes;
 use super::panels::Panels;
@@ -240,9 +240,9 @@ impl Int8Panels {
             };
             let input = (rounded.as_ptr(), whole, whole);
             let row = Row {
-                ahead: places
+                prefetch: places
                     .peek()
-                    .map_or(Ahead::NOTHING, |next| Ahead::of(values(*next))),
+                    .map_or(Prefetch::NOTHING, |next| Prefetch::of(values(*next))),
                 ..row::<P>(input, weights, panels, place, target, scales)
             };
             // SAFETY: the lengths were checked by the caller, and those of the panels, scales and starts hold by

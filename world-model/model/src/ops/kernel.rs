@@ -7,16 +7,16 @@
 use super::element::Element;
 use super::simd::{LANES, Lanes, Portable};
 
-mod ahead;
 #[cfg(target_arch = "x86_64")]
 mod amx;
 mod outer;
+mod prefetch;
 
-pub(crate) use ahead::{Ahead, second_level};
 pub(crate) use outer::Outer;
+pub(crate) use prefetch::{Prefetch, l2_cache_size};
 
-/// Groups of inputs after which a part of what is ahead is asked for.
-const GROUPS: usize = 8;
+/// Groups of inputs that are multiplied between two prefetches.
+const GROUPS_PER_PREFETCH: usize = 8;
 
 /// The number formats of a product.
 ///
@@ -105,8 +105,8 @@ pub(crate) struct Row<P: Product> {
     pub vectors: usize,
     /// Bias, `vectors * LANES` values.
     pub bias: *const f32,
-    /// Whether the sums start at the outputs, not at the bias: those of earlier inputs. All channels of the panel exist.
-    pub goes_on: bool,
+    /// Whether the sums start at the outputs instead of the bias, to add further inputs. Such a panel has no padding.
+    pub accumulates: bool,
     /// What else makes outputs of sums.
     pub scales: P::Scales,
     /// Pixels.
@@ -123,8 +123,8 @@ pub(crate) struct Row<P: Product> {
     pub channels: usize,
     /// Whether negative outputs become zero.
     pub relu: bool,
-    /// What is read after this row.
-    pub ahead: Ahead,
+    /// The weights of the next row.
+    pub prefetch: Prefetch,
 }
 
 impl<P: Product> Row<P> {
@@ -161,30 +161,33 @@ impl<P: Product> Row<P> {
         P: Step<L>,
     {
         debug_assert_eq!(self.vectors, N);
-        let steps = (self.run / P::Weight::GROUP).div_ceil(GROUPS) * self.tap_rows;
-        let mut ahead = self.ahead.in_parts(self.pixels.div_ceil(M) * steps);
+        let steps = (self.run / P::Weight::GROUP).div_ceil(GROUPS_PER_PREFETCH) * self.tap_rows;
+        let mut prefetch = self.prefetch.in_parts(self.pixels.div_ceil(M) * steps);
         // SAFETY: as for `run`; every tile lies within the row.
         unsafe {
             // No tile overlaps another, so that the residual may be the output itself.
             let mut x = 0;
             for _ in 0..whole_tiles(self.pixels, M) {
-                self.tile::<L, M, N>(x, &mut ahead);
+                self.tile::<L, M, N>(x, &mut prefetch);
                 x += M;
             }
             while x + 4 <= self.pixels {
-                self.tile::<L, 4, N>(x, &mut ahead);
+                self.tile::<L, 4, N>(x, &mut prefetch);
                 x += 4;
             }
             while x < self.pixels {
-                self.tile::<L, 1, N>(x, &mut ahead);
+                self.tile::<L, 1, N>(x, &mut prefetch);
                 x += 1;
             }
         }
     }
 
     #[inline(always)]
-    unsafe fn tile<L: Lanes, const M: usize, const N: usize>(&self, x: usize, ahead: &mut Ahead)
-    where
+    unsafe fn tile<L: Lanes, const M: usize, const N: usize>(
+        &self,
+        x: usize,
+        prefetch: &mut Prefetch,
+    ) where
         P: Step<L>,
     {
         // SAFETY: as for `run`; `x + M` pixels exist.
@@ -194,7 +197,7 @@ impl<P: Product> Row<P> {
             let so_far = self.output.add(x * self.output_step).cast_const();
             for (i, sum) in sums.iter_mut().enumerate() {
                 for (j, sum) in sum.iter_mut().enumerate() {
-                    let start = match self.goes_on {
+                    let start = match self.accumulates {
                         true => so_far.add(i * self.output_step),
                         false => starts,
                     };
@@ -205,18 +208,22 @@ impl<P: Product> Row<P> {
             let step = self.input_step;
             for tap_row in 0..self.tap_rows {
                 let first = self.input.add(x * step + tap_row * self.tap_pitch);
-                // A pointer to each pixel's inputs: from one pixel to the next, the compiler added the step in the loop below,
-                // and fetched it from memory.
+                // A pointer to each pixel's inputs: otherwise the compiler adds the step between pixels in the loop below, and
+                // loads it from memory each time.
                 let mut inputs = [first; M];
                 for (i, input) in inputs.iter_mut().enumerate() {
                     *input = first.add(i * step);
                 }
                 let groups = self.run / P::Weight::GROUP;
-                let together = if ahead.is_done() { groups } else { GROUPS };
+                let together = if prefetch.is_done() {
+                    groups
+                } else {
+                    GROUPS_PER_PREFETCH
+                };
                 let mut group = 0;
                 while group < groups {
-                    // The row's weights are there, and so are those that it asks for.
-                    ahead.ask();
+                    // The caller vouches for the weights of the next row as for those of this one.
+                    prefetch.next_part();
                     let end = groups.min(group + together);
                     while group < end {
                         let mut w = [L::splat(0.0); N];

@@ -5,12 +5,12 @@ use std::cell::RefCell;
 use half::bf16;
 
 use super::element::{Element, widen};
-use super::kernel::{Ahead, Product, Row, second_level};
+use super::kernel::{Prefetch, Product, Row, l2_cache_size};
 use super::panels::Panels;
 use super::product::{Bf16, F32};
 use super::simd::{Bf16Unit, LANES};
 
-/// With fewer rows, a panel is read so few times that it does not matter where it lies.
+/// With fewer rows, a panel is read too few times for a cache to matter.
 const FEW_ROWS: usize = 32;
 
 thread_local! {
@@ -144,14 +144,14 @@ unsafe fn by_panel<P: Product<Scales = ()>>(
 ) {
     let mut pieces = panels.pieces(target.count).peekable();
     while let Some(piece) = pieces.next() {
-        let ahead = pieces
-            .peek()
-            .map_or(Ahead::NOTHING, |next| Ahead::of(panels.values_of(*next)));
+        let prefetch = pieces.peek().map_or(Prefetch::NOTHING, |next| {
+            Prefetch::of(panels.values_of(*next))
+        });
         let from = input.0.wrapping_add(piece.from);
         let weights = panels.values_of(piece).as_ptr();
         let row = Row {
-            goes_on: piece.from > 0,
-            ahead,
+            accumulates: piece.from > 0,
+            prefetch,
             ..row::<P>(
                 (from, input.1, piece.inputs),
                 weights,
@@ -177,13 +177,13 @@ struct Piece {
 }
 
 impl<T: Element> Panels<T> {
-    /// The pieces in which so many rows are multiplied with the panels, those of the same inputs one after the other: the
-    /// weights of a piece, those of the next, and the inputs of the rows have room in the second level of cache.
+    /// The pieces that `rows` rows are multiplied with, in order. The L2 cache has room for the weights of a piece, those of the
+    /// next, and the inputs of the rows.
     fn pieces(&self, rows: usize) -> impl Iterator<Item = Piece> {
         let whole = self.whole_depth();
         let panel = T::tile_vectors() * LANES * size_of::<T>();
-        // Of a whole panel, unless it is too large. Products of bf16 do not go on from the sums of a piece before.
-        let inputs = match second_level() / 8 / panel {
+        // Whole panels, unless they are too large. AMX cannot accumulate onto outputs, so bf16 and int8 take whole panels.
+        let inputs = match l2_cache_size() / 8 / panel {
             most @ 1.. if T::GROUP == 1 && rows >= FEW_ROWS => {
                 whole.div_ceil(whole.div_ceil(most).max(1))
             }
@@ -196,7 +196,7 @@ impl<T: Element> Panels<T> {
                 let (is_first, is_full) = (from == 0, first + vectors * LANES <= self.outputs);
                 let inputs = match is_full {
                     true => inputs.min(whole - from),
-                    // Sums go on from outputs, and some are missing here.
+                    // Padding has no outputs to accumulate onto.
                     false => whole,
                 };
                 (is_first || is_full).then_some(Piece {
@@ -293,8 +293,8 @@ pub(super) fn row<P: Product>(
         output_step: target.step,
         channels: (panels.outputs - first).min(vectors * LANES),
         relu: false,
-        goes_on: false,
-        ahead: Ahead::NOTHING,
+        accumulates: false,
+        prefetch: Prefetch::NOTHING,
     }
 }
 
@@ -387,7 +387,7 @@ mod tests {
             }
         }
     }
-    /// Many rows are multiplied with pieces of deep panels, few with whole ones.
+    /// Many rows take pieces of deep panels, few rows whole panels.
     #[test]
     fn pieces_change_no_bit() {
         // The last panel has padding, and the last piece is shorter.

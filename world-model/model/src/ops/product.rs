@@ -168,7 +168,7 @@ impl Scales for WholeScales {
             let input = L::splat(*self.inputs.add(pixel));
             (input, L::load(self.weights.add(at)), L::load(bias.add(at)))
         };
-        sums.whole_to_f32().mul(input.mul(weights)).add(bias)
+        sums.i32_to_f32().mul(input.mul(weights)).add(bias)
     }
 }
 

@@ -43,8 +43,8 @@ pub(crate) trait Lanes: Copy {
     fn sub(self, b: Self) -> Self;
     /// `self * b`.
     fn mul(self, b: Self) -> Self;
-    /// The whole numbers (i32) whose bits are in the lanes, rounded to f32.
-    fn whole_to_f32(self) -> Self;
+    /// The bits of the lanes as i32, converted to f32.
+    fn i32_to_f32(self) -> Self;
 }
 
 /// Lanes with an instruction for products of bf16, two of which are in each lane.

@@ -58,12 +58,6 @@ pub(crate) fn changed(x: &Tensor, change: impl FnOnce(&mut [f32])) -> Result<Ten
     Ok(Tensor::from_vec(values, x.shape(), x.device())?)
 }
 
-/// Zeros, by all threads: one alone would keep the others waiting for 3 % of ViT-L.
-pub(crate) fn zeros(count: usize) -> Vec<f32> {
-    let zeros = rayon::iter::repeat_n(0.0, count);
-    zeros.with_min_len(COPIED).collect()
-}
-
 /// Whether all values are one in memory: a skeleton's.
 pub(crate) fn is_repeated(x: &Tensor) -> bool {
     x.elem_count() > 1 && x.stride().iter().all(|stride| *stride == 0)

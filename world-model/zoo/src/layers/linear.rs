@@ -169,7 +169,7 @@ impl Linear {
             .into());
         }
         let y = host::with_values(x, |x| {
-            let mut y = host::zeros(x.len() / inputs.max(1) * self.outputs);
+            let mut y = vec![0.0; x.len() / inputs.max(1) * self.outputs];
             packed.forward_on_pool_then(x, &mut y, then);
             y
         })?;

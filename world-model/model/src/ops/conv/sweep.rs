@@ -9,7 +9,7 @@ use super::target::Target;
 use super::tile::{Rectangle, Tile};
 use crate::ops::element::Element;
 use crate::ops::group_norm::Normalisation;
-use crate::ops::kernel::{Ahead, Product, Row};
+use crate::ops::kernel::{Prefetch, Product, Row};
 use crate::ops::panels::Panels;
 use crate::ops::simd::{LANES, NO_BIAS};
 
@@ -182,8 +182,8 @@ where
                         output_step: out.pixel_step,
                         channels: (self.panels.outputs - channel).min(vectors * LANES),
                         relu: self.relu && is_last,
-                        goes_on: false,
-                        ahead: Ahead::NOTHING,
+                        accumulates: false,
+                        prefetch: Prefetch::NOTHING,
                     };
                     // SAFETY: the band has a row of taps for each output row and `columns` pixels in each; the
                     // panels have `depth` rows, of which the parts are disjoint; `run_at` checked the output's

@@ -104,8 +104,8 @@ fn check_row<P: Product<Input = T, Weight = T, Scales = ()>, T: Element + Into<f
         output_step: channels,
         channels,
         relu: true,
-        goes_on: false,
-        ahead: super::Ahead::NOTHING,
+        accumulates: false,
+        prefetch: super::Prefetch::NOTHING,
     };
     // SAFETY: all slices have the lengths that the fields promise, and the caller found `unit`.
     unsafe { row.run(unit) };

@@ -72,7 +72,7 @@ impl Lanes for Neon {
     }
 
     #[inline(always)]
-    fn whole_to_f32(self) -> Self {
+    fn i32_to_f32(self) -> Self {
         // SAFETY: as above.
         let register = |bits| unsafe { vcvtq_f32_s32(vreinterpretq_s32_f32(bits)) };
         Self(self.0.map(register))

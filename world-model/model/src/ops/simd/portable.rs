@@ -55,7 +55,7 @@ impl Lanes for Portable {
     }
 
     #[inline(always)]
-    fn whole_to_f32(self) -> Self {
+    fn i32_to_f32(self) -> Self {
         Self(self.0.map(|bits| bits.to_bits().cast_signed() as f32))
     }
 }

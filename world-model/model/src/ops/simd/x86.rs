@@ -65,7 +65,7 @@ impl Lanes for Avx512 {
     }
 
     #[inline(always)]
-    fn whole_to_f32(self) -> Self {
+    fn i32_to_f32(self) -> Self {
         // SAFETY: as above.
         Self(unsafe { _mm512_cvtepi32_ps(_mm512_castps_si512(self.0)) })
     }
@@ -157,7 +157,7 @@ impl Lanes for Avx2 {
     }
 
     #[inline(always)]
-    fn whole_to_f32(self) -> Self {
+    fn i32_to_f32(self) -> Self {
         // SAFETY: as above.
         let of = |bits| unsafe { _mm256_cvtepi32_ps(_mm256_castps_si256(bits)) };
         Self(of(self.0), of(self.1))

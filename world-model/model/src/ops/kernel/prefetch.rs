@@ -1,65 +1,67 @@
-//! Weights that are asked for before they are read.
+//! Prefetching of weights.
 //!
-//! The first tile of a row waits for a panel from memory; all others find it in the second level of cache. So the tiles of one
-//! panel ask for the next, a few lines at a time: many at once would fill the buffers that the tiles' own reads need
+//! The first tile of a row waits for a panel from memory; all others find it in the L2 cache. So the tiles of one panel prefetch the
+//! next one, a few cache lines at a time: many lines at once would fill the buffers that the tiles' own loads need
 //! (docs/benchmarks.md, "Beside ONNX Runtime and OpenVINO").
 
 use std::sync::OnceLock;
 
 use crate::ops::simd::{CACHE_LINE, prefetch};
 
-/// Bytes to ask for, and how many of them each time.
+/// Bytes to prefetch in parts.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Ahead {
+pub(crate) struct Prefetch {
     bytes: *const u8,
     left: usize,
-    at_once: usize,
+    part: usize,
 }
 
-impl Ahead {
-    /// Asks for nothing.
+impl Prefetch {
+    /// No bytes.
     pub(crate) const NOTHING: Self = Self {
-        bytes: std::ptr::null(),
+        bytes: std::ptr::dangling(),
         left: 0,
-        at_once: 0,
+        part: 0,
     };
 
-    /// Asks for `values`, where the second level of cache has room for them and for as many before them. Intel's processors
-    /// have told its size; of AMD's, Zen 3 and Zen 4 were slower with what was asked for.
+    /// `values`, if the L2 cache has room for them and for as many others; otherwise no bytes. So only on Intel's processors:
+    /// on AMD's, prefetching a whole panel at once was slower (Zen 3, Zen 4), and parts are not measured.
     pub(crate) fn of<T>(values: &[T]) -> Self {
         let length = size_of_val(values);
-        match 2 * length <= second_level() {
+        match 2 * length <= l2_cache_size() {
             true => Self {
                 bytes: values.as_ptr().cast(),
                 left: length,
-                at_once: 0,
+                part: 0,
             },
             false => Self::NOTHING,
         }
     }
 
-    /// To be asked for in as many parts.
+    /// The same bytes in `parts` parts of whole cache lines.
     pub(super) fn in_parts(self, parts: usize) -> Self {
-        let part = self.left.div_ceil(parts.max(1));
         Self {
-            at_once: part.next_multiple_of(CACHE_LINE),
+            part: self
+                .left
+                .div_ceil(parts.max(1))
+                .next_multiple_of(CACHE_LINE),
             ..self
         }
     }
 
-    /// Whether all was asked for.
+    /// Whether no bytes are left.
     #[inline(always)]
     pub(super) fn is_done(&self) -> bool {
         self.left == 0
     }
 
-    /// Asks for a part.
+    /// Prefetches the next part.
     ///
     /// # Safety
-    /// The values that this was made of are still there.
+    /// The values of [`Self::of`] must still be alive.
     #[inline(always)]
-    pub(super) unsafe fn ask(&mut self) {
-        let part = self.at_once.min(self.left);
+    pub(super) unsafe fn next_part(&mut self) {
+        let part = self.part.min(self.left);
         // SAFETY: as for this function; `left` bytes of the values are at `bytes`.
         unsafe {
             prefetch(std::slice::from_raw_parts(self.bytes, part));
@@ -69,8 +71,8 @@ impl Ahead {
     }
 }
 
-/// Size of the second level of cache, of one core \[byte\]; 0 where the processor does not tell it as Intel's do.
-pub(crate) fn second_level() -> usize {
+/// Size of a core's L2 cache \[byte\], by CPUID leaf 4; 0 on processors without this leaf, such as AMD's.
+pub(crate) fn l2_cache_size() -> usize {
     static SIZE: OnceLock<usize> = OnceLock::new();
     *SIZE.get_or_init(|| {
         #[cfg(target_arch = "x86_64")]
@@ -101,26 +103,26 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_byte_is_asked_for_once() {
+    fn every_byte_is_prefetched_once() {
         let values = [0u8; 1000];
-        let ahead = Ahead {
+        let prefetch = Prefetch {
             bytes: values.as_ptr(),
             left: values.len(),
-            at_once: 0,
+            part: 0,
         };
-        let mut ahead = ahead.in_parts(4);
+        let mut prefetch = prefetch.in_parts(4);
         for left in [744, 488, 232, 0, 0] {
-            // SAFETY: the values are there.
-            unsafe { ahead.ask() };
-            assert_eq!(ahead.left, left);
+            // SAFETY: the values are alive.
+            unsafe { prefetch.next_part() };
+            assert_eq!(prefetch.left, left);
         }
-        assert_eq!(ahead.bytes, values.as_ptr_range().end);
+        assert_eq!(prefetch.bytes, values.as_ptr_range().end);
     }
 
     #[test]
-    fn what_does_not_fit_is_not_asked_for() {
-        let half = second_level() / 2;
-        assert_eq!(Ahead::of(&vec![0u8; half]).left, half);
-        assert_eq!(Ahead::of(&vec![0u8; half + 1]).left, 0);
+    fn values_too_large_for_the_cache_are_not_prefetched() {
+        let half = l2_cache_size() / 2;
+        assert_eq!(Prefetch::of(&vec![0u8; half]).left, half);
+        assert_eq!(Prefetch::of(&vec![0u8; half + 1]).left, 0);
     }
 }
