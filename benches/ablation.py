@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 """What a choice changes, beyond what the seed changes: trains a transition model for each variant and seed, and compares the
-variants as families of models.
+variants as families of models. A single variant shows what the seed changes.
 
 usage: benches/ablation.py --data DATA --variant NAME=ENCODER[,key=value...]... [--seeds 0 1 2] [--steps 300] [--set KEY=VALUE]...
                            [--action-space FILE] [--settings FILE] [--jobs N] [--wm PATH] --out OUT
@@ -20,6 +20,7 @@ import json
 import os
 import pathlib
 import resource
+import statistics
 import subprocess
 
 from machine import processor
@@ -46,7 +47,7 @@ def train(arguments, variant, seed):
 
 
 def evaluate(arguments, families):
-    """Writes the report of all models. Returns the findings of the families and of the models."""
+    """Writes the report of all models. Returns the findings of the models, and the differences from the first family."""
     models = [str(model) for models in families.values() for model in models]
     out = arguments.out / "eval"
     command = [arguments.wm, "eval", "all", "--model", models[0], "--compare", *models[1:], "--data", str(arguments.data)]
@@ -54,11 +55,15 @@ def evaluate(arguments, families):
     command += ["--skip", "latents", "policy", "robustness", "cost"]
     command += ["--settings", arguments.settings] if arguments.settings else []
     command += ["--action-space", arguments.action_space] if arguments.action_space else []
-    command += ["--families"] + [f"{name}=" + ",".join(str(model) for model in models) for name, models in families.items()]
-    if not (out / "families.json").exists():
+    several = len(families) > 1
+    if several:
+        command += ["--families"] + [f"{name}=" + ",".join(str(model) for model in models) for name, models in families.items()]
+    if not (out / ("families.json" if several else "figures.json")).exists():
         with open(arguments.out / "eval.log", "w", encoding="utf-8") as log:
             subprocess.run(command, stdout=log, stderr=subprocess.STDOUT, check=True)
-    return [json.loads((out / name).read_text()) for name in ("families.json", "figures.json")]
+    of_models = json.loads((out / "figures.json").read_text())["models"]
+    comparisons = json.loads((out / "families.json").read_text())["comparisons"] if several else []
+    return of_models, comparisons
 
 
 def hours():
@@ -95,23 +100,23 @@ def main():
     trained = hours()
     print(f"training: {trained:.2f} hours of processor time", flush=True)
     families = {variant.split("=", 1)[0]: [models[variant, seed] for seed in arguments.seeds] for variant in arguments.variant}
-    of_families, of_models = evaluate(arguments, families)
+    of_models, comparisons = evaluate(arguments, families)
     print(f"evaluation: {hours() - trained:.2f} hours of processor time\n")
 
     print("| figure: mean (least to most over the seeds); difference from the first | " + " | ".join(families) + " |")
     print("|---|" + "---|" * len(families))
-    members = iter(of_models["models"])
+    members = iter(of_models)
     members = [[next(members)["metrics"] for _ in models] for models in families.values()]
-    differences = [None, *(found["metrics"] for found in of_families["comparisons"])]
+    differences = [{}, *(found["metrics"] for found in comparisons)]
     for figure in FIGURES:
         row = []
-        for found, seeds, difference in zip(of_families["models"], members, differences):
-            if figure not in found["metrics"]:
+        for seeds, difference in zip(members, differences):
+            if not all(figure in seed for seed in seeds):
                 row.append("–")
                 continue
             values = [seed[figure]["value"] for seed in seeds]
-            text = f"{found['metrics'][figure]['value']:.3f} ({min(values):.3f} to {max(values):.3f})"
-            if difference and difference.get(figure, {}).get("interval"):
+            text = f"{statistics.mean(values):.3f} ({min(values):.3f} to {max(values):.3f})"
+            if difference.get(figure, {}).get("interval"):
                 least, most = difference[figure]["interval"]
                 text += f"; {difference[figure]['difference']:+.3f} \\[{least:+.3f}, {most:+.3f}\\]"
             row.append(text)

@@ -218,24 +218,46 @@ fn convergence(of: &[(&String, &RecoveredActions)], start: Start, name: &str) ->
 /// Steps with a ratio figure; the curve has all.
 const FIGURE_STEPS: [usize; 3] = [1, 4, 8];
 
-fn of_responses(section: &mut Section, windows: &[(&String, &Response)], settings: &Settings) {
-    let steps = windows.iter().map(|(_, found)| found.told.len()).max();
-    // Without windows there are no figures.
-    let steps = steps.unwrap_or(0);
-    type Of<'a> = Box<dyn Fn(&Response) -> Option<&Vec<f64>> + Sync + 'a>;
-    let mut lines: Vec<(String, String, Of<'_>)> = vec![(
-        String::new(),
-        "the true actions".into(),
-        Box::new(|found| Some(&found.told)),
-    )];
+/// Errors relative to those of persistence.
+struct Errors {
+    /// End of the figures' names.
+    end: String,
+    /// What the predictions are of.
+    about: String,
+    better: Better,
+    /// By step: those of the predictions, and of persistence.
+    of: Box<dyn Fn(&Response) -> Option<(&Vec<f64>, &Vec<f64>)> + Sync>,
+}
+
+/// Under the true actions: of all cameras, and of each of several. Under wrong ones: of all cameras.
+fn kinds_of_errors(section: &mut Section, windows: &[(&String, &Response)]) -> Vec<Errors> {
+    let mut kinds = vec![Errors {
+        end: String::new(),
+        about: "the true actions".into(),
+        better: Better::Lower,
+        of: Box::new(|found| Some((&found.told, &found.persistence))),
+    }];
+    let cameras = windows.iter().map(|(_, found)| found.cameras.len()).max();
+    for camera in 0..cameras.unwrap_or(0) {
+        kinds.push(Errors {
+            end: format!("_camera{}", camera + 1),
+            about: format!("the true actions, camera {}", camera + 1),
+            better: Better::Lower,
+            of: Box::new(move |found| {
+                let errors = found.cameras.get(camera)?;
+                Some((&errors.told, &errors.persistence))
+            }),
+        });
+    }
     for change in ActionChange::WRONG {
         let has = |found: &Response| found.wrong.iter().any(|(own, _)| *own == change);
         if windows.iter().any(|(_, found)| has(found)) {
-            lines.push((
-                format!("_{}", change.name()),
-                format!("{change} actions"),
-                Box::new(move |found| of_change(found, change)),
-            ));
+            kinds.push(Errors {
+                end: format!("_{}", change.name()),
+                about: format!("{change} actions"),
+                better: Better::Higher,
+                of: Box::new(move |found| Some((of_change(found, change)?, &found.persistence))),
+            });
         } else {
             section.absent(
                 &format!("ratio_k1_{}", change.name()),
@@ -248,21 +270,32 @@ fn of_responses(section: &mut Section, windows: &[(&String, &Response)], setting
             );
         }
     }
+    kinds
+}
+
+fn of_responses(section: &mut Section, windows: &[(&String, &Response)], settings: &Settings) {
+    let steps = windows.iter().map(|(_, found)| found.told.len()).max();
+    // Without windows there are no figures.
+    let steps = steps.unwrap_or(0);
+    let kinds = kinds_of_errors(section, windows);
     let mut curve = Curve {
         title: "Latent error / persistence by step".into(),
         x: "predicted step k".into(),
         y: "squared latent error / persistence".into(),
         series: Vec::new(),
     };
-    for (end, about, of) in &lines {
+    for kind in &kinds {
+        let (end, about) = (&kind.end, &kind.about);
         let sums = |chosen: &[usize], k: usize| {
             let (mut error, mut persistence) = (0.0, 0.0);
             for index in chosen {
                 let Some((_, found)) = windows.get(*index) else {
                     continue;
                 };
-                let own = of(found).and_then(|errors| errors.get(k));
-                if let (Some(own), Some(held)) = (own, found.persistence.get(k)) {
+                let Some((own, held)) = (kind.of)(found) else {
+                    continue;
+                };
+                if let (Some(own), Some(held)) = (own.get(k), held.get(k)) {
                     error += own;
                     persistence += held;
                 }
@@ -280,20 +313,16 @@ fn of_responses(section: &mut Section, windows: &[(&String, &Response)], setting
             points: points.filter(|[_, y]| y.is_finite()).collect(),
             band: Vec::new(),
         });
-        let better = if end.is_empty() {
-            Better::Lower
-        } else {
-            Better::Higher
-        };
         for k in FIGURE_STEPS.into_iter().filter(|k| *k <= steps) {
             let sentence = format!(
                 "squared latent error over that of persistence at k = {k}, predictions under {about}"
             );
             let mut add = |name: String, sentence: &str, indices: &[usize]| {
-                let metric = figure_of_units(indices.len(), settings, better, sentence, |chosen| {
-                    let of_all = chosen.iter().filter_map(|i| indices.get(*i).copied());
-                    ratio(&of_all.collect::<Vec<_>>(), k - 1)
-                });
+                let metric =
+                    figure_of_units(indices.len(), settings, kind.better, sentence, |chosen| {
+                        let of_all = chosen.iter().filter_map(|i| indices.get(*i).copied());
+                        ratio(&of_all.collect::<Vec<_>>(), k - 1)
+                    });
                 if let Some(mut metric) = metric {
                     // Relative to the mean persistence, so that their mean is the figure and tests are about the figure. A
                     // window's own ratio is huge if nothing moves.
@@ -366,6 +395,7 @@ mod tests {
             wrong: Vec::new(),
             motion: vec![change],
             predicted_motion: vec![change],
+            cameras: Vec::new(),
         }
     }
 

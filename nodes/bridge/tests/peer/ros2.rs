@@ -42,6 +42,12 @@ impl Drop for Python {
     }
 }
 
+async fn collect(peers: &Path, domain: u16, args: &[&str]) -> String {
+    let collector = Python::start(peers, domain, "tests/interop/collect.py", args);
+    let collected = tokio::task::spawn_blocking(move || collector.output());
+    soon("the end of collect.py", collected).await.unwrap()
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn real_ros_2_communicates_through_the_real_bridge() {
     let Some(peers) = peers() else { return };
@@ -51,10 +57,15 @@ async fn real_ros_2_communicates_through_the_real_bridge() {
     let map = here.publisher::<Text>("map", latched).unwrap();
     map.publish(&text("from here")).unwrap();
     let wanted = "/wm/map:std_msgs/msg/String:1:latched";
-    let collect = ["--seconds", "50", wanted];
-    let collector = Python::start(&peers, there, "tests/interop/collect.py", &collect);
-    let collected = tokio::task::spawn_blocking(move || collector.output());
-    let collected = soon("the message at rclpy", collected).await.unwrap();
+    // A participant of Fast DDS sometimes never discovers all of Cyclone's on a busy machine. The bridges keep running, so
+    // what they lose stays lost for the second one too.
+    let args = ["--seconds", "25", wanted];
+    let collect = || collect(&peers, there, &args);
+    let mut collected = collect().await;
+    if !collected.contains("\"from here\"") {
+        eprintln!("no message at the first rclpy: {collected}");
+        collected = collect().await;
+    }
     assert!(collected.contains("\"from here\""), "{collected}");
     // not beside the first program: of two that started at once, one was sometimes never discovered
     let say = "nodes/bridge/tests/peer/say.py";
