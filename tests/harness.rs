@@ -1,14 +1,12 @@
 //! Starts and stops real processes of the suite, each test in its own ROS domain on loopback.
 
+pub use crate::fresh_domain::fresh_domain;
 use std::{
     io::{BufRead as _, BufReader},
     os::unix::process::CommandExt as _,
     path::{Path, PathBuf},
     process::{Child, ChildStdout, Command, ExitStatus, Stdio},
-    sync::{
-        Arc, Mutex, MutexGuard, PoisonError,
-        atomic::{AtomicU16, Ordering},
-    },
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
     thread::JoinHandle,
     time::{Duration, Instant},
 };
@@ -25,13 +23,6 @@ pub const WM: &str = env!("CARGO_BIN_EXE_wm");
 /// The bundled bag.
 pub fn bundled_bag() -> PathBuf {
     root().join("bags/tabletop")
-}
-
-/// A ROS domain that no other test of this run uses.
-pub fn fresh_domain() -> u16 {
-    // domains up to 101 keep RTPS ports below the ephemeral range of Linux
-    static NEXT: AtomicU16 = AtomicU16::new(0);
-    20 + (std::process::id() as u16 % 2) * 40 + NEXT.fetch_add(1, Ordering::Relaxed) % 40
 }
 
 /// `wm` with `args`, in ROS domain `domain`, on loopback.

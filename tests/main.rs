@@ -13,6 +13,7 @@ mod doctor;
 mod exit_codes;
 mod faults;
 mod foxglove;
+mod fresh_domain;
 mod gym;
 mod harness;
 mod interop;

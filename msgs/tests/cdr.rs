@@ -1,7 +1,5 @@
 //! Property tests of the CDR codec: round trips of every shape of field, and arbitrary bytes.
 
-#![allow(clippy::unwrap_used, clippy::expect_used)] // for the helpers of tests, which have no #[test]
-
 use proptest::prelude::*;
 use wm_msgs::{
     builtin_interfaces::{Duration, Time},

@@ -1,7 +1,5 @@
 //! Bags of other programs: unreadable channels, and definitions with other fields.
 
-#![allow(clippy::unwrap_used)] // the lint exempts #[test] functions, not their helpers
-
 use std::{collections::BTreeMap, fs, path::PathBuf};
 
 use mcap::{WriteOptions, records::MessageHeader};

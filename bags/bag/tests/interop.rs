@@ -1,8 +1,6 @@
 //! Interoperability with independent readers and writers: rosbags, mcap and mcap-ros2-support from PyPI, in the virtual
 //! environment that `tests/setup_ros2` makes.
 
-#![allow(clippy::unwrap_used, clippy::expect_used)] // the lint exempts #[test] functions, not their helpers
-
 use std::{
     path::{Path, PathBuf},
     process::Command,

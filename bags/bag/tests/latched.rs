@@ -1,7 +1,5 @@
 //! Latched topics: at a time of a bag, in each file of a split, and by their names.
 
-#![allow(clippy::unwrap_used)] // the lint exempts #[test] functions, not their helpers
-
 use tempfile::TempDir;
 use wm_bag::{BagReader, BagWriter, QosProfile, WriterOptions, recover, type_schema};
 use wm_msgs::{cdr, std_msgs::String as Text};

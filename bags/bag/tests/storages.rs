@@ -1,7 +1,5 @@
 //! Storages of rosbag2 other than plain MCAP: compressed files, compressed messages, sqlite3.
 
-#![allow(clippy::unwrap_used)] // the lint exempts #[test] functions, not their helpers
-
 use std::{
     fs,
     path::{Path, PathBuf},

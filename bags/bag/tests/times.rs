@@ -1,7 +1,5 @@
 //! Wrong log times: in chunks, summaries and of the clock itself.
 
-#![allow(clippy::unwrap_used)] // the lint exempts #[test] functions, not their helpers
-
 use std::{
     fs,
     path::{Path, PathBuf},

@@ -10,7 +10,7 @@ use anyhow::Result;
 use serde::{Deserialize, Serialize};
 
 pub use recovered::{RecoveredActions, Start};
-pub use response::{CameraErrors, Response};
+pub use response::Response;
 use searched::Searched;
 pub use searched::SearchedDimensions;
 pub use summary::summarise;

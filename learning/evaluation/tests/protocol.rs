@@ -1,12 +1,7 @@
 //! Judges against a scripted local test server, whose answers say that it is one.
 
-#![allow(clippy::unwrap_used, reason = "a test's helpers may fail the test")]
-
-#[path = "protocol/failures.rs"]
 mod failures;
-#[path = "protocol/server.rs"]
 mod server;
-#[path = "protocol/setup.rs"]
 mod setup;
 
 use std::sync::Arc;

@@ -1,11 +1,6 @@
 //! Real data sets have no audit faults. They are in the folder of the environment variable WM_SHARED_DATA (`bridge_v2/`,
 //! `bridge_rlds/`, `droid/`, `g1_bottle/`), outside the repository.
 
-#![allow(clippy::unwrap_used)] // the lint exempts #[test] functions, not their helpers
-
-#[path = "../../import/tests/shared_data/folder.rs"]
-mod folder;
-
 use std::{
     path::{Path, PathBuf},
     process::Command,
@@ -15,7 +10,7 @@ use tempfile::TempDir;
 use wm_audit::{Level, Topics, audit_bag};
 use wm_bag::BagReader;
 
-use folder::shared;
+use crate::folder::shared;
 
 /// Imports a data set with the program, and audits each bag.
 fn expect_no_fault(format: &str, source: &Path, options: &[&str]) {

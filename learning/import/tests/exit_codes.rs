@@ -1,7 +1,5 @@
 //! Output and exit codes of `wm-datasets`.
 
-#![allow(clippy::unwrap_used)] // the lint exempts #[test] functions, not their helpers
-
 use std::{fs, path::Path, process::Command};
 
 use tempfile::TempDir;

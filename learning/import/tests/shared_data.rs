@@ -2,11 +2,6 @@
 //! WM_SHARED_DATA names (with `bridge_v2/`, `bridge_rlds/`, `droid/`, `cr5_banana/` and `g1_bottle/` in it). They are not
 //! part of the repository.
 
-#![allow(clippy::unwrap_used, clippy::expect_used)] // the lint exempts #[test] functions, not their helpers
-
-#[path = "shared_data/folder.rs"]
-mod folder;
-
 use image::{ImageFormat, RgbImage};
 use tempfile::TempDir;
 use wm_bag::{BagMessage, BagReader};
@@ -20,7 +15,7 @@ use wm_msgs::{
     wm_msgs::Action,
 };
 
-use folder::shared;
+use crate::folder::shared;
 
 fn of_topic(reader: &BagReader, topic: &str) -> Vec<BagMessage> {
     reader

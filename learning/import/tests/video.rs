@@ -1,7 +1,5 @@
 //! Video topics of bags in `wm-datasets convert` and `wm-datasets audit`.
 
-#![allow(clippy::unwrap_used)] // the lint exempts #[test] functions, not their helpers
-
 use std::{path::Path, process::Command};
 
 use openh264::{

@@ -1,7 +1,5 @@
 //! The whole program: trains a model from simulated bags, with interruptions.
 
-#![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
-
 use std::{
     io::{BufRead as _, BufReader, Lines},
     path::Path,

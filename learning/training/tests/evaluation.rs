@@ -1,7 +1,5 @@
 //! `wm eval SUITE` with the embedded model on simulated bags.
 
-#![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
-
 use std::{
     fs,
     path::Path,

@@ -1,7 +1,5 @@
 //! Training on pictures of another aspect, and the fit that it records.
 
-#![allow(clippy::unwrap_used)] // the helpers of tests too, not only what is marked #[test]
-
 use std::path::{Path, PathBuf};
 
 use clap::{Args, Parser};

@@ -1,15 +1,10 @@
 //! Real episodes of Bridge V2 and DROID, imported and prepared, from the directory in the environment variable
 //! WM_SHARED_DATA (with `bridge_v2/` and `droid/`); they are not part of the repository.
 
-#![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
-
-#[path = "../../../learning/import/tests/shared_data/folder.rs"]
-mod folder;
-
 use wm_dataset::{Data, DataOptions};
 use wm_import::{ImportOptions, import_bridge, import_droid};
 
-use folder::shared;
+use crate::folder::shared;
 
 #[test]
 fn bridge_episodes_are_prepared() {

@@ -1,8 +1,6 @@
 //! Memory of the preparation of a long recording, which must not grow with its length.
 
 #![cfg(target_os = "linux")]
-#![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
-
 use std::{path::Path, process::Command, time::Duration};
 
 use wm_bag::{BagWriter, WriterOptions};

@@ -2,8 +2,6 @@
 //! `WM_TAEF2_DIR` (taef2_encoder.safetensors, taef2_decoder.safetensors) and `WM_BRIDGE_DIR` (episodes as NNN.mp4 +
 //! NNN.npz), and is skipped with a message if they are not given.
 
-#![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
-
 use std::{env, path::PathBuf};
 
 use wm_dataset::Dataset;

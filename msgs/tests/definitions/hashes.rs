@@ -1,6 +1,6 @@
 //! Compares our type hashes with a committed list, and with the hashes that the real rosidl computed.
 
-use crate::{DEFINITIONS, installation::Installation};
+use super::{DEFINITIONS, installation::Installation};
 use std::collections::BTreeMap;
 use wm_msgs::TypeDescription;
 

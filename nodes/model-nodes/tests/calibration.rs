@@ -2,8 +2,7 @@
 //! predictions. `WM_TEST_BAGS` names folders of further recordings (`wm bag import` writes them), separated by colons. The
 //! bags of a folder are one stream. Its actions count where they have seven values.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::indexing_slicing)] // the helpers of tests too, not only what is marked #[test]
-
+use crate::running::computing;
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use std::{
@@ -236,6 +235,7 @@ fn judge(model: &WorldModel, stream: &Stream) -> Vec<f64> {
 
 #[test]
 fn simulator_is_predicted_no_worse_than_without_calibration() {
+    let _computing = computing();
     let (_, model) = model();
     let ratios = judge(&model, &bundled());
     assert!(!ratios.is_empty());
@@ -246,6 +246,7 @@ fn simulator_is_predicted_no_worse_than_without_calibration() {
 
 #[test]
 fn noise_and_foreign_cameras_are_predicted_as_well_as_by_the_last_frame() {
+    let _computing = computing();
     let (_, model) = model();
     assert!(!judge(&model, &noise()).is_empty());
     let folders = std::env::var_os("WM_TEST_BAGS").unwrap_or_default();
@@ -264,6 +265,7 @@ fn noise_and_foreign_cameras_are_predicted_as_well_as_by_the_last_frame() {
 /// The bundled robot's pictures, but the actions of nobody.
 #[test]
 fn wrong_actions_cannot_make_predictions_worse_than_the_last_frame() {
+    let _computing = computing();
     let (_, model) = model();
     let mut stream = bundled();
     stream.name += " with reversed actions";

@@ -1,19 +1,13 @@
 //! Encoder, predictor and planner before a camera that stops, repeats itself or has a wrong clock, and the node views before
 //! two cameras: over real DDS on loopback, in real time, with small random weights.
 
-#![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
-
-#[path = "running/model.rs"]
-mod model;
-mod running;
-#[path = "camera_faults/several.rs"]
 mod several;
 
 use std::{collections::BTreeMap, time::Duration};
 
+use crate::running::model::write_model;
+use crate::running::{PATIENCE, with_nodes};
 use image::{Rgb, RgbImage};
-use model::write_model;
-use running::{PATIENCE, with_nodes};
 use tokio::time::{Instant, Interval};
 use wm_camera::image_message::{encode_image, encode_jpeg};
 use wm_msgs::{
@@ -31,11 +25,6 @@ const PERIOD: Duration = Duration::from_millis(100);
 const SIDE: u32 = 48;
 /// Frames for which nothing may come that must not come.
 const QUIET: i64 = 15;
-
-fn context() -> Context {
-    // Apart from other runs of this test, and from the other tests.
-    running::context(192 + (std::process::id() % 40) as u16)
-}
 
 /// What the camera does.
 #[derive(Clone, Copy, Default)]
@@ -236,7 +225,7 @@ fn faulty_cameras_are_named_and_not_planned_from() {
         ),
         (&wm_model_nodes::planner::NODE, format!("{model} {planner}")),
     ];
-    with_nodes(context, &nodes, async |here| {
+    with_nodes(&nodes, async |here| {
         let mut world = World::new(here).await;
         let goal = encode_jpeg(&picture(5, 0), Header::default(), 95).unwrap();
         world.goals.publish(&goal).unwrap();

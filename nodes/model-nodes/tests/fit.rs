@@ -1,7 +1,5 @@
 //! A picture of another aspect than the model's has the same latent by every way into the model.
 
-#![allow(clippy::unwrap_used)]
-
 use image::{ImageFormat, Rgb, RgbImage};
 use wm_camera::{camera_frame::CameraFrame, image_message::encode_image};
 use wm_dataset::{

@@ -2,17 +2,10 @@
 //! folders with and without adapter run by the nodes on the bundled bag, over real DDS on loopback. The folders' weights
 //! are random and their networks one layer deep; all the rest is real.
 
-#![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
+use std::{path::Path, time::Duration};
 
-mod running;
-
-use std::{
-    path::Path,
-    sync::{Mutex, PoisonError},
-    time::Duration,
-};
-
-use running::{PATIENCE, context, soon, with_nodes};
+use crate::fresh_domain::fresh_domain;
+use crate::running::{PATIENCE, context, quiet, soon, with_nodes};
 use serde_json::{Value, json};
 use wm_camera::image_message::decode_compressed;
 use wm_model::{LatentSpace, trained_folder::TrainedFolder};
@@ -34,9 +27,6 @@ const HORIZON: u32 = 2;
 /// Ten seconds at 5 Hz.
 const LATENTS: i64 = 50;
 const PERIOD: Duration = Duration::from_millis(200);
-
-/// Six nodes at once are more than two processors can share with another six, and the transport's test has a period.
-static ALONE: Mutex<()> = Mutex::new(());
 
 /// Web-DINO's native latents of 16x16x1024; its pixel decoder takes them through the adapter.
 fn native() -> Value {
@@ -147,55 +137,48 @@ fn nodes(model: &Path) -> [(&'static NodeDefinition<anyhow::Error>, String); 6] 
 }
 
 fn check_nodes(model: &Value, channels: u32) {
-    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let folder = tempfile::tempdir().unwrap();
     let space = write(folder.path(), model);
     assert_eq!(space.shape(), (16, 16, channels as usize));
     let has_decoder = !model["decoder"].is_null();
-    let domain = 40 + (std::process::id() % 30) as u16;
-    with_nodes(
-        || context(domain),
-        &nodes(folder.path()),
-        async |here| {
-            let mut listener = Listener::new(here);
-            let latent = soon("a latent", &mut listener.latents).await;
-            assert_eq!(latent.data.len(), 16 * 16 * channels as usize * 2);
-            decode_latent(&latent, &space).expect("the encoder's latent is of the folder's space");
+    with_nodes(&nodes(folder.path()), async |here| {
+        let mut listener = Listener::new(here);
+        let latent = soon("a latent", &mut listener.latents).await;
+        assert_eq!(latent.data.len(), 16 * 16 * channels as usize * 2);
+        decode_latent(&latent, &space).expect("the encoder's latent is of the folder's space");
 
-            let prediction = soon("a prediction", &mut listener.predictions).await;
-            let of = &prediction.latent;
-            assert_eq!((of.height, of.width, of.channels), (16, 16, channels));
-            assert_eq!(prediction.horizon, HORIZON);
-            let values = decode_latent(of, &space).expect("the prediction is of the same space");
-            assert!(values.iter().any(|value| *value != 0.0));
+        let prediction = soon("a prediction", &mut listener.predictions).await;
+        let of = &prediction.latent;
+        assert_eq!((of.height, of.width, of.channels), (16, 16, channels));
+        assert_eq!(prediction.horizon, HORIZON);
+        let values = decode_latent(of, &space).expect("the prediction is of the same space");
+        assert!(values.iter().any(|value| *value != 0.0));
 
-            if has_decoder {
-                let jpeg = soon("a predicted picture", &mut listener.jpegs).await;
-                let picture = decode_compressed(&jpeg).unwrap();
-                assert_eq!(picture.dimensions(), (128, 128));
-            } else {
-                let idle =
-                    |message: &str| message.contains("idle") && message.contains("no decoder");
-                listener.diagnosed("wm/decoder", idle).await;
-            }
-            let plan = soon("a plan", &mut listener.plans).await;
-            assert!(plan.cost.is_finite());
+        if has_decoder {
+            let jpeg = soon("a predicted picture", &mut listener.jpegs).await;
+            let picture = decode_compressed(&jpeg).unwrap();
+            assert_eq!(picture.dimensions(), (128, 128));
+        } else {
+            let idle = |message: &str| message.contains("idle") && message.contains("no decoder");
+            listener.diagnosed("wm/decoder", idle).await;
+        }
+        let plan = soon("a plan", &mut listener.plans).await;
+        assert!(plan.cost.is_finite());
 
-            // A planner of another model counts every latent that it refuses, and names both spaces.
-            let is_refused = |message: &str| message.contains("wrong_space");
-            listener.diagnosed("wm/stranger", is_refused).await;
-            let tiny = TrainedFolder::Embedded
-                .autoencoder()
-                .unwrap()
-                .space()
-                .clone();
-            let refusal = decode_latent(&latent, &tiny).unwrap_err().to_string();
-            assert!(
-                refusal.contains(&space.name) && refusal.contains(&tiny.name),
-                "{refusal}"
-            );
-        },
-    );
+        // A planner of another model counts every latent that it refuses, and names both spaces.
+        let is_refused = |message: &str| message.contains("wrong_space");
+        listener.diagnosed("wm/stranger", is_refused).await;
+        let tiny = TrainedFolder::Embedded
+            .autoencoder()
+            .unwrap()
+            .space()
+            .clone();
+        let refusal = decode_latent(&latent, &tiny).unwrap_err().to_string();
+        assert!(
+            refusal.contains(&space.name) && refusal.contains(&tiny.name),
+            "{refusal}"
+        );
+    });
 }
 
 #[test]
@@ -233,8 +216,8 @@ fn values(index: i64) -> Vec<f32> {
 
 #[test]
 fn no_latent_is_lost_at_5_hz_in_10_s() {
-    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
-    let domain = 8 + (std::process::id() % 30) as u16;
+    let _quiet = quiet();
+    let domain = fresh_domain();
     let (here, there) = (context(domain), context(domain));
     let args = NodeArgs::parse(Vec::<String>::new()).unwrap();
     let node = |context, name| Node::new(context, name, wm_ros::NAMESPACE, &args).unwrap();

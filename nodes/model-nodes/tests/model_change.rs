@@ -1,16 +1,10 @@
 //! Nodes change to a model of another latent space while they work: predictions and plans go on.
 
-#![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
-
-#[path = "running/model.rs"]
-mod model;
-mod running;
-
 use std::time::Duration;
 
+use crate::running::model::{write_model, write_model_of_seed};
+use crate::running::{PATIENCE, with_nodes};
 use image::{Rgb, RgbImage};
-use model::{write_model, write_model_of_seed};
-use running::{PATIENCE, context, with_nodes};
 use wm_camera::image_message::encode_image;
 use wm_model_nodes::{encoder, planner, predictor};
 use wm_msgs::{
@@ -152,46 +146,40 @@ fn predictions_and_plans_go_on_through_a_change_of_the_latent_space() {
         (&predictor::NODE, format!("{common} -p horizon:=2")),
         (&planner::NODE, planner),
     ];
-    let domain = 120 + (std::process::id() % 40) as u16;
-    with_nodes(
-        || context(domain),
-        &nodes,
-        async |here| {
-            let mut world = World::new(here);
-            world
-                .goals
-                .publish(&encode_image(&picture(500), header(0)))
-                .unwrap();
-            let has_begun =
-                |world: &World| world.rollouts_of(&before) >= ENOUGH && world.epochs.len() >= 2;
-            world.until("the first model", has_begun).await;
-            let epoch = world.epochs.last().copied().unwrap();
-            world
-                .models
-                .publish(&Model {
-                    model: folders[1].path().display().to_string(),
-                    ..Model::default()
-                })
-                .unwrap();
-            let plans_go_on = |world: &World| world.epochs.iter().any(|other| *other > epoch);
-            let has_changed =
-                |world: &World| world.rollouts_of(&after) >= ENOUGH && plans_go_on(world);
-            world.until("the second model", has_changed).await;
+    with_nodes(&nodes, async |here| {
+        let mut world = World::new(here);
+        world
+            .goals
+            .publish(&encode_image(&picture(500), header(0)))
+            .unwrap();
+        let has_begun =
+            |world: &World| world.rollouts_of(&before) >= ENOUGH && world.epochs.len() >= 2;
+        world.until("the first model", has_begun).await;
+        let epoch = world.epochs.last().copied().unwrap();
+        world
+            .models
+            .publish(&Model {
+                model: folders[1].path().display().to_string(),
+                ..Model::default()
+            })
+            .unwrap();
+        let plans_go_on = |world: &World| world.epochs.iter().any(|other| *other > epoch);
+        let has_changed = |world: &World| world.rollouts_of(&after) >= ENOUGH && plans_go_on(world);
+        world.until("the second model", has_changed).await;
 
-            let first = world.rollouts.iter().position(|(_, hash)| *hash == after);
-            let (old, new) = world.rollouts.split_at(first.unwrap());
-            assert!(old.iter().all(|(_, hash)| *hash == before));
-            assert!(new.iter().all(|(_, hash)| *hash == after));
-            let stamps = world.rollouts.iter().map(|(observed_ns, _)| *observed_ns);
-            let stamps: Vec<i64> = stamps.collect();
-            let period_ns = PERIOD.as_nanos() as i64;
-            let gaps: Vec<i64> = stamps
-                .windows(2)
-                .map(|pair| (pair[1] - pair[0]) / period_ns)
-                .collect();
-            // The new model may predict from the newest frame again. A busy computer may drop a frame.
-            assert!(gaps.iter().all(|gap| *gap <= 2), "{gaps:?}");
-            assert_eq!(world.refused, [""; 0]);
-        },
-    );
+        let first = world.rollouts.iter().position(|(_, hash)| *hash == after);
+        let (old, new) = world.rollouts.split_at(first.unwrap());
+        assert!(old.iter().all(|(_, hash)| *hash == before));
+        assert!(new.iter().all(|(_, hash)| *hash == after));
+        let stamps = world.rollouts.iter().map(|(observed_ns, _)| *observed_ns);
+        let stamps: Vec<i64> = stamps.collect();
+        let period_ns = PERIOD.as_nanos() as i64;
+        let gaps: Vec<i64> = stamps
+            .windows(2)
+            .map(|pair| (pair[1] - pair[0]) / period_ns)
+            .collect();
+        // The new model may predict from the newest frame again. A busy computer may drop a frame.
+        assert!(gaps.iter().all(|gap| *gap <= 2), "{gaps:?}");
+        assert_eq!(world.refused, [""; 0]);
+    });
 }

@@ -1,8 +1,7 @@
 //! A predictor that goes by `/clock`: where the clock jumps back, as when a bag begins again, what was observed before is
 //! forgotten.
 
-#![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
-
+use crate::{fresh_domain::fresh_domain, running::quiet};
 use std::time::Duration;
 
 use wm_model::{LatentSpace, trained_folder::EMBEDDED};
@@ -92,8 +91,8 @@ impl World {
 
 #[tokio::test(flavor = "current_thread")]
 async fn a_clock_that_jumps_back_flushes_the_history() {
-    // Apart from the domains of the other tests.
-    let domain = 102 + (std::process::id() % 16) as u16;
+    let _quiet = quiet();
+    let domain = fresh_domain();
     let (predictor_context, predictor) =
         node(domain, "predictor", "--ros-args -p use_sim_time:=true");
     let thread = std::thread::spawn(move || {

@@ -1,16 +1,10 @@
 //! A camera that is faster than rollouts: the predictor predicts from every nth frame, and says so.
 
-#![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
-
-#[path = "running/model.rs"]
-mod model;
-mod running;
-
 use std::{collections::BTreeSet, time::Duration};
 
+use crate::running::model::write_model;
+use crate::running::{PATIENCE, soon, with_nodes};
 use image::{Rgb, RgbImage};
-use model::write_model;
-use running::{PATIENCE, soon, with_nodes};
 use wm_camera::image_message::encode_image;
 use wm_msgs::{
     builtin_interfaces::Time,
@@ -92,7 +86,6 @@ fn predictor_slower_than_the_camera_skips_frames() {
     let folder = tempfile::tempdir().unwrap();
     write_model(folder.path());
     // Apart from other runs of this test, and from the other tests.
-    let context = || running::context(152 + (std::process::id() % 40) as u16);
     let model = format!(
         "-p model:={} -p frame_period:={}",
         folder.path().display(),
@@ -105,7 +98,7 @@ fn predictor_slower_than_the_camera_skips_frames() {
             format!("{model} -p horizon:=64 -p integration_steps:=20"),
         ),
     ];
-    with_nodes(context, &nodes, async |here| {
+    with_nodes(&nodes, async |here| {
         let args = NodeArgs::parse(Vec::<String>::new()).unwrap();
         let node = Node::new(here, "world", wm_ros::NAMESPACE, &args).unwrap();
         let many = Qos::best_effort(1000);

@@ -2,17 +2,11 @@
 //! out of the public topics, and that bad input is counted and survived. No ROS installation, and no sleep: every step
 //! waits for the message that it causes.
 
-#![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
-
-#[path = "running/model.rs"]
-mod model;
-mod running;
-
 use std::time::Duration;
 
+use crate::running::model::write_model;
+use crate::running::{PATIENCE, soon, with_nodes};
 use image::{Rgb, RgbImage};
-use model::write_model;
-use running::{PATIENCE, soon, with_nodes};
 use wm_camera::image_message::{decode_compressed, decode_image, encode_image, encode_jpeg};
 use wm_msgs::{
     builtin_interfaces::{Duration as RosDuration, Time},
@@ -33,11 +27,6 @@ const START: i64 = 1_700_000_000_000_000_000;
 const HORIZON: u32 = 3;
 /// Side of the camera's image \[px\]; the autoencoder's is 32.
 const SIDE: u32 = 48;
-
-fn context() -> Context {
-    // Apart from other runs of this test, and from the tests of the runtime below.
-    running::context(72 + (std::process::id() % 40) as u16)
-}
 
 fn stamp(index: i64) -> Time {
     Time::from_nanos(START + index * PERIOD)
@@ -258,7 +247,7 @@ fn four_nodes_predict_plan_and_survive_bad_input() {
             ),
         ),
     ];
-    with_nodes(context, &nodes, async |here| {
+    with_nodes(&nodes, async |here| {
         let mut world = World::new(here).await;
         goal_before_any_frame(&mut world).await;
         let next = world.warm_up().await;

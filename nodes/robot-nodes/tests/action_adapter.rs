@@ -1,12 +1,8 @@
 //! The adapter over real DDS on loopback, after the simulated arm: it tells of the arm what the arm itself does.
 
-#![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
-
-mod running;
-
 use std::collections::BTreeMap;
 
-use running::{node, refusal, with_nodes};
+use crate::running::{node, refusal, with_nodes};
 use wm_msgs::{
     builtin_interfaces::Time,
     geometry_msgs::{PoseStamped, TwistStamped},
@@ -19,12 +15,9 @@ use wm_ros::{Context, Publisher, Qos, Subscription};
 
 #[tokio::test(flavor = "current_thread")]
 async fn its_actions_are_those_of_the_arm_by_poses_and_by_frames() {
-    for (test, source) in [
-        (0, "-p source:=pose -p gripper:=topic"),
-        (
-            1,
-            "-p source:=tf -p tool_frame:=tool -p gripper:=joint -p gripper_joint:=left_finger -p gripper_open:=0.04",
-        ),
+    for source in [
+        "-p source:=pose -p gripper:=topic",
+        "-p source:=tf -p tool_frame:=tool -p gripper:=joint -p gripper_joint:=left_finger -p gripper_open:=0.04",
     ] {
         let adapter =
             format!("-r action:=adapted -p use_sim_time:=true -p base_frame:=base_link {source}");
@@ -32,7 +25,7 @@ async fn its_actions_are_those_of_the_arm_by_poses_and_by_frames() {
         let arm = "-p task:=reach -p seed:=3 -p image_transport:=raw -p real_time_factor:=2.0";
         // The adapter first, so that it misses no step of the arm.
         let nodes: [(_, &str); 2] = [(&action_adapter::NODE, &adapter), (&sim_arm::NODE, arm)];
-        with_nodes(test, &nodes, compared).await;
+        with_nodes(&nodes, compared).await;
     }
 }
 
@@ -100,7 +93,7 @@ async fn its_actions_are_what_the_joints_did() {
     std::fs::write(&space, text).unwrap();
     let adapter = format!("-p source:=joints -p action_space:={}", space.display());
     let nodes: [(_, &str); 1] = [(&action_adapter::NODE, &adapter)];
-    with_nodes(3, &nodes, moved).await;
+    with_nodes(&nodes, moved).await;
 }
 
 async fn moved(here: &Context) {
@@ -155,7 +148,7 @@ fn parameters_that_contradict_each_other_are_named() {
             "expected deltas, velocities or positions of joints",
         ),
     ] {
-        let error = refusal(2, &action_adapter::NODE, parameters);
+        let error = refusal(&action_adapter::NODE, parameters);
         assert!(error.contains(named), "{error}");
     }
 }

@@ -1,13 +1,10 @@
 //! The executor over real DDS on loopback, when its clock, the camera or the emergency stop fails. Nothing here sleeps:
 //! time passes with the commands that come.
 
-#![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
-
-mod running;
-
+use crate::fresh_domain::fresh_domain;
 use std::time::{Duration, Instant};
 
-use running::{PATIENCE, context, node, with_nodes};
+use crate::running::{PATIENCE, context, node, with_nodes};
 use wm_msgs::{
     builtin_interfaces::{Duration as RosDuration, Time},
     geometry_msgs::TwistStamped,
@@ -23,11 +20,11 @@ use wm_ros::{Client, Context, Node, Publisher, Qos, Subscription};
 const BEGIN_NS: i64 = 1_700_000_000_000_000_000;
 
 /// The executor, and the world around it, while `scenario` runs.
-async fn run(test: u16, parameters: &str, words: &str, scenario: impl AsyncFnOnce(World)) {
+async fn run(parameters: &str, words: &str, scenario: impl AsyncFnOnce(World)) {
     let scenario = async |here: &Context| {
         scenario(World::new(node(here, "world", words)).await).await;
     };
-    with_nodes(test, &[(&executor::NODE, parameters)], scenario).await;
+    with_nodes(&[(&executor::NODE, parameters)], scenario).await;
 }
 
 /// The policy, the person and the arm.
@@ -139,12 +136,12 @@ async fn publish_time(clock: &Publisher<Clock>, until: impl AsyncFnOnce()) {
 
 #[tokio::test(flavor = "current_thread")]
 async fn a_clock_that_stops_stops_the_arm_within_max_age() {
-    for (test, command_clock) in [(0, "real"), (1, "ros")] {
+    for command_clock in ["real", "ros"] {
         let parameters = format!(
             "-p use_sim_time:=true -p command_clock:={command_clock} -p max_age:=4.0 -p arm_on_start:=true"
         );
         let words = "--ros-args -p use_sim_time:=true";
-        run(test, &parameters, words, async |mut world| {
+        run(&parameters, words, async |mut world| {
             let clock = world
                 .node
                 .publisher::<Clock>("/clock", Qos::reliable(10))
@@ -181,7 +178,7 @@ async fn a_clock_that_stops_stops_the_arm_within_max_age() {
 
 #[tokio::test(flavor = "current_thread")]
 async fn a_max_age_too_short_to_stop_in_is_refused() {
-    let here = context(7);
+    let here = context(fresh_domain());
     let executor = |words: &str| {
         let node = node(&here, "executor", &format!("--ros-args {words}"));
         tokio::time::timeout(PATIENCE, (executor::NODE.body)(node))
@@ -197,7 +194,6 @@ async fn a_max_age_too_short_to_stop_in_is_refused() {
 #[tokio::test(flavor = "current_thread")]
 async fn a_frozen_camera_stops_the_arm_until_newer_frames_come() {
     run(
-        2,
         "-p arm_on_start:=true -p camera_timeout:=60.0",
         "",
         async |mut world| {
@@ -241,7 +237,7 @@ async fn a_frozen_camera_stops_the_arm_until_newer_frames_come() {
 
 #[tokio::test(flavor = "current_thread")]
 async fn a_best_effort_emergency_stop_stops_the_arm() {
-    run(3, "", "", async |mut world| {
+    run("", "", async |mut world| {
         let emergency: Publisher<Bool> = world
             .node
             .publisher("emergency_stop", Qos::best_effort(1))
@@ -285,7 +281,7 @@ async fn a_best_effort_emergency_stop_stops_the_arm() {
 
 #[tokio::test(flavor = "current_thread")]
 async fn an_emergency_stop_of_another_type_keeps_the_arm_disarmed() {
-    run(4, "", "", async |mut world| {
+    run("", "", async |mut world| {
         let wrong: Publisher<Text> = world
             .node
             .publisher("emergency_stop", Qos::reliable(1))
@@ -309,30 +305,25 @@ async fn an_emergency_stop_of_another_type_keeps_the_arm_disarmed() {
 
 #[tokio::test(flavor = "current_thread")]
 async fn a_required_emergency_stop_has_to_be_connected() {
-    run(
-        5,
-        "-p require_emergency_stop:=true",
-        "",
-        async |mut world| {
-            let refused = world.set_armed(true).await;
-            assert!(!refused.success);
-            assert!(
-                refused.message.contains("require_emergency_stop"),
-                "{}",
-                refused.message
-            );
-            let emergency: Publisher<Bool> = world
-                .node
-                .publisher("emergency_stop", Qos::latched(1))
-                .unwrap();
-            while !world.set_armed(true).await.success {}
-            world.go();
-            world.moves().await;
-            emergency.publish(&Bool { data: true }).unwrap();
-            world
-                .status(|status| status.state == ExecutorStatus::STOPPED)
-                .await;
-        },
-    )
+    run("-p require_emergency_stop:=true", "", async |mut world| {
+        let refused = world.set_armed(true).await;
+        assert!(!refused.success);
+        assert!(
+            refused.message.contains("require_emergency_stop"),
+            "{}",
+            refused.message
+        );
+        let emergency: Publisher<Bool> = world
+            .node
+            .publisher("emergency_stop", Qos::latched(1))
+            .unwrap();
+        while !world.set_armed(true).await.success {}
+        world.go();
+        world.moves().await;
+        emergency.publish(&Bool { data: true }).unwrap();
+        world
+            .status(|status| status.state == ExecutorStatus::STOPPED)
+            .await;
+    })
     .await;
 }

@@ -1,12 +1,8 @@
 //! The executor over real DDS on loopback, where it is joints that move: actions of joints in, trajectories out.
 
-#![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
-
-mod running;
-
 use std::{sync::LazyLock, time::Duration};
 
-use running::{node, refusal, with_nodes};
+use crate::running::{node, refusal, with_nodes};
 use wm_msgs::{
     builtin_interfaces::Duration as RosDuration,
     sensor_msgs::JointState,
@@ -37,7 +33,7 @@ async fn actions_become_trajectories_from_where_the_joints_are() {
         "-p command_type:=joint_trajectory -p arm_on_start:=true -p joint_names:=[left,right] -p action_space:={}",
         *JOINT_SPACE
     );
-    with_nodes(0, &[(&executor::NODE, &parameters)], executed).await;
+    with_nodes(&[(&executor::NODE, &parameters)], executed).await;
 }
 
 async fn executed(here: &Context) {
@@ -110,7 +106,7 @@ fn parameters_that_contradict_each_other_are_named() {
         ),
         (&of_joints("max_joint_acceleration:=[2.0]"), "stop_within"),
     ] {
-        let error = refusal(1, &executor::NODE, parameters);
+        let error = refusal(&executor::NODE, parameters);
         assert!(error.contains(named), "{error}");
     }
 }

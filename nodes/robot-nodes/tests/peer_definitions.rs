@@ -1,7 +1,6 @@
 //! The recorder beside a real rclpy publisher of a type that neither this suite nor `AMENT_PREFIX_PATH` has.
 
-#![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
-
+use crate::fresh_domain::fresh_domain;
 use std::{
     io::{BufRead as _, BufReader, Read as _},
     path::Path,
@@ -9,10 +8,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-#[path = "../../../tests/ros2_peer.rs"]
-mod ros2_peer;
-
-use ros2_peer::{in_domain, peers, rclpy};
+use crate::ros2_peer::{in_domain, peers, rclpy};
 use rustix::process::{Pid, Signal, kill_process};
 use tempfile::TempDir;
 use wm_bag::{BagReader, SchemaEncoding};
@@ -67,7 +63,12 @@ fn recorded(peers: &Path, domain: u16, service: &str) -> (TempDir, BagReader, St
     let log = scratch.path().join("log");
     let mut recorder = Command::new(std::env::current_exe().unwrap());
     recorder
-        .args(["--ignored", "--exact", "--nocapture", "recorder"])
+        .args([
+            "--ignored",
+            "--exact",
+            "--nocapture",
+            "peer_definitions::recorder",
+        ])
         .env("OUTPUT", &bag)
         .env_remove("AMENT_PREFIX_PATH")
         .stderr(std::fs::File::create(&log).unwrap());
@@ -89,14 +90,10 @@ fn recorded(peers: &Path, domain: u16, service: &str) -> (TempDir, BagReader, St
 }
 
 /// Domains up to 101 keep RTPS ports below the ephemeral range of Linux.
-fn domain(test: u16) -> u16 {
-    20 + (std::process::id() % 40) as u16 * 2 + test
-}
-
 #[test]
 fn live_publisher_gives_the_definition_of_an_unknown_type() {
     let Some(peers) = peers() else { return };
-    let (_scratch, reader, log) = recorded(&peers, domain(0), "with");
+    let (_scratch, reader, log) = recorded(&peers, fresh_domain(), "with");
     let topic = reader.topic("/zone").unwrap();
     assert_eq!(topic.schema.encoding, SchemaEncoding::Ros2Msg, "{log}");
     let text = &topic.schema.text;
@@ -126,7 +123,7 @@ fn live_publisher_gives_the_definition_of_an_unknown_type() {
 #[test]
 fn unknown_type_without_the_service_is_recorded_undefined() {
     let Some(peers) = peers() else { return };
-    let (_scratch, reader, log) = recorded(&peers, domain(1), "without");
+    let (_scratch, reader, log) = recorded(&peers, fresh_domain(), "without");
     let topic = reader.topic("/zone").unwrap();
     let undefined = SchemaEncoding::Other(String::new());
     assert_eq!(topic.schema.encoding, undefined);

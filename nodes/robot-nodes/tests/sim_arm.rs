@@ -1,11 +1,7 @@
 //! The simulated arm over real DDS on loopback: a controller that knows the goal drives it there with twists, and the
 //! executor moves it as a chunk says.
 
-#![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
-
-mod running;
-
-use running::{node, refusal, with_nodes};
+use crate::running::{node, refusal, with_nodes};
 use wm_msgs::{
     builtin_interfaces::Duration as RosDuration,
     geometry_msgs::{PoseArray, PoseStamped, Twist, TwistStamped, Vector3},
@@ -26,7 +22,7 @@ const SEED: u64 = 3;
 #[tokio::test(flavor = "current_thread")]
 async fn twists_reach_the_goal_and_a_reset_restores_the_start() {
     let parameters = format!("-p task:=reach -p seed:={SEED} -p image_transport:=both");
-    with_nodes(0, &[(&sim_arm::NODE, &parameters)], reach_and_reset).await;
+    with_nodes(&[(&sim_arm::NODE, &parameters)], reach_and_reset).await;
 }
 
 async fn reach_and_reset(here: &Context) {
@@ -137,7 +133,7 @@ async fn what_the_executor_sends_moves_it_without_remapping() {
         let executor =
             format!("-p command_type:={command} -p base_frame:=base_link -p begin:=reception");
         let nodes: [(_, &str); 2] = [(&sim_arm::NODE, &arm), (&executor::NODE, &executor)];
-        let moved = with_nodes(1, &nodes, async |here| executed(here, command).await).await;
+        let moved = with_nodes(&nodes, async |here| executed(here, command).await).await;
         // 0.06 m, but for ticks that are late on a busy machine.
         assert!((0.01..0.09).contains(&moved), "{command}: {moved}");
     }
@@ -203,7 +199,7 @@ async fn arm_publishes_cameras_poses_and_objects() {
     let parameters = format!(
         "-p task:=push -p seed:={SEED} -p front_camera:=true -p image_transport:=raw -p real_time_factor:=4.0"
     );
-    with_nodes(2, &[(&sim_arm::NODE, &parameters)], observe).await;
+    with_nodes(&[(&sim_arm::NODE, &parameters)], observe).await;
 }
 
 async fn observe(here: &Context) {
@@ -319,7 +315,7 @@ async fn steps_per_command_equal_those_of_the_environment() {
         "-p task:=reach -p seed:={SEED} -p image_transport:=raw -p real_time_factor:=0.0 -p noise:=0.0 -p \
          command_timeout:=60.0"
     );
-    with_nodes(3, &[(&sim_arm::NODE, &parameters)], drive_step_by_step).await;
+    with_nodes(&[(&sim_arm::NODE, &parameters)], drive_step_by_step).await;
 }
 
 async fn drive_step_by_step(here: &Context) {
@@ -365,7 +361,7 @@ async fn drive_step_by_step(here: &Context) {
 #[test]
 fn made_time_excludes_use_sim_time() {
     let parameters = "-p use_sim_time:=true -p real_time_factor:=0.0";
-    let error = refusal(4, &sim_arm::NODE, parameters);
+    let error = refusal(&sim_arm::NODE, parameters);
     assert!(error.contains("use_sim_time"), "{error}");
 }
 
@@ -378,7 +374,7 @@ async fn the_executor_keeps_to_the_time_that_the_arm_makes() {
     let executor = "-p use_sim_time:=true -p command_clock:=ros -p rate:=5.0 -p stop_within:=0.4 -p \
                  base_frame:=base_link -p begin:=reception -p arm_on_start:=true";
     let nodes: [(_, &str); 2] = [(&sim_arm::NODE, &arm), (&executor::NODE, executor)];
-    with_nodes(4, &nodes, drive_by_made_time).await;
+    with_nodes(&nodes, drive_by_made_time).await;
 }
 
 async fn drive_by_made_time(here: &Context) {

@@ -1,13 +1,10 @@
 //! The executor over real DDS on loopback, in a participant of its own: chunks and calls in, commands out. Nothing here
 //! sleeps: every step waits for the message that it causes.
 
-#![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
-
-mod running;
-
+use crate::fresh_domain::fresh_domain;
 use std::time::Duration;
 
-use running::{context, in_time, node, refusal, start, with_nodes};
+use crate::running::{context, in_time, node, refusal, start, with_nodes};
 use wm_msgs::{
     Message,
     builtin_interfaces::{Duration as RosDuration, Time},
@@ -131,7 +128,7 @@ async fn armed_executor_turns_chunks_into_twists_then_zero() {
         let status = world.status(idle).await;
         assert!(status.reason.contains("none followed"), "{}", status.reason);
     };
-    with_nodes(0, &[(&executor::NODE, parameters)], scenario).await;
+    with_nodes(&[(&executor::NODE, parameters)], scenario).await;
 }
 
 /// As where std_srvs is not at hand, and the arm is a simulated one.
@@ -162,7 +159,7 @@ async fn armed_from_the_start_it_executes_without_a_call() {
             .status(|status| status.state == ExecutorStatus::DRY_RUN)
             .await;
     };
-    with_nodes(4, &[(&executor::NODE, parameters)], scenario).await;
+    with_nodes(&[(&executor::NODE, parameters)], scenario).await;
 }
 
 #[tokio::test(flavor = "current_thread")]
@@ -208,15 +205,15 @@ async fn an_emergency_stop_ends_a_motion_and_latches() {
         }
         assert!(world.set_armed(true).await.success);
     };
-    with_nodes(1, &[(&executor::NODE, parameters)], scenario).await;
+    with_nodes(&[(&executor::NODE, parameters)], scenario).await;
 }
 
 #[tokio::test(flavor = "current_thread")]
 async fn a_node_that_ends_stops_the_arm_first() {
-    let test = 2;
-    let running = context(test);
+    let domain = fresh_domain();
+    let running = context(domain);
     let thread = start(&running, &executor::NODE, "-p command_type:=action");
-    let here = context(test);
+    let here = context(domain);
     let mut motions = in_time(async {
         let world = World::new(&here).await;
         let mut motions = world.subscribe::<Action>("command/action").await;
@@ -288,7 +285,7 @@ async fn it_moves_while_the_deadman_is_held_and_the_pose_is_known() {
             }
         }
     };
-    with_nodes(3, &[(&executor::NODE, parameters)], scenario).await;
+    with_nodes(&[(&executor::NODE, parameters)], scenario).await;
 }
 
 #[test]
@@ -309,7 +306,7 @@ fn parameters_that_contradict_each_other_are_named() {
             "expected one of them",
         ),
     ] {
-        let error = refusal(4, &executor::NODE, parameters);
+        let error = refusal(&executor::NODE, parameters);
         assert!(error.contains(named), "{error}");
     }
 }

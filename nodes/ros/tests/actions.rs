@@ -1,10 +1,6 @@
 //! An action's two ends over DDS on loopback, in two participants, as two processes would have them.
 
-#![allow(clippy::unwrap_used, reason = "a test's helpers may fail the test")]
-
-mod participants;
-
-use participants::{context, node, soon};
+use crate::participants::{contexts, node, soon};
 use std::cell::RefCell;
 use wm_msgs::{
     action_msgs::{CancelGoalResponse, GoalInfo, GoalStatusArray},
@@ -20,11 +16,6 @@ use wm_ros::{
     Qos, Role, ServerGoal,
 };
 
-/// A domain for each test, which neither other tests nor another run of this one use.
-fn domain(test: u16) -> u16 {
-    20 + (std::process::id() as u16 % 16) * 5 + test
-}
-
 /// Two nodes, and the two ends of an action between them that know each other.
 struct Pair {
     robot: Node,
@@ -34,8 +25,8 @@ struct Pair {
 }
 
 impl Pair {
-    async fn new(test: u16) -> Self {
-        let contexts = [context(domain(test)), context(domain(test))];
+    async fn new() -> Self {
+        let contexts = contexts();
         let planner = node(&contexts[0], "planner", "");
         let robot = node(&contexts[1], "robot", "");
         let server = planner.action_server::<Plan>("plan_to").unwrap();
@@ -94,7 +85,7 @@ async fn status(goal: &ClientGoal<Plan>, wanted: GoalStatus) {
 
 #[tokio::test(flavor = "current_thread")]
 async fn a_goal_is_taken_on_followed_and_achieved() {
-    let mut pair = Pair::new(0).await;
+    let mut pair = Pair::new().await;
     let (taken, sent) = pair.accepted(words("reach")).await;
     assert_eq!(taken.goal, words("reach"));
     assert_eq!(taken.id(), sent.id());
@@ -126,7 +117,7 @@ async fn a_goal_is_taken_on_followed_and_achieved() {
 
 #[tokio::test(flavor = "current_thread")]
 async fn goals_are_rejected_canceled_and_given_up() {
-    let mut pair = Pair::new(1).await;
+    let mut pair = Pair::new().await;
     let (wishes, reject) = (words("too hard"), async {
         pair.server.recv().await.unwrap().reject();
     });
@@ -180,7 +171,7 @@ async fn goals_are_rejected_canceled_and_given_up() {
 /// Two pictures are more than one datagram.
 #[tokio::test(flavor = "current_thread")]
 async fn a_goal_may_be_pictures() {
-    let mut pair = Pair::new(2).await;
+    let mut pair = Pair::new().await;
     let image = Image {
         height: 256,
         width: 256,
@@ -197,7 +188,7 @@ async fn a_goal_may_be_pictures() {
 
 #[tokio::test(flavor = "current_thread")]
 async fn an_action_is_in_the_graph_as_ros_has_it() {
-    let mut pair = Pair::new(3).await;
+    let mut pair = Pair::new().await;
     let mut there: Vec<_> = pair
         .robot
         .remote_endpoints()
@@ -264,7 +255,7 @@ impl Managed for Planner<'_> {
 
 #[tokio::test(flavor = "current_thread")]
 async fn inactive_node_rejects_goals_and_aborts_those_under_way() {
-    let (here, there) = (context(domain(4)), context(domain(4)));
+    let [here, there] = contexts();
     let planner = node(&here, "planner", "--ros-args -p autostart:=false");
     let lifecycle = Lifecycle::new(&planner).unwrap();
     let robot = node(&there, "robot", "");
@@ -301,7 +292,7 @@ async fn inactive_node_rejects_goals_and_aborts_those_under_way() {
 
 #[tokio::test(flavor = "current_thread")]
 async fn an_action_goes_where_it_is_remapped_to() {
-    let here = context(domain(4));
+    let [here] = contexts();
     let line = "--ros-args -r __ns:=/arm -r plan_to:=reach -r /arm/reach/_action/status:=/status";
     let planner = node(&here, "mapped", line);
     let server = planner.action_server::<Plan>("plan_to").unwrap();

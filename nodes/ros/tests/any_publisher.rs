@@ -1,19 +1,11 @@
 //! A subscription that no quality of service of a publisher excludes, over DDS on loopback.
 
-#![allow(clippy::unwrap_used, reason = "a test's helpers may fail the test")]
-
-mod participants;
-
-use participants::{PATIENCE, context, node};
+use crate::participants::{PATIENCE, contexts, node};
 use std::time::Duration;
 use wm_msgs::std_msgs::{Bool, String as Text};
 use wm_ros::{Publisher, Qos, Subscription};
 
 /// Apart from the domains of this crate's other tests, and from another run of this one.
-fn domain() -> u16 {
-    121 + (std::process::id() as u16 % 50)
-}
-
 /// Publishes until the subscription has received it.
 async fn arrives(publisher: &Publisher<Bool>, subscription: &mut Subscription<Bool>, data: bool) {
     let mut beat = tokio::time::interval(Duration::from_millis(20));
@@ -31,7 +23,7 @@ async fn arrives(publisher: &Publisher<Bool>, subscription: &mut Subscription<Bo
 
 #[tokio::test(flavor = "current_thread")]
 async fn publishers_of_any_quality_of_service_are_received() {
-    let (there, here) = (context(domain()), context(domain()));
+    let [there, here] = contexts();
     let (sender, receiver) = (node(&there, "sender", ""), node(&here, "receiver", ""));
     let scenario = async {
         // Latched before the subscription is there.

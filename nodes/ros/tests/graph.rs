@@ -1,12 +1,9 @@
 //! Two participants over DDS on loopback, as two processes would have them. No ROS installation is needed; the
 //! other side's own client library is tested in the suite's interoperability tests.
 
-#![allow(clippy::unwrap_used, reason = "a test's helpers may fail the test")]
-
-mod participants;
-
+use crate::fresh_domain::fresh_domain;
+use crate::participants::{PATIENCE, context, contexts, is_over_dds, node, readers_of_both, soon};
 use bytes::Bytes;
-use participants::{PATIENCE, context, is_over_dds, node, readers_of_both, soon};
 use std::time::Duration;
 use wm_msgs::{
     builtin_interfaces::Time,
@@ -18,11 +15,6 @@ use wm_msgs::{
 };
 use wm_ros::{Context, Descriptor, Environment, Middleware, Qos, Reach, Subscription};
 
-/// A domain for each test, which neither other tests nor another run of this one use.
-fn domain(test: u16) -> u16 {
-    120 + (std::process::id() as u16 % 16) * 6 + test
-}
-
 fn text(data: &str) -> std_msgs::String {
     std_msgs::String {
         data: data.to_owned(),
@@ -32,7 +24,7 @@ fn text(data: &str) -> std_msgs::String {
 /// The topic's other subscription keeps what was sent in between in the participant.
 #[tokio::test(flavor = "current_thread")]
 async fn a_subscription_that_comes_anew_gets_nothing_of_before() {
-    let (here, there) = (context(domain(0)), context(domain(0)));
+    let [here, there] = contexts();
     let (talker, listener) = (node(&here, "teller", ""), node(&there, "hearer", ""));
     let told = talker
         .publisher::<std_msgs::String>("told", Qos::reliable(10))
@@ -62,7 +54,7 @@ async fn a_subscription_that_comes_anew_gets_nothing_of_before() {
 /// A participant keeps what was latched for the subscriptions that it had, also when these and the publisher have gone.
 #[tokio::test(flavor = "current_thread")]
 async fn who_comes_late_gets_what_the_living_have_latched_and_once() {
-    let (here, there) = (context(domain(1)), context(domain(1)));
+    let [here, there] = contexts();
     let (listener, talker) = (node(&here, "listener", ""), node(&there, "talker", ""));
     let latch = |data: &str| {
         let publisher = talker.publisher("map", Qos::latched(1)).unwrap();
@@ -113,7 +105,7 @@ async fn who_comes_late_gets_what_the_living_have_latched_and_once() {
 
 #[tokio::test(flavor = "current_thread")]
 async fn messages_reach_another_participant_typed_and_raw() {
-    let (here, there) = (context(domain(0)), context(domain(0)));
+    let [here, there] = contexts();
     let (talker, listener) = (
         node(&here, "talker", ""),
         node(&there, "listener", "--ros-args -r heard:=said"),
@@ -186,8 +178,8 @@ async fn messages_reach_another_participant_typed_and_raw() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_topic_that_a_context_reads_and_publishes_goes_on() {
     const COUNT: usize = 700;
-    let both = node(&context(domain(3)), "both", "");
-    let there = context(domain(3));
+    let [here, there] = contexts();
+    let both = node(&here, "both", "");
     let other = node(&there, "other", "");
     let qos = Qos::reliable(2 * COUNT);
     let mut own = both.subscription::<Bool>("two_way", qos).unwrap();
@@ -221,7 +213,7 @@ async fn a_topic_that_a_context_reads_and_publishes_goes_on() {
 /// A goal, say: one is latched before anybody asks, another comes from a publisher that does not latch.
 #[tokio::test(flavor = "current_thread")]
 async fn who_catches_up_hears_publishers_that_latch_and_others() {
-    let (here, there) = (context(domain(2)), context(domain(2)));
+    let [here, there] = contexts();
     let (talker, listener) = (node(&here, "setter", ""), node(&there, "seeker", ""));
     let latched = talker.publisher("goal", Qos::latched(1)).unwrap();
     latched.publish(&text("first")).unwrap();
@@ -253,7 +245,7 @@ async fn who_catches_up_hears_publishers_that_latch_and_others() {
 
 #[tokio::test(flavor = "current_thread")]
 async fn nodes_of_one_context_connect_and_late_ones_get_latched() {
-    let here = context(domain(1));
+    let [here] = contexts();
     let (early, late) = (node(&here, "early", ""), node(&here, "late", ""));
     let state = early.publisher::<Bool>("state", Qos::latched(1)).unwrap();
     state.publish(&Bool { data: false }).unwrap();
@@ -300,7 +292,7 @@ async fn nodes_of_one_context_connect_and_late_ones_get_latched() {
 
 #[tokio::test(flavor = "current_thread")]
 async fn services_answer_and_parameters_hold_what_is_given() {
-    let (here, there) = (context(domain(2)), context(domain(2)));
+    let [here, there] = contexts();
     let server = node(&here, "server", "--ros-args -p seed:=3");
     let seed = server
         .declare("seed", 0_i64, Descriptor::new("the seed").integers(0, 9))
@@ -372,7 +364,7 @@ async fn services_answer_and_parameters_hold_what_is_given() {
 
 #[tokio::test(flavor = "current_thread")]
 async fn a_node_follows_the_clock_of_another() {
-    let (here, there) = (context(domain(3)), context(domain(3)));
+    let [here, there] = contexts();
     let player = node(&here, "player", "");
     let follower = node(&there, "follower", "--ros-args -p use_sim_time:=true");
     assert_eq!(follower.now(), Time::default());
@@ -408,7 +400,7 @@ async fn a_node_follows_the_clock_of_another() {
 
 #[tokio::test(flavor = "current_thread")]
 async fn incompatible_qos_is_told_by_policy() {
-    let (here, there) = (context(domain(4)), context(domain(4)));
+    let [here, there] = contexts();
     let (talker, listener) = (node(&here, "talker", ""), node(&there, "listener", ""));
     let mut diagnostics = listener
         .subscription::<DiagnosticArray>("/diagnostics", Qos::reliable(10))
@@ -458,9 +450,10 @@ async fn incompatible_qos_is_told_by_policy() {
 
 #[tokio::test(flavor = "current_thread")]
 async fn a_context_that_is_off_meets_nobody() {
-    let (here, there) = (context(domain(5)), context(domain(5)));
+    let domain_id = fresh_domain();
+    let [here, there] = [domain_id; 2].map(context);
     let off = Context::new(&Environment {
-        domain_id: domain(5),
+        domain_id,
         reach: Reach::Process,
         middleware: Middleware::from_env().unwrap(),
     })

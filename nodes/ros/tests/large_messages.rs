@@ -1,21 +1,12 @@
 //! Messages that are larger than Linux's default receive buffer, between participants on loopback.
 
-#![allow(clippy::unwrap_used, reason = "a test's helpers may fail the test")]
-
-mod participants;
-
+use crate::participants::{PATIENCE, contexts, node, soon};
 use bytes::Bytes;
-use participants::{PATIENCE, context, node, soon};
 use std::time::Duration;
 use wm_ros::{Node, Qos, RawSubscription};
 
 const TYPE: &str = "std_msgs/msg/String";
 const TOPIC: &str = "large";
-
-/// A domain for each test, which neither other tests nor another run of this one use.
-fn domain(test: u16) -> u16 {
-    216 + (std::process::id() as u16 % 4) * 4 + test
-}
 
 /// CDR's header and a pattern that no other message has.
 fn message(index: usize, len: usize) -> Bytes {
@@ -32,7 +23,7 @@ async fn next(subscription: &mut RawSubscription) -> Bytes {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn reliable_messages_of_any_size_arrive_in_order() {
-    let (here, there) = (context(domain(0)), context(domain(0)));
+    let [here, there] = contexts();
     let (talker, listener) = (node(&here, "talker", ""), node(&there, "listener", ""));
     let publisher = talker
         .raw_publisher(TOPIC, TYPE, Qos::reliable(10))
@@ -92,7 +83,7 @@ async fn reliable_messages_of_any_size_arrive_in_order() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_publisher_tells_its_readers_apart() {
-    let (here, there, elsewhere) = (context(domain(1)), context(domain(1)), context(domain(1)));
+    let [here, there, elsewhere] = contexts();
     let (talker, early) = (node(&here, "talker", ""), node(&there, "early", ""));
     let publisher = talker
         .raw_publisher(TOPIC, TYPE, Qos::best_effort(5))
@@ -155,7 +146,7 @@ async fn a_publisher_tells_its_readers_apart() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_subscription_that_is_not_read_costs_its_queue() {
     const LEN: usize = 4 << 20;
-    let (here, there) = (context(domain(2)), context(domain(2)));
+    let [here, there] = contexts();
     let (talker, listener) = (node(&here, "talker", ""), node(&there, "listener", ""));
     let publisher = talker
         .raw_publisher(TOPIC, TYPE, Qos::best_effort(2))

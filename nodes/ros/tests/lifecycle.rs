@@ -1,10 +1,6 @@
 //! A managed node over DDS on loopback, told what to do by another participant.
 
-#![allow(clippy::unwrap_used, reason = "a test's helpers may fail the test")]
-
-mod participants;
-
-use participants::{PATIENCE, context, node, readers_of_both};
+use crate::participants::{PATIENCE, contexts, node, readers_of_both};
 use std::cell::{Cell, RefCell};
 use wm_msgs::{
     lifecycle_msgs::{
@@ -17,11 +13,6 @@ use wm_ros::{
     Client, Error, Lifecycle, Managed, Node, Publisher, Qos, Received, Service, Subscription,
     answer,
 };
-
-/// A domain for each test, which neither other tests nor another run of this one use.
-fn domain(test: u16) -> u16 {
-    221 + (std::process::id() as u16 % 5) * 2 + test
-}
 
 /// Writes down what it is told; its first configuration fails.
 #[derive(Default)]
@@ -71,7 +62,7 @@ impl<'a> Managed for &'a Diary {
 
 #[tokio::test(flavor = "current_thread")]
 async fn a_managed_node_does_what_it_is_told() {
-    let (here, there) = (context(domain(0)), context(domain(0)));
+    let [here, there] = contexts();
     let managed = node(&here, "managed", "--ros-args -p autostart:=false");
     let lifecycle = Lifecycle::new(&managed).unwrap();
     managed.seal_parameters().unwrap();
@@ -146,7 +137,7 @@ async fn a_managed_node_does_what_it_is_told() {
 
 #[tokio::test(flavor = "current_thread")]
 async fn failed_autostart_ends_the_node_with_its_error() {
-    let here = context(domain(1));
+    let [here] = contexts();
     let failing = node(&here, "failing", "");
     let diary = Diary::default();
     let error = Lifecycle::new(&failing).unwrap().run(&diary).await;
@@ -256,7 +247,7 @@ async fn next(subscription: &mut Subscription<Text>) -> String {
 
 #[tokio::test(flavor = "current_thread")]
 async fn endpoints_of_an_inactive_node_exist_and_are_silent() {
-    let (here, there) = (context(domain(1)), context(domain(1)));
+    let [here, there] = contexts();
     let echo = node(&here, "echo", "--ros-args -p autostart:=false");
     let lifecycle = Lifecycle::new(&echo).unwrap();
     let manager = node(&there, "manager", "");

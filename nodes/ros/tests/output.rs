@@ -1,12 +1,7 @@
 //! What a node says on its standard streams, in processes of their own: this test's binary started again for one of
 //! the `child_` functions.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    reason = "a test's helpers may fail the test"
-)]
-
+use crate::fresh_domain::fresh_domain;
 use std::{
     io::{BufRead as _, BufReader, Write as _},
     process::{Child, Command, Stdio},
@@ -21,9 +16,10 @@ const LINES: usize = 10_000;
 
 /// Starts the ignored test `child`, whose standard error goes to `stderr`.
 fn start(child: &str, stderr: impl Into<Stdio>) -> Child {
-    let domain = 20 + std::process::id() % 60;
+    let domain = fresh_domain();
+    let child = format!("output::{child}");
     Command::new(std::env::current_exe().unwrap())
-        .args(["--ignored", "--exact", child, "--nocapture"])
+        .args(["--ignored", "--exact", &child, "--nocapture"])
         .env("ROS_DOMAIN_ID", domain.to_string())
         .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         .stdin(Stdio::piped())

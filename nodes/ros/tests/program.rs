@@ -1,10 +1,7 @@
 //! Nodes on the trait [`NodeProgram`], over DDS on loopback, and as processes of their own.
 
-#![allow(clippy::unwrap_used, reason = "a test's helpers may fail the test")]
-
-mod participants;
-
-use participants::{PATIENCE, context, node};
+use crate::fresh_domain::fresh_domain;
+use crate::participants::{PATIENCE, contexts, node};
 use rustix::process::{Pid, Signal, kill_process};
 use std::{
     collections::BTreeSet,
@@ -85,14 +82,9 @@ impl NodeProgram for Counter {
     }
 }
 
-/// A domain for each test, which neither other tests nor another run of this one use.
-fn domain(test: u16) -> u16 {
-    100 + (std::process::id() as u16 % 10) * 2 + test
-}
-
 #[tokio::test(flavor = "current_thread")]
 async fn a_node_answers_all_its_services_until_the_shutdown() {
-    let (here, there) = (context(domain(0)), context(domain(0)));
+    let [here, there] = contexts();
     let counter = node(&here, "counter", "--ros-args -p has_step:=true");
     let client = node(&there, "client", "");
     let switch = client.client::<SetBool>("counter/switch").unwrap();
@@ -118,7 +110,7 @@ async fn a_node_answers_all_its_services_until_the_shutdown() {
 
 #[tokio::test(flavor = "current_thread")]
 async fn a_service_that_is_not_made_is_documented_but_absent() {
-    let (here, there) = (context(domain(1)), context(domain(1)));
+    let [here, there] = contexts();
     let counter = node(&here, "counter", "");
     let client = node(&there, "client", "");
     let switch = client.client::<SetBool>("counter/switch").unwrap();
@@ -216,9 +208,9 @@ fn child() {
 
 /// The exit code of the node [`Lone`] with this parameter.
 fn lone(code: &str) -> Option<i32> {
-    let domain = 120 + std::process::id() % 60;
+    let domain = fresh_domain();
     let child = Command::new(std::env::current_exe().unwrap())
-        .args(["--ignored", "--exact", "child"])
+        .args(["--ignored", "--exact", "program::child"])
         .env("ROS_DOMAIN_ID", domain.to_string())
         .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         .env("CODE", code)
@@ -250,9 +242,14 @@ fn blocking_child() {
 
 #[test]
 fn body_that_blocks_is_ended_by_force() {
-    let domain = 120 + std::process::id() % 60;
+    let domain = fresh_domain();
     let mut child = Command::new(std::env::current_exe().unwrap())
-        .args(["--ignored", "--exact", "--nocapture", "blocking_child"])
+        .args([
+            "--ignored",
+            "--exact",
+            "--nocapture",
+            "program::blocking_child",
+        ])
         .env("ROS_DOMAIN_ID", domain.to_string())
         .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         .stdout(Stdio::piped())

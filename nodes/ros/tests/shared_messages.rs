@@ -1,10 +1,6 @@
 //! Messages between nodes of one context are handed over as they are, and encoded only for those who need bytes.
 
-#![allow(clippy::unwrap_used, reason = "a test's helpers may fail the test")]
-
-mod participants;
-
-use participants::{context, node, soon};
+use crate::participants::{contexts, node, soon};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::sync::{
     Arc,
@@ -53,8 +49,7 @@ fn counts() -> (usize, usize) {
 
 #[tokio::test(flavor = "current_thread")]
 async fn a_message_is_encoded_only_for_those_who_need_bytes() {
-    let domain = 190 + (std::process::id() % 20) as u16;
-    let (here, there) = (context(domain), context(domain));
+    let [here, there] = contexts();
     let (talker, listener) = (node(&here, "talker", ""), node(&here, "listener", ""));
     let qos = Qos::reliable(10);
     let publisher = talker.publisher::<Counted>("counted", qos).unwrap();

@@ -16,9 +16,6 @@
 //! - Borda ranks "of two raters" exceed the greatest sum of two raters; three raters can give them;
 //! - dynamic degrees above .76 at 6 px and flow scores below 1.7 px exclude each other if both use the top 5 %.
 
-#![allow(clippy::unwrap_used)]
-
-#[path = "paper/instructions.rs"]
 mod instructions;
 
 use wm_metrics::statistics::{

@@ -1,8 +1,6 @@
 //! Parity with the field's libraries (../fixtures/generate.py, versions beside it). Unless noted, the tolerance is
 //! 1e-9, relative above 1.
 
-#![allow(clippy::unwrap_used)]
-
 use image::RgbImage;
 use serde_json::Value;
 use wm_metrics::{

@@ -1,7 +1,5 @@
 //! The autoencoder computes what PyTorch computes; `fixtures/generate_autoencoder.py` made the expected values.
 
-#![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
-
 use std::path::Path;
 
 use candle_core::Tensor;

@@ -1,8 +1,6 @@
 //! The transition model against an independent implementation in PyTorch
 //! (fixtures/generate_transition.py).
 
-#![allow(clippy::unwrap_used)]
-
 use std::path::Path;
 
 use candle_core::{Device, Tensor};

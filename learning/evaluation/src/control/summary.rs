@@ -218,46 +218,72 @@ fn convergence(of: &[(&String, &RecoveredActions)], start: Start, name: &str) ->
 /// Steps with a ratio figure; the curve has all.
 const FIGURE_STEPS: [usize; 3] = [1, 4, 8];
 
-/// Errors relative to those of persistence.
-struct Errors {
-    /// End of the figures' names.
-    end: String,
-    /// What the predictions are of.
-    about: String,
-    better: Better,
-    /// By step: those of the predictions, and of persistence.
-    of: Box<dyn Fn(&Response) -> Option<(&Vec<f64>, &Vec<f64>)> + Sync>,
+/// Which predictions a ratio is of.
+#[derive(Clone, Copy)]
+enum Predictions {
+    /// Under the true actions.
+    True,
+    /// Under the true actions, of one of several cameras.
+    Camera(usize),
+    /// Under wrong actions.
+    Wrong(ActionChange),
 }
 
-/// Under the true actions: of all cameras, and of each of several. Under wrong ones: of all cameras.
-fn kinds_of_errors(section: &mut Section, windows: &[(&String, &Response)]) -> Vec<Errors> {
-    let mut kinds = vec![Errors {
-        end: String::new(),
-        about: "the true actions".into(),
-        better: Better::Lower,
-        of: Box::new(|found| Some((&found.told, &found.persistence))),
-    }];
-    let cameras = windows.iter().map(|(_, found)| found.cameras.len()).max();
-    for camera in 0..cameras.unwrap_or(0) {
-        kinds.push(Errors {
-            end: format!("_camera{}", camera + 1),
-            about: format!("the true actions, camera {}", camera + 1),
-            better: Better::Lower,
-            of: Box::new(move |found| {
+impl Predictions {
+    /// The squared errors by step, and those of persistence.
+    fn errors(self, found: &Response) -> Option<(&[f64], &[f64])> {
+        match self {
+            Self::True => Some((&found.told, &found.persistence)),
+            Self::Camera(camera) => {
                 let errors = found.cameras.get(camera)?;
                 Some((&errors.told, &errors.persistence))
-            }),
-        });
+            }
+            Self::Wrong(change) => {
+                let mut wrong = found.wrong.iter();
+                let (_, errors) = wrong.find(|(own, _)| *own == change)?;
+                Some((errors, &found.persistence))
+            }
+        }
     }
+
+    /// End of a figure's name.
+    fn end(self) -> String {
+        match self {
+            Self::True => String::new(),
+            Self::Camera(camera) => format!("_camera{}", camera + 1),
+            Self::Wrong(change) => format!("_{}", change.name()),
+        }
+    }
+
+    fn about(self) -> String {
+        match self {
+            Self::True => "the true actions".into(),
+            Self::Camera(camera) => format!("the true actions, camera {}", camera + 1),
+            Self::Wrong(change) => format!("{change} actions"),
+        }
+    }
+
+    fn better(self) -> Better {
+        match self {
+            Self::True | Self::Camera(_) => Better::Lower,
+            Self::Wrong(_) => Better::Higher,
+        }
+    }
+}
+
+/// The predictions that the windows have; what they lack is absent from the section.
+fn predictions(section: &mut Section, windows: &[(&String, &Response)]) -> Vec<Predictions> {
+    let cameras = windows.iter().map(|(_, found)| found.cameras.len()).max();
+    let cameras = (0..cameras.unwrap_or(0)).map(Predictions::Camera);
+    let mut predictions: Vec<Predictions> =
+        std::iter::once(Predictions::True).chain(cameras).collect();
     for change in ActionChange::WRONG {
-        let has = |found: &Response| found.wrong.iter().any(|(own, _)| *own == change);
-        if windows.iter().any(|(_, found)| has(found)) {
-            kinds.push(Errors {
-                end: format!("_{}", change.name()),
-                about: format!("{change} actions"),
-                better: Better::Higher,
-                of: Box::new(move |found| Some((of_change(found, change)?, &found.persistence))),
-            });
+        let wrong = Predictions::Wrong(change);
+        if windows
+            .iter()
+            .any(|(_, found)| wrong.errors(found).is_some())
+        {
+            predictions.push(wrong);
         } else {
             section.absent(
                 &format!("ratio_k1_{}", change.name()),
@@ -270,29 +296,29 @@ fn kinds_of_errors(section: &mut Section, windows: &[(&String, &Response)]) -> V
             );
         }
     }
-    kinds
+    predictions
 }
 
 fn of_responses(section: &mut Section, windows: &[(&String, &Response)], settings: &Settings) {
     let steps = windows.iter().map(|(_, found)| found.told.len()).max();
     // Without windows there are no figures.
     let steps = steps.unwrap_or(0);
-    let kinds = kinds_of_errors(section, windows);
+    let predictions = predictions(section, windows);
     let mut curve = Curve {
         title: "Latent error / persistence by step".into(),
         x: "predicted step k".into(),
         y: "squared latent error / persistence".into(),
         series: Vec::new(),
     };
-    for kind in &kinds {
-        let (end, about) = (&kind.end, &kind.about);
+    for predicted in predictions {
+        let (end, about) = (predicted.end(), predicted.about());
         let sums = |chosen: &[usize], k: usize| {
             let (mut error, mut persistence) = (0.0, 0.0);
             for index in chosen {
                 let Some((_, found)) = windows.get(*index) else {
                     continue;
                 };
-                let Some((own, held)) = (kind.of)(found) else {
+                let Some((own, held)) = predicted.errors(found) else {
                     continue;
                 };
                 if let (Some(own), Some(held)) = (own.get(k), held.get(k)) {
@@ -318,11 +344,16 @@ fn of_responses(section: &mut Section, windows: &[(&String, &Response)], setting
                 "squared latent error over that of persistence at k = {k}, predictions under {about}"
             );
             let mut add = |name: String, sentence: &str, indices: &[usize]| {
-                let metric =
-                    figure_of_units(indices.len(), settings, kind.better, sentence, |chosen| {
+                let metric = figure_of_units(
+                    indices.len(),
+                    settings,
+                    predicted.better(),
+                    sentence,
+                    |chosen| {
                         let of_all = chosen.iter().filter_map(|i| indices.get(*i).copied());
                         ratio(&of_all.collect::<Vec<_>>(), k - 1)
-                    });
+                    },
+                );
                 if let Some(mut metric) = metric {
                     // Relative to the mean persistence, so that their mean is the figure and tests are about the figure. A
                     // window's own ratio is huge if nothing moves.
@@ -374,13 +405,6 @@ fn of_responses(section: &mut Section, windows: &[(&String, &Response)], setting
     if let Some(metric) = share {
         section.metric("motion_share", metric);
     }
-}
-
-fn of_change(found: &Response, change: ActionChange) -> Option<&Vec<f64>> {
-    let mut wrong = found.wrong.iter();
-    wrong
-        .find(|(own, _)| *own == change)
-        .map(|(_, errors)| errors)
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use std::fs;
 
 use wm_evaluation::onnx::{Error, Networks, Role};
 
-use crate::pictures::picture;
+use super::pictures::picture;
 
 /// A small generator of numbers, so that the same places are hit each time (Steele et al., SplitMix64).
 struct Places(u64);

@@ -2,7 +2,7 @@
 
 use wm_evaluation::onnx::{Digest, Error, Pooling, Role, Size};
 
-use crate::pictures::{networks, picture};
+use super::pictures::{networks, picture};
 
 const PLAIN: &str = "flow: { file: flow.onnx, input: { resize: none, range: [0, 1] } }";
 

@@ -3,7 +3,7 @@
 use image::RgbImage;
 use wm_evaluation::onnx::{Error, Query, Role};
 
-use crate::pictures::{far, networks, picture, results};
+use super::pictures::{far, networks, picture, results};
 
 const NEAR: f32 = 1e-4;
 
@@ -76,7 +76,7 @@ fn features_of_pictures_match_pytorch() {
             assert_eq!(alone[0], found[1], "{role}: not the same alone");
         } else {
             // The position in the batch may change the order of a sum.
-            assert!(crate::pictures::far(&alone[0], &found[1]) < 1e-6, "{role}");
+            assert!(super::pictures::far(&alone[0], &found[1]) < 1e-6, "{role}");
         }
         assert!(features.of(&[]).unwrap().is_empty());
     }

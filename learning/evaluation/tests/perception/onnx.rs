@@ -8,7 +8,7 @@ use std::{
 use clap::Parser;
 use wm_evaluation::MergeArgs;
 
-use crate::bench::{Bench, METRICS, alexnet, value};
+use super::bench::{Bench, METRICS, alexnet, value};
 
 #[derive(Parser)]
 struct Merge {

@@ -5,7 +5,7 @@ use std::fs;
 use clap::Parser;
 use wm_evaluation::PaperArgs;
 
-use crate::bench::Bench;
+use super::bench::Bench;
 
 #[derive(Parser)]
 struct Paper {

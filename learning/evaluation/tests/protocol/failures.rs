@@ -2,7 +2,7 @@
 
 use wm_evaluation::judges::{Error, SuccessScore};
 
-use crate::{
+use super::{
     server::{Response, fails, says},
     setup::{Setup, entries},
 };

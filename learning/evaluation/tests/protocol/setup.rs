@@ -12,7 +12,7 @@ use wm_evaluation::judges::{
     EndpointSettings, FrameChoice, Judge, Prompts, Record, Rollout, SuccessScore, endpoint::Clock,
 };
 
-use crate::server::{Request, Response, Server};
+use super::server::{Request, Response, Server};
 
 /// Sleeping advances it, and is recorded.
 #[derive(Debug, Default)]

@@ -4,7 +4,7 @@ use serde_json::{Value, json};
 use tempfile::TempDir;
 use wm_import::lerobot::{ExportOptions, ImportOptions, export, import};
 
-use crate::made::Episode;
+use super::made::Episode;
 
 const DATA: &str = "data/chunk-000/file-000.parquet";
 const VIDEO: &str = "videos/observation.images.front/chunk-000/file-000.mp4";

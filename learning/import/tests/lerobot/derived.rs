@@ -7,7 +7,7 @@ use wm_bag::BagReader;
 use wm_import::lerobot::{ACTION_SPACE_FILE, ExportOptions, ImportOptions, export, import};
 use wm_motion::actions::{ActionSpace, Kind};
 
-use crate::made::Episode;
+use super::made::Episode;
 
 /// A data set of four episodes: velocities of two joints at 5 Hz, faster in each episode, and a gripper.
 fn dataset(scratch: &Path) {

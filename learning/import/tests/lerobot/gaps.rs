@@ -12,7 +12,7 @@ use wm_msgs::{
     wm_msgs::Action,
 };
 
-use crate::made::{START_NS, messages};
+use super::made::{START_NS, messages};
 
 const MS: u64 = 1_000_000;
 

@@ -15,7 +15,7 @@ use wm_msgs::{
     wm_msgs::Action,
 };
 
-use crate::made::{Episode, messages};
+use super::made::{Episode, messages};
 
 /// Runs a Python program of `tests/interop`; `None` (with a plain message) if its libraries are not installed.
 fn peer(script: &str, arg: &Path) -> Option<Value> {

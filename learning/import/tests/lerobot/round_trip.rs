@@ -13,7 +13,7 @@ use wm_msgs::{
     wm_msgs::Action,
 };
 
-use crate::made::{CAMERAS, Episode, START_NS, messages, picture, psnr};
+use super::made::{CAMERAS, Episode, START_NS, messages, picture, psnr};
 
 /// Writes episodes as bags, exports and imports them again.
 fn round_trip(scratch: &Path, episodes: &[Episode], options: &ExportOptions) -> Vec<PathBuf> {

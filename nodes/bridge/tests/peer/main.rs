@@ -7,6 +7,8 @@
 
 #[cfg(feature = "peer")]
 mod cyclone_node;
+#[path = "../../../../tests/fresh_domain.rs"]
+mod fresh_domain;
 #[path = "../processes/harness.rs"]
 #[allow(dead_code, reason = "the tests without this peer need more of it")]
 mod harness;

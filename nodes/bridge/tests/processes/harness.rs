@@ -1,5 +1,6 @@
 //! Bridges as processes, and nodes of a domain in this process.
 
+pub use crate::fresh_domain::fresh_domain;
 pub use crate::ros2_peer::{in_domain, root};
 use rustix::process::{Pid, Signal};
 use std::{
@@ -8,7 +9,6 @@ use std::{
     os::unix::process::CommandExt as _,
     path::PathBuf,
     process::{Child, Command, ExitStatus, Stdio},
-    sync::atomic::{AtomicU16, Ordering},
     time::{Duration, Instant},
 };
 use wm_msgs::std_msgs::String as Text;
@@ -26,13 +26,6 @@ pub const BRIDGE: &str = "wm-bridge";
 pub fn program(name: &str) -> PathBuf {
     let tests = std::env::current_exe().unwrap();
     tests.parent().unwrap().with_file_name(name)
-}
-
-/// A ROS domain that no other test of this run uses.
-pub fn fresh_domain() -> u16 {
-    // domains up to 101 keep RTPS ports below the ephemeral range of Linux
-    static NEXT: AtomicU16 = AtomicU16::new(0);
-    20 + (std::process::id() as u16 % 2) * 40 + NEXT.fetch_add(1, Ordering::Relaxed) % 40
 }
 
 /// A free endpoint on this host.

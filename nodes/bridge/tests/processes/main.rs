@@ -4,6 +4,8 @@
 
 mod access;
 mod announced;
+#[path = "../../../../tests/fresh_domain.rs"]
+mod fresh_domain;
 mod harness;
 mod link;
 mod lossy_link;

@@ -13,11 +13,7 @@ use wm_msgs::{
 };
 use wm_ros::{Context, Node, NodeArgs, Publisher, Qos, Subscription};
 
-use crate::{
-    context,
-    model::write_model_of_views,
-    running::{PATIENCE, with_nodes},
-};
+use crate::running::{PATIENCE, model::write_model_of_views, with_nodes};
 
 /// From one frame to the next.
 const PERIOD: Duration = Duration::from_millis(50);
@@ -138,7 +134,7 @@ fn one_of_two_cameras_stops_and_returns() {
         folder.path().display()
     );
     let nodes = [(&wm_model_nodes::views::NODE, parameters)];
-    with_nodes(context, &nodes, async |here| {
+    with_nodes(&nodes, async |here| {
         let mut cameras = Cameras::new(here).await;
         let joined = cameras.pictures_come().await;
         assert_eq!(joined.header.frame_id, "front");

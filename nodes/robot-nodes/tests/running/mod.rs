@@ -1,8 +1,6 @@
 //! Nodes that run in threads of their own.
 
-#![allow(clippy::unwrap_used, reason = "a test's helpers may fail the test")]
-#![allow(dead_code, reason = "not every test needs all of them")]
-
+use crate::fresh_domain::fresh_domain;
 use std::{thread::JoinHandle, time::Duration};
 
 use wm_ros::{Context, Environment, Middleware, Node, NodeArgs, NodeDefinition, Reach};
@@ -10,10 +8,8 @@ use wm_ros::{Context, Environment, Middleware, Node, NodeArgs, NodeDefinition, R
 /// Far longer than any step of a test: it only ends a test that hangs.
 pub const PATIENCE: Duration = Duration::from_secs(120);
 
-/// A participant on loopback, in a domain of its own for each test of a file: neither tests nor runs meet each other.
-pub fn context(test: u16) -> Context {
-    assert!(test < 8, "the domains of another run begin there");
-    let domain_id = 20 + (std::process::id() % 10) as u16 * 8 + test;
+/// A participant on loopback.
+pub fn context(domain_id: u16) -> Context {
     let reach = Reach::Localhost;
     Context::new(&Environment {
         domain_id,
@@ -50,17 +46,17 @@ pub fn start(
 /// Runs nodes with their parameters, each in a participant of its own, and a scenario that uses another one. Then ends the
 /// nodes in their order, and returns the scenario's result.
 pub async fn with_nodes<T>(
-    test: u16,
     nodes: &[(&'static NodeDefinition<anyhow::Error>, &str)],
     scenario: impl AsyncFnOnce(&Context) -> T,
 ) -> T {
+    let domain = fresh_domain();
     let mut running = Vec::new();
     for (definition, parameters) in nodes {
-        let context = context(test);
+        let context = context(domain);
         let thread = start(&context, definition, parameters);
         running.push((context, thread));
     }
-    let here = context(test);
+    let here = context(domain);
     let result = in_time(scenario(&here)).await;
     for (context, thread) in running {
         context.shutdown().trigger();
@@ -82,12 +78,8 @@ pub fn in_time<T>(scenario: impl Future<Output = T>) -> impl Future<Output = T> 
 }
 
 /// The error of a node that refuses its parameters.
-pub fn refusal(
-    test: u16,
-    definition: &'static NodeDefinition<anyhow::Error>,
-    parameters: &str,
-) -> String {
-    let context = context(test);
+pub fn refusal(definition: &'static NodeDefinition<anyhow::Error>, parameters: &str) -> String {
+    let context = context(fresh_domain());
     let result = start(&context, definition, parameters).join().unwrap();
     context.close();
     format!("{:#}", result.unwrap_err())

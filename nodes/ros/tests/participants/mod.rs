@@ -1,13 +1,18 @@
 //! Participants of one process that discover each other on loopback, as two processes would, over the middleware that
 //! `RMW_IMPLEMENTATION` names.
 
-#![allow(dead_code, reason = "each test program uses a part of it")]
-
+use crate::fresh_domain::fresh_domain;
 use std::time::Duration;
 use wm_ros::{Context, Environment, Middleware, Node, NodeArgs, Reach};
 
 /// Far longer than discovery takes; only ends a hanging test.
 pub const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Participants in a ROS domain of their own.
+pub fn contexts<const COUNT: usize>() -> [Context; COUNT] {
+    let domain = fresh_domain();
+    std::array::from_fn(|_| context(domain))
+}
 
 pub fn context(domain_id: u16) -> Context {
     let reach = Reach::Localhost;

@@ -1,6 +1,6 @@
 //! Answers to calls that are larger than a datagram of Ethernet.
 
-use super::harness::{PATIENCE, Process, context, domain, node, peers, rclpy, soon};
+use super::harness::{PATIENCE, Process, context, fresh_domain, node, peers, rclpy, soon};
 use wm_ros::Descriptor;
 
 /// What `ros2 param dump` and `ros2 lifecycle list -a` ask for: every parameter with its description.
@@ -8,7 +8,7 @@ use wm_ros::Descriptor;
 async fn a_real_ros_2_client_gets_large_answers_and_those_behind_them() {
     const NUMBER: usize = 150;
     let Some(peers) = peers() else { return };
-    let domain = domain(3);
+    let domain = fresh_domain();
     let here = context(domain);
     let node = node(&here, "talkative", "");
     let description =

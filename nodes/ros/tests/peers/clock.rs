@@ -1,6 +1,6 @@
 //! A wall clock that is set back under a running node.
 
-use super::harness::{Process, domain, given, role};
+use super::harness::{Process, fresh_domain, given, role};
 use std::path::Path;
 use wm_ros::{Error, Node, NodeArgs};
 
@@ -37,7 +37,7 @@ fn a_clock_that_is_set_back_ends_the_node_with_an_error() {
     let folder = tempfile::tempdir().unwrap();
     let offset = folder.path().join("offset");
     std::fs::write(&offset, "+0").unwrap();
-    let mut command = role(&[], "clock::waiting_node", domain(4), "");
+    let mut command = role(&[], "clock::waiting_node", fresh_domain(), "");
     command
         .env("LD_PRELOAD", library)
         .env("FAKETIME_TIMESTAMP_FILE", &offset)

@@ -10,15 +10,10 @@ use std::{
 use rustix::process::{Pid, Signal, kill_process};
 
 pub use crate::{
+    fresh_domain::fresh_domain,
     participants::{PATIENCE, context, node, soon},
     ros2_peer::{peers, rclpy, root},
 };
-
-/// A domain for each test, so that tests neither meet each other nor another run of them.
-pub fn domain(test: u16) -> u16 {
-    // domains up to 101 keep RTPS ports below the ephemeral range of Linux
-    20 + (std::process::id() % 9) as u16 * 9 + test
-}
 
 /// A command that plays `role`, behind the words of `before` (`ip netns exec`, say).
 pub fn role(before: &[&str], role: &str, domain: u16, argument: &str) -> Command {
@@ -33,7 +28,8 @@ pub fn role(before: &[&str], role: &str, domain: u16, argument: &str) -> Command
         None => Command::new(program),
     };
     command
-        .args(["--ignored", "--exact", "--nocapture", role])
+        .args(["--ignored", "--exact", "--nocapture"])
+        .arg(format!("peers::{role}"))
         .env("ROS_DOMAIN_ID", domain.to_string())
         .env("ARGUMENT", argument);
     command

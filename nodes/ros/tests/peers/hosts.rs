@@ -1,7 +1,7 @@
 //! Nodes of two hosts: a long stream, cuts of the network, an interface that gets another address.
 
 use super::{
-    harness::{Process, domain, given, node, peers, rclpy, role},
+    harness::{Process, fresh_domain, given, node, peers, rclpy, role},
     network::{Cut, ETHERNET, FIRST, Network, SECOND, must},
 };
 use std::{
@@ -312,7 +312,7 @@ fn side_by_side(peers: &Path, cases: &[Case], run: impl Fn(&mut Pair, &str) + Sy
                 let Some(network) = Network::new() else {
                     return;
                 };
-                let mut pair = Pair::start(network, peers, domain(3), *other, *at, *stream);
+                let mut pair = Pair::start(network, peers, fresh_domain(), *other, *at, *stream);
                 run(&mut pair, name);
             });
         }
@@ -338,7 +338,7 @@ fn streams_return_with_the_network_after_a_cut() {
 
 /// All lengths and sides, at the same time; three minutes.
 #[test]
-#[ignore = "long: cargo test -p wm_ros --test peers -- --ignored every_cut"]
+#[ignore = "long: cargo test -p wm_ros --test ros -- --ignored every_cut"]
 fn every_cut_ends_with_the_network() {
     let Some(peers) = peers() else { return };
     let wanted = std::env::var("CUTS").unwrap_or_default();
@@ -358,7 +358,7 @@ fn every_cut_ends_with_the_network() {
                             return;
                         };
                         let mut pair =
-                            Pair::start(network, peers, domain(3), other, SUBNET, (5.0, 1000));
+                            Pair::start(network, peers, fresh_domain(), other, SUBNET, (5.0, 1000));
                         pair.survive(&name, cut, Duration::from_secs(seconds));
                     }));
                 }
@@ -371,7 +371,7 @@ fn every_cut_ends_with_the_network() {
 
 /// Two minutes at every rate and size, one after the other; `STREAMS` chooses some: `STREAMS="Wm SUBNET"`.
 #[test]
-#[ignore = "long: cargo test -p wm_ros --test peers -- --ignored two_minutes --nocapture"]
+#[ignore = "long: cargo test -p wm_ros --test ros -- --ignored two_minutes --nocapture"]
 fn two_hosts_lose_nothing_in_two_minutes() {
     let Some(peers) = peers() else { return };
     let wanted = std::env::var("STREAMS").unwrap_or_default();
@@ -395,7 +395,7 @@ fn two_hosts_lose_nothing_in_two_minutes() {
                 };
                 let stream = (rate, size * KIB);
                 let run = std::panic::AssertUnwindSafe(|| {
-                    let mut pair = Pair::start(network, &peers, domain(3), other, at, stream);
+                    let mut pair = Pair::start(network, &peers, fresh_domain(), other, at, stream);
                     let length = Duration::from_secs(120);
                     match other {
                         Other::Wm | Other::RclpyListens | Other::Rclpy => {
@@ -434,7 +434,7 @@ fn a_node_ends_when_its_address_changes() {
     };
     let host = &network.first;
     let on = Network::on(host);
-    let node = Process::start(role(&on, "hosts::node_on_ethernet", domain(3), ""));
+    let node = Process::start(role(&on, "hosts::node_on_ethernet", fresh_domain(), ""));
     node.says("it runs");
     must(&format!("ip -n {host} addr del {FIRST}/24 dev {ETHERNET}"));
     must(&format!(
@@ -447,6 +447,6 @@ fn a_node_ends_when_its_address_changes() {
     );
     assert!(node.finish().success());
     // as a supervisor would
-    let node = Process::start(role(&on, "hosts::node_on_ethernet", domain(3), ""));
+    let node = Process::start(role(&on, "hosts::node_on_ethernet", fresh_domain(), ""));
     node.says("it runs");
 }

@@ -1,6 +1,8 @@
 //! Subscribers of a reliable topic that stop, are killed or are slow: the others go on.
 
-use super::harness::{Process, context, domain, given, node, peers, rclpy, resident, role, soon};
+use super::harness::{
+    Process, context, fresh_domain, given, node, peers, rclpy, resident, role, soon,
+};
 use bytes::Bytes;
 use rustix::process::Signal;
 use std::time::Duration;
@@ -64,8 +66,8 @@ async fn publish(
 }
 
 /// `count` of `len` bytes: more than the publisher keeps for one that takes nothing.
-async fn one_of_two_stops(test: u16, len: usize, count: u32) {
-    let domain = domain(test);
+async fn one_of_two_stops(len: usize, count: u32) {
+    let domain = fresh_domain();
     let (here, there) = (context(domain), context(domain));
     let publisher = node(&here, "talker", "")
         .raw_publisher(TOPIC, TYPE, Qos::reliable(10))
@@ -109,19 +111,19 @@ async fn one_of_two_stops(test: u16, len: usize, count: u32) {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn large_messages_continue_after_a_subscriber_stops_or_dies() {
-    one_of_two_stops(0, 4 * MIB, 60).await;
+    one_of_two_stops(4 * MIB, 60).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn small_messages_continue_after_a_subscriber_stops_or_dies() {
-    one_of_two_stops(1, 20_000, 1500).await;
+    one_of_two_stops(20_000, 1500).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn latched_messages_come_once_though_a_subscriber_stops() {
     const LEN: usize = 2000;
     const COUNT: u32 = 900;
-    let domain = domain(1);
+    let domain = fresh_domain();
     let (here, there) = (context(domain), context(domain));
     let publisher = node(&here, "talker", "")
         .raw_publisher(TOPIC, TYPE, Qos::latched(2))
@@ -165,7 +167,7 @@ async fn real_ros_2_subscribers_of_both_kinds_hear_a_reliable_topic() {
     const COUNT: u32 = 900;
     const LEN: usize = 100_000;
     let Some(peers) = peers() else { return };
-    let domain = domain(2);
+    let domain = fresh_domain();
     let here = context(domain);
     let publisher = node(&here, "talker", "")
         .raw_publisher(TOPIC, TYPE, Qos::reliable(16))

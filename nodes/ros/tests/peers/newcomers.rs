@@ -2,7 +2,7 @@
 
 use super::{
     announcement::{announcement, header, words},
-    harness::{PATIENCE, context, domain, node},
+    harness::{PATIENCE, context, fresh_domain, node},
 };
 use std::{
     net::{Ipv4Addr, UdpSocket},
@@ -149,7 +149,7 @@ fn hears_in_order(domain: u16) -> bool {
 #[test]
 fn a_newcomer_of_fast_dds_hears_of_writers_in_their_order() {
     // A machine that stands still for a quarter of a second may have it otherwise, but not three times.
-    let heard = (0..3).any(|_| hears_in_order(domain(8)));
+    let heard = (0..3).any(|_| hears_in_order(fresh_domain()));
     assert!(
         heard,
         "a new writer was announced before those that were there"

@@ -4,7 +4,7 @@
 
 use super::{
     announcement::announcement,
-    harness::{Process, domain, given, node, peers, role, root},
+    harness::{Process, fresh_domain, given, node, peers, role, root},
     network::{FIRST as NODE, Network, SECOND as STRANGER, run},
 };
 use std::{
@@ -99,7 +99,7 @@ fn a_forged_announcement_from_the_network_brings_nothing_back() {
     let Some(network) = Network::new() else {
         return;
     };
-    let domain = domain(7);
+    let domain = fresh_domain();
     let answers = |reach| -> usize {
         let inside = ["ip", "netns", "exec", &network.first];
         let node = Process::start(role(&inside, "strangers::listener", domain, reach));
@@ -122,7 +122,7 @@ fn loopback_node_and_network_do_not_reach_each_other() {
     let Some(network) = Network::new() else {
         return;
     };
-    let domain = domain(5);
+    let domain = fresh_domain();
     // where the network is asked for, the two meet
     let (found, heard) = network.meet(&peers, domain, NODE);
     assert!(found.contains(FOUND) && heard > 0, "{found} {heard}");
@@ -140,7 +140,7 @@ fn the_firewall_that_is_shipped_lets_in_only_who_is_named() {
         eprintln!("skipped: no nftables here (tests/setup_system installs it): {reason}");
         return;
     }
-    let domain = domain(6);
+    let domain = fresh_domain();
     let shipped = root().join("launch-configs/network/wm.nft");
     let shipped = std::fs::read_to_string(shipped).unwrap();
     let first = 7400 + 250 * domain;

@@ -1,8 +1,6 @@
 //! Compares the generated Rust types with their ROS definitions, which a second parser reads: names, order and types of the
 //! fields, and constants.
 
-#![allow(clippy::unwrap_used, reason = "a test's helpers may fail the test")]
-
 mod describe;
 mod hashes;
 mod installation;

@@ -1,8 +1,6 @@
 //! Descriptions of networks, and runs of networks: those of `fixtures/`, damaged ones, and real ones if available.
 
 // Clippy allows unwrap in tests, but not in their helpers.
-#![allow(clippy::unwrap_used)]
-
 #[cfg(feature = "onnx")]
 mod damaged;
 mod description;

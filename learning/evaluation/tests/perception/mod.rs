@@ -1,7 +1,5 @@
 //! `wm eval fidelity` with networks and `wm eval paper`: the embedded model on bags of the simulator.
 
-#![allow(clippy::unwrap_used)] // also in the helpers of tests
-
 mod bench;
 mod lpips;
 #[cfg(feature = "onnx")]

@@ -1,7 +1,5 @@
 //! LeRobot data sets: round trips, independent readers and writers, and damage.
 
-#![allow(clippy::unwrap_used, clippy::expect_used)] // the lint exempts #[test] functions, not their helpers
-
 mod damage;
 mod derived;
 mod gaps;

@@ -1,12 +1,6 @@
 //! One participant here and others in processes, clocks and networks of their own: peers that stop, strangers on the
 //! network, newcomers, real ROS 2 clients, a clock that is set back.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    reason = "a test's helpers may fail the test"
-)]
-
 mod announcement;
 mod answers;
 mod clock;
@@ -15,8 +9,4 @@ mod hosts;
 mod laggards;
 mod network;
 mod newcomers;
-#[path = "../participants/mod.rs"]
-mod participants;
-#[path = "../../../../tests/ros2_peer.rs"]
-mod ros2_peer;
 mod strangers;
