@@ -15,7 +15,7 @@ COPY . .
 RUN cargo build --release --locked --package wm_cli
 
 FROM debian:bookworm-slim
-RUN useradd --system --uid 10001 --home-dir /var/lib/wm --create-home wm
+RUN useradd --uid 10001 --home-dir /var/lib/wm --create-home wm
 COPY --from=build /wm/target/release/wm /usr/bin/wm
 # launch/ and bags/ lie beside each other as launch-configs/ and bags/ do in the repository.
 COPY launch-configs/ /usr/share/wm/launch/

@@ -231,7 +231,7 @@ const KEY: &str = "sk-not-a-real-key-0123456789";
 fn api_key_is_sent_and_never_written() {
     if std::env::var_os(KEY_VARIABLE).is_none() {
         let test = std::process::Command::new(std::env::current_exe().unwrap())
-            .args(["--exact", "api_key_is_sent_and_never_written"])
+            .args(["--exact", "protocol::api_key_is_sent_and_never_written"])
             .env(KEY_VARIABLE, KEY)
             .output()
             .unwrap();
