@@ -2,10 +2,11 @@
 """The end-to-end benchmark: the four nodes idle, then the main job at the bag's real rate, alternately with one process per
 node and with one for all four.
 
-usage: benches/replay.py [--device cuda] [--runs N] [--idle-seconds S] [--domain D] [--wm PATH]
+usage: benches/replay.py [--device cuda] [--watched] [--runs N] [--idle-seconds S] [--domain D] [--wm PATH]
 
 Prints Markdown tables: machine, date, n; camera stamp to prediction per step (p50/p95/p99), drops by reason; CPU and
-resident memory of each process, idle and at work. Needs `cargo build --release` and Linux's /proc, nothing else.
+resident memory of each process, idle and at work. The job always has a recorder; with --watched, a client receives all pictures
+of the node view too, but does not draw them. Needs `cargo build --release` and Linux's /proc, nothing else.
 """
 
 import argparse
@@ -14,8 +15,10 @@ import json
 import os
 import pathlib
 import signal
+import socket
 import subprocess
 import tempfile
+import threading
 import time
 
 from machine import processor
@@ -84,7 +87,29 @@ def idle(wm, env, seconds, device):
     return found
 
 
-def replay(wm, env, out, one_process, device):
+def free_port():
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        return listener.getsockname()[1]
+
+
+def watch(port):
+    """A client of the node view that receives until the node ends."""
+    received = 0
+    with socket.create_connection(("127.0.0.1", port)) as client:
+        client.sendall(
+            f"GET /socket HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
+            "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
+            "Sec-WebSocket-Protocol: wm.view.v1\r\n\r\n".encode()
+        )
+        while chunk := client.recv(1 << 16):
+            received += len(chunk)
+    if received < 100_000:
+        raise SystemExit(f"the client of the node view received {received} bytes")
+
+
+def replay(wm, env, out, one_process, device, watched):
+    port = free_port()
     launch = subprocess.Popen(
         [
             wm,
@@ -93,6 +118,7 @@ def replay(wm, env, out, one_process, device):
             f"output:={out}",
             f"device:={device}",
             f"one_process:={str(one_process).lower()}",
+            *(["view:=true", f"view_port:={port}"] if watched else []),
         ],
         cwd=ROOT,
         env=env,
@@ -100,6 +126,8 @@ def replay(wm, env, out, one_process, device):
         stderr=subprocess.DEVNULL,
     )
     time.sleep(4)
+    if watched:
+        threading.Thread(target=watch, args=(port,)).start()
     pids = {name: pid for name, pid in children(launch.pid).items() if name in (*NODES, TOGETHER)}
     work = usage(pids, 4)
     if launch.wait(timeout=120) != 0:
@@ -122,6 +150,7 @@ def print_latencies(reports):
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--device", default="cpu", help="device of the model: cpu, cuda or cuda:N")
+    parser.add_argument("--watched", action="store_true", help="with the node view and a client")
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--idle-seconds", type=float, default=20)
     parser.add_argument("--domain", type=int, default=99)
@@ -129,14 +158,15 @@ def main():
     arguments = parser.parse_args()
     env = dict(os.environ, ROS_DOMAIN_ID=str(arguments.domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
 
-    print(f"{processor()}, {os.cpu_count()} cores, {datetime.date.today()}, {arguments.runs} runs of the bundled bag, device {arguments.device}\n")
+    about = f"{processor()}, {os.cpu_count()} cores, {datetime.date.today()}, {arguments.runs} runs of the bundled bag, device {arguments.device}"
+    print(about + (", watched\n" if arguments.watched else "\n"))
     resting = idle(arguments.wm, env, arguments.idle_seconds, arguments.device)
     reports, work = {False: [], True: []}, {}
     with tempfile.TemporaryDirectory() as directory:
         for run in range(arguments.runs):
             for one_process, of_kind in reports.items():
                 out = pathlib.Path(directory) / f"{run}-{one_process}"
-                report, usages = replay(arguments.wm, env, out, one_process, arguments.device)
+                report, usages = replay(arguments.wm, env, out, one_process, arguments.device, arguments.watched)
                 of_kind.append(report)
                 work |= usages
 

@@ -16,13 +16,12 @@ import json
 import os
 import pathlib
 import signal
-import socket
 import subprocess
 import tempfile
 import time
 
 from machine import processor
-from replay import children, usage
+from replay import children, free_port, usage
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 # Seconds of the main job that are measured without a client, and then with one.
@@ -83,12 +82,6 @@ class Browser:
         self.process.terminate()
         self.process.wait(timeout=10)
         os.close(self.answers)
-
-
-def free_port():
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        return listener.getsockname()[1]
 
 
 def run(wm, browser_name, env, folder):

@@ -72,6 +72,8 @@ struct Model {
     step: Arc<Mutex<EncoderStep>>,
     space: LatentSpace,
     framing: Framing,
+    /// Encodes frames. The trial has already used the memory that they need.
+    pool: Pool,
     /// The time of a frame in the trial; `None` if the trial failed.
     estimate: Option<Duration>,
     needs: Needs,
@@ -139,7 +141,9 @@ impl ModelNode for Encoder {
             frame_skip: timing.frame_skip,
             context_frames: parameters.context_frames,
         };
-        let estimate = measured(|| step.try_out())
+        let pool = Pool::foreground(Self::NAME)?;
+        let estimate = pool
+            .run(|| measured(|| step.try_out()))
             .inspect_err(|error| tracing::warn!("trial encoding failed: {error}"))
             .ok();
         if let Some(taken) = estimate {
@@ -151,6 +155,7 @@ impl ModelNode for Encoder {
             space: step.space().clone(),
             framing: step.framing(),
             step: Arc::new(Mutex::new(step)),
+            pool,
             estimate,
             needs,
             actions: encoding.map_or_else(ActionSpace::bridge, |encoding| encoding.space().clone()),
@@ -160,6 +165,7 @@ impl ModelNode for Encoder {
     fn activate(at: &ModelSetup<Self>) -> Result<Self> {
         let Model {
             step,
+            pool,
             estimate,
             needs,
             actions,
@@ -180,7 +186,7 @@ impl ModelNode for Encoder {
             let latent = kept.encode(job, &step);
             (latent, is_raw, started.elapsed(), received)
         })
-        .on(&Pool::foreground(Self::NAME)?);
+        .on(pool);
         let diagnostics = at.node.diagnostics();
         diagnostics.set_value(PACE, choice.mode().in_words(needs));
         let images = at.endpoints.images.topics();

@@ -117,6 +117,8 @@ struct Shared {
 struct Model {
     model: Arc<WorldModel>,
     history: HistoryBuilder,
+    /// Computes rollouts. The trial has already used the memory that they need.
+    pool: Pool,
     /// The time of a predicted frame in the trial; `None` if the trial failed.
     estimate: Option<Duration>,
 }
@@ -164,7 +166,9 @@ impl ModelNode for Predictor {
             model.transition.place()
         );
         let steps = integration_steps(&model, parameters);
-        let estimate = time_of_step(&model, parameters.context_frames, steps)
+        let pool = Pool::foreground(Self::NAME)?;
+        let estimate = pool
+            .run(|| time_of_step(&model, parameters.context_frames, steps))
             .inspect_err(|error| tracing::warn!("trial prediction failed: {error}"))
             .ok();
         let Parameters {
@@ -182,6 +186,7 @@ impl ModelNode for Predictor {
         Ok(Model {
             model: Arc::new(model),
             history,
+            pool,
             estimate,
         })
     }
@@ -218,7 +223,7 @@ impl ModelNode for Predictor {
         shared
             .diagnostics
             .set_value(PACE, every_nth(cadence.nth(), "frame"));
-        let (runner, pool) = (shared.clone(), Pool::foreground(Self::NAME)?);
+        let (runner, pool) = (shared.clone(), at.resources.pool.clone());
         let work = PacedWork::new(cadence, move |job, stop: &Stop| {
             match pool.run(|| runner.roll_out(job, stop)) {
                 Ok(taken) => (Ok(()), taken),
