@@ -348,6 +348,7 @@ impl BagAudit {
             .map(|camera| camera.pictures.summary())
             .collect();
         findings.extend(self.recorded.check_stamps(true));
+        findings.extend(self.recorded.check_rate(&self.space));
         findings.extend(self.recorded.check_pictures(&track));
         let camera = self.recorded.cameras.first();
         let gap_s = camera.and_then(|camera| camera.clocks.gaps().median_s());

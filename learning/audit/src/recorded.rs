@@ -97,6 +97,26 @@ impl RecordedTopics {
         findings
     }
 
+    /// Checks that the first camera is fast enough for the actions.
+    #[must_use]
+    pub fn check_rate(&self, space: &ActionSpace) -> Option<Finding> {
+        let own = 1.0 / self.cameras.first()?.clocks.gaps().median_s()?;
+        if space.takes_frames_of(own) {
+            return None;
+        }
+        let what = format!(
+            "the camera has {own:.1} frames per second, but the actions are of {} Hz",
+            space.rate()
+        );
+        let finding = Finding::warning("rate", what)
+            .because(
+                "a training takes its frames for consecutive ones; live, the predictor waits for frames in between and \
+                 predicts nothing",
+            )
+            .fix(format!("give the action space the camera's rate: \"rate\": {own:.1} (--action-space)"));
+        Some(finding.figure("camera_hz", own))
+    }
+
     /// Checks the pictures.
     #[must_use]
     pub fn check_pictures(&self, actions: &ActionTrack) -> Vec<Finding> {

@@ -388,10 +388,16 @@ impl Recording {
         })
     }
 
-    /// Faults of stamps and pictures.
-    pub fn findings(&self, settings: &Settings, actions: &ActionTrack) -> Vec<Finding> {
+    /// Faults of stamps, rate and pictures.
+    pub fn findings(
+        &self,
+        settings: &Settings,
+        space: &ActionSpace,
+        actions: &ActionTrack,
+    ) -> Vec<Finding> {
         let uses_headers = settings.stamps == StampSource::Header;
         let mut findings = self.recorded.check_stamps(uses_headers);
+        findings.extend(self.recorded.check_rate(space));
         findings.extend(self.recorded.check_pictures(actions));
         findings
     }

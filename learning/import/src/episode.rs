@@ -1,7 +1,7 @@
 use std::path::{Path, PathBuf};
 
 use wm_bag::{BagWriter, ORIGIN, QosProfile, WriterOptions};
-use wm_motion::actions::{ActionSpace, ActionSurvey};
+use wm_motion::actions::{ActionError, ActionSpace, ActionSurvey};
 use wm_msgs::{
     builtin_interfaces::Time,
     geometry_msgs::{Point, Pose, PoseStamped, Quaternion},
@@ -58,6 +58,19 @@ impl Trajectory {
         let mut survey = ActionSurvey::new(ActionSpace::bridge(), self.rate());
         self.survey(&mut survey);
         survey
+    }
+
+    /// Bridge V2's actions, at the rate of the frames if that is lower: models take every frame of a slow camera, but
+    /// only one for each of their actions of a fast one.
+    ///
+    /// # Errors
+    /// [`ActionError::Space`] if the frames are more than 100 s apart.
+    pub fn space(&self) -> Result<ActionSpace, ActionError> {
+        let bridge = ActionSpace::bridge();
+        match bridge.takes_frames_of(self.rate()) {
+            true => Ok(bridge),
+            false => bridge.at_rate(self.rate()),
+        }
     }
 
     /// Frames per second.
@@ -162,7 +175,7 @@ impl Episode {
     fn write_to(&self, bag: &Path, start_ns: u64, origin: &str) -> Result<(), ImportError> {
         let mut writer = BagWriter::create(bag, WriterOptions::default())?;
         writer.note(ORIGIN, origin);
-        writer.note(ActionSpace::NOTE, ActionSpace::bridge().to_note()?);
+        writer.note(ActionSpace::NOTE, self.recorded.space()?.to_note()?);
         let cameras: Vec<(String, String)> = self
             .cameras
             .iter()

@@ -210,6 +210,18 @@ fn good_recording_has_no_finding() {
 }
 
 #[test]
+fn camera_slower_than_its_actions_is_found() {
+    let slow = Case { rate: 4, ..GOOD };
+    let audit = audit(&slow);
+    let found = audit
+        .faults()
+        .find(|finding| finding.check == "rate")
+        .unwrap();
+    assert!(found.what.contains("4.0 frames per second"), "{found}");
+    assert_eq!(found.figures["camera_hz"], 4.0);
+}
+
+#[test]
 fn each_picture_fault_has_its_finding() {
     let repeats = |k: i64| if k % 5 == 1 || k % 5 == 3 { k - 1 } else { k };
     assert_eq!(

@@ -264,7 +264,7 @@ fn contents(
     let sizes = camera.map(|camera| camera.pictures.sizes().keys().copied().collect());
     let actions = ActionTrack::new(space, recording.actions.rows());
     Ok(Contents {
-        findings: recording.findings(settings, &actions),
+        findings: recording.findings(settings, space, &actions),
         actions,
         sizes: sizes.unwrap_or_default(),
         cameras: recording.cameras(),

@@ -6,7 +6,9 @@ use serde_json::{Value, json};
 
 use super::*;
 use crate::{
-    ImportOptions, import_droid,
+    ImportOptions,
+    episode::Trajectory,
+    import_droid,
     mapping::VALUES,
     mp4_npz::tests::video,
     testing::{assert_shards_join, of_shard},
@@ -51,6 +53,21 @@ fn read(annotation: &Value, frames: [u32; 3]) -> Result<Episode, String> {
     let unread = found.next().unwrap().unwrap();
     let episode = unread.read(&ActionMapping::default());
     episode.map_err(|error| error.to_string())
+}
+
+#[test]
+fn slow_frames_set_the_rate_of_the_actions() {
+    let rate_of = |period_ns| {
+        let trajectory = Trajectory {
+            period_ns,
+            ..Trajectory::default()
+        };
+        trajectory.space().unwrap().rate()
+    };
+    assert_eq!(rate_of(250_000_000), 4.0);
+    assert_eq!(rate_of(200_000_000), 5.0);
+    // 15 Hz: every third frame is taken.
+    assert_eq!(rate_of(66_666_667), 5.0);
 }
 
 #[test]

@@ -190,6 +190,22 @@ impl ActionSpace {
         self.rate
     }
 
+    /// The same values at another rate \[Hz\].
+    ///
+    /// # Errors
+    /// [`ActionError::Space`] if it is not from 0.01 to 1000.
+    pub fn at_rate(self, rate: f64) -> Result<Self, ActionError> {
+        Self::new(self.name, rate, self.dimensions)
+    }
+
+    /// Whether a camera of `rate` \[Hz\] is fast enough: it has a frame near each action. A training takes the frames of a
+    /// slower one for consecutive ones; live, a predictor waits for frames in between.
+    #[must_use]
+    pub fn takes_frames_of(&self, rate: f64) -> bool {
+        // A tenth is jitter.
+        rate * 1.1 >= self.rate
+    }
+
     /// The values in order, at least one.
     pub fn dimensions(&self) -> &[Dimension] {
         &self.dimensions
