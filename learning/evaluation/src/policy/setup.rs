@@ -163,7 +163,7 @@ fn tasks_text(path: &Path) -> Result<String> {
 
 /// Whether a path is a name of this program's own, and of no file.
 fn is_builtin(path: &Path, name: &str) -> bool {
-    path.as_os_str() == name && !path.exists()
+    path.as_os_str() == name && !path.is_file()
 }
 
 fn text(path: &Path) -> Result<String> {
@@ -172,4 +172,16 @@ fn text(path: &Path) -> Result<String> {
 
 fn digest(text: &str) -> String {
     format!("{:x}", Sha256::digest(text))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_a_file_hides_a_builtin_name() {
+        assert!(is_builtin(Path::new("probes"), "probes"));
+        assert!(is_builtin(Path::new("src"), "src"), "a folder");
+        assert!(!is_builtin(Path::new("Cargo.toml"), "Cargo.toml"));
+    }
 }
