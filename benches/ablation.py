@@ -50,11 +50,12 @@ def evaluate(arguments, families):
     """Writes the report of all models. Returns the findings of the models, and the differences from the first family."""
     models = [str(model) for models in families.values() for model in models]
     out = arguments.out / "eval"
-    command = [arguments.wm, "eval", "all", "--model", models[0], "--compare", *models[1:], "--data", str(arguments.data)]
+    command = [arguments.wm, "eval", "all", "--model", models[0], "--data", str(arguments.data)]
     command += ["--cache", str(arguments.out / "cache"), "--report", str(out)]
     command += ["--skip", "latents", "policy", "robustness", "cost"]
     command += ["--settings", arguments.settings] if arguments.settings else []
     command += ["--action-space", arguments.action_space] if arguments.action_space else []
+    command += ["--compare", *models[1:]] if models[1:] else []
     several = len(families) > 1
     if several:
         command += ["--families"] + [f"{name}=" + ",".join(str(model) for model in models) for name, models in families.items()]

@@ -55,14 +55,16 @@ PARTS = {
 
 
 def trace(arguments):
-    """Of each frame, by its stamp: when it passed each stage [ns]."""
+    """When each frame, by its stamp, passed each stage [ns]."""
     env = dict(os.environ, ROS_DOMAIN_ID=str(arguments.domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
     with tempfile.NamedTemporaryFile("w", suffix=".launch.yaml") as launch:
-        model = pathlib.Path(arguments.model).resolve() if "/" in arguments.model else arguments.model
+        model = pathlib.Path(arguments.model).resolve() if pathlib.Path(arguments.model).is_dir() else arguments.model
         launch.write(LAUNCH.format(model=model, horizon=arguments.horizon, rate=float(arguments.rate), root=ROOT))
         launch.flush()
         command = [arguments.wm, "launch", launch.name]
-        run = subprocess.run(command, env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=True)
+        run = subprocess.run(command, env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    if run.returncode != 0:
+        raise SystemExit(run.stdout)
     frames = collections.defaultdict(dict)
     for line in run.stdout.splitlines():
         if found := RECORD.search(line):
@@ -82,8 +84,11 @@ def main():
 
     runs = [trace(arguments) for _ in range(arguments.runs)]
     rates = []
+    end = PARTS["first step"][1]
+    if any(sum(end in stages for stages in frames.values()) < 2 for frames in runs):
+        raise SystemExit("fewer than two predictions in a run: play slower, with --rate")
     for frames in runs:
-        published = sorted(stages[PARTS["first step"][1]] for stages in frames.values() if PARTS["first step"][1] in stages)
+        published = sorted(stages[end] for stages in frames.values() if end in stages)
         rates.append((len(published) - 1) / (published[-1] - published[0]) * 1e9)
     seen = sum(len(frames) for frames in runs)
     print(f"{processor()}, {os.cpu_count()} cores, {datetime.date.today()}, {arguments.model}, horizon {arguments.horizon}")

@@ -5,8 +5,8 @@ node and with one for all four.
 usage: benches/replay.py [--device cuda] [--watched] [--runs N] [--idle-seconds S] [--domain D] [--wm PATH]
 
 Prints Markdown tables: machine, date, n; camera stamp to prediction per step (p50/p95/p99), drops by reason; CPU and
-resident memory of each process, idle and at work. The job always has a recorder; with --watched, a client receives all pictures
-of the node view too, but does not draw them. Needs `cargo build --release` and Linux's /proc, nothing else.
+resident memory of each process, idle and at work. The job always records. With --watched, a client receives the pictures of the
+node view too, from the fourth second on, but does not draw them. Needs `cargo build --release` and Linux's /proc, nothing else.
 """
 
 import argparse
@@ -93,9 +93,8 @@ def free_port():
         return listener.getsockname()[1]
 
 
-def watch(port):
-    """A client of the node view that receives until the node ends."""
-    received = 0
+def watch(port, received):
+    """A client of the node view that receives until the node ends; adds the bytes to `received`."""
     with socket.create_connection(("127.0.0.1", port)) as client:
         client.sendall(
             f"GET /socket HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
@@ -103,9 +102,7 @@ def watch(port):
             "Sec-WebSocket-Protocol: wm.view.v1\r\n\r\n".encode()
         )
         while chunk := client.recv(1 << 16):
-            received += len(chunk)
-    if received < 100_000:
-        raise SystemExit(f"the client of the node view received {received} bytes")
+            received.append(len(chunk))
 
 
 def replay(wm, env, out, one_process, device, watched):
@@ -126,12 +123,15 @@ def replay(wm, env, out, one_process, device, watched):
         stderr=subprocess.DEVNULL,
     )
     time.sleep(4)
+    received = []
     if watched:
-        threading.Thread(target=watch, args=(port,)).start()
+        threading.Thread(target=watch, args=(port, received)).start()
     pids = {name: pid for name, pid in children(launch.pid).items() if name in (*NODES, TOGETHER)}
     work = usage(pids, 4)
     if launch.wait(timeout=120) != 0:
         raise SystemExit(f"the replay ended with {launch.returncode}")
+    if watched and sum(received) < 100_000:
+        raise SystemExit(f"the client of the node view received {sum(received)} bytes")
     return json.loads((out / "report.json").read_text()), work
 
 

@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{AtomicU16, Ordering};
 
-/// A ROS domain that no other running test of this program uses.
+/// A ROS domain that none of the 39 tests before uses. Programs of tests run one after the other.
 pub fn fresh_domain() -> u16 {
     // domains up to 101 keep RTPS ports below the ephemeral range of Linux
     static NEXT: AtomicU16 = AtomicU16::new(0);

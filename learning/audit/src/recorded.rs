@@ -101,7 +101,7 @@ impl RecordedTopics {
     #[must_use]
     pub fn check_rate(&self, space: &ActionSpace) -> Option<Finding> {
         let own = 1.0 / self.cameras.first()?.clocks.gaps().median_s()?;
-        if space.takes_frames_of(own) {
+        if space.is_fast_enough(own) {
             return None;
         }
         let what = format!(
@@ -110,10 +110,10 @@ impl RecordedTopics {
         );
         let finding = Finding::warning("rate", what)
             .because(
-                "a training takes its frames for consecutive ones; live, the predictor waits for frames in between and \
+                "a training treats its frames as one action apart; live, the predictor waits for frames in between and \
                  predicts nothing",
             )
-            .fix(format!("give the action space the camera's rate: \"rate\": {own:.1} (--action-space)"));
+            .fix(format!("give the action space the camera's rate: \"rate\": {own:.2} (--action-space)"));
         Some(finding.figure("camera_hz", own))
     }
 

@@ -60,16 +60,16 @@ impl Trajectory {
         survey
     }
 
-    /// Bridge V2's actions, at the rate of the frames if that is lower: models take every frame of a slow camera, but
-    /// only one for each of their actions of a fast one.
+    /// Bridge V2's actions. A faster camera is subsampled to their rate; a slower one sets it.
     ///
     /// # Errors
     /// [`ActionError::Space`] if the frames are more than 100 s apart.
     pub fn space(&self) -> Result<ActionSpace, ActionError> {
         let bridge = ActionSpace::bridge();
-        match bridge.takes_frames_of(self.rate()) {
+        match bridge.is_fast_enough(self.rate()) {
             true => Ok(bridge),
-            false => bridge.at_rate(self.rate()),
+            // Videos of one data set differ by rounding.
+            false => bridge.at_rate((self.rate() * 100.0).round() / 100.0),
         }
     }
 

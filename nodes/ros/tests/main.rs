@@ -15,8 +15,5 @@ mod large_messages;
 mod lifecycle;
 mod output;
 mod participants;
-mod peers;
 mod program;
-#[path = "../../../tests/ros2_peer.rs"]
-mod ros2_peer;
 mod shared_messages;

@@ -222,23 +222,23 @@ const FIGURE_STEPS: [usize; 3] = [1, 4, 8];
 #[derive(Clone, Copy)]
 enum Predictions {
     /// Under the true actions.
-    True,
+    TrueActions,
     /// Under the true actions, of one of several cameras.
     Camera(usize),
     /// Under wrong actions.
-    Wrong(ActionChange),
+    WrongActions(ActionChange),
 }
 
 impl Predictions {
     /// The squared errors by step, and those of persistence.
     fn errors(self, found: &Response) -> Option<(&[f64], &[f64])> {
         match self {
-            Self::True => Some((&found.told, &found.persistence)),
+            Self::TrueActions => Some((&found.told, &found.persistence)),
             Self::Camera(camera) => {
                 let errors = found.cameras.get(camera)?;
                 Some((&errors.told, &errors.persistence))
             }
-            Self::Wrong(change) => {
+            Self::WrongActions(change) => {
                 let mut wrong = found.wrong.iter();
                 let (_, errors) = wrong.find(|(own, _)| *own == change)?;
                 Some((errors, &found.persistence))
@@ -249,24 +249,24 @@ impl Predictions {
     /// End of a figure's name.
     fn end(self) -> String {
         match self {
-            Self::True => String::new(),
+            Self::TrueActions => String::new(),
             Self::Camera(camera) => format!("_camera{}", camera + 1),
-            Self::Wrong(change) => format!("_{}", change.name()),
+            Self::WrongActions(change) => format!("_{}", change.name()),
         }
     }
 
     fn about(self) -> String {
         match self {
-            Self::True => "the true actions".into(),
+            Self::TrueActions => "the true actions".into(),
             Self::Camera(camera) => format!("the true actions, camera {}", camera + 1),
-            Self::Wrong(change) => format!("{change} actions"),
+            Self::WrongActions(change) => format!("{change} actions"),
         }
     }
 
     fn better(self) -> Better {
         match self {
-            Self::True | Self::Camera(_) => Better::Lower,
-            Self::Wrong(_) => Better::Higher,
+            Self::TrueActions | Self::Camera(_) => Better::Lower,
+            Self::WrongActions(_) => Better::Higher,
         }
     }
 }
@@ -275,10 +275,11 @@ impl Predictions {
 fn predictions(section: &mut Section, windows: &[(&String, &Response)]) -> Vec<Predictions> {
     let cameras = windows.iter().map(|(_, found)| found.cameras.len()).max();
     let cameras = (0..cameras.unwrap_or(0)).map(Predictions::Camera);
-    let mut predictions: Vec<Predictions> =
-        std::iter::once(Predictions::True).chain(cameras).collect();
+    let mut predictions: Vec<Predictions> = std::iter::once(Predictions::TrueActions)
+        .chain(cameras)
+        .collect();
     for change in ActionChange::WRONG {
-        let wrong = Predictions::Wrong(change);
+        let wrong = Predictions::WrongActions(change);
         if windows
             .iter()
             .any(|(_, found)| wrong.errors(found).is_some())

@@ -1,6 +1,8 @@
 //! Participants of one process that discover each other on loopback, as two processes would, over the middleware that
 //! `RMW_IMPLEMENTATION` names.
 
+#![allow(dead_code, reason = "each test program uses a part of it")]
+
 use crate::fresh_domain::fresh_domain;
 use std::time::Duration;
 use wm_ros::{Context, Environment, Middleware, Node, NodeArgs, Reach};

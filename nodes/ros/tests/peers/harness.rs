@@ -28,8 +28,7 @@ pub fn role(before: &[&str], role: &str, domain: u16, argument: &str) -> Command
         None => Command::new(program),
     };
     command
-        .args(["--ignored", "--exact", "--nocapture"])
-        .arg(format!("peers::{role}"))
+        .args(["--ignored", "--exact", "--nocapture", role])
         .env("ROS_DOMAIN_ID", domain.to_string())
         .env("ARGUMENT", argument);
     command

@@ -338,7 +338,7 @@ fn streams_return_with_the_network_after_a_cut() {
 
 /// All lengths and sides, at the same time; three minutes.
 #[test]
-#[ignore = "long: cargo test -p wm_ros --test ros -- --ignored every_cut"]
+#[ignore = "long: cargo test -p wm_ros --test peers -- --ignored every_cut"]
 fn every_cut_ends_with_the_network() {
     let Some(peers) = peers() else { return };
     let wanted = std::env::var("CUTS").unwrap_or_default();
@@ -371,7 +371,7 @@ fn every_cut_ends_with_the_network() {
 
 /// Two minutes at every rate and size, one after the other; `STREAMS` chooses some: `STREAMS="Wm SUBNET"`.
 #[test]
-#[ignore = "long: cargo test -p wm_ros --test ros -- --ignored two_minutes --nocapture"]
+#[ignore = "long: cargo test -p wm_ros --test peers -- --ignored two_minutes --nocapture"]
 fn two_hosts_lose_nothing_in_two_minutes() {
     let Some(peers) = peers() else { return };
     let wanted = std::env::var("STREAMS").unwrap_or_default();

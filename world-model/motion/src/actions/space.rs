@@ -198,12 +198,12 @@ impl ActionSpace {
         Self::new(self.name, rate, self.dimensions)
     }
 
-    /// Whether a camera of `rate` \[Hz\] is fast enough: it has a frame near each action. A training takes the frames of a
-    /// slower one for consecutive ones; live, a predictor waits for frames in between.
+    /// Whether a camera of `rate` \[Hz\] is fast enough: it has a frame near each action. A training treats frames of a slower
+    /// one as one action apart; live, a predictor waits for frames in between.
     #[must_use]
-    pub fn takes_frames_of(&self, rate: f64) -> bool {
-        // A tenth is jitter.
-        rate * 1.1 >= self.rate
+    pub fn is_fast_enough(&self, rate: f64) -> bool {
+        // Of a camera one twentieth slower, the frames of short contexts are still near enough.
+        rate * 1.05 >= self.rate
     }
 
     /// The values in order, at least one.
