@@ -75,10 +75,11 @@ async fn one_of_two_stops(len: usize, count: u32) {
     let mut live = node(&there, "listener", "")
         .raw_subscription(TOPIC, TYPE, Qos::reliable(10))
         .unwrap();
+    // before there is another subscriber that could be the one counted
+    soon("connecting", publisher.wait_for_subscribers(1)).await;
+    soon("connecting", live.wait_for_publishers(1)).await;
     for signal in [Signal::STOP, Signal::KILL] {
         let laggard = Process::start(role(&[], "laggards::subscriber", domain, ""));
-        soon("connecting", publisher.wait_for_subscribers(1)).await;
-        soon("connecting", live.wait_for_publishers(1)).await;
         while laggard
             .last_line()
             .is_none_or(|line| !line.contains("came"))
