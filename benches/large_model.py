@@ -5,7 +5,7 @@ usage: benches/large_model.py MODEL [--horizon N] [--rate R] [--runs N] [--domai
 
 MODEL is a folder with the action space of the bundled bag. It may have random weights (`cargo run --release -p wm_zoo --example
 random_weights`): they cost the same time. Prints predictions per second, and as a Markdown table the time of encoding, of the
-rollout's first step, and from the capture to that step (p50/p95/p99). A player of rate R plays R times as fast. Needs `cargo build
+rollout's first step, and from the capture to that step (p50/p95/p99). `--rate R` plays the bag R times as fast. Needs `cargo build
 --release`, nothing else.
 """
 
@@ -58,7 +58,8 @@ def trace(arguments):
     """When each frame, by its stamp, passed each stage [ns]."""
     env = dict(os.environ, ROS_DOMAIN_ID=str(arguments.domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
     with tempfile.NamedTemporaryFile("w", suffix=".launch.yaml") as launch:
-        model = pathlib.Path(arguments.model).resolve() if pathlib.Path(arguments.model).is_dir() else arguments.model
+        folder = pathlib.Path(arguments.model)
+        model = folder.resolve() if folder.is_dir() else arguments.model
         launch.write(LAUNCH.format(model=model, horizon=arguments.horizon, rate=float(arguments.rate), root=ROOT))
         launch.flush()
         command = [arguments.wm, "launch", launch.name]

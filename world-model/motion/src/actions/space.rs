@@ -202,7 +202,7 @@ impl ActionSpace {
     /// one as one action apart; live, a predictor waits for frames in between.
     #[must_use]
     pub fn is_fast_enough(&self, rate: f64) -> bool {
-        // Of a camera one twentieth slower, the frames of short contexts are still near enough.
+        // Frames of a camera one twentieth slower are still near enough for a short context.
         rate * 1.05 >= self.rate
     }
 
