@@ -131,11 +131,20 @@ impl Element for i8 {
 pub(crate) trait Rounded: Element {
     /// Calls `use_it` with `values`: as they are, or rounded in a buffer of the thread.
     fn with_rounded<R>(values: &[f32], use_it: impl FnOnce(&[Self]) -> R) -> R;
+
+    /// Rounds `rows`, as many as a group and of one length, to `out`: the values of a column side by side.
+    fn interleave(rows: &[&[f32]], out: &mut [Self]);
 }
 
 impl Rounded for f32 {
     fn with_rounded<R>(values: &[f32], use_it: impl FnOnce(&[Self]) -> R) -> R {
         use_it(values)
+    }
+
+    fn interleave(rows: &[&[f32]], out: &mut [f32]) {
+        if let [row] = rows {
+            <Self as Element>::round(row, out);
+        }
     }
 }
 
@@ -149,6 +158,12 @@ impl Rounded for bf16 {
             Self::round(values, rounded);
             use_it(rounded)
         })
+    }
+
+    fn interleave(rows: &[&[f32]], out: &mut [bf16]) {
+        if let [first, second] = rows {
+            interleave_bf16(first, second, out);
+        }
     }
 }
 
@@ -164,6 +179,26 @@ impl Element for i16 {
     fn round(values: &[f32], out: &mut [i16]) {
         for (value, out) in values.iter().zip(out) {
             *out = Self::from_f32(*value);
+        }
+    }
+}
+
+vectorised! {
+    /// Rounds `values` times `factor` to `out`.
+    pub(crate) fn round_scaled<T: Element>(values: &[f32], factor: f32, out: &mut [T]) {
+        for (value, out) in values.iter().zip(out) {
+            *out = T::from_f32(value * factor);
+        }
+    }
+}
+
+vectorised! {
+    fn interleave_bf16(first: &[f32], second: &[f32], out: &mut [bf16]) {
+        // As numbers of 32 bits, which the compiler vectorises.
+        let pairs = bytemuck::cast_slice_mut::<bf16, u8>(out).as_chunks_mut::<4>().0;
+        for ((pair, first), second) in pairs.iter_mut().zip(first).zip(second) {
+            let bits = |value| u32::from(<bf16 as Element>::from_f32(value).to_bits());
+            *pair = (bits(*first) | bits(*second) << 16).to_le_bytes();
         }
     }
 }

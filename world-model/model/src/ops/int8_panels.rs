@@ -13,7 +13,7 @@ use rayon::prelude::*;
 
 use super::element::{Element, INT8_MOST};
 use super::kernel::{Prefetch, Product, Row};
-use super::panel_product::{Rows, Target, check, row};
+use super::panel_product::{Output, Rows, Target, check, row};
 use super::panel_values::MappedBytes;
 use super::panels::Panels;
 #[cfg(target_arch = "x86_64")]
@@ -159,7 +159,7 @@ impl Int8Panels {
     ///
     /// # Panics
     /// If the rows do not lie within the values, or their numbers differ.
-    pub(super) fn product_of_rows(&self, x: Rows<&[f32]>, y: Rows<&mut [f32]>) {
+    pub(super) fn product_of_rows(&self, x: Rows<&[f32]>, y: Rows<&mut [impl Output]>) {
         let target = check((self.panels.depth, self.panels.outputs), x, y);
         ROUNDED.with_borrow_mut(|buffers| match self.unit {
             Int8Unit::Bytes(unit) => {

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use super::input_range::InputRange;
 use super::int8_panels::{Int8Panels, MOST_INPUTS};
 use super::length::check_length;
-use super::panel_product::{PanelProduct, Rows};
+use super::panel_product::{Output, PanelProduct, Rows};
 use super::panel_values::MappedBytes;
 use super::panels::{LAYOUT, Panels};
 use super::simd::{InstructionSet, Int8Unit};
@@ -186,34 +186,53 @@ impl PackedLinear {
     /// # Panics
     /// As [`Self::forward`].
     pub fn forward_on_pool(&self, x: &[f32], y: &mut [f32]) {
-        self.forward_on_pool_then(x, y, |_, _| {});
+        self.share_out(x, y, |_, x, y| self.write(x, y));
     }
 
-    /// As [`Self::forward_on_pool`], and `then` of every few rows while they are in a near cache, with the number of the
-    /// first of them.
+    /// The product of `x` (rows, inputs): (rows, outputs), on all threads of the pool. `then` is called with every few rows
+    /// of the product while they are in a near cache, and with the number of the first of them.
     ///
     /// # Panics
-    /// As [`Self::forward`].
-    pub fn forward_on_pool_then(
+    /// If `x` is not whole rows.
+    pub fn product_on_pool_then(
         &self,
         x: &[f32],
-        y: &mut [f32],
         then: impl Fn(&mut [f32], usize) + Sync,
+    ) -> Vec<f32> {
+        let length = x.len() / self.inputs().max(1) * self.outputs();
+        // Not cleared: one thread would clear it, and the others wait.
+        let mut y = Vec::with_capacity(length);
+        let room = y.spare_capacity_mut().get_mut(..length);
+        self.share_out(x, room.unwrap_or_default(), |first, x, y| {
+            self.write(x, y);
+            // SAFETY: a product writes all its outputs.
+            then(unsafe { y.assume_init_mut() }, first);
+        });
+        // SAFETY: the shares are all of the outputs, and there is room for them.
+        unsafe { y.set_len(length) };
+        y
+    }
+
+    /// Calls `compute` with equal shares of the rows, on all threads of the pool: the number of a share's first row, its
+    /// inputs, and its outputs.
+    fn share_out<Y: Output>(
+        &self,
+        x: &[f32],
+        y: &mut [Y],
+        compute: impl Fn(usize, &[f32], &mut [Y]) + Sync,
     ) {
         let (inputs, outputs) = (self.inputs().max(1), self.outputs().max(1));
-        assert_eq!(x.len() / inputs, y.len() / outputs, "rows of a product");
-        // Equal shares: one task of a few rows more would read all weights for these alone.
         let rows = y.len() / outputs;
+        assert_eq!(x.len(), rows * inputs, "input of a product");
+        assert_eq!(y.len(), rows * outputs, "output of a product");
+        // Equal shares: one task of a few rows more would read all weights for these alone.
         let threads = rayon::current_num_threads();
         let tasks = threads * rows.div_ceil(threads * ROWS);
         let share = rows.div_ceil(tasks.max(1)).max(1);
         y.par_chunks_mut(share * outputs)
             .zip(x.par_chunks(share * inputs))
             .enumerate()
-            .for_each(|(task, (y, x))| {
-                self.forward(x, y);
-                then(y, task * share);
-            });
+            .for_each(|(task, (y, x))| compute(task * share, x, y));
     }
 
     /// Writes the product of `x` (rows, inputs) to `y` (rows, outputs), on the calling thread.
@@ -221,6 +240,10 @@ impl PackedLinear {
     /// # Panics
     /// If `x` is not whole rows, or `y` has another number of them.
     pub fn forward(&self, x: &[f32], y: &mut [f32]) {
+        self.write(x, y);
+    }
+
+    fn write(&self, x: &[f32], y: &mut [impl Output]) {
         if let Some(range) = &self.range {
             range.note(x);
         }

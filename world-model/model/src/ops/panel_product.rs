@@ -1,10 +1,11 @@
 //! Rows times a matrix in panels, on the calling thread.
 
 use std::cell::RefCell;
+use std::mem::MaybeUninit;
 
 use half::bf16;
 
-use super::element::{Element, widen};
+use super::element::{Element, Rounded, widen};
 use super::kernel::{Prefetch, Product, Row, l2_cache_size};
 use super::panels::Panels;
 use super::product::{Bf16, F32};
@@ -33,10 +34,10 @@ impl<'x> Rows<&'x [f32]> {
     ///
     /// # Panics
     /// If `x` is not whole rows, or `y` has another number of them.
-    pub(crate) fn contiguous<'y>(
+    pub(crate) fn contiguous<'y, Y: Output>(
         (x, inputs): (&'x [f32], usize),
-        (y, outputs): (&'y mut [f32], usize),
-    ) -> (Self, Rows<&'y mut [f32]>) {
+        (y, outputs): (&'y mut [Y], usize),
+    ) -> (Self, Rows<&'y mut [Y]>) {
         let count = x.len() / inputs.max(1);
         assert_eq!(x.len(), count * inputs, "input of a product");
         assert_eq!(y.len(), count * outputs, "output of a product");
@@ -54,32 +55,40 @@ impl<'x> Rows<&'x [f32]> {
     }
 }
 
+/// An f32 that a product writes: a product reads no output that it has not written.
+pub(crate) trait Output: Send {}
+
+impl Output for f32 {}
+
+/// Memory that nobody has cleared.
+impl Output for MaybeUninit<f32> {}
+
 /// Panels of a format that rows are multiplied with.
-pub(crate) trait PanelProduct: Element {
+pub(crate) trait PanelProduct: Rounded {
     /// `y` (rows of outputs) = `x` (as many rows of inputs) times a packed matrix, plus its bias.
     ///
     /// # Panics
     /// If the rows do not lie within the values, or their numbers differ.
-    fn product_of_rows(panels: &Panels<Self>, x: Rows<&[f32]>, y: Rows<&mut [f32]>);
+    fn product_of_rows<Y: Output>(panels: &Panels<Self>, x: Rows<&[f32]>, y: Rows<&mut [Y]>);
 
     /// As [`Self::product_of_rows`] for `x` (rows, inputs) and `y` (rows, outputs).
     ///
     /// # Panics
     /// If `x` is not whole rows, or `y` has another number of them.
-    fn product(panels: &Panels<Self>, x: &[f32], y: &mut [f32]) {
+    fn product<Y: Output>(panels: &Panels<Self>, x: &[f32], y: &mut [Y]) {
         let (x, y) = Rows::contiguous((x, panels.depth), (y, panels.outputs));
         Self::product_of_rows(panels, x, y);
     }
 }
 
 impl PanelProduct for f32 {
-    fn product_of_rows(panels: &Panels<f32>, x: Rows<&[f32]>, y: Rows<&mut [f32]>) {
+    fn product_of_rows<Y: Output>(panels: &Panels<f32>, x: Rows<&[f32]>, y: Rows<&mut [Y]>) {
         product_as_is::<F32>(panels.set, panels, x, y);
     }
 }
 
 impl PanelProduct for bf16 {
-    fn product_of_rows(panels: &Panels<bf16>, x: Rows<&[f32]>, y: Rows<&mut [f32]>) {
+    fn product_of_rows<Y: Output>(panels: &Panels<bf16>, x: Rows<&[f32]>, y: Rows<&mut [Y]>) {
         match Bf16Unit::detect() {
             Some(unit) => rounded(unit, panels, x, y),
             None => widened(panels, x, y),
@@ -88,7 +97,12 @@ impl PanelProduct for bf16 {
 }
 
 /// With inputs rounded to bf16, by the processor's products of bf16.
-fn rounded(unit: Bf16Unit, panels: &Panels<bf16>, x: Rows<&[f32]>, y: Rows<&mut [f32]>) {
+fn rounded(
+    unit: Bf16Unit,
+    panels: &Panels<bf16>,
+    x: Rows<&[f32]>,
+    y: Rows<&mut [impl Output]>,
+) {
     let target = check((panels.depth, panels.outputs), x, y);
     let rows = x.count;
     let (depth, whole) = (panels.depth.max(1), panels.whole_depth().max(1));
@@ -124,7 +138,7 @@ pub(crate) fn product_as_is<P: Product<Scales = ()>>(
     unit: P::Unit,
     panels: &Panels<P::Weight>,
     x: Rows<&[P::Input]>,
-    y: Rows<&mut [f32]>,
+    y: Rows<&mut [impl Output]>,
 ) {
     let whole = panels.whole_depth();
     let target = check((whole, panels.outputs), x, y);
@@ -218,7 +232,7 @@ impl<T: Element> Panels<T> {
 }
 
 /// With weights widened to f32, a panel at a time, which all rows are multiplied with.
-fn widened(panels: &Panels<bf16>, x: Rows<&[f32]>, y: Rows<&mut [f32]>) {
+fn widened(panels: &Panels<bf16>, x: Rows<&[f32]>, y: Rows<&mut [impl Output]>) {
     let target = check((panels.depth, panels.outputs), x, y);
     WIDENED.with_borrow_mut(|buffer| {
         for place in panels.iter() {
@@ -250,7 +264,7 @@ pub(super) struct Target {
 pub(super) fn check<X>(
     (inputs, outputs): (usize, usize),
     x: Rows<&[X]>,
-    y: Rows<&mut [f32]>,
+    y: Rows<&mut [impl Output]>,
 ) -> Target {
     let holds = |length: usize, step: usize, width: usize| {
         x.count == 0 || (step >= width && (x.count - 1) * step + width <= length)
@@ -261,7 +275,7 @@ pub(super) fn check<X>(
         "output of a product"
     );
     Target {
-        values: y.values.as_mut_ptr(),
+        values: y.values.as_mut_ptr().cast(),
         step: y.step,
         count: y.count,
     }

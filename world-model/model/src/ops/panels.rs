@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use crate::ops::element::Element;
+use crate::ops::element::{Element, Rounded, round_scaled};
 use crate::ops::panel_values::{MappedBytes, PanelValues};
 use crate::ops::simd::{InstructionSet, LANES};
 
@@ -187,7 +187,7 @@ impl<T: Element> Panels<T> {
     }
 }
 
-impl<T: Element> Panels<T> {
+impl<T: Rounded> Panels<T> {
     /// Packs the matrix whose column `n` is `column(n)` times `factor`, on the calling thread.
     pub(crate) fn pack_columns<'a>(
         depth: usize,
@@ -198,15 +198,17 @@ impl<T: Element> Panels<T> {
         let mut panels = Self::zeros(depth, outputs);
         let places: Vec<(usize, usize, usize)> = panels.iter().collect();
         let whole = panels.whole_depth();
+        let mut rounded = vec![T::ZERO; whole];
         for (vectors, start, first) in places {
             let width = vectors * LANES;
             let panel = panels.values.get_mut(start..start + whole * width);
             let panel = panel.unwrap_or_default();
             for (j, n) in (first..outputs.min(first + width)).enumerate() {
+                round_scaled(column(n), factor, &mut rounded);
                 let groups = panel.chunks_exact_mut(T::GROUP * width);
-                for (group, values) in groups.zip(column(n).chunks(T::GROUP)) {
-                    for (target, value) in group.iter_mut().skip(j * T::GROUP).zip(values) {
-                        *target = T::from_f32(value * factor);
+                for (group, values) in groups.zip(rounded.chunks_exact(T::GROUP)) {
+                    if let Some(place) = group.get_mut(j * T::GROUP..(j + 1) * T::GROUP) {
+                        place.copy_from_slice(values);
                     }
                 }
             }
@@ -223,20 +225,20 @@ impl<T: Element> Panels<T> {
         let mut panels = Self::zeros(depth, outputs);
         let places: Vec<(usize, usize, usize)> = panels.iter().collect();
         let whole = panels.whole_depth();
+        // What fills the last group up.
+        let zeros = vec![0.0; outputs];
+        let row = |k: usize| if k < depth { row(k) } else { &zeros };
+        let mut rows: Vec<&[f32]> = Vec::with_capacity(T::GROUP);
         for (vectors, start, first) in places {
             let width = vectors * LANES;
-            let count = width.min(outputs - first);
+            let end = outputs.min(first + width);
             let panel = panels.values.get_mut(start..start + whole * width);
             let groups = panel.unwrap_or_default().chunks_exact_mut(T::GROUP * width);
             for (group, values) in groups.enumerate() {
-                let rows = group * T::GROUP..depth.min((group + 1) * T::GROUP);
-                for (place, k) in rows.enumerate() {
-                    let row = row(k).get(first..first + count).unwrap_or_default();
-                    let targets = values.iter_mut().skip(place).step_by(T::GROUP);
-                    for (target, value) in targets.zip(row) {
-                        *target = T::from_f32(*value);
-                    }
-                }
+                let of_group = group * T::GROUP..(group + 1) * T::GROUP;
+                rows.clear();
+                rows.extend(of_group.map(|k| row(k).get(first..end).unwrap_or_default()));
+                T::interleave(&rows, values);
             }
         }
         panels
@@ -290,7 +292,7 @@ mod tests {
 
     use super::*;
 
-    fn check<T: Element + Into<f32>>(depth: usize, outputs: usize) {
+    fn check<T: Rounded + Into<f32>>(depth: usize, outputs: usize) {
         // Whole numbers that bf16 has.
         let matrix: Vec<f32> = (0..outputs * depth)
             .map(|i| (i % 251) as f32 + 1.0)

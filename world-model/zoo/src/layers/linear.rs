@@ -168,11 +168,7 @@ impl Linear {
             }
             .into());
         }
-        let y = host::with_values(x, |x| {
-            let mut y = vec![0.0; x.len() / inputs.max(1) * self.outputs];
-            packed.forward_on_pool_then(x, &mut y, then);
-            y
-        })?;
+        let y = host::with_values(x, |x| packed.product_on_pool_then(x, then))?;
         Ok(Tensor::from_vec(y, dims, x.device())?)
     }
 }

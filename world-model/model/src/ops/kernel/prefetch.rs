@@ -71,31 +71,38 @@ impl Prefetch {
     }
 }
 
-/// Size of a core's L2 cache \[byte\], by CPUID leaf 4; 0 on processors without this leaf, such as AMD's.
+/// Size of a core's L2 cache \[byte\], by CPUID; 0 on processors that do not report it.
 pub(crate) fn l2_cache_size() -> usize {
     static SIZE: OnceLock<usize> = OnceLock::new();
     *SIZE.get_or_init(|| {
         #[cfg(target_arch = "x86_64")]
         {
-            use std::arch::x86_64::{__cpuid, __cpuid_count};
-            // "Deterministic cache parameters", Intel's manual, volume 2, CPUID.
-            const CACHES: u32 = 4;
-            if __cpuid(0).eax < CACHES {
-                return 0;
-            }
-            let caches = (0..16).map(|index| __cpuid_count(CACHES, index));
-            let mut caches = caches.take_while(|cache| cache.eax & 0x1f != 0);
-            let second = caches.find(|cache| (cache.eax >> 5) & 7 == 2);
-            second.map_or(0, |cache| {
-                let field = |shift: u32, bits: u32| (cache.ebx >> shift) & ((1 << bits) - 1);
-                let (ways, partitions, line) = (field(22, 10), field(12, 10), field(0, 12));
-                let number = |less_one: u32| less_one as usize + 1;
-                number(ways) * number(partitions) * number(line) * number(cache.ecx)
-            })
+            // "Deterministic cache parameters" of Intel's manual, volume 2, CPUID; "Cache properties" of AMD's, volume 3,
+            // appendix E. The fields are the same.
+            const INTEL: u32 = 4;
+            const AMD: u32 = 0x8000_001d;
+            [INTEL, AMD].into_iter().find_map(reported_l2_cache_size).unwrap_or(0)
         }
         #[cfg(not(target_arch = "x86_64"))]
         0
     })
+}
+
+/// Size of a core's L2 cache \[byte\] by this leaf of CPUID; `None` on processors without it.
+#[cfg(target_arch = "x86_64")]
+fn reported_l2_cache_size(leaf: u32) -> Option<usize> {
+    use std::arch::x86_64::{__cpuid, __cpuid_count};
+    const EXTENDED: u32 = 0x8000_0000;
+    if __cpuid(leaf & EXTENDED).eax < leaf {
+        return None;
+    }
+    let caches = (0..16).map(|index| __cpuid_count(leaf, index));
+    let mut caches = caches.take_while(|cache| cache.eax & 0x1f != 0);
+    let second = caches.find(|cache| (cache.eax >> 5) & 7 == 2)?;
+    let field = |shift: u32, bits: u32| (second.ebx >> shift) & ((1 << bits) - 1);
+    let (ways, partitions, line) = (field(22, 10), field(12, 10), field(0, 12));
+    let number = |less_one: u32| less_one as usize + 1;
+    Some(number(ways) * number(partitions) * number(line) * number(second.ecx))
 }
 
 #[cfg(test)]
