@@ -4,19 +4,21 @@
 //! which the compiler may not reorder. The order of the operations is fixed, so that results do
 //! not depend on the instruction set.
 
+use super::element::Rounded;
 use super::simd::LANES;
 
 /// The sum of `a` * `b`, for slices of one length.
 #[inline(always)]
-pub(crate) fn dot(a: &[f32], b: &[f32]) -> f32 {
+pub(crate) fn dot<T: Rounded>(a: &[f32], b: &[T]) -> f32 {
     let mut sums = [0.0_f32; LANES];
     let ((a, rest_a), (b, rest_b)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
     for (a, b) in a.iter().zip(b) {
         for lane in 0..LANES {
-            sums[lane] = a[lane].mul_add(b[lane], sums[lane]);
+            sums[lane] = a[lane].mul_add(b[lane].to_f32(), sums[lane]);
         }
     }
-    let rest: f32 = rest_a.iter().zip(rest_b).map(|(a, b)| a * b).sum();
+    let rest = rest_a.iter().zip(rest_b);
+    let rest: f32 = rest.map(|(a, b)| a * b.to_f32()).sum();
     total(sums) + rest
 }
 

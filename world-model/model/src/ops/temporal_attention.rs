@@ -3,26 +3,28 @@
 //!
 //! A handful of keys a token: one vectorised pass over tokens and heads beats products of matrices.
 
+use super::element::Rounded;
 use super::exponential::exp;
 use super::reduction::dot;
 use super::rotary::{RotaryTable, normalise_and_rotate};
 use super::vectorised::vectorised;
 
 /// Keys (rows, d), normalised and turned, and values (rows, d) of the tokens of one frame.
-pub(crate) type FrameRows<'a> = (&'a [f32], &'a [f32]);
+pub(crate) type FrameRows<'a, T> = (&'a [T], &'a [T]);
 
 vectorised! {
     /// Takes apart `qkv` (rows, 3 d) of one frame: queries and keys, normalised and turned by the
     /// only position of `angles`, and values, each (rows, d).
-    pub(crate) fn split_rows(
+    pub(crate) fn split_rows<T: Rounded>(
         queries: &mut [f32],
-        keys: &mut [f32],
-        values: &mut [f32],
+        keys: &mut [T],
+        values: &mut [T],
         qkv: &[f32],
         d: usize,
         angles: &RotaryTable,
     ) {
         let dim = angles.head_dim();
+        let mut turned = vec![0.0; dim];
         let rows = queries.chunks_exact_mut(d).zip(keys.chunks_exact_mut(d));
         let rows = rows.zip(values.chunks_exact_mut(d)).zip(qkv.chunks_exact(3 * d));
         for (((queries, keys), values), qkv) in rows {
@@ -32,9 +34,14 @@ vectorised! {
                 normalise_and_rotate(from, angles.at(0), to);
             }
             for (from, to) in k.chunks_exact(dim).zip(keys.chunks_exact_mut(dim)) {
-                normalise_and_rotate(from, angles.at(0), to);
+                normalise_and_rotate(from, angles.at(0), &mut turned);
+                for (to, value) in to.iter_mut().zip(&turned) {
+                    *to = T::from_f32(*value);
+                }
             }
-            values.copy_from_slice(v);
+            for (to, value) in values.iter_mut().zip(v) {
+                *to = T::from_f32(*value);
+            }
         }
     }
 }
@@ -42,10 +49,10 @@ vectorised! {
 vectorised! {
     /// Attention of `queries` (rows, d) with heads of `dim` channels to the `frames`, to `out`
     /// (rows, d). `weights` is scratch, a value a frame.
-    pub(crate) fn attend_rows(
+    pub(crate) fn attend_rows<T: Rounded>(
         out: &mut [f32],
         queries: &[f32],
-        frames: &[FrameRows<'_>],
+        frames: &[FrameRows<'_, T>],
         weights: &mut [f32],
         d: usize,
         dim: usize,
@@ -63,7 +70,7 @@ vectorised! {
                 out.fill(0.0);
                 for (weight, (_, v)) in weights.iter().zip(frames) {
                     for (out, v) in out.iter_mut().zip(&v[start..][..dim]) {
-                        *out = weight.mul_add(*v, *out);
+                        *out = weight.mul_add(v.to_f32(), *out);
                     }
                 }
             }

@@ -2,8 +2,10 @@
 
 use std::sync::Arc;
 
+use half::bf16;
+
 use super::Layers;
-use super::tasks::Tasks;
+use crate::ops::element::Rounded;
 use crate::ops::temporal_attention::FrameRows;
 
 /// One frame as the temporal attention of later frames sees it: its keys and values in every block.
@@ -27,37 +29,69 @@ pub(super) struct Kept {
     /// The model that computed them.
     pub(super) model: Arc<Layers>,
     pub(super) batch: usize,
-    /// Block by block: keys and values, task by task (frames, tokens, d), in chunks of
-    /// `chunk` values.
-    pub(super) layers: Vec<(Vec<f32>, Vec<f32>)>,
+    pub(super) blocks: KeptBlocks,
+    /// Values of a task, in each block.
     pub(super) chunk: usize,
 }
 
 impl Kept {
-    pub(super) fn new(model: Arc<Layers>, depth: usize, tasks: &Tasks, frames: usize) -> Self {
-        let chunk = (frames * tasks.blocks.block() * tasks.blocks.width()).max(1);
-        let zeros = || vec![0.0; tasks.count() * chunk];
-        Self {
-            model,
-            batch: tasks.batch,
-            layers: (0..depth).map(|_| (zeros(), zeros())).collect(),
-            chunk,
-        }
-    }
-
-    /// Frame `index` of a task in one block, `size` values.
-    pub(super) fn rows(
+    /// Frame `index` of a task in one block, `size` values; `None` if they are in another format.
+    pub(super) fn rows<T: KeptFormat>(
         &self,
-        layer: usize,
+        block: usize,
         task: usize,
         index: usize,
         size: usize,
-    ) -> Option<FrameRows<'_>> {
-        let (keys, values) = self.layers.get(layer)?;
+    ) -> Option<FrameRows<'_, T>> {
+        let (keys, values) = T::of(&self.blocks)?.get(block)?;
         let start = task * self.chunk + index * size;
         Some((
             keys.get(start..start + size)?,
             values.get(start..start + size)?,
         ))
+    }
+}
+
+/// Keys and values of a block, task by task (frames, tokens, d).
+pub(super) type KeysValues<T> = (Vec<T>, Vec<T>);
+
+/// Block by block, in the number format of the model's attention.
+#[derive(Debug)]
+pub(super) enum KeptBlocks {
+    F32(Vec<KeysValues<f32>>),
+    Bf16(Vec<KeysValues<bf16>>),
+}
+
+/// A number format of keys and values.
+pub(super) trait KeptFormat: Rounded {
+    fn kept(blocks: Vec<KeysValues<Self>>) -> KeptBlocks;
+
+    /// `None` if `blocks` are in another format.
+    fn of(blocks: &KeptBlocks) -> Option<&[KeysValues<Self>]>;
+}
+
+impl KeptFormat for f32 {
+    fn kept(blocks: Vec<KeysValues<f32>>) -> KeptBlocks {
+        KeptBlocks::F32(blocks)
+    }
+
+    fn of(blocks: &KeptBlocks) -> Option<&[KeysValues<f32>]> {
+        match blocks {
+            KeptBlocks::F32(blocks) => Some(blocks),
+            KeptBlocks::Bf16(_) => None,
+        }
+    }
+}
+
+impl KeptFormat for bf16 {
+    fn kept(blocks: Vec<KeysValues<bf16>>) -> KeptBlocks {
+        KeptBlocks::Bf16(blocks)
+    }
+
+    fn of(blocks: &KeptBlocks) -> Option<&[KeysValues<bf16>]> {
+        match blocks {
+            KeptBlocks::Bf16(blocks) => Some(blocks),
+            KeptBlocks::F32(_) => None,
+        }
     }
 }

@@ -4,14 +4,14 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::frame_context::{FrameContext, Kept};
+use super::frame_context::{FrameContext, Kept, KeptFormat};
 use super::head;
 use super::modulation::Modulation;
 use super::projection::{Projection, TaskProjection};
 use super::tasks::{Tasks, chunk};
 use super::{Layers, PackedTransition};
 use crate::ops::buffer::Buffer;
-use crate::ops::element::Rounded;
+use crate::ops::element::Element as _;
 use crate::ops::kernel::Product;
 use crate::ops::product::{Bf16, F32};
 use crate::ops::simd::InstructionSet;
@@ -142,7 +142,7 @@ struct Pass<'a, P: Product> {
 
 impl<'a, P: Product<Scales = ()>> Pass<'a, P>
 where
-    P::Input: Rounded,
+    P::Input: KeptFormat,
 {
     fn new(
         unit: P::Unit,
@@ -188,7 +188,8 @@ where
         let mut xs = vec![0.0; tasks.count() * tasks.rows() * d];
         let (mut current, mut next) = (Projection::new(tasks), Projection::new(tasks));
         let depth = self.model.config.depth;
-        let mut kept = Kept::new(self.model.layers.clone(), depth, tasks, self.keep);
+        let chunk = (self.keep * tasks.blocks.block() * tasks.blocks.width()).max(1);
+        let mut kept = Vec::with_capacity(depth);
 
         let mut pairs = layers
             .network
@@ -213,14 +214,12 @@ where
                 spatial: (spatial, by_space),
                 temporal: (temporal, by_time),
             };
-            let (mut keys, mut values) = match kept.layers.get_mut(index) {
-                Some((keys, values)) => (std::mem::take(keys), std::mem::take(values)),
-                None => break,
-            };
+            let zeros = || vec![P::Input::ZERO; tasks.count() * chunk];
+            let (mut keys, mut values) = (zeros(), zeros());
             xs.par_chunks_mut(tasks.rows() * d)
                 .zip(next.parts(tasks))
-                .zip(keys.par_chunks_mut(kept.chunk))
-                .zip(values.par_chunks_mut(kept.chunk))
+                .zip(keys.par_chunks_mut(chunk))
+                .zip(values.par_chunks_mut(chunk))
                 .enumerate()
                 .try_for_each(|(task, (((x, projection), keys), values))| {
                     let x = self.used(task, x);
@@ -235,9 +234,7 @@ where
                         _ => Ok(()),
                     }
                 })?;
-            if let Some(layer) = kept.layers.get_mut(index) {
-                *layer = (keys, values);
-            }
+            kept.push((keys, values));
             std::mem::swap(&mut current, &mut next);
             index += 1;
         }
@@ -256,7 +253,12 @@ where
         } else {
             Vec::new()
         };
-        let kept = Arc::new(kept);
+        let kept = Arc::new(Kept {
+            model: self.model.layers.clone(),
+            batch: tasks.batch,
+            blocks: P::Input::kept(kept),
+            chunk,
+        });
         let context = |index| FrameContext {
             kept: kept.clone(),
             index,
@@ -381,7 +383,7 @@ where
         task: usize,
         layer: &Layer<'_>,
         x: &mut [f32],
-        (kept_keys, kept_values): (&mut [f32], &mut [f32]),
+        (kept_keys, kept_values): (&mut [P::Input], &mut [P::Input]),
     ) -> Result<()> {
         let (d, dim) = (self.model.config.hidden, self.model.config.head_dim());
         let times = self.tasks.times;
@@ -397,7 +399,8 @@ where
         // Keys and values of frames that later frames do not need.
         let dropped = times - self.keep;
         let mut queries = Buffer::of(times * size);
-        let (mut keys, mut values) = (Buffer::of(dropped * size), Buffer::of(dropped * size));
+        let zeros = || vec![P::Input::ZERO; dropped * size];
+        let (mut keys, mut values) = (zeros(), zeros());
         {
             let parts = queries
                 .chunks_exact_mut(size)
@@ -420,7 +423,7 @@ where
             }
         }
         let blocks = self.tasks.blocks.count();
-        let mut frames: Vec<FrameRows<'_>> = self
+        let mut frames: Vec<FrameRows<'_, P::Input>> = self
             .earlier
             .iter()
             .filter_map(|context| {
