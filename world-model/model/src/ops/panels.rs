@@ -205,12 +205,7 @@ impl<T: Rounded> Panels<T> {
             let panel = panel.unwrap_or_default();
             for (j, n) in (first..outputs.min(first + width)).enumerate() {
                 round_scaled(column(n), factor, &mut rounded);
-                let groups = panel.chunks_exact_mut(T::GROUP * width);
-                for (group, values) in groups.zip(rounded.chunks_exact(T::GROUP)) {
-                    if let Some(place) = group.get_mut(j * T::GROUP..(j + 1) * T::GROUP) {
-                        place.copy_from_slice(values);
-                    }
-                }
+                write_column(&rounded, j, width, panel);
             }
         }
         panels
@@ -275,13 +270,20 @@ fn transpose<T: Element>(depth: usize, width: usize, panel: &mut [T], rows: &[f3
     for (block, panel) in panel.chunks_mut(BLOCK * width).enumerate() {
         for (j, row) in rows.chunks_exact(depth.max(1)).enumerate() {
             let row = row.get(block * BLOCK..).unwrap_or_default();
-            let groups = panel.chunks_exact_mut(T::GROUP * width);
-            for (group, values) in groups.zip(row.chunks(T::GROUP)) {
-                let targets = group.iter_mut().skip(j * T::GROUP);
-                for (target, value) in targets.zip(values) {
-                    *target = T::from_f32(*value);
-                }
-            }
+            // Of the last group, what the row lacks stays zero.
+            let mut rounded = [T::ZERO; BLOCK];
+            round_scaled(row, 1.0, &mut rounded);
+            write_column(&rounded, j, width, panel);
+        }
+    }
+}
+
+/// Writes `values` to column `j` of `panel` (whole groups of rows of `width` values).
+fn write_column<T: Element>(values: &[T], j: usize, width: usize, panel: &mut [T]) {
+    let groups = panel.chunks_exact_mut(T::GROUP * width);
+    for (group, values) in groups.zip(values.chunks_exact(T::GROUP)) {
+        if let Some(place) = group.get_mut(j * T::GROUP..(j + 1) * T::GROUP) {
+            place.copy_from_slice(values);
         }
     }
 }
