@@ -14,6 +14,9 @@ use super::simd::{Bf16Unit, LANES};
 /// With fewer rows, a panel is read too few times for a cache to matter.
 const FEW_ROWS: usize = 32;
 
+/// Bytes of the weights that are multiplied together at most. Halves of it were slower on Zen 5, and more gained nothing.
+const LARGEST_PIECE: usize = 256 << 10;
+
 thread_local! {
     /// Rows that were rounded to bf16.
     static ROUNDED: RefCell<Vec<bf16>> = const { RefCell::new(Vec::new()) };
@@ -197,7 +200,7 @@ impl<T: Element> Panels<T> {
         let whole = self.whole_depth();
         let panel = T::tile_vectors() * LANES * size_of::<T>();
         // Whole panels, unless they are too large. AMX cannot accumulate onto outputs, so bf16 and int8 take whole panels.
-        let inputs = match l2_cache_size() / 8 / panel {
+        let inputs = match (l2_cache_size() / 4).min(LARGEST_PIECE) / panel {
             most @ 1.. if T::GROUP == 1 && rows >= FEW_ROWS => {
                 whole.div_ceil(whole.div_ceil(most).max(1))
             }
