@@ -82,6 +82,11 @@ impl Survey {
                 (Some((expected, own)), Some(space)) => {
                     let same = expected.expect_same(&space, own, &others);
                     same.map_err(|error| refused(bag, error))?;
+                    if settings.action_space.is_none()
+                        && let Some(remark) = rate_remark(&space, expected, own)
+                    {
+                        tracing::warn!("{}", LeftOut::path(bag, &remark));
+                    }
                 }
                 (Some(_), None) => {}
                 (None, space) => {
@@ -225,6 +230,17 @@ fn refused(bag: &Path, what: impl ToString) -> DatasetError {
     }
 }
 
+/// What to say of a bag whose rate is not that of the data set, which comes from `own`.
+fn rate_remark(space: &ActionSpace, expected: &ActionSpace, own: &str) -> Option<String> {
+    (space.rate() != expected.rate()).then(|| {
+        format!(
+            "its rate is {} Hz, but the data set gets the {} Hz of {own}; --action-space sets another rate",
+            space.rate(),
+            expected.rate()
+        )
+    })
+}
+
 /// The reader of a source's bag.
 pub(super) fn reader(source: &Source) -> Result<BagReader, String> {
     BagReader::open(&source.bag).map_err(|error| error.to_string())
@@ -274,4 +290,19 @@ fn contents(
         episodes,
         omissions,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bag_of_another_rate_is_named() {
+        let slower = ActionSpace::bridge().at_rate(4.0).unwrap();
+        let remark = |space| rate_remark(space, &slower, "first.mcap");
+        assert_eq!(remark(&slower), None);
+        let found = remark(&ActionSpace::bridge()).unwrap();
+        let expected = "its rate is 5 Hz, but the data set gets the 4 Hz of first.mcap";
+        assert!(found.starts_with(expected), "{found}");
+    }
 }

@@ -14,7 +14,7 @@ use super::simd::{Bf16Unit, LANES};
 /// With fewer rows, a panel is read too few times for a cache to matter.
 const FEW_ROWS: usize = 32;
 
-/// Bytes of the weights that are multiplied together at most. Halves of it were slower on Zen 5, and more gained nothing.
+/// Bytes of the weights that are multiplied together at most. On Zen 5, half as many were slower, and more gained nothing.
 const LARGEST_PIECE: usize = 256 << 10;
 
 thread_local! {
@@ -100,12 +100,7 @@ impl PanelProduct for bf16 {
 }
 
 /// With inputs rounded to bf16, by the processor's products of bf16.
-fn rounded(
-    unit: Bf16Unit,
-    panels: &Panels<bf16>,
-    x: Rows<&[f32]>,
-    y: Rows<&mut [impl Output]>,
-) {
+fn rounded(unit: Bf16Unit, panels: &Panels<bf16>, x: Rows<&[f32]>, y: Rows<&mut [impl Output]>) {
     let target = check((panels.depth, panels.outputs), x, y);
     let rows = x.count;
     let (depth, whole) = (panels.depth.max(1), panels.whole_depth().max(1));

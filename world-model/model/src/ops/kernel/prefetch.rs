@@ -24,8 +24,7 @@ impl Prefetch {
         part: 0,
     };
 
-    /// `values`, if the L2 cache has room for them and for as many others; otherwise no bytes. So only on Intel's processors:
-    /// on AMD's, prefetching a whole panel at once was slower (Zen 3, Zen 4), and parts are not measured.
+    /// `values`, if the L2 cache has room for them and for as many others; otherwise no bytes.
     pub(crate) fn of<T>(values: &[T]) -> Self {
         let length = size_of_val(values);
         match 2 * length <= l2_cache_size() {
@@ -81,7 +80,10 @@ pub(crate) fn l2_cache_size() -> usize {
             // appendix E. The fields are the same.
             const INTEL: u32 = 4;
             const AMD: u32 = 0x8000_001d;
-            [INTEL, AMD].into_iter().find_map(reported_l2_cache_size).unwrap_or(0)
+            [INTEL, AMD]
+                .into_iter()
+                .find_map(reported_l2_cache_size)
+                .unwrap_or(0)
         }
         #[cfg(not(target_arch = "x86_64"))]
         0
