@@ -230,7 +230,7 @@ fn refused(bag: &Path, what: impl ToString) -> DatasetError {
     }
 }
 
-/// What to say of a bag whose rate is not that of the data set, which comes from `own`.
+/// The warning about a bag whose rate differs from the data set's; `own` is the bag that set that rate.
 fn rate_remark(space: &ActionSpace, expected: &ActionSpace, own: &str) -> Option<String> {
     (space.rate() != expected.rate()).then(|| {
         format!(

@@ -127,14 +127,15 @@ impl Element for i8 {
     }
 }
 
-/// What inputs are rounded to before products of floats.
+/// A float format of inputs, weights, keys and values.
 pub(crate) trait Rounded: Element {
     fn to_f32(self) -> f32;
 
     /// Calls `use_it` with `values`: as they are, or rounded in a buffer of the thread.
     fn with_rounded<R>(values: &[f32], use_it: impl FnOnce(&[Self]) -> R) -> R;
 
-    /// Rounds `rows`, as many as a group and of one length, to `out`: the values of a column side by side.
+    /// Rounds a group of rows of one length ([`Element::GROUP`] rows) to `out`, interleaved: for each column the values of all
+    /// rows.
     fn interleave(rows: &[&[f32]], out: &mut [Self]);
 }
 

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 
 use super::element::{Element, INT8_MOST};
 use super::kernel::{Prefetch, Product, Row};
-use super::panel_product::{Output, Rows, Target, check, row};
+use super::panel_product::{OutputValue, Rows, Target, check, row};
 use super::panel_values::MappedBytes;
 use super::panels::Panels;
 #[cfg(target_arch = "x86_64")]
@@ -154,12 +154,13 @@ impl Int8Panels {
         ]
     }
 
-    /// `y` (rows of outputs) = `x` (as many rows of inputs) times the matrix, plus its bias. A row that has a value which is
+    /// `y` (rows of outputs) = `x` (as many rows of inputs) times the matrix, plus its bias. Writes every output of the rows, and
+    /// reads none that it has not written. A row that has a value which is
     /// not finite gives no numbers.
     ///
     /// # Panics
     /// If the rows do not lie within the values, or their numbers differ.
-    pub(super) fn product_of_rows(&self, x: Rows<&[f32]>, y: Rows<&mut [impl Output]>) {
+    pub(super) fn product_of_rows(&self, x: Rows<&[f32]>, y: Rows<&mut [impl OutputValue]>) {
         let target = check((self.panels.depth, self.panels.outputs), x, y);
         ROUNDED.with_borrow_mut(|buffers| match self.unit {
             Int8Unit::Bytes(unit) => {

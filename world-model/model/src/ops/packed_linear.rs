@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use super::input_range::InputRange;
 use super::int8_panels::{Int8Panels, MOST_INPUTS};
 use super::length::check_length;
-use super::panel_product::{Output, PanelProduct, Rows};
+use super::panel_product::{OutputValue, PanelProduct, Rows};
 use super::panel_values::MappedBytes;
 use super::panels::{LAYOUT, Panels};
 use super::simd::{InstructionSet, Int8Unit};
@@ -205,17 +205,17 @@ impl PackedLinear {
         let room = y.spare_capacity_mut().get_mut(..length);
         self.share_out(x, room.unwrap_or_default(), |first, x, y| {
             self.write(x, y);
-            // SAFETY: a product writes all its outputs.
+            // SAFETY: `write` has written every output of these rows (`PanelProduct::product_of_rows`).
             then(unsafe { y.assume_init_mut() }, first);
         });
-        // SAFETY: the shares are all of the outputs, and there is room for them.
+        // SAFETY: the shares cover all `length` outputs, each was written, and the capacity is at least `length`.
         unsafe { y.set_len(length) };
         y
     }
 
     /// Calls `compute` with equal shares of the rows, on all threads of the pool: the number of a share's first row, its
     /// inputs, and its outputs.
-    fn share_out<Y: Output>(
+    fn share_out<Y: OutputValue>(
         &self,
         x: &[f32],
         y: &mut [Y],
@@ -243,7 +243,7 @@ impl PackedLinear {
         self.write(x, y);
     }
 
-    fn write(&self, x: &[f32], y: &mut [impl Output]) {
+    fn write(&self, x: &[f32], y: &mut [impl OutputValue]) {
         if let Some(range) = &self.range {
             range.note(x);
         }
@@ -287,6 +287,29 @@ mod tests {
         linear.forward_on_pool(&x, &mut vec![0.0; 1500]);
         assert_eq!(range.largest(), [998.0, 999.0]);
         assert!(linear.noting(InputRange::new(3)).is_err());
+    }
+
+    #[test]
+    fn product_on_pool_passes_every_row_once() {
+        let (inputs, outputs) = (33, 70);
+        let value = |i: usize| ((i * 7919) % 2003) as f32 / 1001.0 - 1.0;
+        let weight: Vec<f32> = (0..inputs * outputs).map(value).collect();
+        for format in [NumberFormat::F32, NumberFormat::Bf16, NumberFormat::Int8] {
+            let linear = PackedLinear::new(&weight, None, (outputs, inputs), format).unwrap();
+            for rows in [0, 1, 2 * ROWS + 3] {
+                let x: Vec<f32> = (0..rows * inputs).map(value).collect();
+                let add = |part: &mut [f32], first: usize| {
+                    for (i, row) in part.chunks_exact_mut(outputs).enumerate() {
+                        row[0] += (first + i) as f32;
+                    }
+                };
+                let mut expected = vec![f32::NAN; rows * outputs];
+                linear.forward(&x, &mut expected);
+                add(&mut expected, 0);
+                let found = linear.product_on_pool_then(&x, add);
+                assert_eq!(found, expected, "{format:?}, {rows} rows");
+            }
+        }
     }
 
     /// An input that is a hundred times larger than the others, as transformers have them.

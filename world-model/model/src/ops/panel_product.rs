@@ -14,7 +14,7 @@ use super::simd::{Bf16Unit, LANES};
 /// With fewer rows, a panel is read too few times for a cache to matter.
 const FEW_ROWS: usize = 32;
 
-/// Bytes of the weights that are multiplied together at most. On Zen 5, half as many were slower, and more gained nothing.
+/// Bytes of weights in a piece at most. On Zen 5, 128 KiB were slower, and larger pieces gained nothing.
 const LARGEST_PIECE: usize = 256 << 10;
 
 thread_local! {
@@ -37,7 +37,7 @@ impl<'x> Rows<&'x [f32]> {
     ///
     /// # Panics
     /// If `x` is not whole rows, or `y` has another number of them.
-    pub(crate) fn contiguous<'y, Y: Output>(
+    pub(crate) fn contiguous<'y, Y: OutputValue>(
         (x, inputs): (&'x [f32], usize),
         (y, outputs): (&'y mut [Y], usize),
     ) -> (Self, Rows<&'y mut [Y]>) {
@@ -58,40 +58,45 @@ impl<'x> Rows<&'x [f32]> {
     }
 }
 
-/// An f32 that a product writes: a product reads no output that it has not written.
-pub(crate) trait Output: Send {}
+/// What a product writes its outputs to.
+///
+/// # Safety
+/// It must have the layout of f32, and every f32 must be a valid value of it.
+pub(crate) unsafe trait OutputValue: Send {}
 
-impl Output for f32 {}
+// SAFETY: it is f32.
+unsafe impl OutputValue for f32 {}
 
-/// Memory that nobody has cleared.
-impl Output for MaybeUninit<f32> {}
+// SAFETY: it has the layout of f32, and any bits are valid.
+unsafe impl OutputValue for MaybeUninit<f32> {}
 
 /// Panels of a format that rows are multiplied with.
 pub(crate) trait PanelProduct: Rounded {
-    /// `y` (rows of outputs) = `x` (as many rows of inputs) times a packed matrix, plus its bias.
+    /// `y` (rows of outputs) = `x` (as many rows of inputs) times a packed matrix, plus its bias. Writes every output of the rows,
+    /// and reads none that it has not written.
     ///
     /// # Panics
     /// If the rows do not lie within the values, or their numbers differ.
-    fn product_of_rows<Y: Output>(panels: &Panels<Self>, x: Rows<&[f32]>, y: Rows<&mut [Y]>);
+    fn product_of_rows<Y: OutputValue>(panels: &Panels<Self>, x: Rows<&[f32]>, y: Rows<&mut [Y]>);
 
     /// As [`Self::product_of_rows`] for `x` (rows, inputs) and `y` (rows, outputs).
     ///
     /// # Panics
     /// If `x` is not whole rows, or `y` has another number of them.
-    fn product<Y: Output>(panels: &Panels<Self>, x: &[f32], y: &mut [Y]) {
+    fn product<Y: OutputValue>(panels: &Panels<Self>, x: &[f32], y: &mut [Y]) {
         let (x, y) = Rows::contiguous((x, panels.depth), (y, panels.outputs));
         Self::product_of_rows(panels, x, y);
     }
 }
 
 impl PanelProduct for f32 {
-    fn product_of_rows<Y: Output>(panels: &Panels<f32>, x: Rows<&[f32]>, y: Rows<&mut [Y]>) {
+    fn product_of_rows<Y: OutputValue>(panels: &Panels<f32>, x: Rows<&[f32]>, y: Rows<&mut [Y]>) {
         product_as_is::<F32>(panels.set, panels, x, y);
     }
 }
 
 impl PanelProduct for bf16 {
-    fn product_of_rows<Y: Output>(panels: &Panels<bf16>, x: Rows<&[f32]>, y: Rows<&mut [Y]>) {
+    fn product_of_rows<Y: OutputValue>(panels: &Panels<bf16>, x: Rows<&[f32]>, y: Rows<&mut [Y]>) {
         match Bf16Unit::detect() {
             Some(unit) => rounded(unit, panels, x, y),
             None => widened(panels, x, y),
@@ -100,7 +105,12 @@ impl PanelProduct for bf16 {
 }
 
 /// With inputs rounded to bf16, by the processor's products of bf16.
-fn rounded(unit: Bf16Unit, panels: &Panels<bf16>, x: Rows<&[f32]>, y: Rows<&mut [impl Output]>) {
+fn rounded(
+    unit: Bf16Unit,
+    panels: &Panels<bf16>,
+    x: Rows<&[f32]>,
+    y: Rows<&mut [impl OutputValue]>,
+) {
     let target = check((panels.depth, panels.outputs), x, y);
     let rows = x.count;
     let (depth, whole) = (panels.depth.max(1), panels.whole_depth().max(1));
@@ -136,7 +146,7 @@ pub(crate) fn product_as_is<P: Product<Scales = ()>>(
     unit: P::Unit,
     panels: &Panels<P::Weight>,
     x: Rows<&[P::Input]>,
-    y: Rows<&mut [impl Output]>,
+    y: Rows<&mut [impl OutputValue]>,
 ) {
     let whole = panels.whole_depth();
     let target = check((whole, panels.outputs), x, y);
@@ -189,8 +199,8 @@ struct Piece {
 }
 
 impl<T: Element> Panels<T> {
-    /// The pieces that `rows` rows are multiplied with, in order. The L2 cache has room for the weights of a piece, those of the
-    /// next, and the inputs of the rows.
+    /// The pieces that `rows` rows are multiplied with, in order. The weights of a piece and of the next take at most half of the L2
+    /// cache.
     fn pieces(&self, rows: usize) -> impl Iterator<Item = Piece> {
         let whole = self.whole_depth();
         let panel = T::tile_vectors() * LANES * size_of::<T>();
@@ -230,7 +240,7 @@ impl<T: Element> Panels<T> {
 }
 
 /// With weights widened to f32, a panel at a time, which all rows are multiplied with.
-fn widened(panels: &Panels<bf16>, x: Rows<&[f32]>, y: Rows<&mut [impl Output]>) {
+fn widened(panels: &Panels<bf16>, x: Rows<&[f32]>, y: Rows<&mut [impl OutputValue]>) {
     let target = check((panels.depth, panels.outputs), x, y);
     WIDENED.with_borrow_mut(|buffer| {
         for place in panels.iter() {
@@ -262,7 +272,7 @@ pub(super) struct Target {
 pub(super) fn check<X>(
     (inputs, outputs): (usize, usize),
     x: Rows<&[X]>,
-    y: Rows<&mut [impl Output]>,
+    y: Rows<&mut [impl OutputValue]>,
 ) -> Target {
     let holds = |length: usize, step: usize, width: usize| {
         x.count == 0 || (step >= width && (x.count - 1) * step + width <= length)

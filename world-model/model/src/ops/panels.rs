@@ -188,7 +188,7 @@ impl<T: Element> Panels<T> {
 }
 
 impl<T: Rounded> Panels<T> {
-    /// Packs the matrix whose column `n` is `column(n)` times `factor`, on the calling thread.
+    /// Packs the matrix whose column `n` is `column(n)` (`depth` values) times `factor`, on the calling thread.
     pub(crate) fn pack_columns<'a>(
         depth: usize,
         outputs: usize,
@@ -220,7 +220,7 @@ impl<T: Rounded> Panels<T> {
         let mut panels = Self::zeros(depth, outputs);
         let places: Vec<(usize, usize, usize)> = panels.iter().collect();
         let whole = panels.whole_depth();
-        // What fills the last group up.
+        // Rows that fill up the last group.
         let zeros = vec![0.0; outputs];
         let row = |k: usize| if k < depth { row(k) } else { &zeros };
         let mut rows: Vec<&[f32]> = Vec::with_capacity(T::GROUP);
@@ -270,7 +270,7 @@ fn transpose<T: Element>(depth: usize, width: usize, panel: &mut [T], rows: &[f3
     for (block, panel) in panel.chunks_mut(BLOCK * width).enumerate() {
         for (j, row) in rows.chunks_exact(depth.max(1)).enumerate() {
             let row = row.get(block * BLOCK..).unwrap_or_default();
-            // Of the last group, what the row lacks stays zero.
+            // Zeros fill up the last group.
             let mut rounded = [T::ZERO; BLOCK];
             round_scaled(row, 1.0, &mut rounded);
             write_column(&rounded, j, width, panel);

@@ -98,7 +98,12 @@ fn reported_l2_cache_size(leaf: u32) -> Option<usize> {
     if __cpuid(leaf & EXTENDED).eax < leaf {
         return None;
     }
-    let caches = (0..16).map(|index| __cpuid_count(leaf, index));
+    l2_size((0..16).map(|index| __cpuid_count(leaf, index)))
+}
+
+/// Size of the L2 cache \[byte\] among a processor's caches, as CPUID reports them.
+#[cfg(target_arch = "x86_64")]
+fn l2_size(caches: impl Iterator<Item = std::arch::x86_64::CpuidResult>) -> Option<usize> {
     let mut caches = caches.take_while(|cache| cache.eax & 0x1f != 0);
     let second = caches.find(|cache| (cache.eax >> 5) & 7 == 2)?;
     let field = |shift: u32, bits: u32| (second.ebx >> shift) & ((1 << bits) - 1);
@@ -126,6 +131,27 @@ mod tests {
             assert_eq!(prefetch.left, left);
         }
         assert_eq!(prefetch.bytes, values.as_ptr_range().end);
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[test]
+    fn l2_cache_is_found_among_all_caches() {
+        let cache = |[eax, ebx, ecx]: [u32; 3]| std::arch::x86_64::CpuidResult {
+            eax,
+            ebx,
+            ecx,
+            edx: 0,
+        };
+        // Data and instructions in L1, both in an L2 of 1 MiB (16 ways, lines of 64 bytes, 1024 sets), the end.
+        let caches = [
+            [0x121, 0x02c0_003f, 63],
+            [0x122, 0x01c0_003f, 63],
+            [0x143, 0x03c0_003f, 1023],
+            [0; 3],
+        ];
+        assert_eq!(l2_size(caches.map(cache).into_iter()), Some(1 << 20));
+        // Intel's leaf on a processor of AMD.
+        assert_eq!(l2_size([cache([0; 3])].into_iter()), None);
     }
 
     #[test]

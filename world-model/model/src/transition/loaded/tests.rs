@@ -3,6 +3,7 @@
 use candle_core::{Device, Tensor};
 
 use super::*;
+use crate::NumberFormat;
 use crate::transition::{TemporalPattern, Transition};
 
 fn values(tensor: &Tensor) -> Vec<f32> {
@@ -172,7 +173,10 @@ fn a_pass_may_keep_some_frames_and_give_others() {
             action: &[0.5; 7],
         })
         .collect();
-    for model in every_form(&config) {
+    let reference = Transition::random(config.clone(), 4).unwrap();
+    let rounded = [NumberFormat::Bf16, NumberFormat::Int8]
+        .map(|format| PackedTransition::new(&reference, format).unwrap().into());
+    for model in every_form(&config).into_iter().chain(rounded) {
         let check = |found: &[Vec<f32>], expected: &[Vec<f32>]| {
             check_same(&model, &found.concat(), &expected.concat());
         };

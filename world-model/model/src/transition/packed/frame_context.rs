@@ -55,7 +55,7 @@ impl Kept {
 /// Keys and values of a block, task by task (frames, tokens, d).
 pub(super) type KeysValues<T> = (Vec<T>, Vec<T>);
 
-/// Block by block, in the number format of the model's attention.
+/// Keys and values of every block, in the number format of the model's attention.
 #[derive(Debug)]
 pub(super) enum KeptBlocks {
     F32(Vec<KeysValues<f32>>),

@@ -396,7 +396,7 @@ where
         let (sub_block, modulation) = layer.temporal;
         let of_all = self.modulation(task, modulation, 0);
         let qkv = sub_block.project(&mut PackedLayers::default(), &Rows::shared(d, x), &of_all)?;
-        // Keys and values of frames that later frames do not need.
+        // Keys and values of frames that later frames do not need. No `Buffer`, which has f32 only.
         let dropped = times - self.keep;
         let mut queries = Buffer::of(times * size);
         let zeros = || vec![P::Input::ZERO; dropped * size];
@@ -423,15 +423,17 @@ where
             }
         }
         let blocks = self.tasks.blocks.count();
-        let mut frames: Vec<FrameRows<'_, P::Input>> = self
-            .earlier
-            .iter()
-            .filter_map(|context| {
-                let shared = context.kept.batch == 1;
-                let task = if shared { task % blocks } else { task };
-                context.kept.rows(layer.index, task, context.index, size)
+        let earlier = self.earlier.iter().map(|context| {
+            let shared = context.kept.batch == 1;
+            let task = if shared { task % blocks } else { task };
+            let rows = context.kept.rows(layer.index, task, context.index, size);
+            rows.ok_or_else(|| Error::Shape {
+                what: "an earlier frame's context",
+                expected: format!("{size} keys and values in the format of the model"),
+                found: vec![layer.index, task, context.index],
             })
-            .collect();
+        });
+        let mut frames = earlier.collect::<Result<Vec<FrameRows<'_, P::Input>>>>()?;
         let before = frames.len();
         let own_keys = kept_keys
             .chunks_exact(size)
