@@ -5,7 +5,7 @@
 //! Blocks are what threads share: each projects its own tokens, and then reads the keys and values
 //! of all. The cut depends on the number of tokens only, so results do not depend on the threads.
 
-use super::element::{Element, Rounded};
+use super::element::{Element, Float};
 use super::kernel::{Prefetch, Product, Row};
 use super::rotary::{RotaryTable, normalise_and_rotate};
 use super::simd::{InstructionSet, LANES, NO_BIAS};
@@ -123,7 +123,7 @@ impl TokenBlocks {
         scores: &mut [f32],
         out: &mut [f32],
     ) where
-        P::Input: Rounded,
+        P::Input: Float,
     {
         let (d, dim, block) = (self.width(), self.dim, self.block);
         let rows = queries.len() / d.max(1);
@@ -279,7 +279,7 @@ mod tests {
         qkv: &[f32],
     ) -> Vec<f32>
     where
-        P::Input: Rounded,
+        P::Input: Float,
     {
         let d = blocks.width();
         let of_block = |i: usize| {

@@ -128,7 +128,7 @@ impl Element for i8 {
 }
 
 /// A float format of inputs, weights, keys and values.
-pub(crate) trait Rounded: Element {
+pub(crate) trait Float: Element {
     fn to_f32(self) -> f32;
 
     /// Calls `use_it` with `values`: as they are, or rounded in a buffer of the thread.
@@ -136,10 +136,13 @@ pub(crate) trait Rounded: Element {
 
     /// Rounds a group of rows of one length ([`Element::GROUP`] rows) to `out`, interleaved: for each column the values of all
     /// rows.
+    ///
+    /// # Panics
+    /// If there are more or fewer rows.
     fn interleave(rows: &[&[f32]], out: &mut [Self]);
 }
 
-impl Rounded for f32 {
+impl Float for f32 {
     #[inline(always)]
     fn to_f32(self) -> f32 {
         self
@@ -150,13 +153,14 @@ impl Rounded for f32 {
     }
 
     fn interleave(rows: &[&[f32]], out: &mut [f32]) {
-        if let [row] = rows {
+        assert_eq!(rows.len(), Self::GROUP, "rows of a group");
+        for row in rows {
             <Self as Element>::round(row, out);
         }
     }
 }
 
-impl Rounded for bf16 {
+impl Float for bf16 {
     /// By a shift, which the compiler vectorises.
     #[inline(always)]
     fn to_f32(self) -> f32 {
@@ -175,8 +179,9 @@ impl Rounded for bf16 {
     }
 
     fn interleave(rows: &[&[f32]], out: &mut [bf16]) {
-        if let [first, second] = rows {
-            interleave_bf16(first, second, out);
+        assert_eq!(rows.len(), Self::GROUP, "rows of a group");
+        for pair in rows.as_chunks::<2>().0 {
+            interleave_bf16(*pair, out);
         }
     }
 }
@@ -207,7 +212,8 @@ vectorised! {
 }
 
 vectorised! {
-    fn interleave_bf16(first: &[f32], second: &[f32], out: &mut [bf16]) {
+    fn interleave_bf16(rows: [&[f32]; 2], out: &mut [bf16]) {
+        let [first, second] = rows;
         // As numbers of 32 bits, which the compiler vectorises.
         let pairs = bytemuck::cast_slice_mut::<bf16, u8>(out).as_chunks_mut::<4>().0;
         for ((pair, first), second) in pairs.iter_mut().zip(first).zip(second) {
@@ -231,8 +237,8 @@ vectorised! {
         for (pairs, rows) in pairs.chunks_exact(2 * width).zip(rows.chunks_exact_mut(2 * width)) {
             let (first, second) = rows.split_at_mut(width);
             for ((pair, first), second) in pairs.as_chunks::<2>().0.iter().zip(first).zip(second) {
-                *first = Rounded::to_f32(pair[0]);
-                *second = Rounded::to_f32(pair[1]);
+                *first = Float::to_f32(pair[0]);
+                *second = Float::to_f32(pair[1]);
             }
         }
     }

@@ -189,8 +189,8 @@ impl PackedLinear {
         self.share_out(x, y, |_, x, y| self.write(x, y));
     }
 
-    /// The product of `x` (rows, inputs): (rows, outputs), on all threads of the pool. `then` is called with every few rows
-    /// of the product while they are in a near cache, and with the number of the first of them.
+    /// The product of `x` (rows, inputs): (rows, outputs), on all threads of the pool. Each thread calls `then` with the rows that
+    /// it has just computed, which are still in its cache, and the number of their first row.
     ///
     /// # Panics
     /// If `x` is not whole rows.

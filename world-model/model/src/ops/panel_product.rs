@@ -5,7 +5,7 @@ use std::mem::MaybeUninit;
 
 use half::bf16;
 
-use super::element::{Element, Rounded, widen};
+use super::element::{Element, Float, widen};
 use super::kernel::{Prefetch, Product, Row, l2_cache_size};
 use super::panels::Panels;
 use super::product::{Bf16, F32};
@@ -71,7 +71,7 @@ unsafe impl OutputValue for f32 {}
 unsafe impl OutputValue for MaybeUninit<f32> {}
 
 /// Panels of a format that rows are multiplied with.
-pub(crate) trait PanelProduct: Rounded {
+pub(crate) trait PanelProduct: Float {
     /// `y` (rows of outputs) = `x` (as many rows of inputs) times a packed matrix, plus its bias. Writes every output of the rows,
     /// and reads none that it has not written.
     ///

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use crate::ops::element::{Element, Rounded, round_scaled};
+use crate::ops::element::{Element, Float, round_scaled};
 use crate::ops::panel_values::{MappedBytes, PanelValues};
 use crate::ops::simd::{InstructionSet, LANES};
 
@@ -187,7 +187,7 @@ impl<T: Element> Panels<T> {
     }
 }
 
-impl<T: Rounded> Panels<T> {
+impl<T: Float> Panels<T> {
     /// Packs the matrix whose column `n` is `column(n)` (`depth` values) times `factor`, on the calling thread.
     pub(crate) fn pack_columns<'a>(
         depth: usize,
@@ -294,7 +294,7 @@ mod tests {
 
     use super::*;
 
-    fn check<T: Rounded + Into<f32>>(depth: usize, outputs: usize) {
+    fn check<T: Float + Into<f32>>(depth: usize, outputs: usize) {
         // Whole numbers that bf16 has.
         let matrix: Vec<f32> = (0..outputs * depth)
             .map(|i| (i % 251) as f32 + 1.0)

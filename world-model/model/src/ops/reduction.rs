@@ -4,12 +4,12 @@
 //! which the compiler may not reorder. The order of the operations is fixed, so that results do
 //! not depend on the instruction set.
 
-use super::element::Rounded;
+use super::element::Float;
 use super::simd::LANES;
 
 /// The sum of `a` * `b`, for slices of one length.
 #[inline(always)]
-pub(crate) fn dot<T: Rounded>(a: &[f32], b: &[T]) -> f32 {
+pub(crate) fn dot<T: Float>(a: &[f32], b: &[T]) -> f32 {
     let mut sums = [0.0_f32; LANES];
     let ((a, rest_a), (b, rest_b)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
     for (a, b) in a.iter().zip(b) {

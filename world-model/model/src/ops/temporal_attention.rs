@@ -3,7 +3,7 @@
 //!
 //! A handful of keys a token: one vectorised pass over tokens and heads beats products of matrices.
 
-use super::element::Rounded;
+use super::element::Float;
 use super::exponential::exp;
 use super::reduction::dot;
 use super::rotary::{RotaryTable, normalise_and_rotate};
@@ -15,7 +15,7 @@ pub(crate) type FrameRows<'a, T> = (&'a [T], &'a [T]);
 vectorised! {
     /// Takes apart `qkv` (rows, 3 d) of one frame: queries and keys, normalised and turned by the
     /// only position of `angles`, and values, each (rows, d).
-    pub(crate) fn split_rows<T: Rounded>(
+    pub(crate) fn split_rows<T: Float>(
         queries: &mut [f32],
         keys: &mut [T],
         values: &mut [T],
@@ -49,7 +49,7 @@ vectorised! {
 vectorised! {
     /// Attention of `queries` (rows, d) with heads of `dim` channels to the `frames`, to `out`
     /// (rows, d). `weights` is scratch, a value a frame.
-    pub(crate) fn attend_rows<T: Rounded>(
+    pub(crate) fn attend_rows<T: Float>(
         out: &mut [f32],
         queries: &[f32],
         frames: &[FrameRows<'_, T>],

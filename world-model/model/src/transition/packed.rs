@@ -13,6 +13,7 @@
 
 mod frame_context;
 mod head;
+mod kept;
 mod modulation;
 mod pass;
 mod projection;

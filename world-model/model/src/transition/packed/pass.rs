@@ -4,8 +4,9 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::frame_context::{FrameContext, Kept, KeptFormat};
+use super::frame_context::FrameContext;
 use super::head;
+use super::kept::{Kept, KeptFormat};
 use super::modulation::Modulation;
 use super::projection::{Projection, TaskProjection};
 use super::tasks::{Tasks, chunk};
