@@ -8,7 +8,7 @@
 use std::time::Instant;
 
 use candle_core::{DType, Device, Tensor};
-use wm_model::{Compute, Result, sampler::Rollout, trained_folder::TrainedFolder};
+use wm_model::{Compute, Result, random, sampler::Rollout, trained_folder::TrainedFolder};
 
 const RUNS: usize = 30;
 const HORIZON: usize = 8;
@@ -27,12 +27,7 @@ fn main() -> Result<()> {
         .world_model(&Compute::default())?
         .transition;
     let c = model.config();
-    let context = Tensor::randn(
-        0f32,
-        1.0,
-        (1, 2, c.latent_height, c.latent_width, c.channels),
-        &Device::Cpu,
-    )?;
+    let context = random::normal(&[1, 2, c.latent_height, c.latent_width, c.channels], 1)?;
     let past = Tensor::zeros((1, c.action_dim), DType::F32, &Device::Cpu)?;
     let action = Tensor::zeros((1, c.action_dim), DType::F32, &Device::Cpu)?;
     let (mut first, mut whole) = (Vec::new(), Vec::new());

@@ -11,6 +11,7 @@
 //! | [`Weights`] | files of tensors, with metadata |
 //! | [`trained_folder`] | the embedded default `tiny`, and folders with an autoencoder |
 //! | [`transition`], [`ops`] | the transition model, and the kernels under it |
+//! | [`random`] | random tensors for tests and benchmarks |
 //!
 //! Latents and actions are plain values, row-major with channels last, or tensors of candle. Two predictions:
 //!
@@ -63,6 +64,7 @@ mod world_model;
 pub mod autoencoder;
 pub mod image;
 pub mod ops;
+pub mod random;
 pub mod sampler;
 pub mod trained_folder;
 pub mod transition;

@@ -9,7 +9,7 @@
 use std::time::Instant;
 
 use candle_core::{DType, Device, Tensor};
-use wm_model::{Compute, trained_folder::TrainedFolder};
+use wm_model::{Compute, random, trained_folder::TrainedFolder};
 use wm_planner::{
     Cem, CemSettings, Objective, Planner as _, Problem, SearchSpace, Target, TransitionDynamics,
 };
@@ -27,10 +27,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     let model = TrainedFolder::named("tiny").world_model(&Compute::default())?;
     let (height, width, channels) = model.space.shape();
-    let context = Tensor::randn(0_f32, 1.0, (1, 2, height, width, channels), &Device::Cpu)?;
+    let context = random::normal(&[1, 2, height, width, channels], 1)?;
     let values = model.encoding.action_dim();
     let past = Tensor::zeros((1, values), DType::F32, &Device::Cpu)?;
-    let goal = Tensor::randn(0_f32, 1.0, (height, width, channels), &Device::Cpu)?;
+    let goal = random::normal(&[height, width, channels], 2)?;
     let objective = Objective::of(Target::LastStep(goal));
     let space = SearchSpace::bounded(&vec![(-1.0, 1.0); values], values)?;
     let cem = Cem::new(CemSettings {

@@ -2,7 +2,7 @@ use rand::Rng;
 
 use super::*;
 use crate::ops::conv_layers::{ConvGradients, Tape};
-use crate::{Fit, PictureSize};
+use crate::{Fit, PictureSize, random};
 
 fn config() -> AutoencoderConfig {
     AutoencoderConfig {
@@ -20,9 +20,7 @@ fn config() -> AutoencoderConfig {
 }
 
 fn images(seed: u64) -> Tensor {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let values: Vec<f32> = (0..2 * 8 * 12 * 3).map(|_| rng.random()).collect();
-    Tensor::from_vec(values, (2, 8, 12, 3), &Device::Cpu).unwrap()
+    random::uniform(&[2, 8, 12, 3], seed).unwrap()
 }
 
 fn flat(tensor: &Tensor) -> Vec<f32> {
@@ -330,7 +328,7 @@ fn tensors_compute_what_kernels_compute() {
         let kernels = Autoencoder::random(config, 3).unwrap();
         let tensors = kernels.clone().on_tensors(&Device::Cpu).unwrap();
         assert_eq!(tensors.space(), kernels.space());
-        let images = Tensor::rand(0f32, 1.0, (2, 32, 64, 3), &Device::Cpu).unwrap();
+        let images = random::uniform(&[2, 32, 64, 3], 1).unwrap();
         let latents = kernels.encode(&images).unwrap();
         check(&tensors.encode(&images).unwrap(), &latents);
         check(

@@ -3,19 +3,12 @@
 #![allow(clippy::unwrap_used, clippy::indexing_slicing)] // the helpers of tests, not only what is marked #[test]
 
 use candle_core::{Device, Result, Tensor, Var};
-use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, StandardNormal};
 
-use crate::Kernels;
+use crate::{Kernels, random};
 
 /// Normally distributed values, the same ones for a seed.
 pub(super) fn random(shape: &[usize], seed: u64) -> Tensor {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let values: Vec<f32> = (0..shape.iter().product())
-        .map(|_| StandardNormal.sample(&mut rng))
-        .collect();
-    Tensor::from_vec(values, shape, &Device::Cpu).unwrap()
+    random::normal(shape, seed).unwrap()
 }
 
 /// Checks that both kinds of kernels give the same, to 1e-5 where values are about 1.

@@ -42,11 +42,7 @@ fn every_form((model, packed): &(Transition, LoadedTransition)) -> [LoadedTransi
 }
 
 fn random(shape: &[usize], seed: u64) -> Tensor {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let values: Vec<f32> = (0..shape.iter().product())
-        .map(|_| StandardNormal.sample(&mut rng))
-        .collect();
-    Tensor::from_vec(values, shape, &Device::Cpu).unwrap()
+    crate::random::normal(shape, seed).unwrap()
 }
 
 fn most(a: &Tensor, b: &Tensor) -> f32 {

@@ -157,7 +157,6 @@ fn folded(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use candle_core::Device;
 
     #[test]
     fn padding_is_that_of_tensorflow() {
@@ -173,11 +172,11 @@ mod tests {
     fn both_engines_convolve_alike() {
         for (kernel, stride, h, w) in [(3, 1, 5, 4), (3, 2, 6, 7), (5, 2, 8, 5), (5, 1, 3, 2)] {
             let channels = 6;
-            let random = |shape: &[usize]| Tensor::randn(0_f32, 1.0, shape, &Device::Cpu).unwrap();
-            let x = random(&[2, h, w, channels]);
+            let random = |shape: &[usize], seed| wm_model::random::normal(shape, seed).unwrap();
+            let x = random(&[2, h, w, channels], 1);
             let mut spatial = Spatial {
-                weight: random(&[channels, 1, kernel, kernel]),
-                bias: random(&[channels]),
+                weight: random(&[channels, 1, kernel, kernel], 2),
+                bias: random(&[channels], 3),
                 window: Window { kernel, stride },
                 groups: channels,
                 kernels: Kernels::Candle,

@@ -1,6 +1,7 @@
 use candle_core::{DType, Device, Tensor};
 use serde_json::{Value, json};
 use tempfile::TempDir;
+use wm_model::random;
 use wm_model::sampler::Rollout;
 use wm_model::trained_folder::TRANSITION_FILE;
 use wm_model::transition::{ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition};
@@ -74,7 +75,7 @@ fn a_folder_encodes_predicts_and_decodes_in_one_space() {
         let encoder = model.encoder().unwrap();
         assert_eq!(encoder.space().shape(), latent);
         assert_eq!(encoder.input_size(), (32, 32));
-        let images = Tensor::rand(0f32, 1.0, (2, 32, 32, 3), &Device::Cpu).unwrap();
+        let images = random::uniform(&[2, 32, 32, 3], 1).unwrap();
         let latents = encoder.encode(&images).unwrap();
         assert_eq!(latents.dims(), [2, latent.0, latent.1, latent.2]);
 
@@ -202,7 +203,7 @@ fn an_adapter_decodes_to_the_space_of_its_encoder_alone() {
         open().native_decoder().unwrap().unwrap(),
         open().encoder(&Compute::default()),
     );
-    let images = Tensor::rand(0f32, 1.0, (2, 32, 32, 3), &Device::Cpu).unwrap();
+    let images = random::uniform(&[2, 32, 32, 3], 1).unwrap();
     let latents = encoder.unwrap().encode(&images).unwrap();
     let features = adapter.decode(&latents).unwrap();
     assert_eq!(features.dims(), [2, 4, 4, 48]);
@@ -295,7 +296,7 @@ fn decoding_undoes_the_normalisation() {
         )
     };
     let ((encoder, decoder), (plain_encoder, plain_decoder)) = (open(&with), open(&without));
-    let image = Tensor::rand(0f32, 1.0, (1, 32, 32, 3), &Device::Cpu).unwrap();
+    let image = random::uniform(&[1, 32, 32, 3], 1).unwrap();
     let (latent, plain) = (
         encoder.encode(&image).unwrap(),
         plain_encoder.encode(&image).unwrap(),
@@ -394,7 +395,7 @@ fn views_lie_beside_each_other() {
     assert_eq!(model.framing(), encoder.framing());
     assert_eq!(model.framing().views, 2);
     assert_eq!(encoder.space().shape(), (4, 8, 6));
-    let image = Tensor::rand(0f32, 1.0, (1, 32, 64, 3), &Device::Cpu).unwrap();
+    let image = random::uniform(&[1, 32, 64, 3], 1).unwrap();
     let latent = encoder.encode(&image).unwrap();
     // Each view is encoded as if it were alone.
     let swapped = |x: &Tensor, half| {
@@ -433,7 +434,7 @@ fn positions_of_several_views_are_part_of_the_models_hash() {
     // A latent space says how views are encoded, not how the transition numbers them.
     assert_eq!(default.space, by_view.space);
 
-    let x = Tensor::rand(0f32, 1.0, (1, 2, 4, 8, 6), &Device::Cpu).unwrap();
+    let x = random::uniform(&[1, 2, 4, 8, 6], 1).unwrap();
     let tau = Tensor::new(&[[0f32, 0.5]], &Device::Cpu).unwrap();
     let action = Tensor::zeros((1, 2, 10), DType::F32, &Device::Cpu).unwrap();
     let [default, reference, by_view] = [default, reference, by_view].map(|model| {

@@ -1,7 +1,8 @@
 use candle_core::{DType, Device};
 use safetensors::tensor::{Dtype, TensorView};
+use wm_model::random;
 use wm_model::sampler::Sampler;
-use wm_model::transition::Transition;
+use wm_model::transition::{Initialisation, Parameter, Transition};
 
 use super::*;
 
@@ -12,9 +13,12 @@ const CONFIG: &str = r#"{"hidden": 32, "depth": 2, "heads": 2, "channels": 4, "p
 fn checkpoint(prefix: &str) -> Checkpoint {
     let config: DitConfig = parse(CONFIG).unwrap();
     let mut tensors = Vec::new();
-    let random = |shape: &[usize]| Tensor::randn(0f32, 0.1, shape, &Device::Cpu).unwrap();
     Transition::build(config.transition().unwrap(), &mut |p| {
-        let tensor = random(&p.shape);
+        let tensor = Parameter {
+            initialisation: Initialisation::Normal(0.1),
+            ..p.clone()
+        };
+        let tensor = tensor.initial(1)?;
         let values = tensor.flatten_all()?.to_vec1::<f32>()?;
         let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
         tensors.push((format!("{prefix}{}", p.name), p.shape.clone(), bytes));
@@ -30,8 +34,8 @@ fn checkpoint(prefix: &str) -> Checkpoint {
     Checkpoint::from_bytes("test", safetensors::serialize(views, None).unwrap()).unwrap()
 }
 
-fn random(shape: &[usize]) -> Tensor {
-    Tensor::randn(0f32, 1.0, shape, &Device::Cpu).unwrap()
+fn random(shape: &[usize], seed: u64) -> Tensor {
+    random::normal(shape, seed).unwrap()
 }
 
 fn tensors(items: &[(&str, Tensor)]) -> Tensors {
@@ -59,12 +63,9 @@ fn names_are_read_back() {
 #[test]
 fn a_transition_model_is_found_in_its_wrappers() {
     let inputs = tensors(&[
-        ("x", random(&[2, 3, 4, 6, 4])),
-        (
-            "tau",
-            Tensor::rand(0f32, 1.0, (2, 3), &Device::Cpu).unwrap(),
-        ),
-        ("action", random(&[2, 3, 5])),
+        ("x", random(&[2, 3, 4, 6, 4], 1)),
+        ("tau", random::uniform(&[2, 3], 2).unwrap()),
+        ("action", random(&[2, 3, 5], 2)),
     ]);
     let run = |checkpoint: &Checkpoint| {
         forward(Kind::Dit, CONFIG, checkpoint, &inputs, &Compute::default()).unwrap()
@@ -81,9 +82,9 @@ fn a_rollout_with_the_cache_equals_the_definition() {
     for observed in [1, 2, 5] {
         let predicted = 4;
         let inputs = tensors(&[
-            ("context", random(&[2, observed, 4, 6, 4])),
-            ("actions", random(&[2, observed + predicted, 5])),
-            ("noise", random(&[2, predicted, 4, 6, 4])),
+            ("context", random(&[2, observed, 4, 6, 4], 1)),
+            ("actions", random(&[2, observed + predicted, 5], 2)),
+            ("noise", random(&[2, predicted, 4, 6, 4], 3)),
         ]);
         let run = |cache| {
             let options = RolloutOptions {
@@ -106,7 +107,7 @@ fn a_rollout_with_the_cache_equals_the_definition() {
 #[test]
 fn what_is_missing_is_named() {
     let checkpoint = checkpoint("");
-    let inputs = tensors(&[("x", random(&[1, 1, 4, 6, 4]))]);
+    let inputs = tensors(&[("x", random(&[1, 1, 4, 6, 4], 1))]);
     let run = |config: &str, kind| {
         let out = forward(kind, config, &checkpoint, &inputs, &Compute::default());
         out.unwrap_err().to_string()
@@ -132,12 +133,12 @@ fn what_is_missing_is_named() {
 fn an_input_that_cannot_be_computed_with_is_named() {
     let checkpoint = checkpoint("");
     let good = tensors(&[
-        ("x", random(&[2, 3, 4, 6, 4])),
+        ("x", random(&[2, 3, 4, 6, 4], 1)),
         ("tau", Tensor::full(0.5f32, (2, 3), &Device::Cpu).unwrap()),
-        ("action", random(&[2, 3, 5])),
+        ("action", random(&[2, 3, 5], 2)),
     ]);
     let zeros = |shape: &[usize]| Tensor::zeros(shape, DType::F32, &Device::Cpu).unwrap();
-    let nan = (random(&[2, 3, 5]) * f64::NAN).unwrap();
+    let nan = (random(&[2, 3, 5], 3) * f64::NAN).unwrap();
     for (name, tensor, expected) in [
         (
             "x",

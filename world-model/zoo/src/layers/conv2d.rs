@@ -366,14 +366,14 @@ mod tests {
     use super::*;
     use candle_core::{Device, Var};
 
-    fn random(shape: &[usize]) -> Tensor {
-        Tensor::randn(0f32, 1.0, shape, &Device::Cpu).unwrap()
+    fn random(shape: &[usize], seed: u64) -> Tensor {
+        wm_model::random::normal(shape, seed).unwrap()
     }
 
     fn both(spec: ConvSpec, size: (usize, usize)) -> [Tensor; 2] {
-        let weight = random(&spec.weight_shape());
-        let bias = random(&[spec.outputs]);
-        let x = random(&[2, size.0, size.1, spec.inputs]);
+        let weight = random(&spec.weight_shape(), 1);
+        let bias = random(&[spec.outputs], 2);
+        let x = random(&[2, size.0, size.1, spec.inputs], 3);
         [Kernels::Candle, Kernels::Cpu].map(|kernels| {
             let conv =
                 Conv2d::new(spec, &weight, bias.clone(), kernels, NumberFormat::F32).unwrap();
@@ -418,8 +418,8 @@ mod tests {
             stride: 1,
             padding: Padding::same(3),
         };
-        let (weight, bias) = (random(&spec.weight_shape()), random(&[5]));
-        let x = random(&[2, 5, 4, 3]);
+        let (weight, bias) = (random(&spec.weight_shape(), 1), random(&[5], 2));
+        let x = random(&[2, 5, 4, 3], 3);
         let [a, b] = [Kernels::Candle, Kernels::Cpu].map(|kernels| {
             let conv =
                 Conv2d::doubling(spec, &weight, bias.clone(), kernels, NumberFormat::F32).unwrap();
@@ -440,8 +440,9 @@ mod tests {
                 stride,
                 padding: Padding::same(3),
             };
-            let var = |shape: &[usize]| Var::from_tensor(&random(shape)).unwrap();
-            let (x, weight, bias) = (var(&[2, 8, 4, 3]), var(&spec.weight_shape()), var(&[5]));
+            let var = |shape: &[usize], seed| Var::from_tensor(&random(shape, seed)).unwrap();
+            let x = var(&[2, 8, 4, 3], 1);
+            let (weight, bias) = (var(&spec.weight_shape(), 2), var(&[5], 3));
             let build = if doubles {
                 Conv2d::doubling
             } else {

@@ -185,12 +185,13 @@ fn add_scaled(x: &Tensor, update: &Tensor, scale: Option<&Tensor>) -> Result<Ten
 mod tests {
     use super::*;
     use candle_core::Device;
+    use wm_model::random::normal;
 
     #[test]
     fn both_engines_agree() {
-        let random = |shape: &[usize]| Tensor::randn(0f32, 1.0, shape, &Device::Cpu).unwrap();
-        let (weight, bias) = (random(&[7, 5]), random(&[7]));
-        let x = random(&[2, 3, 4, 5]);
+        let random = |shape: &[usize], seed| normal(shape, seed).unwrap();
+        let (weight, bias) = (random(&[7, 5], 1), random(&[7], 2));
+        let x = random(&[2, 3, 4, 5], 3);
         for bias in [Some(bias), None] {
             let [a, b] = [Kernels::Candle, Kernels::Cpu].map(|kernels| {
                 let linear =
@@ -205,9 +206,9 @@ mod tests {
 
     #[test]
     fn what_follows_a_product_is_the_same_on_both_engines() {
-        let random = |shape: &[usize]| Tensor::randn(0f32, 1.0, shape, &Device::Cpu).unwrap();
-        let (weight, bias, x) = (random(&[7, 5]), random(&[7]), random(&[2, 3, 5]));
-        let (residual, scale) = (random(&[2, 3, 7]), random(&[7]));
+        let random = |shape: &[usize], seed| normal(shape, seed).unwrap();
+        let (weight, bias, x) = (random(&[7, 5], 1), random(&[7], 2), random(&[2, 3, 5], 3));
+        let (residual, scale) = (random(&[2, 3, 7], 4), random(&[7], 5));
         let linear = |kernels| {
             Linear::new(
                 weight.clone(),

@@ -162,7 +162,7 @@ mod tests {
     fn products_depend_on_distance_only() {
         let on = (DType::F32, &Device::Cpu);
         let rotary = Rotary::picture((1, 8), HEAD_DIM, (1.0, 1.0), on).unwrap();
-        let one = Tensor::randn(0.0_f32, 1.0, (1, 1, 1, HEAD_DIM), &Device::Cpu).unwrap();
+        let one = wm_model::random::normal(&[1, 1, 1, HEAD_DIM], 1).unwrap();
         let same = one.broadcast_as((1, 1, 8, HEAD_DIM)).unwrap();
         let turned = rotary.apply(&same).unwrap().reshape((8, HEAD_DIM)).unwrap();
         let products = turned.matmul(&turned.t().unwrap()).unwrap();

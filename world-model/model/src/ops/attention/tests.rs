@@ -1,5 +1,3 @@
-use candle_core::Device;
-
 use super::super::comparison::{check_gradients, check_refused, check_same, random};
 use super::*;
 use crate::ops::{RopeLayout, RotaryTable};
@@ -62,8 +60,7 @@ fn heads_of_any_width_are_those_of_the_definition() {
         let d = heads * dim;
         let rotary = RotaryTable::grid(rows, columns, dim);
         let pattern = AttentionPattern::new(Axis::Space, heads, rotary, |_, _| true).unwrap();
-        let shape = (1, 1, rows * columns, 3 * d);
-        let qkv = Tensor::randn(0f32, 1.0, shape, &Device::Cpu).unwrap();
+        let qkv = random(&[1, 1, rows * columns, 3 * d], 1);
         let out = attention(Kernels::Cpu, &qkv, &Arc::new(pattern)).unwrap();
         let rows = |x: &Tensor| x.squeeze(0).unwrap().squeeze(0).unwrap().to_vec2().unwrap();
         let (qkv, out): (Vec<Vec<f32>>, Vec<Vec<f32>>) = (rows(&qkv), rows(&out));

@@ -1,17 +1,17 @@
 //! Both forms of the loaded model against the reference on tensors.
 
-use candle_core::{Device, Tensor};
+use candle_core::Tensor;
 
 use super::*;
-use crate::NumberFormat;
 use crate::transition::{TemporalPattern, Transition};
+use crate::{NumberFormat, random};
 
 fn values(tensor: &Tensor) -> Vec<f32> {
     tensor.flatten_all().unwrap().to_vec1().unwrap()
 }
 
-fn random(shape: impl Into<candle_core::Shape>) -> Tensor {
-    Tensor::randn(0f32, 1.0, shape, &Device::Cpu).unwrap()
+fn random(shape: &[usize], seed: u64) -> Tensor {
+    random::normal(shape, seed).unwrap()
 }
 
 /// On kernels, on tensor operations, and on these as a device computes that records.
@@ -52,9 +52,9 @@ fn difference(
 ) -> f32 {
     let c = packed.config();
     let t: usize = cut.iter().sum();
-    let x = random((batch, t, c.latent_height, c.latent_width, c.channels));
-    let tau = Tensor::rand(0f32, 1.0, (batch, t), &Device::Cpu).unwrap();
-    let action = random((batch, t, c.action_dim));
+    let x = random(&[batch, t, c.latent_height, c.latent_width, c.channels], 1);
+    let tau = random::uniform(&[batch, t], 2).unwrap();
+    let action = random(&[batch, t, c.action_dim], 3);
     let whole = reference
         .output(&x, &tau, &action, &TemporalPattern::causal(t), t)
         .unwrap();
@@ -134,8 +134,8 @@ fn passes_in_any_cut_equal_the_reference() {
 fn a_shared_context_is_that_of_every_candidate() {
     // Several blocks of tokens, the last one not full.
     let config = TransitionConfig::preset("tiny", (13, 11, 3), 1, 7).unwrap();
-    let latents = values(&random((1, 13, 11, 3)));
-    let both = values(&random((2, 13, 11, 3)));
+    let latents = values(&random(&[1, 13, 11, 3], 1));
+    let both = values(&random(&[2, 13, 11, 3], 2));
     let zeros = [0.0; 14];
     for model in every_form(&config) {
         let first = NewFrame {
@@ -164,7 +164,7 @@ fn a_shared_context_is_that_of_every_candidate() {
 #[test]
 fn a_pass_may_keep_some_frames_and_give_others() {
     let config = TransitionConfig::preset("tiny", (6, 6, 4), 2, 7).unwrap();
-    let latents: Vec<_> = (0..3).map(|_| values(&random((1, 6, 6, 4)))).collect();
+    let latents: Vec<_> = (0..3).map(|i| values(&random(&[1, 6, 6, 4], i))).collect();
     let frames: Vec<_> = latents
         .iter()
         .map(|latents| NewFrame {
