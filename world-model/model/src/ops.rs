@@ -41,6 +41,7 @@ mod softmax;
 pub(crate) mod swiglu;
 pub(crate) mod temporal_attention;
 pub(crate) mod token_layers;
+mod uncleared;
 pub(crate) mod vectorised;
 
 pub use activation::{gelu_exact, gelu_tanh, silu};

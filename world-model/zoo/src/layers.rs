@@ -9,7 +9,7 @@ mod attention;
 mod conv2d;
 mod dropout;
 mod group_norm;
-mod host;
+pub(crate) mod host;
 mod layer_norm;
 mod linear;
 mod rms_norm;

@@ -1,12 +1,15 @@
 //! Attention of all queries to all keys of a sequence, for inference: scores and weighted sums by
 //! the kernel of matrix products, a block of queries at a time, so that scores stay in cache.
 
+use std::mem::MaybeUninit;
+
 use half::bf16;
 use rayon::prelude::*;
 
 use super::panel_product::{PanelProduct, Rows};
 use super::panels::Panels;
 use super::softmax::softmax_rows;
+use super::uncleared::uncleared;
 use crate::NumberFormat;
 
 /// Queries that one task handles at most.
@@ -147,9 +150,8 @@ fn attend<T: PanelProduct>(
         mask.check(&shape);
     }
     let width = heads * dim;
-    let mut out = vec![0.0; batch * queries * width];
     if keys == 0 || width == 0 || queries == 0 {
-        return out;
+        return vec![0.0; batch * queries * width];
     }
     let packed = (0..batch * heads).into_par_iter().map(|number| {
         let (entry, head) = (number / heads, number % heads);
@@ -164,16 +166,12 @@ fn attend<T: PanelProduct>(
         blocks => blocks.next_multiple_of(2),
     };
     let block = queries.div_ceil(blocks);
-    let parts = out.par_chunks_mut(queries * width).enumerate();
-    parts.for_each(|(entry, out)| {
+    let write_entry = |(entry, (out, packed)): (usize, (&mut [MaybeUninit<f32>], &[_]))| {
         let blocks = out.par_chunks_mut(block * width).enumerate();
         blocks.for_each_init(Vec::new, |scores: &mut Vec<f32>, (number, out)| {
             let (first, count) = (number * block, out.len() / width);
             scores.resize(count * keys, 0.0);
-            for head in 0..heads {
-                let Some((across, along)) = packed.get(entry * heads + head) else {
-                    return;
-                };
+            for (head, (across, along)) in packed.iter().enumerate() {
                 let rows = |values, step| Rows {
                     values,
                     step,
@@ -203,8 +201,15 @@ fn attend<T: PanelProduct>(
                 T::product_of_rows(along, rows(scores.as_slice(), keys), target);
             }
         });
-    });
-    out
+    };
+    let write = |out: &mut [MaybeUninit<f32>]| {
+        let entries = out.par_chunks_mut(queries * width);
+        let entries = entries.zip(packed.par_chunks(heads)).enumerate();
+        entries.for_each(write_entry);
+    };
+    // SAFETY: the blocks of all entries cover all values in whole rows, and of each row the second product of each head writes
+    // the head's channels (`PanelProduct::product_of_rows`).
+    unsafe { uncleared(batch * queries * width, write) }
 }
 
 #[cfg(test)]

@@ -1,5 +1,6 @@
 //! y = x W^T + b with weights that are packed once: the matrix product of inference.
 
+use std::mem::MaybeUninit;
 use std::sync::Arc;
 
 use half::bf16;
@@ -13,6 +14,7 @@ use super::panel_values::MappedBytes;
 use super::panels::{LAYOUT, Panels};
 use super::simd::{InstructionSet, Int8Unit};
 use super::smoothing::Smoothing;
+use super::uncleared::uncleared;
 use crate::NumberFormat;
 use crate::{Error, Result};
 
@@ -200,17 +202,15 @@ impl PackedLinear {
         then: impl Fn(&mut [f32], usize) + Sync,
     ) -> Vec<f32> {
         let length = x.len() / self.inputs().max(1) * self.outputs();
-        // Not cleared: one thread would clear it, and the others wait.
-        let mut y = Vec::with_capacity(length);
-        let room = y.spare_capacity_mut().get_mut(..length);
-        self.share_out(x, room.unwrap_or_default(), |first, x, y| {
-            self.write(x, y);
-            // SAFETY: `write` has written every output of these rows (`PanelProduct::product_of_rows`).
-            then(unsafe { y.assume_init_mut() }, first);
-        });
-        // SAFETY: the shares cover all `length` outputs, each was written, and the capacity is at least `length`.
-        unsafe { y.set_len(length) };
-        y
+        let write = |y: &mut [MaybeUninit<f32>]| {
+            self.share_out(x, y, |first, x, y| {
+                self.write(x, y);
+                // SAFETY: `write` has written every output of these rows (`PanelProduct::product_of_rows`).
+                then(unsafe { y.assume_init_mut() }, first);
+            });
+        };
+        // SAFETY: the shares cover all `length` outputs, and each is written.
+        unsafe { uncleared(length, write) }
     }
 
     /// Calls `compute` with equal shares of the rows, on all threads of the pool: the number of a share's first row, its

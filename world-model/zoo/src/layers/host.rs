@@ -10,6 +10,11 @@ use crate::Result;
 /// Values that one task copies at least.
 const COPIED: usize = 64 * 1024;
 
+/// Whether the values of `x` can be computed with as a slice: they are on the CPU, and no gradients go through `x`.
+pub(crate) fn is_plain(x: &Tensor) -> bool {
+    x.device().is_cpu() && !x.track_op()
+}
+
 /// What `read` makes of the values of `x`, a tensor of f32 on the CPU.
 pub(crate) fn with_values<R>(x: &Tensor, read: impl FnOnce(&[f32]) -> R) -> Result<R> {
     let x = x.contiguous()?;

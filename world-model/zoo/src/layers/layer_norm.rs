@@ -36,11 +36,8 @@ impl LayerNorm {
     pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor> {
         if takes_kernels(self.kernels, x) && x.dim(D::Minus1)? == self.scale.dim(0)? {
             let (scale, shift) = (self.scale.to_vec1::<f32>()?, self.shift.to_vec1::<f32>()?);
-            let normed = host::with_values(x, |x| {
-                let mut normed = vec![0.0; x.len()];
-                ops::layer_norm(x, (&scale, &shift), self.eps as f32, &mut normed);
-                normed
-            })?;
+            let normed =
+                host::with_values(x, |x| ops::layer_norm(x, (&scale, &shift), self.eps as f32))?;
             return Ok(Tensor::from_vec(normed, x.shape(), x.device())?);
         }
         let wide = x.to_dtype(DType::F32)?;

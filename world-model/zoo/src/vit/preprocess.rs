@@ -8,6 +8,7 @@ use candle_core::{DType, Tensor};
 
 use super::resample::{AxisWeights, resample};
 use crate::Result;
+use crate::layers::host;
 use crate::sizes::shape_error;
 
 /// Mean and standard deviation per colour channel that pictures are normalised with.
@@ -40,6 +41,15 @@ impl Normalisation {
         check(image)?;
         let device = image.device();
         let image = image.to_dtype(DType::F32)?;
+        if host::is_plain(&image) {
+            return host::changed(&image, |values| {
+                for pixel in values.as_chunks_mut::<3>().0 {
+                    for ((value, mean), std) in pixel.iter_mut().zip(self.mean).zip(self.std) {
+                        *value = (*value - mean) / std;
+                    }
+                }
+            });
+        }
         let centred = image.broadcast_sub(&Tensor::new(&self.mean, device)?)?;
         Ok(centred.broadcast_div(&Tensor::new(&self.std, device)?)?)
     }

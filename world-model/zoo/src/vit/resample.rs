@@ -1,14 +1,13 @@
 //! Linear maps along the rows and the columns of pictures and feature grids.
 
 use candle_core::{DType, Device, Tensor};
+use rayon::prelude::*;
 
 use crate::Result;
+use crate::layers::host;
 use crate::sizes::shape_error;
 
-/// How outputs along one axis are weighted sums of inputs: a dense matrix (outputs, inputs).
-///
-/// Dense, because the axes are short: a picture of 256x256 takes less than a thousandth of the
-/// encoder's time that way, on every device.
+/// How outputs along one axis are weighted sums of inputs: a dense matrix (outputs, inputs), most of whose weights are 0.
 #[derive(Clone, Debug)]
 pub(crate) struct AxisWeights {
     inputs: usize,
@@ -63,6 +62,20 @@ impl AxisWeights {
         }
     }
 
+    /// Of each output, the inputs that it depends on: the number of the first, and the weights from it to the last.
+    fn windows(&self) -> Vec<(usize, &[f32])> {
+        let windows = self.values.chunks_exact(self.inputs.max(1)).map(|weights| {
+            let counts = |weight: &f32| *weight != 0.0;
+            let first = weights.iter().position(counts).unwrap_or(0);
+            let end = weights
+                .iter()
+                .rposition(counts)
+                .map_or(first, |last| last + 1);
+            (first, weights.get(first..end).unwrap_or_default())
+        });
+        windows.collect()
+    }
+
     /// (outputs, inputs).
     fn tensor(&self, device: &Device) -> Result<Tensor> {
         let shape = (self.outputs, self.inputs);
@@ -90,14 +103,66 @@ fn cubic_taps(t: f32) -> [f32; 4] {
 /// # Errors
 /// If the grid has not the sizes that the weights are for.
 pub(crate) fn resample(grid: &Tensor, rows: &AxisWeights, columns: &AxisWeights) -> Result<Tensor> {
-    let &[n, h, w, c] = grid.dims() else {
+    let &[_, h, w, _] = grid.dims() else {
         return Err(shape_error("the grid", "(N, H, W, C)", grid));
     };
     if (h, w) != (rows.inputs, columns.inputs) {
         let expected = format!("(N, {}, {}, C)", rows.inputs, columns.inputs);
         return Err(shape_error("the grid", expected, grid));
     }
-    let mut grid = grid.to_dtype(DType::F32)?.contiguous()?;
+    let grid = grid.to_dtype(DType::F32)?.contiguous()?;
+    match host::is_plain(&grid) {
+        true => by_windows(&grid, rows, columns),
+        false => by_products(grid, rows, columns),
+    }
+}
+
+/// [`resample`] on the CPU, without gradients.
+fn by_windows(grid: &Tensor, rows: &AxisWeights, columns: &AxisWeights) -> Result<Tensor> {
+    let (n, h, w, c) = grid.dims4()?;
+    let (height, width) = (rows.outputs, columns.outputs);
+    let mut resampled = vec![0.0; n * height * width * c];
+    let (of_rows, of_columns) = (rows.windows(), columns.windows());
+    host::with_values(grid, |grid| {
+        let pictures = grid.chunks_exact((h * w * c).max(1));
+        let resampled = resampled.chunks_exact_mut((height * width * c).max(1));
+        for (picture, out) in pictures.zip(resampled) {
+            out.par_chunks_mut((width * c).max(1))
+                .zip(&of_rows)
+                .for_each_init(
+                    || vec![0.0; w * c],
+                    |row, (out, (first, weights))| {
+                        row.fill(0.0);
+                        add_weighted(row, picture, *first, weights);
+                        for (out, (first, weights)) in
+                            out.chunks_exact_mut(c.max(1)).zip(&of_columns)
+                        {
+                            add_weighted(out, row, *first, weights);
+                        }
+                    },
+                );
+        }
+    })?;
+    Ok(Tensor::from_vec(
+        resampled,
+        (n, height, width, c),
+        grid.device(),
+    )?)
+}
+
+/// Adds to `sum` the parts of `values` from number `first` on, each as long as `sum`, times the `weights`.
+fn add_weighted(sum: &mut [f32], values: &[f32], first: usize, weights: &[f32]) {
+    let parts = values.chunks_exact(sum.len().max(1)).skip(first);
+    for (part, weight) in parts.zip(weights) {
+        for (sum, value) in sum.iter_mut().zip(part) {
+            *sum += weight * value;
+        }
+    }
+}
+
+/// [`resample`] by products of dense matrices, on any device.
+fn by_products(mut grid: Tensor, rows: &AxisWeights, columns: &AxisWeights) -> Result<Tensor> {
+    let (n, h, w, c) = grid.dims4()?;
     if !rows.is_identity() {
         let weights = rows.tensor(grid.device())?.unsqueeze(0)?;
         grid = weights.broadcast_matmul(&grid.reshape((n, h, w * c))?)?;
@@ -194,6 +259,25 @@ mod tests {
             let t = centre - centre.floor();
             let expected = centre + t * (1.0 - t) * (1.0 - 2.0 * t) / 2.0;
             assert!((value - expected).abs() < 1e-5, "{value} for {expected}");
+        }
+    }
+
+    #[test]
+    fn windows_and_products_give_the_same() {
+        let grid = wm_model::random::normal(&[2, 9, 7, 5], 1).unwrap();
+        for [rows, columns] in [
+            [AxisWeights::bicubic(9, 4), AxisWeights::bicubic(7, 12)],
+            [
+                AxisWeights::bicubic(9, 9),
+                AxisWeights::adaptive_average(7, 3),
+            ],
+        ] {
+            let windows = by_windows(&grid, &rows, &columns).unwrap();
+            let products = by_products(grid.clone(), &rows, &columns).unwrap();
+            assert_eq!(windows.dims(), products.dims());
+            let difference = (windows - products).unwrap().abs().unwrap();
+            let most: f32 = difference.max_all().unwrap().to_scalar().unwrap();
+            assert!(most < 1e-6, "they differ by {most}");
         }
     }
 
