@@ -146,7 +146,8 @@ def compare(name, case, folder, arguments, place, peaks):
         firsts = {peer: first_run(of) for peer, of in peers.items()}
         if reference is None:
             # In f32, whichever formats are compared.
-            reference = case.at("f32").step().float()
+            in_f32 = firsts["eager"][0] if number_format == "f32" else case.at("f32").step()
+            reference = in_f32.float()
             operations = operations_of(at) if case.same_operations and peaks else None
         slowest = max(ms for _, ms in firsts.values()) / 1e3
         runs = max(1, min(10, int(arguments.seconds / slowest)))

@@ -1,4 +1,4 @@
-//! Random tensors for tests and benchmarks, the same for the same seed: candle's generator on the processor takes none.
+//! Random tensors for tests and benchmarks, the same for the same seed: candle's generator on the CPU takes no seed.
 
 use candle_core::{Device, Result, Tensor};
 use rand::{Rng as _, SeedableRng as _};

@@ -149,9 +149,13 @@ fn attend<T: PanelProduct>(
     if let Some(mask) = &mask {
         mask.check(&shape);
     }
-    let width = heads * dim;
+    let length = [batch, queries, heads, dim]
+        .into_iter()
+        .try_fold(1_usize, usize::checked_mul);
+    assert!(length.is_some(), "size of an attention: {shape:?}");
+    let (width, length) = (heads * dim, length.unwrap_or(0));
     if keys == 0 || width == 0 || queries == 0 {
-        return vec![0.0; batch * queries * width];
+        return vec![0.0; length];
     }
     let packed = (0..batch * heads).into_par_iter().map(|number| {
         let (entry, head) = (number / heads, number % heads);
@@ -207,9 +211,9 @@ fn attend<T: PanelProduct>(
         let entries = entries.zip(packed.par_chunks(heads)).enumerate();
         entries.for_each(write_entry);
     };
-    // SAFETY: the blocks of all entries cover all values in whole rows, and of each row the second product of each head writes
-    // the head's channels (`PanelProduct::product_of_rows`).
-    unsafe { uncleared(batch * queries * width, write) }
+    // SAFETY: the blocks of all entries cover all values in whole rows, for the length is that of the shape. In each row, the
+    // second product of each head writes that head's channels (`PanelProduct::product_of_rows`).
+    unsafe { uncleared(length, write) }
 }
 
 #[cfg(test)]

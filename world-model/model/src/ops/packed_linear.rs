@@ -205,7 +205,7 @@ impl PackedLinear {
         let write = |y: &mut [MaybeUninit<f32>]| {
             self.share_out(x, y, |first, x, y| {
                 self.write(x, y);
-                // SAFETY: `write` has written every output of these rows (`PanelProduct::product_of_rows`).
+                // SAFETY: `Self::write` has written every output of these rows (`PanelProduct::product_of_rows`).
                 then(unsafe { y.assume_init_mut() }, first);
             });
         };

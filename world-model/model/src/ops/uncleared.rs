@@ -1,8 +1,8 @@
-//! Memory that is not cleared before it is written: one thread would clear it, and the others wait.
+//! Output buffers that are not cleared first: one thread would clear them, and the others wait.
 
 use std::mem::MaybeUninit;
 
-/// `length` values, as `write` writes them.
+/// A buffer of `length` values, which `write` writes.
 ///
 /// # Safety
 /// `write` must write every value.

@@ -14,11 +14,11 @@ fn checkpoint(prefix: &str) -> Checkpoint {
     let config: DitConfig = parse(CONFIG).unwrap();
     let mut tensors = Vec::new();
     Transition::build(config.transition().unwrap(), &mut |p| {
-        let tensor = Parameter {
+        let parameter = Parameter {
             initialisation: Initialisation::Normal(0.1),
             ..p.clone()
         };
-        let tensor = tensor.initial(1)?;
+        let tensor = parameter.initial(1)?;
         let values = tensor.flatten_all()?.to_vec1::<f32>()?;
         let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
         tensors.push((format!("{prefix}{}", p.name), p.shape.clone(), bytes));
@@ -65,15 +65,17 @@ fn a_transition_model_is_found_in_its_wrappers() {
     let inputs = tensors(&[
         ("x", random(&[2, 3, 4, 6, 4], 1)),
         ("tau", random::uniform(&[2, 3], 2).unwrap()),
-        ("action", random(&[2, 3, 5], 2)),
+        ("action", random(&[2, 3, 5], 3)),
     ]);
     let run = |checkpoint: &Checkpoint| {
         forward(Kind::Dit, CONFIG, checkpoint, &inputs, &Compute::default()).unwrap()
     };
     let plain = run(&checkpoint(""));
     assert_eq!(plain["velocity"].dims(), [2, 3, 4, 6, 4]);
-    run(&checkpoint("ema.module._orig_mod."));
-    run(&checkpoint("state_dict.module."));
+    for prefix in ["ema.module._orig_mod.", "state_dict.module."] {
+        let wrapped = run(&checkpoint(prefix));
+        assert_eq!(most(&plain["velocity"], &wrapped["velocity"]), 0.0);
+    }
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Tensors as plain slices, for the kernels.
 
-use candle_core::{Storage, Tensor};
+use candle_core::{DType, Storage, Tensor};
 
 use rayon::prelude::*;
 use wm_model::ops::HeadRows;
@@ -10,9 +10,9 @@ use crate::Result;
 /// Values that one task copies at least.
 const COPIED: usize = 64 * 1024;
 
-/// Whether the values of `x` can be computed with as a slice: they are on the CPU, and no gradients go through `x`.
+/// Whether [`with_values`] can replace operations of candle: `x` has values of f32 on the CPU, and no gradients go through it.
 pub(crate) fn is_plain(x: &Tensor) -> bool {
-    x.device().is_cpu() && !x.track_op()
+    x.dtype() == DType::F32 && x.device().is_cpu() && !x.track_op()
 }
 
 /// What `read` makes of the values of `x`, a tensor of f32 on the CPU.

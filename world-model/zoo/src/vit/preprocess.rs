@@ -5,11 +5,15 @@
 //! overshoots; V-JEPA 2.1 clamps to 0..1 and takes 256x256 as it is.
 
 use candle_core::{DType, Tensor};
+use rayon::prelude::*;
 
 use super::resample::{AxisWeights, resample};
 use crate::Result;
 use crate::layers::host;
 use crate::sizes::shape_error;
+
+/// Pixels that one task normalises at least.
+const PIXELS: usize = 16 * 1024;
 
 /// Mean and standard deviation per colour channel that pictures are normalised with.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,11 +47,15 @@ impl Normalisation {
         let image = image.to_dtype(DType::F32)?;
         if host::is_plain(&image) {
             return host::changed(&image, |values| {
-                for pixel in values.as_chunks_mut::<3>().0 {
-                    for ((value, mean), std) in pixel.iter_mut().zip(self.mean).zip(self.std) {
-                        *value = (*value - mean) / std;
-                    }
-                }
+                let pixels = values.as_chunks_mut::<3>().0;
+                pixels
+                    .par_iter_mut()
+                    .with_min_len(PIXELS)
+                    .for_each(|pixel| {
+                        for ((value, mean), std) in pixel.iter_mut().zip(self.mean).zip(self.std) {
+                            *value = (*value - mean) / std;
+                        }
+                    });
             });
         }
         let centred = image.broadcast_sub(&Tensor::new(&self.mean, device)?)?;
@@ -82,7 +90,7 @@ fn check(image: &Tensor) -> Result<(usize, usize)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use candle_core::Device;
+    use candle_core::{Device, Var};
 
     #[test]
     fn normalisation_is_per_channel() {
@@ -96,6 +104,22 @@ mod tests {
         for (found, expected) in values(Normalisation::IMAGENET).iter().zip(expected) {
             assert!((found - expected).abs() < 1e-6);
         }
+    }
+
+    #[test]
+    fn gradients_go_through_a_preprocessed_picture() {
+        let picture = wm_model::random::uniform(&[1, 6, 5, 3], 1).unwrap();
+        let variable = Var::from_tensor(&picture).unwrap();
+        let prepare = |picture: &Tensor| {
+            let resized = resize_bicubic(picture, 4).unwrap();
+            Normalisation::IMAGENET.apply(&resized).unwrap()
+        };
+        let (plain, tracked) = (prepare(&picture), prepare(&variable));
+        let difference = (plain - &tracked).unwrap().abs().unwrap();
+        let most: f32 = difference.max_all().unwrap().to_scalar().unwrap();
+        assert!(most < 1e-5, "they differ by {most}");
+        let gradients = tracked.sum_all().unwrap().backward().unwrap();
+        assert_eq!(gradients.get(&variable).unwrap().dims(), picture.dims());
     }
 
     #[test]
