@@ -116,7 +116,7 @@ impl<'a> HeadRows<'a> {
 /// products are rounded to it.
 ///
 /// # Panics
-/// If a slice has another size.
+/// If a slice has another size, or the number of outputs overflows.
 pub fn dense_attention(
     shape: AttentionShape,
     qkv: [HeadRows<'_>; 3],
